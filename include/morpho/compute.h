@@ -1,0 +1,88 @@
+/* compute.h: "score these rollouts", whatever computes them.
+ *
+ * A back end runs blocks: one body in up to MO_BLOCK_LANES environments with one controller. Blocks are submitted from any
+ * thread and finish in any order; each block's result depends on its inputs alone. Urgent blocks start at once: a worker that
+ * is inside another block sets it aside at its next pause point (a few steps), runs the urgent one, and goes on. */
+#ifndef MORPHO_COMPUTE_H
+#define MORPHO_COMPUTE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/rollout.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* A controller ready for a back end: packs for each precision are made at first use and shared. Reference-counted. */
+struct mo_compute;
+struct mo_compute_controller;
+
+enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
+
+struct mo_compute_config {
+  uint32_t n_workers;  /* 0: one per online processor */
+  enum mo_isa isa;     /* from mo_isa_best(), or lower for tests */
+  int nice;            /* workers' niceness above the process's, 0 … 19: the service's threads stay responsive */
+};
+
+/* Filled in by the submitter, who owns it and all it points to until `done` is called. */
+struct mo_block {
+  const struct mo_body *body;        /* or NULL: built by the worker from lattice and genotype */
+  const struct mo_lattice *lattice;
+  const uint64_t *genotype;          /* placed; used when body is NULL */
+  struct mo_compute_controller *controller;
+  const struct mo_environment *environments[MO_BLOCK_LANES];
+  uint32_t n_environments;
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_urgency urgency;
+  const struct mo_recording *recordings; /* NULL or (n_environments) */
+  const volatile int *cancel;            /* NULL or a flag; non-zero ends the block with MO_ERR_CANCELLED */
+  int64_t tag;                           /* the submitter's, e.g. the job; readable by mo_compute_current_tag */
+  /* Results. */
+  struct mo_outcome outcomes[MO_BLOCK_LANES];
+  int status;                            /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, … */
+  /* Called once, on a worker's thread, after the results are written; must be short. The block may be freed in it. */
+  void (*done)(struct mo_block *block, void *context);
+  void *context;
+  /* The back end's own. */
+  struct mo_block *next;
+};
+
+struct mo_compute_stats {
+  uint32_t n_workers, n_busy;
+  uint64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted;
+  uint64_t queued_batch, queued_interactive;
+  double busy_s;                    /* worker seconds spent inside blocks */
+  size_t worker_bytes_max;          /* largest scratch of one worker */
+};
+
+/* The CPU back end. MO_ERR_RANGE, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */
+int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **compute);
+/* Cancels what is queued and running (their `done` is called with MO_ERR_CANCELLED), joins the workers. NULL-safe. */
+void mo_compute_free(struct mo_compute *compute);
+
+/* Takes a copy of nothing: `controller` (nullable: passive bodies) must outlive the result. */
+int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
+                                 struct mo_compute_controller **ret);
+void mo_compute_controller_free(struct mo_compute_controller *controller); /* only when no block uses it; NULL-safe */
+
+/* Queues a block; never blocks, never fails for a valid block (MO_ERR_INVALID, MO_ERR_CANCELLED after free began). */
+int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
+
+/* Submits blocks and waits for all of them; returns the first error by position. For tools and tests. */
+int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n);
+
+void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats); /* lock-free reads */
+/* The tag of the block that the calling worker thread is in, −1 elsewhere. Async-signal-safe. */
+int64_t mo_compute_current_tag(void);
+/* "cpu avx512 float32 …": what the bits of a result depend on besides its inputs (back end, instruction set, code version). */
+const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,48 @@
+/* error.h: the result codes of every function that can fail.
+ *
+ * A function returns MO_OK (0) or one of these negative codes. It never exits, never logs, and leaves its outputs
+ * untouched when it fails, unless its comment says otherwise. Where a person must act on a fault, the function also takes
+ * a `struct mo_message *` (nullable) and writes one sentence that says what is wrong and what would be right. */
+#ifndef MORPHO_ERROR_H
+#define MORPHO_ERROR_H
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum mo_error {
+  MO_OK = 0,
+  MO_ERR_NO_MEMORY = -1,      /* an allocation failed */
+  MO_ERR_INVALID = -2,        /* a value is not of the kind the contract asks for */
+  MO_ERR_RANGE = -3,          /* a value is of the right kind, but outside its bounds */
+  MO_ERR_EMPTY = -4,          /* a body without voxels */
+  MO_ERR_NOT_CONTIGUOUS = -5, /* a body in more than one piece */
+  MO_ERR_DUPLICATE = -6,      /* the same thing twice where once is allowed */
+  MO_ERR_FORMAT = -7,         /* bytes that are not of the announced format */
+  MO_ERR_LIMIT = -8,          /* larger than this build or this configuration accepts */
+  MO_ERR_NOT_FOUND = -9,      /* no such thing */
+  MO_ERR_CONFLICT = -10,      /* contradicts what is there already */
+  MO_ERR_IO = -11,            /* a read or write failed */
+  MO_ERR_NO_SPACE = -12,      /* the disk is full */
+  MO_ERR_CANCELLED = -13,     /* the caller asked to stop */
+  MO_ERR_BUSY = -14,          /* try again later */
+  MO_ERR_EXHAUSTED = -15,     /* no further item exists */
+  MO_ERR_CORRUPT = -16,       /* stored data contradicts itself */
+  MO_ERR_UNSUPPORTED = -17    /* valid, but this build or machine cannot do it */
+};
+
+/* One sentence for people, always terminated by NUL, without a trailing newline. */
+struct mo_message {
+  char text[256];
+};
+
+/* The name of a code in words ("out of memory"); "unknown error" for others. Never NULL, static storage. */
+const char *mo_error_text(int code);
+
+/* Formats into `message` (nullable) and returns `code`, so that `return mo_fail(msg, MO_ERR_RANGE, "…", …);` reads well. */
+int mo_fail(struct mo_message *message, int code, const char *format, ...) __attribute__((format(printf, 3, 4)));
+
+#ifdef __cplusplus
+}
+#endif
+#endif

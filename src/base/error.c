@@ -1,0 +1,41 @@
+/* error.c: codes in words. */
+#include <morpho/error.h>
+
+#include <stdarg.h>
+#include <stdio.h>
+
+const char *mo_error_text(int code)
+{
+  switch (code) {
+  case MO_OK: return "no error";
+  case MO_ERR_NO_MEMORY: return "out of memory";
+  case MO_ERR_INVALID: return "invalid value";
+  case MO_ERR_RANGE: return "value out of range";
+  case MO_ERR_EMPTY: return "empty body";
+  case MO_ERR_NOT_CONTIGUOUS: return "body is not contiguous";
+  case MO_ERR_DUPLICATE: return "duplicate";
+  case MO_ERR_FORMAT: return "wrong format";
+  case MO_ERR_LIMIT: return "limit exceeded";
+  case MO_ERR_NOT_FOUND: return "not found";
+  case MO_ERR_CONFLICT: return "conflict";
+  case MO_ERR_IO: return "input or output failed";
+  case MO_ERR_NO_SPACE: return "no space left on the device";
+  case MO_ERR_CANCELLED: return "cancelled";
+  case MO_ERR_BUSY: return "busy";
+  case MO_ERR_EXHAUSTED: return "exhausted";
+  case MO_ERR_CORRUPT: return "stored data is corrupt";
+  case MO_ERR_UNSUPPORTED: return "not supported here";
+  default: return "unknown error";
+  }
+}
+
+int mo_fail(struct mo_message *message, int code, const char *format, ...)
+{
+  if (message != NULL) {
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(message->text, sizeof(message->text), format, arguments);
+    va_end(arguments);
+  }
+  return code;
+}

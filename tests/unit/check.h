@@ -1,0 +1,88 @@
+/* check.h: a small TAP producer. A test program lists its cases and ends with `CHECK_MAIN(cases)`:
+ *
+ *   static void adds(void) { CHECK(1 + 1 == 2); CHECK_NEAR(0.1 + 0.2, 0.3, 1e-15); }
+ *   static const struct check_case cases[] = {{"adds", adds}};
+ *   CHECK_MAIN(cases)
+ *
+ * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE leaves the case. */
+#ifndef MORPHO_TESTS_CHECK_H
+#define MORPHO_TESTS_CHECK_H
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct check_case {
+  const char *name;
+  void (*run)(void);
+};
+
+static int check_failures;
+
+#define CHECK(condition)                                                            \
+  do {                                                                              \
+    if (!(condition)) {                                                             \
+      check_failures++;                                                             \
+      printf("# %s:%d: failed: %s\n", __FILE__, __LINE__, #condition);              \
+    }                                                                               \
+  } while (0)
+
+#define REQUIRE(condition)                                                          \
+  do {                                                                              \
+    if (!(condition)) {                                                             \
+      check_failures++;                                                             \
+      printf("# %s:%d: required: %s\n", __FILE__, __LINE__, #condition);            \
+      return;                                                                       \
+    }                                                                               \
+  } while (0)
+
+#define CHECK_NEAR(actual, expected, tolerance)                                     \
+  do {                                                                              \
+    double check_a = (actual), check_e = (expected), check_t = (tolerance);         \
+    if (!(fabs(check_a - check_e) <= check_t)) {                                    \
+      check_failures++;                                                             \
+      printf("# %s:%d: %s = %.17g, expected %.17g within %g\n", __FILE__, __LINE__, #actual, check_a, check_e, check_t); \
+    }                                                                               \
+  } while (0)
+
+#define CHECK_INT(actual, expected)                                                 \
+  do {                                                                              \
+    long long check_a = (long long)(actual), check_e = (long long)(expected);       \
+    if (check_a != check_e) {                                                       \
+      check_failures++;                                                             \
+      printf("# %s:%d: %s = %lld, expected %lld\n", __FILE__, __LINE__, #actual, check_a, check_e); \
+    }                                                                               \
+  } while (0)
+
+#define CHECK_TEXT(actual, expected)                                                \
+  do {                                                                              \
+    const char *check_a = (actual), *check_e = (expected);                          \
+    if (check_a == NULL || strcmp(check_a, check_e) != 0) {                         \
+      check_failures++;                                                             \
+      printf("# %s:%d: %s = \"%s\", expected \"%s\"\n", __FILE__, __LINE__, #actual, check_a ? check_a : "(null)", check_e); \
+    }                                                                               \
+  } while (0)
+
+static inline int check_run(const struct check_case *cases, size_t n, int argc, char **argv)
+{
+  int failed = 0;
+  setvbuf(stdout, NULL, _IOLBF, 0);
+  printf("1..%zu\n", n);
+  for (size_t i = 0; i < n; i++) {
+    check_failures = 0;
+    if (argc > 1 && strstr(cases[i].name, argv[1]) == NULL) {
+      printf("ok %zu - %s # SKIP not asked for\n", i + 1, cases[i].name);
+      continue;
+    }
+    cases[i].run();
+    printf("%s %zu - %s\n", check_failures ? "not ok" : "ok", i + 1, cases[i].name);
+    failed += check_failures != 0;
+  }
+  return failed != 0;
+}
+
+#define CHECK_MAIN(cases)                                                           \
+  int main(int argc, char **argv) { return check_run(cases, sizeof(cases) / sizeof((cases)[0]), argc, argv); }
+
+#endif
