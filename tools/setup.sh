@@ -1,0 +1,51 @@
+# setup.sh: sourced by the scripts beside it. Finds the repository, installs Debian packages, builds.
+#
+#   install_packages SECTION…   installs what is missing of those sections of tools/packages (root, or sudo)
+#   build_in FOLDER [ARG…]      configures FOLDER once with the given meson arguments, then builds it
+
+set -euo pipefail
+repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$repository"
+
+say() { printf '\n== %s\n' "$*"; }
+fail() { printf '%s: %s\n' "${0##*/}" "$*" >&2; exit 1; }
+
+as_root() {
+  if [ "$(id -u)" -eq 0 ]; then "$@"
+  elif command -v sudo >/dev/null 2>&1; then sudo "$@"
+  else fail "root rights are needed for: $* (run as root, or install sudo)"
+  fi
+}
+
+install_packages() {
+  local section="" line missing=() wanted=" $* "
+  while read -r line; do
+    case "$line" in
+      ''|'#'*) ;;
+      '['*']') section=${line#[}; section=${section%]} ;;
+      *) if [[ $wanted == *" $section "* ]] &&
+           [ "$(dpkg-query -W -f '${db:Status-Status}' "$line" 2>/dev/null || true)" != installed ]; then
+           missing+=("$line")
+         fi ;;
+    esac
+  done < tools/packages
+  [ ${#missing[@]} -eq 0 ] && return 0
+  command -v apt-get >/dev/null 2>&1 || fail "these Debian packages are missing, and there is no apt-get: ${missing[*]}"
+  say "installing ${#missing[@]} packages: ${missing[*]}"
+  # An old package list may name files that the mirror no longer has: refresh first, and take what is there if that fails.
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get update -qq || true
+  as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
+    fail "apt-get could not install: ${missing[*]}"
+}
+
+# Meson must run on Debian's own Python, whatever else is first in PATH.
+export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
+
+build_in() {
+  local folder=$1; shift
+  if [ ! -f "$folder/build.ninja" ]; then
+    meson setup "$folder" "$@" >"/tmp/morphod-setup.$$" 2>&1 || { cat "/tmp/morphod-setup.$$"; rm -f "/tmp/morphod-setup.$$"; fail "meson could not configure $folder"; }
+    rm -f "/tmp/morphod-setup.$$"
+  fi
+  ninja -C "$folder" --quiet || fail "the build in $folder failed"
+}
