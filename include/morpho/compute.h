@@ -23,16 +23,16 @@ struct mo_compute_controller;
 enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
 
 struct mo_compute_config {
-  uint32_t n_workers;  /* 0: one per online processor */
-  enum mo_isa isa;     /* from mo_isa_best(), or lower for tests */
-  int nice;            /* workers' niceness above the process's, 0 … 19: the service's threads stay responsive */
+  uint32_t n_workers; /* 0: one per online processor */
+  enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
+  int nice;           /* workers' niceness above the process's, 0 … 19: the service's threads stay responsive */
 };
 
 /* Filled in by the submitter, who owns it and all it points to until `done` is called. */
 struct mo_block {
-  const struct mo_body *body;        /* or NULL: built by the worker from lattice and genotype */
+  const struct mo_body *body; /* or NULL: built by the worker from lattice and genotype */
   const struct mo_lattice *lattice;
-  const uint64_t *genotype;          /* placed; used when body is NULL */
+  const uint64_t *genotype; /* placed; used when body is NULL */
   struct mo_compute_controller *controller;
   const struct mo_environment *environments[MO_BLOCK_LANES];
   uint32_t n_environments;
@@ -44,7 +44,7 @@ struct mo_block {
   int64_t tag;                           /* the submitter's, e.g. the job; readable by mo_compute_current_tag */
   /* Results. */
   struct mo_outcome outcomes[MO_BLOCK_LANES];
-  int status;                            /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, … */
+  int status; /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, … */
   /* Called once, on a worker's thread, after the results are written; must be short. The block may be freed in it. */
   void (*done)(struct mo_block *block, void *context);
   void *context;
@@ -56,8 +56,8 @@ struct mo_compute_stats {
   uint32_t n_workers, n_busy;
   uint64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted;
   uint64_t queued_batch, queued_interactive;
-  double busy_s;                    /* worker seconds spent inside blocks */
-  size_t worker_bytes_max;          /* largest scratch of one worker */
+  double busy_s;           /* worker seconds spent inside blocks */
+  size_t worker_bytes_max; /* largest scratch of one worker */
 };
 
 /* The CPU back end. MO_ERR_RANGE, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED (isa). */

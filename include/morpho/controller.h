@@ -17,20 +17,20 @@
 extern "C" {
 #endif
 
-#define MO_CPG_INPUTS 5
-#define MO_CPG_RAD_PER_S 10.0
-#define MO_HIDDEN 256
-#define MO_HIDDEN_LAYERS 3
-#define MO_LAYERNORM_EPSILON 1e-5
-#define MO_CONTROLLER_TENSORS 14
-#define MO_CONTROLLER_FILE_MAX (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
+#define MO_CPG_INPUTS             5
+#define MO_CPG_RAD_PER_S          10.0
+#define MO_HIDDEN                 256
+#define MO_HIDDEN_LAYERS          3
+#define MO_LAYERNORM_EPSILON      1e-5
+#define MO_CONTROLLER_TENSORS     14
+#define MO_CONTROLLER_FILE_MAX    (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
 #define MO_SAFETENSORS_HEADER_MAX (UINT32_C(1) << 20)
 
 enum mo_sensor {
   MO_SENSOR_INVERSE_SQRT = 0,  /* 1/(sqrt(d + 1e-8) + 1e-8): the authors' published code, the default */
   MO_SENSOR_INVERSE_SQUARE = 1 /* 1/(d² + 1e-4): the paper's text */
 };
-const char *mo_sensor_name(enum mo_sensor sensor); /* "inverse_sqrt", "inverse_square" */
+const char *mo_sensor_name(enum mo_sensor sensor);                 /* "inverse_sqrt", "inverse_square" */
 int mo_sensor_from_name(const char *name, enum mo_sensor *sensor); /* MO_ERR_NOT_FOUND */
 
 struct mo_metadata_entry {
@@ -44,7 +44,7 @@ struct mo_controller {
   uint32_t n_masses, n_springs; /* of the workspace's lattice */
   uint32_t n_inputs;            /* n_masses + MO_CPG_INPUTS */
   size_t n_parameters;
-  float *parameters;            /* (n_parameters), 64-byte aligned; the views below point into it */
+  float *parameters;                   /* (n_parameters), 64-byte aligned; the views below point into it */
   float *weight[MO_HIDDEN_LAYERS + 1]; /* (256, n_inputs), (256, 256), (256, 256), (n_springs, 256) */
   float *bias[MO_HIDDEN_LAYERS + 1];   /* (256) × 3, (n_springs) */
   float *norm_gain[MO_HIDDEN_LAYERS];  /* (256) LayerNorm weight */
@@ -69,7 +69,8 @@ const char *mo_controller_get_metadata(const struct mo_controller *controller, c
  * default one is assumed), offsets that tile the data without gap or overlap, finite values, a known "sensor" (default
  * inverse_sqrt), the known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO, MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
 int mo_controller_read(const char *path, struct mo_controller **controller, struct mo_message *message);
-int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller, struct mo_message *message);
+int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,
+                         struct mo_message *message);
 
 /* The file's bytes (malloc; caller frees). The same controller always gives the same bytes. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
@@ -78,8 +79,8 @@ int mo_controller_write(const struct mo_controller *controller, const char *path
 
 /* Reference forward pass in float64 over the springs listed in `springs` (n of them; NULL: all): outputs[i] is the
  * activation of springs[i]. inputs: (n_inputs). scratch: 2·MO_HIDDEN doubles. */
-void mo_controller_forward(const struct mo_controller *controller, const double *inputs, const uint32_t *springs, uint32_t n,
-                           double *outputs, double *scratch);
+void mo_controller_forward(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
+                           uint32_t n, double *outputs, double *scratch);
 
 #ifdef __cplusplus
 }

@@ -20,14 +20,14 @@
 extern "C" {
 #endif
 
-#define MO_VOXEL_M 0.1                /* edge of a voxel, metres */
-#define MO_VOXELS_MAX (UINT32_C(1) << 20)
+#define MO_VOXEL_M           0.1 /* edge of a voxel, metres */
+#define MO_VOXELS_MAX        (UINT32_C(1) << 20)
 #define MO_DEFAULT_WORKSPACE ((struct mo_workspace){6, 6, 4})
-#define MO_DEFAULT_VOXELS 144
-#define MO_DEFAULT_WORDS 3            /* words of a genotype of the default workspace */
-#define MO_DEFAULT_MASSES 245
-#define MO_DEFAULT_SPRINGS 1648
-#define MO_DEFAULT_ID_DIGITS 36       /* hexadecimal digits of an id in the default workspace */
+#define MO_DEFAULT_VOXELS    144
+#define MO_DEFAULT_WORDS     3 /* words of a genotype of the default workspace */
+#define MO_DEFAULT_MASSES    245
+#define MO_DEFAULT_SPRINGS   1648
+#define MO_DEFAULT_ID_DIGITS 36 /* hexadecimal digits of an id in the default workspace */
 
 struct mo_workspace {
   uint16_t nx, ny, nz; /* voxels along each axis, each ≥ 1 */
@@ -44,9 +44,9 @@ uint32_t mo_workspace_springs(struct mo_workspace workspace);
 
 /* Why a list of cells is not a body: the first offending cell by its place in the list. */
 struct mo_cell_fault {
-  size_t cell;      /* index into the list */
-  size_t other;     /* MO_ERR_DUPLICATE: the earlier equal cell */
-  int axis;         /* MO_ERR_RANGE: 0, 1, 2 for x, y, z */
+  size_t cell;  /* index into the list */
+  size_t other; /* MO_ERR_DUPLICATE: the earlier equal cell */
+  int axis;     /* MO_ERR_RANGE: 0, 1, 2 for x, y, z */
 };
 
 /* Reads n cells (x, y, z each) as given, without placing them. MO_ERR_EMPTY, MO_ERR_RANGE, MO_ERR_DUPLICATE, or
@@ -68,7 +68,8 @@ void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, u
 int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes, uint64_t *bits); /* MO_ERR_FORMAT */
 
 uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits); /* voxels */
-int mo_genotype_is_contiguous(struct mo_workspace workspace, const uint64_t *bits); /* 1, 0 (also if empty), MO_ERR_NO_MEMORY */
+int mo_genotype_is_contiguous(struct mo_workspace workspace,
+                              const uint64_t *bits); /* 1, 0 (also if empty), MO_ERR_NO_MEMORY */
 
 /* Keeps the largest 6-connected component (ties: the one that holds the lowest voxel index). Empty stays empty. */
 int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits);
@@ -130,11 +131,11 @@ int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form);
 struct mo_lattice {
   struct mo_workspace workspace;
   uint32_t n_voxels, n_masses, n_springs;
-  const uint32_t *spring_a;     /* (n_springs) lower mass index */
-  const uint32_t *spring_b;     /* (n_springs) higher mass index */
+  const uint32_t *spring_a;       /* (n_springs) lower mass index */
+  const uint32_t *spring_b;       /* (n_springs) higher mass index */
   const uint8_t *spring_diagonal; /* (n_springs) 0: edge, rest length MO_VOXEL_M; 1: face diagonal, MO_VOXEL_M·√2 */
-  const uint32_t *voxel_mass;   /* (n_voxels, 8) ascending */
-  const uint32_t *voxel_spring; /* (n_voxels, 24) ascending */
+  const uint32_t *voxel_mass;     /* (n_voxels, 8) ascending */
+  const uint32_t *voxel_spring;   /* (n_voxels, 24) ascending */
 };
 int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice);
 void mo_lattice_free(struct mo_lattice *lattice); /* NULL-safe */
@@ -143,11 +144,11 @@ void mo_lattice_free(struct mo_lattice *lattice); /* NULL-safe */
 struct mo_body {
   struct mo_workspace workspace;
   uint32_t n_voxels, n_masses, n_springs;
-  const uint32_t *mass_lattice;    /* (n_masses) lattice mass index, ascending */
-  const uint16_t *mass_xyz;        /* (n_masses, 3) lattice coordinates */
-  const uint32_t *spring_lattice;  /* (n_springs) lattice spring index, ascending */
+  const uint32_t *mass_lattice;        /* (n_masses) lattice mass index, ascending */
+  const uint16_t *mass_xyz;            /* (n_masses, 3) lattice coordinates */
+  const uint32_t *spring_lattice;      /* (n_springs) lattice spring index, ascending */
   const uint32_t *spring_a, *spring_b; /* (n_springs) positions in the mass arrays, a < b */
-  const uint8_t *spring_diagonal;  /* (n_springs) as in the lattice */
+  const uint8_t *spring_diagonal;      /* (n_springs) as in the lattice */
 };
 /* MO_ERR_EMPTY, MO_ERR_NO_MEMORY. */
 int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body);

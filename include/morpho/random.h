@@ -42,10 +42,10 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index);
 
 uint32_t mo_random_u32(struct mo_random *random);
-uint64_t mo_random_u64(struct mo_random *random);            /* first number is the low half */
-double mo_random_uniform(struct mo_random *random);          /* [0, 1), 53 bits */
+uint64_t mo_random_u64(struct mo_random *random);               /* first number is the low half */
+double mo_random_uniform(struct mo_random *random);             /* [0, 1), 53 bits */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n); /* uniform on 0 … n−1, unbiased; 0 for n = 0 */
-double mo_random_normal(struct mo_random *random);           /* N(0, 1) by inversion: one uniform per number */
+double mo_random_normal(struct mo_random *random);              /* N(0, 1) by inversion: one uniform per number */
 
 #ifdef __cplusplus
 }

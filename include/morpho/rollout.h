@@ -22,8 +22,8 @@
 extern "C" {
 #endif
 
-#define MO_BLOCK_LANES 16
-#define MO_STEPS_MAX 1000000
+#define MO_BLOCK_LANES            16
+#define MO_STEPS_MAX              1000000
 #define MO_DIVERGED_SPEED_M_PER_S 1000.0 /* a mass faster than this, or not finite, ends its rollout as diverged */
 
 enum mo_impact {
@@ -33,18 +33,18 @@ enum mo_impact {
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
 
 struct mo_physics {
-  double dt_s;               /* 0.004 */
-  uint32_t n_steps;          /* 1000 */
-  double stiffness_n_per_m;  /* 15000, of every spring */
-  double mass_kg;            /* 1, of every node */
-  double drag_per_s;         /* 15: velocities are scaled by exp(−drag·dt) */
-  double gravity_m_per_s2;   /* 9.8 */
-  double actuation;          /* 0.2: rest length L0 (1 + actuation · a), a in [−1, 1] */
-  double friction;           /* 0.9: tangential speed lost per normal speed */
-  double friction_cap;       /* 0.95: largest share of the tangential speed lost in one contact */
-  double drop_height_m;      /* 0: extra lift of the body at the start */
-  enum mo_impact impact;     /* exact */
-  uint32_t bisections;       /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
+  double dt_s;              /* 0.004 */
+  uint32_t n_steps;         /* 1000 */
+  double stiffness_n_per_m; /* 15000, of every spring */
+  double mass_kg;           /* 1, of every node */
+  double drag_per_s;        /* 15: velocities are scaled by exp(−drag·dt) */
+  double gravity_m_per_s2;  /* 9.8 */
+  double actuation;         /* 0.2: rest length L0 (1 + actuation · a), a in [−1, 1] */
+  double friction;          /* 0.9: tangential speed lost per normal speed */
+  double friction_cap;      /* 0.95: largest share of the tangential speed lost in one contact */
+  double drop_height_m;     /* 0: extra lift of the body at the start */
+  enum mo_impact impact;    /* exact */
+  uint32_t bisections;      /* 8; 1 … 52; used with MO_IMPACT_BISECTION only */
 };
 struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */
@@ -60,10 +60,10 @@ struct mo_recording {
 uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
 
 struct mo_outcome {
-  double loss;            /* +infinity when diverged */
-  int32_t diverged_step;  /* step (1-based) after which the state was no longer finite or sane; 0: it never diverged */
+  double loss;           /* +infinity when diverged */
+  int32_t diverged_step; /* step (1-based) after which the state was no longer finite or sane; 0: it never diverged */
   double com_start_m[3];
-  double com_end_m[3];    /* the last finite one when diverged */
+  double com_end_m[3]; /* the last finite one when diverged */
 };
 
 /* Called every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. May run other blocks meanwhile, in
@@ -90,7 +90,8 @@ int mo_isa_from_name(const char *name, enum mo_isa *isa);
 /* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps no reference to the
  * controller. controller NULL: a pack for passive bodies of any workspace. MO_ERR_UNSUPPORTED: not on this processor. */
 struct mo_pack;
-int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa, enum mo_precision precision, struct mo_pack **pack);
+int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa, enum mo_precision precision,
+                   struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack);
 size_t mo_pack_bytes(const struct mo_pack *pack);
 
@@ -111,7 +112,8 @@ size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory);
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack, const struct mo_body *body,
                      const struct mo_environment *const *environments, uint32_t n_environments,
                      const struct mo_physics *physics, const struct mo_recording *recordings,
-                     const struct mo_pause_point *pause, struct mo_rollout_profile *profile, struct mo_outcome *outcomes);
+                     const struct mo_pause_point *pause, struct mo_rollout_profile *profile,
+                     struct mo_outcome *outcomes);
 
 #ifdef __cplusplus
 }

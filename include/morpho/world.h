@@ -14,14 +14,14 @@
 extern "C" {
 #endif
 
-#define MO_TERRAIN_SIDE 8
-#define MO_TERRAIN_HEIGHTS 64
-#define MO_TERRAIN_SIZE_M 5.0
-#define MO_WORLD_CENTRE_M 2.5
-#define MO_TERRAIN_FLOOR_M 0.05   /* the lowest height of a random terrain */
+#define MO_TERRAIN_SIDE     8
+#define MO_TERRAIN_HEIGHTS  64
+#define MO_TERRAIN_SIZE_M   5.0
+#define MO_WORLD_CENTRE_M   2.5
+#define MO_TERRAIN_FLOOR_M  0.05 /* the lowest height of a random terrain */
 #define MO_PAPER_TEST_COUNT 10
-#define MO_HEIGHT_LIMIT_M 100.0   /* |height| and |light coordinate| that mo_environment_check accepts */
-#define MO_LIGHT_LIMIT_M 1000.0
+#define MO_HEIGHT_LIMIT_M   100.0 /* |height| and |light coordinate| that mo_environment_check accepts */
+#define MO_LIGHT_LIMIT_M    1000.0
 
 struct mo_environment {
   double light_xy_m[2];
@@ -40,7 +40,8 @@ double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS]);
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
 /* Heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed, TERRAIN, step, index). */
-void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m, double heights_m[MO_TERRAIN_HEIGHTS]);
+void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m,
+                       double heights_m[MO_TERRAIN_HEIGHTS]);
 
 /* Training environment: σ ~ U(0, 0.1 m); light uniform by area in the ring 0.4–2.0 m around the centre. */
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index, struct mo_environment *environment);

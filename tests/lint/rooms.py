@@ -1,0 +1,137 @@
+#!/usr/bin/python3
+"""Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries that it is given.
+
+Prints TAP: one line per room, then the rules that hold for all library code. `--self-test` shows that each rule can fail."""
+import re
+import sys
+import tempfile
+from pathlib import Path
+
+# Rooms in order of dependence, with the foreign headers that each may use beside the C library's.
+ROOMS = {
+    "base": [],
+    "morphospace": [],
+    "world": [],
+    "controller": ["jansson.h", "cblas.h"],
+    "rollout": ["cblas.h"],
+    "compute": [],
+    "learning": [],
+    "evolution": [],
+    "store": ["sqlite3.h", "nettle/"],
+    "jobs": [],
+    "http": ["microhttpd.h", "jansson.h"],
+    "daemon": ["systemd/"],
+}
+LIBRARY = list(ROOMS)[: list(ROOMS).index("store")]  # libmorpho: no output, no exit
+FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/"]
+PUBLIC = {"error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
+          "controller.h": "controller", "rollout.h": "rollout", "compute.h": "compute"}
+INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
+SPEAKS = re.compile(r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
+COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
+
+
+def code_files(folder):
+    return sorted(p for p in folder.rglob("*") if p.suffix in (".c", ".h", ".inc", ".cu", ".cuh")) if folder.is_dir() else []
+
+
+def room_of(include, path, top):
+    """The room that an include names, or None for the C library's and foreign headers."""
+    if include.startswith("morpho/"):
+        return PUBLIC.get(include[len("morpho/"):], "an unknown public header")
+    first = include.split("/")[0]
+    if "/" in include and first in ROOMS:
+        return first
+    if (path.parent / include).exists():
+        return (path.parent / include).resolve().relative_to((top / "src").resolve()).parts[0]
+    return None
+
+
+def faults_of(room, top):
+    order = list(ROOMS)
+    faults = []
+    files = code_files(top / "src" / room)
+    files += [top / "include/morpho" / name for name, owner in PUBLIC.items()
+              if owner == room and (top / "include/morpho" / name).exists()]
+    for path in files:
+        text = path.read_text()
+        name = path.relative_to(top)
+        for include in INCLUDE.findall(text):
+            if "include/morpho" in str(name) and not include.startswith("morpho/"):
+                other = None
+            else:
+                other = room_of(include, path, top)
+            if other is not None and other not in order:
+                faults.append(f"{name} includes {include}: {other}")
+            elif other is not None and order.index(other) > order.index(room):
+                faults.append(f"{name} includes {include}, of room {other}, which comes after {room}")
+            for foreign in FOREIGN:
+                if include.startswith(foreign) and foreign not in ROOMS[room]:
+                    faults.append(f"{name} includes {include}, which room {room} may not use")
+        if room in LIBRARY:
+            bare = COMMENT.sub(lambda m: " " * len(m.group()) if "\n" not in m.group() else "\n" * m.group().count("\n"), text)
+            for number, line in enumerate(bare.splitlines(), 1):
+                if SPEAKS.search(line):
+                    faults.append(f"{name}:{number}: a library neither prints nor ends the process: {line.strip()}")
+    return faults
+
+
+def client_faults(top):
+    faults = []
+    for path in code_files(top / "clients"):
+        for include in INCLUDE.findall(path.read_text()):
+            if include.split("/")[0] in ROOMS or include.startswith("morpho/"):
+                faults.append(f"{path.relative_to(top)} includes {include}: clients use the HTTP API alone")
+    return faults
+
+
+def report(top):
+    results = [(f"room {room}", faults_of(room, top)) for room in ROOMS if (top / "src" / room).is_dir()]
+    known = set(ROOMS)
+    strangers = [f"src/{p.name} is not a room of tests/lint/rooms.py" for p in (top / "src").iterdir()
+                 if p.is_dir() and p.name not in known]
+    unlisted = [f"include/morpho/{p.name} belongs to no room" for p in (top / "include/morpho").glob("*.h")
+                if p.name not in PUBLIC]
+    results.append(("every folder of src is a room", strangers + unlisted))
+    results.append(("clients use the HTTP API alone", client_faults(top)))
+    return results
+
+
+def self_test():
+    """Breaks each rule once in a scratch tree; returns the rules that were not noticed."""
+    cases = {
+        "a lower room": ("src/world/a.c", '#include "store/store.h"\n'),
+        "a lower room's public header": ("src/morphospace/a.c", "#include <morpho/rollout.h>\n"),
+        "a foreign header": ("src/jobs/a.c", "#include <sqlite3.h>\n"),
+        "printing": ("src/rollout/a.c", 'void f(void) { printf("x"); }\n'),
+        "ending the process": ("src/base/a.c", "void f(void) { exit(1); }\n"),
+        "a client that links the library": ("clients/x/a.c", "#include <morpho/world.h>\n"),
+        "a stranger": ("src/other/a.c", "\n"),
+    }
+    missed = []
+    for rule, (name, text) in cases.items():
+        with tempfile.TemporaryDirectory() as folder:
+            top = Path(folder)
+            (top / "include/morpho").mkdir(parents=True)
+            for room in ROOMS:
+                (top / "src" / room).mkdir(parents=True)
+            (top / name).parent.mkdir(parents=True, exist_ok=True)
+            (top / name).write_text(text)
+            if not any(faults for _, faults in report(top)):
+                missed.append(rule)
+    return missed
+
+
+def main():
+    top = Path(__file__).resolve().parents[2]
+    results = report(top) + [("each rule can fail", [f"not noticed: {rule}" for rule in self_test()])]
+    print(f"1..{len(results)}")
+    for number, (name, faults) in enumerate(results, 1):
+        for fault in faults:
+            print(f"# {fault}")
+        print(f"{'not ok' if faults else 'ok'} {number} - {name}")
+    return any(faults for _, faults in results)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
