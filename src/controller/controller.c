@@ -1,0 +1,235 @@
+/* controller.c: the controller in memory. All parameters lie in one buffer in file order; the named views point into it, so
+ * that an optimizer, a file and a hash can treat the controller as one array. */
+#include "controller/internal.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#include <morpho/random.h>
+
+static const char *const sensor_names[] = {"inverse_sqrt", "inverse_square"};
+
+const char *mo_sensor_name(enum mo_sensor sensor)
+{
+  return (unsigned)sensor < sizeof(sensor_names) / sizeof(sensor_names[0]) ? sensor_names[sensor] : "unknown";
+}
+
+int mo_sensor_from_name(const char *name, enum mo_sensor *sensor)
+{
+  for (unsigned i = 0; i < sizeof(sensor_names) / sizeof(sensor_names[0]); i++) {
+    if (strcmp(name, sensor_names[i]) == 0) {
+      *sensor = (enum mo_sensor)i;
+      return MO_OK;
+    }
+  }
+  return MO_ERR_NOT_FOUND;
+}
+
+void mo_controller_mass_order(struct mo_workspace workspace, char text[64])
+{
+  snprintf(text, 64, "x-major lattice (x*%u+y)*%u+z", workspace.ny + 1U, workspace.nz + 1U);
+}
+
+void mo_controller_workspace_text(struct mo_workspace workspace, char text[64])
+{
+  snprintf(text, 64, "%ux%ux%u", workspace.nx, workspace.ny, workspace.nz);
+}
+
+uint64_t mo_controller_tensors(struct mo_workspace workspace, struct mo_tensor tensors[MO_CONTROLLER_TENSORS])
+{
+  const uint64_t n_inputs = (uint64_t)mo_workspace_masses(workspace) + MO_CPG_INPUTS;
+  const uint64_t n_springs = mo_workspace_springs(workspace);
+  const struct mo_tensor table[MO_CONTROLLER_TENSORS] = {
+      {"net.0.weight", 2, {MO_HIDDEN, n_inputs}},  {"net.0.bias", 1, {MO_HIDDEN, 1}},
+      {"net.1.weight", 1, {MO_HIDDEN, 1}},         {"net.1.bias", 1, {MO_HIDDEN, 1}},
+      {"net.3.weight", 2, {MO_HIDDEN, MO_HIDDEN}}, {"net.3.bias", 1, {MO_HIDDEN, 1}},
+      {"net.4.weight", 1, {MO_HIDDEN, 1}},         {"net.4.bias", 1, {MO_HIDDEN, 1}},
+      {"net.6.weight", 2, {MO_HIDDEN, MO_HIDDEN}}, {"net.6.bias", 1, {MO_HIDDEN, 1}},
+      {"net.7.weight", 1, {MO_HIDDEN, 1}},         {"net.7.bias", 1, {MO_HIDDEN, 1}},
+      {"net.9.weight", 2, {n_springs, MO_HIDDEN}}, {"net.9.bias", 1, {n_springs, 1}},
+  };
+  uint64_t offset = 0;
+  for (int i = 0; i < MO_CONTROLLER_TENSORS; i++) {
+    tensors[i] = table[i];
+    tensors[i].offset = offset;
+    tensors[i].count = table[i].shape[0] * table[i].shape[1];
+    offset += tensors[i].count;
+  }
+  return offset;
+}
+
+int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor, struct mo_controller **ret)
+{
+  const int r = mo_workspace_check(workspace);
+  if (r < 0)
+    return r;
+  struct mo_tensor tensors[MO_CONTROLLER_TENSORS];
+  const uint64_t n_parameters = mo_controller_tensors(workspace, tensors);
+  if (n_parameters * sizeof(float) > MO_CONTROLLER_FILE_MAX - MO_SAFETENSORS_HEADER_MAX - 8)
+    return MO_ERR_LIMIT;
+  struct mo_controller *c = calloc(1, sizeof(*c));
+  if (c == NULL)
+    return MO_ERR_NO_MEMORY;
+  c->workspace = workspace;
+  c->sensor = sensor;
+  c->n_masses = mo_workspace_masses(workspace);
+  c->n_springs = mo_workspace_springs(workspace);
+  c->n_inputs = c->n_masses + MO_CPG_INPUTS;
+  c->n_parameters = n_parameters;
+  c->parameters = aligned_alloc(64, (n_parameters * sizeof(float) + 63) / 64 * 64);
+  if (c->parameters == NULL) {
+    free(c);
+    return MO_ERR_NO_MEMORY;
+  }
+  for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
+    const struct mo_tensor *layer = tensors + 4 * l;
+    c->weight[l] = c->parameters + layer[0].offset;
+    c->bias[l] = c->parameters + layer[1].offset;
+    if (l < MO_HIDDEN_LAYERS) {
+      c->norm_gain[l] = c->parameters + layer[2].offset;
+      c->norm_shift[l] = c->parameters + layer[3].offset;
+    }
+  }
+  *ret = c;
+  return MO_OK;
+}
+
+/* LayerNorm gain 1; everything else 0. */
+static void clear_parameters(struct mo_controller *c)
+{
+  memset(c->parameters, 0, c->n_parameters * sizeof(float));
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
+    for (int i = 0; i < MO_HIDDEN; i++)
+      c->norm_gain[l][i] = 1.0F;
+}
+
+int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor, struct mo_controller **controller)
+{
+  if (sensor != MO_SENSOR_INVERSE_SQRT && sensor != MO_SENSOR_INVERSE_SQUARE)
+    return MO_ERR_INVALID;
+  struct mo_controller *c = NULL;
+  int r = mo_controller_allocate(workspace, sensor, &c);
+  if (r < 0)
+    return r;
+  clear_parameters(c);
+  char mass_order[64], size[64];
+  mo_controller_mass_order(workspace, mass_order);
+  mo_controller_workspace_text(workspace, size);
+  const char *const entries[][2] = {{"mass_order", mass_order},
+                                    {"spring_order", MO_SPRING_ORDER},
+                                    {"sensor", mo_sensor_name(sensor)},
+                                    {"workspace", size}};
+  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
+    r = mo_controller_put_metadata(c, entries[i][0], entries[i][1]);
+  if (r < 0) {
+    mo_controller_free(c);
+    return r;
+  }
+  *controller = c;
+  return MO_OK;
+}
+
+void mo_controller_free(struct mo_controller *controller)
+{
+  if (controller == NULL)
+    return;
+  for (size_t i = 0; i < controller->n_metadata; i++) {
+    free(controller->metadata[i].key);
+    free(controller->metadata[i].value);
+  }
+  free(controller->metadata);
+  free(controller->parameters);
+  free(controller);
+}
+
+void mo_controller_randomize(struct mo_controller *controller, uint64_t seed)
+{
+  clear_parameters(controller);
+  for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
+    const size_t fan_in = l == 0 ? controller->n_inputs : MO_HIDDEN;
+    const size_t fan_out = l == MO_HIDDEN_LAYERS ? controller->n_springs : MO_HIDDEN;
+    const double bound = sqrt(6.0 / (double)(fan_in + fan_out));
+    struct mo_random random;
+    mo_random_init(&random, seed, MO_PURPOSE_WEIGHTS, (uint32_t)l, 0);
+    for (size_t i = 0; i < fan_in * fan_out; i++)
+      controller->weight[l][i] = (float)((2.0 * mo_random_uniform(&random) - 1.0) * bound);
+  }
+}
+
+static struct mo_metadata_entry *find_metadata(const struct mo_controller *controller, const char *key)
+{
+  for (size_t i = 0; i < controller->n_metadata; i++)
+    if (strcmp(controller->metadata[i].key, key) == 0)
+      return &controller->metadata[i];
+  return NULL;
+}
+
+const char *mo_controller_get_metadata(const struct mo_controller *controller, const char *key)
+{
+  const struct mo_metadata_entry *entry = find_metadata(controller, key);
+  return entry != NULL ? entry->value : NULL;
+}
+
+int mo_controller_put_metadata(struct mo_controller *controller, const char *key, const char *value)
+{
+  if (strlen(key) > MO_METADATA_BYTES_MAX || strlen(value) > MO_METADATA_BYTES_MAX)
+    return MO_ERR_LIMIT;
+  struct mo_metadata_entry *entry = find_metadata(controller, key);
+  if (entry == NULL && controller->n_metadata >= MO_METADATA_MAX)
+    return MO_ERR_LIMIT;
+  char *value_copy = strdup(value);
+  if (value_copy == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (entry != NULL) {
+    free(entry->value);
+    entry->value = value_copy;
+    return MO_OK;
+  }
+  char *key_copy = strdup(key);
+  struct mo_metadata_entry *grown =
+      key_copy != NULL ? realloc(controller->metadata, (controller->n_metadata + 1) * sizeof(struct mo_metadata_entry))
+                       : NULL;
+  if (grown == NULL) {
+    free(key_copy);
+    free(value_copy);
+    return MO_ERR_NO_MEMORY;
+  }
+  controller->metadata = grown;
+  grown[controller->n_metadata++] = (struct mo_metadata_entry){key_copy, value_copy};
+  return MO_OK;
+}
+
+/* Only UTF-8 can be written into a JSON header. */
+static bool is_utf8(const char *text)
+{
+  json_t *string = json_string(text);
+  const bool valid = string != NULL;
+  json_decref(string);
+  return valid;
+}
+
+int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value)
+{
+  if (key == NULL || value == NULL || !is_utf8(key) || !is_utf8(value))
+    return MO_ERR_INVALID;
+  /* These describe the parameters; another value would make the file lie. */
+  static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "workspace"};
+  for (size_t i = 0; i < sizeof(fixed) / sizeof(fixed[0]); i++) {
+    if (strcmp(key, fixed[i]) != 0)
+      continue;
+    char size[64];
+    const char *current = mo_controller_get_metadata(controller, key);
+    if (current == NULL) { /* a file without "workspace" */
+      mo_controller_workspace_text(controller->workspace, size);
+      current = size;
+    }
+    if (strcmp(value, current) != 0)
+      return MO_ERR_CONFLICT;
+  }
+  return mo_controller_put_metadata(controller, key, value);
+}

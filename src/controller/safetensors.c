@@ -1,0 +1,408 @@
+/* safetensors.c: the header of a safetensors file, read with distrust and written canonically.
+ *
+ *   8 bytes   length of the header, little-endian
+ *   header    JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape", "data_offsets": [begin, end]}, …},
+ *             padded with spaces
+ *   data      the tensors, row-major, at their offsets
+ *
+ * A file is a controller only if its tensors are exactly ours, in float32, in the shapes of one workspace, and tile the data
+ * without gap or overlap; their order in header and data is free, since the common writers sort by name. Nothing of the file's
+ * size is allocated before its header agrees with the number of bytes that are really there. Messages quote the file's own
+ * text only after `printable` has made it short and plain. */
+#include "controller/internal.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <jansson.h>
+
+#define DEPTH_MAX 64
+
+struct printable {
+  char text[49];
+};
+
+/* At most 48 characters of a text, everything but plain ASCII as '?'. */
+static struct printable printable(const char *text)
+{
+  struct printable p;
+  size_t n = 0;
+  for (; text[n] != '\0' && n < sizeof(p.text) - 1; n++)
+    p.text[n] = text[n] >= ' ' && text[n] <= '~' ? text[n] : '?';
+  p.text[n] = '\0';
+  return p;
+}
+
+int mo_safetensors_header_size(const uint8_t *prefix, uint64_t size, uint32_t *header_size, struct mo_message *message)
+{
+  if (size < 8)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the file has %" PRIu64 " bytes; a safetensors file starts with an 8-byte header length", size);
+  uint64_t length;
+  memcpy(&length, prefix, sizeof(length));
+  if (length > MO_SAFETENSORS_HEADER_MAX)
+    return mo_fail(message, MO_ERR_LIMIT, "the header claims %" PRIu64 " bytes; at most %u are accepted", length,
+                   MO_SAFETENSORS_HEADER_MAX);
+  if (length > size - 8)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the header claims %" PRIu64 " bytes, but only %" PRIu64 " follow: truncated?", length, size - 8);
+  *header_size = (uint32_t)length;
+  return MO_OK;
+}
+
+/* Largest nesting of brackets outside strings: checked first because the JSON parser recurses. */
+static uint32_t nesting(const char *text, size_t size)
+{
+  uint32_t depth = 0, deepest = 0;
+  bool in_string = false;
+  for (size_t i = 0; i < size; i++) {
+    if (in_string) {
+      if (text[i] == '\\')
+        i++;
+      else if (text[i] == '"')
+        in_string = false;
+    } else if (text[i] == '"') {
+      in_string = true;
+    } else if (text[i] == '{' || text[i] == '[') {
+      depth++;
+      deepest = depth > deepest ? depth : deepest;
+    } else if ((text[i] == '}' || text[i] == ']') && depth > 0) {
+      depth--;
+    }
+  }
+  return deepest;
+}
+
+static int parse_json(const char *header, uint32_t header_size, json_t **ret, struct mo_message *message)
+{
+  if (header_size == 0 || header[0] != '{')
+    return mo_fail(message, MO_ERR_FORMAT, "the header is not a JSON object: its first byte must be '{'");
+  if (nesting(header, header_size) > DEPTH_MAX)
+    return mo_fail(message, MO_ERR_FORMAT, "the header nests deeper than %d levels", DEPTH_MAX);
+  json_error_t error;
+  json_t *root = json_loadb(header, header_size, JSON_REJECT_DUPLICATES, &error);
+  if (root == NULL) {
+    if (json_error_code(&error) == json_error_out_of_memory)
+      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+    return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s", printable(error.text).text);
+  }
+  *ret = root;
+  return MO_OK;
+}
+
+/* "6x6x4": plain decimal numbers, no signs, no leading zeros. */
+static int parse_workspace(const char *text, struct mo_workspace *workspace)
+{
+  uint32_t side[3];
+  for (int axis = 0; axis < 3; axis++) {
+    if (*text < '1' || *text > '9')
+      return MO_ERR_FORMAT;
+    uint32_t n = 0;
+    for (; *text >= '0' && *text <= '9'; text++) {
+      n = n * 10 + (uint32_t)(*text - '0');
+      if (n > UINT16_MAX)
+        return MO_ERR_FORMAT;
+    }
+    side[axis] = n;
+    if (*text != (axis < 2 ? 'x' : '\0'))
+      return MO_ERR_FORMAT;
+    text++;
+  }
+  *workspace = (struct mo_workspace){(uint16_t)side[0], (uint16_t)side[1], (uint16_t)side[2]};
+  return mo_workspace_check(*workspace);
+}
+
+/* An entry of the metadata that must have a certain value if it is there. */
+static int check_entry(const json_t *metadata, const char *key, const char *expected, struct mo_message *message)
+{
+  const char *value = json_string_value(json_object_get(metadata, key));
+  if (value != NULL && strcmp(value, expected) != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is \"%s\"; expected \"%s\"", key, printable(value).text,
+                   expected);
+  return MO_OK;
+}
+
+static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum mo_sensor *sensor,
+                          struct mo_message *message)
+{
+  *workspace = MO_DEFAULT_WORKSPACE;
+  *sensor = MO_SENSOR_INVERSE_SQRT;
+  if (metadata == NULL)
+    return MO_OK;
+  if (!json_is_object(metadata))
+    return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of texts");
+  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that we add */
+    return mo_fail(message, MO_ERR_LIMIT, "\"__metadata__\" has %zu entries; at most %d are accepted",
+                   json_object_size(metadata), MO_METADATA_MAX - 4);
+  const char *key;
+  json_t *value;
+  json_object_foreach(metadata, key, value)
+  {
+    if (!json_is_string(value))
+      return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is not a text", printable(key).text);
+    if (strlen(key) > MO_METADATA_BYTES_MAX || json_string_length(value) > MO_METADATA_BYTES_MAX)
+      return mo_fail(message, MO_ERR_LIMIT, "metadata \"%s\" is longer than %zu bytes", printable(key).text,
+                     MO_METADATA_BYTES_MAX);
+  }
+  const char *text = json_string_value(json_object_get(metadata, "workspace"));
+  if (text != NULL) {
+    const int r = parse_workspace(text, workspace);
+    if (r < 0)
+      return mo_fail(
+          message, r == MO_ERR_LIMIT ? r : MO_ERR_FORMAT,
+          "metadata \"workspace\" is \"%s\"; expected voxels along each axis, as in \"6x6x4\", at most %u in all",
+          printable(text).text, MO_VOXELS_MAX);
+  }
+  text = json_string_value(json_object_get(metadata, "sensor"));
+  if (text != NULL && mo_sensor_from_name(text, sensor) < 0)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "metadata \"sensor\" is \"%s\"; expected \"inverse_sqrt\" or \"inverse_square\"",
+                   printable(text).text);
+  char mass_order[64];
+  mo_controller_mass_order(*workspace, mass_order);
+  const int r = check_entry(metadata, "mass_order", mass_order, message);
+  return r < 0 ? r : check_entry(metadata, "spring_order", MO_SPRING_ORDER, message);
+}
+
+/* Writes a shape as the header has it, shortened: "[256, 250]". */
+static struct printable shape_text(const json_t *shape)
+{
+  struct printable p = {"["};
+  size_t used = 1, i;
+  json_t *n;
+  json_array_foreach(shape, i, n)
+  {
+    char item[32];
+    if (json_is_integer(n))
+      snprintf(item, sizeof(item), "%s%" JSON_INTEGER_FORMAT, i > 0 ? ", " : "", json_integer_value(n));
+    else
+      snprintf(item, sizeof(item), "%s?", i > 0 ? ", " : "");
+    if (used + strlen(item) + 5 > sizeof(p.text)) {
+      used += (size_t)snprintf(p.text + used, sizeof(p.text) - used, ", ...");
+      break;
+    }
+    used += (size_t)snprintf(p.text + used, sizeof(p.text) - used, "%s", item);
+  }
+  snprintf(p.text + used, sizeof(p.text) - used, "]");
+  return p;
+}
+
+static bool shape_is(const json_t *shape, const struct mo_tensor *tensor)
+{
+  if (json_array_size(shape) != tensor->n_dims)
+    return false;
+  for (uint32_t d = 0; d < tensor->n_dims; d++) {
+    const json_t *n = json_array_get(shape, d);
+    if (!json_is_integer(n) || json_integer_value(n) < 0 || (uint64_t)json_integer_value(n) != tensor->shape[d])
+      return false;
+  }
+  return true;
+}
+
+static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, const char *workspace, uint64_t data_size,
+                        uint64_t *begin, struct mo_message *message)
+{
+  const char *name = tensor->name;
+  const json_t *dtype = json_object_get(entry, "dtype"), *shape = json_object_get(entry, "shape");
+  const json_t *range = json_object_get(entry, "data_offsets");
+  if (!json_is_object(entry) || json_object_size(entry) != 3 || !json_is_string(dtype) || !json_is_array(shape) ||
+      !json_is_array(range))
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s: expected {\"dtype\": text, \"shape\": [], \"data_offsets\": []}",
+                   name);
+  if (strcmp(json_string_value(dtype), "F32") != 0)
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s has dtype \"%s\"; expected \"F32\"", name,
+                   printable(json_string_value(dtype)).text);
+  if (!shape_is(shape, tensor)) {
+    char expected[48];
+    if (tensor->n_dims == 1)
+      snprintf(expected, sizeof(expected), "[%" PRIu64 "]", tensor->shape[0]);
+    else
+      snprintf(expected, sizeof(expected), "[%" PRIu64 ", %" PRIu64 "]", tensor->shape[0], tensor->shape[1]);
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s has shape %s; expected %s in a workspace of %s voxels", name,
+                   shape_text(shape).text, expected, workspace);
+  }
+  const json_t *first = json_array_get(range, 0), *last = json_array_get(range, 1);
+  if (json_array_size(range) != 2 || !json_is_integer(first) || !json_is_integer(last) ||
+      json_integer_value(first) < 0 || json_integer_value(last) < json_integer_value(first))
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s: data_offsets must be [begin, end] with 0 <= begin <= end", name);
+  const uint64_t from = (uint64_t)json_integer_value(first), to = (uint64_t)json_integer_value(last);
+  if (to > data_size)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "tensor %s ends at byte %" PRIu64 " of the data, which has %" PRIu64 ": truncated?", name, to,
+                   data_size);
+  if (to - from != tensor->count * sizeof(float))
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s spans %" PRIu64 " bytes; expected %" PRIu64, name, to - from,
+                   tensor->count * sizeof(float));
+  *begin = from;
+  return MO_OK;
+}
+
+/* The tensors must tile the data: sorted by offset, each starts where the one before ends. */
+static int check_tiling(const struct mo_tensor *tensors, const uint64_t *begins, uint64_t data_size,
+                        struct mo_message *message)
+{
+  bool used[MO_CONTROLLER_TENSORS] = {false};
+  uint64_t end = 0;
+  for (int n = 0; n < MO_CONTROLLER_TENSORS; n++) {
+    int next = -1;
+    for (int i = 0; i < MO_CONTROLLER_TENSORS; i++)
+      if (!used[i] && (next < 0 || begins[i] < begins[next]))
+        next = i;
+    if (begins[next] != end)
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "tensor %s starts at byte %" PRIu64 " of the data; expected %" PRIu64 ": %s", tensors[next].name,
+                     begins[next], end, begins[next] < end ? "tensors overlap" : "there is a gap between tensors");
+    end += tensors[next].count * sizeof(float);
+    used[next] = true;
+  }
+  if (end != data_size)
+    return mo_fail(message, MO_ERR_FORMAT, "the tensors end at byte %" PRIu64 " of the data, which has %" PRIu64, end,
+                   data_size);
+  return MO_OK;
+}
+
+static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t data_size, struct mo_safetensors *file,
+                         struct mo_message *message)
+{
+  char size[64];
+  mo_controller_workspace_text(workspace, size);
+  mo_controller_tensors(workspace, file->tensors);
+  const char *key;
+  json_t *entry;
+  json_object_foreach(root, key, entry)
+  {
+    int i = 0;
+    while (i < MO_CONTROLLER_TENSORS && strcmp(key, file->tensors[i].name) != 0)
+      i++;
+    if (i == MO_CONTROLLER_TENSORS && strcmp(key, "__metadata__") != 0)
+      return mo_fail(message, MO_ERR_FORMAT,
+                     "unexpected tensor \"%s\": a controller has net.0.weight … net.9.bias only", printable(key).text);
+  }
+  for (int i = 0; i < MO_CONTROLLER_TENSORS; i++) {
+    entry = json_object_get(root, file->tensors[i].name);
+    if (entry == NULL)
+      return mo_fail(message, MO_ERR_FORMAT, "tensor %s is missing", file->tensors[i].name);
+    const int r = check_tensor(entry, &file->tensors[i], size, data_size, &file->offsets[i], message);
+    if (r < 0)
+      return r;
+  }
+  return check_tiling(file->tensors, file->offsets, data_size, message);
+}
+
+/* The file's metadata in its order, then whatever of sensor and orders it left unsaid. */
+static int copy_metadata(struct mo_controller *controller, json_t *metadata)
+{
+  int r = MO_OK;
+  const char *key;
+  json_t *value;
+  json_object_foreach(metadata, key, value)
+  {
+    r = mo_controller_put_metadata(controller, key, json_string_value(value));
+    if (r < 0)
+      return r;
+  }
+  char mass_order[64];
+  mo_controller_mass_order(controller->workspace, mass_order);
+  const char *const entries[][2] = {
+      {"mass_order", mass_order}, {"spring_order", MO_SPRING_ORDER}, {"sensor", mo_sensor_name(controller->sensor)}};
+  for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
+    if (mo_controller_get_metadata(controller, entries[i][0]) == NULL)
+      r = mo_controller_put_metadata(controller, entries[i][0], entries[i][1]);
+  return r;
+}
+
+int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size, struct mo_safetensors *file,
+                         struct mo_message *message)
+{
+  json_t *root = NULL;
+  int r = parse_json(header, header_size, &root, message);
+  if (r < 0)
+    return r;
+  json_t *metadata = json_object_get(root, "__metadata__");
+  struct mo_workspace workspace;
+  enum mo_sensor sensor;
+  file->controller = NULL;
+  r = check_metadata(metadata, &workspace, &sensor, message);
+  if (r == MO_OK)
+    r = check_tensors(root, workspace, size - 8 - header_size, file, message);
+  if (r == MO_OK) {
+    r = mo_controller_allocate(workspace, sensor, &file->controller);
+    if (r == MO_OK)
+      r = copy_metadata(file->controller, metadata);
+    if (r < 0)
+      mo_fail(message, r, "the controller does not fit in memory");
+  }
+  json_decref(root);
+  if (r < 0) {
+    mo_controller_free(file->controller);
+    file->controller = NULL;
+    return r;
+  }
+  for (int i = 0; i < MO_CONTROLLER_TENSORS; i++)
+    file->offsets[i] += 8 + (uint64_t)header_size;
+  return MO_OK;
+}
+
+int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_message *message)
+{
+  for (int i = 0; i < MO_CONTROLLER_TENSORS; i++) {
+    const float *values = file->controller->parameters + file->tensors[i].offset;
+    for (uint64_t k = 0; k < file->tensors[i].count; k++)
+      if (!isfinite(values[k]))
+        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; all values must be finite",
+                       file->tensors[i].name, k, isnan(values[k]) ? "NaN" : "infinite");
+  }
+  return MO_OK;
+}
+
+static json_t *build_header(const struct mo_controller *controller)
+{
+  json_t *root = json_object(), *metadata = json_object();
+  bool ok = root != NULL && metadata != NULL;
+  for (size_t i = 0; ok && i < controller->n_metadata; i++)
+    ok = json_object_set_new(metadata, controller->metadata[i].key, json_string(controller->metadata[i].value)) == 0;
+  ok = ok && json_object_set(root, "__metadata__", metadata) == 0;
+  json_decref(metadata);
+  struct mo_tensor tensors[MO_CONTROLLER_TENSORS];
+  mo_controller_tensors(controller->workspace, tensors);
+  for (int i = 0; ok && i < MO_CONTROLLER_TENSORS; i++) {
+    const struct mo_tensor *t = &tensors[i];
+    const json_int_t begin = (json_int_t)(t->offset * sizeof(float));
+    const json_int_t end = (json_int_t)((t->offset + t->count) * sizeof(float));
+    json_t *shape = t->n_dims == 1 ? json_pack("[I]", (json_int_t)t->shape[0])
+                                   : json_pack("[I, I]", (json_int_t)t->shape[0], (json_int_t)t->shape[1]);
+    json_t *entry = json_pack("{s:s, s:o, s:[I, I]}", "dtype", "F32", "shape", shape, "data_offsets", begin, end);
+    ok = json_object_set_new(root, t->name, entry) == 0; /* fails for NULL */
+  }
+  if (!ok) {
+    json_decref(root);
+    return NULL;
+  }
+  return root;
+}
+
+int mo_safetensors_format(const struct mo_controller *controller, uint8_t **bytes, size_t *size)
+{
+  json_t *root = build_header(controller);
+  char *text = root != NULL ? json_dumps(root, JSON_COMPACT) : NULL;
+  json_decref(root);
+  if (text == NULL)
+    return MO_ERR_NO_MEMORY;
+  const size_t length = strlen(text);
+  const uint64_t padded = (length + 7) / 8 * 8;
+  uint8_t *out = padded <= MO_SAFETENSORS_HEADER_MAX ? malloc(8 + padded) : NULL;
+  if (out != NULL) {
+    memcpy(out, &padded, 8);
+    memcpy(out + 8, text, length);
+    memset(out + 8 + length, ' ', padded - length);
+    *bytes = out;
+    *size = 8 + padded;
+  }
+  free(text);
+  if (padded > MO_SAFETENSORS_HEADER_MAX)
+    return MO_ERR_LIMIT;
+  return out != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+}
