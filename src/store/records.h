@@ -1,0 +1,158 @@
+/* records.h: what the store hands out: jobs, designs, controllers, events.
+ *
+ * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Texts are UTF-8, always terminated. The service works in the
+ * default workspace, so a genotype is MO_DEFAULT_WORDS words. */
+#ifndef MORPHO_STORE_RECORDS_H
+#define MORPHO_STORE_RECORDS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/compute.h>
+#include <morpho/controller.h>
+#include <morpho/morphospace.h>
+#include <morpho/rollout.h>
+#include <morpho/world.h>
+
+#include "store/hash.h"
+
+#define MO_DESIGNS_MAX           10000 /* of one evaluation */
+#define MO_ENVIRONMENTS_MAX      64    /* of one evaluation */
+#define MO_LABEL_BYTES_MAX       800   /* 200 characters of UTF-8 */
+#define MO_NAME_BYTES_MAX        64    /* of a controller's name or a set of environments */
+#define MO_IDEMPOTENCY_BYTES_MAX 255
+#define MO_PAGE_MAX              1000 /* rows of one page of any list */
+
+struct mo_bits {
+  uint64_t words[MO_DEFAULT_WORDS];
+};
+
+enum mo_job_kind { MO_JOB_EVALUATION = 0 };
+enum mo_job_state {
+  MO_JOB_QUEUED = 0,
+  MO_JOB_RUNNING = 1,
+  MO_JOB_PAUSED = 2,
+  MO_JOB_SUCCEEDED = 3,
+  MO_JOB_FAILED = 4,
+  MO_JOB_CANCELLED = 5
+};
+#define MO_JOB_STATES 6
+const char *mo_job_state_name(enum mo_job_state state);                 /* "queued" … "cancelled" */
+int mo_job_state_from_name(const char *name, enum mo_job_state *state); /* MO_ERR_NOT_FOUND */
+const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation" */
+int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind);    /* MO_ERR_NOT_FOUND */
+static inline bool mo_job_state_is_final(enum mo_job_state state)
+{
+  return state >= MO_JOB_SUCCEEDED;
+}
+
+/* A job and, for an evaluation, all of it but its results. Owns nothing: copy freely. */
+struct mo_job {
+  int64_t id;      /* ≥ 1 */
+  int64_t version; /* grows with every change of the row: the ETag */
+  enum mo_job_kind kind;
+  enum mo_job_state state;
+  enum mo_urgency priority;
+  char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
+  bool has_label;
+  int64_t created_us, started_us, finished_us;
+  uint32_t attempts; /* crashes and runner errors so far */
+  int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt */
+  char error_text[256];
+  /* Evaluation. */
+  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as asked for at submission; "" if asked by hash */
+  struct mo_sha256 controller_sha256;
+  enum mo_sensor sensor;
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "paper-test", or "" for environments of the request's own */
+  uint32_t n_environments, n_designs;
+  struct mo_physics physics;
+  enum mo_precision precision;
+  bool verify, record_com, record_masses;
+  uint32_t record_stride;
+  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged; /* done includes cached */
+};
+
+struct mo_event {
+  int64_t sequence; /* ≥ 1, grows by commit order, never reused */
+  int64_t time_us;
+  int64_t job;    /* 0: not about a job */
+  char type[32];  /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.finished",
+                       "controller.stored", "controller.removed" */
+  char data[512]; /* a JSON object */
+};
+
+struct mo_controller_record {
+  char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
+  int64_t version;                  /* of the name: grows when it is re-pointed */
+  struct mo_sha256 sha256;          /* of the file's bytes */
+  uint64_t size;                    /* bytes */
+  enum mo_sensor sensor;
+  struct mo_workspace workspace;
+  uint64_t n_parameters;
+  int64_t stored_us; /* when this name got this content (by hash: when the content came) */
+};
+
+/* One page row of designs. */
+struct mo_design_row {
+  int64_t row;         /* cursor of sort=id */
+  struct mo_bits form; /* canonical */
+  int64_t first_seen_us;
+  struct mo_bits genotype; /* sort=score: the oriented, placed genotype that has the score */
+  double score;            /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
+  int64_t genotype_row;    /* sort=score: with score, the cursor */
+};
+
+/* Scores of one oriented genotype under one setting: of a whole named set, or of one environment that is in none. */
+struct mo_design_score {
+  struct mo_sha256 controller_sha256, physics_sha256;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "" : one environment, named by its hash */
+  struct mo_sha256 environment_sha256;         /* when environment_set is "" */
+  double score; /* mean; +infinity when a rollout diverged; NaN when the set is incomplete */
+  uint32_t n_losses;
+  double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
+  int64_t computed_us; /* of the newest rollout */
+  char fingerprint[128];
+};
+
+struct mo_design_orientation {
+  struct mo_bits genotype; /* placed */
+  uint32_t n_scores;
+  struct mo_design_score *scores; /* (n_scores) */
+};
+
+struct mo_design {
+  struct mo_bits form; /* canonical */
+  int64_t first_seen_us;
+  uint32_t n_orientations;
+  struct mo_design_orientation *orientations; /* (n_orientations) in order of first sight */
+  bool truncated;                             /* more than 1000 rollouts are stored; the first 1000 are reported */
+};
+void mo_design_free(struct mo_design *design); /* NULL-safe */
+
+/* Rows are designs in the order of the request, columns its environments. */
+struct mo_evaluation_results {
+  uint32_t n_designs, n_environments;
+  struct mo_bits *forms;     /* (n_designs) canonical */
+  struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
+  double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
+  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not there (never in a succeeded job) */
+  int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
+  /* Verify jobs only, else NULL: `losses` are those recomputed by this job, these are the store's. */
+  double *stored_losses; /* (n_designs, n_environments); NaN: nothing was stored before this job */
+  uint8_t *agrees;       /* (n_designs): 1 when every bit that was stored equals the recomputed one */
+};
+void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
+
+struct mo_trajectory {
+  uint32_t stride, n_frames, n_masses;
+  double dt_s;
+  double *com_m; /* (n_frames, 3) or NULL */
+  float *mass_m; /* (n_frames, n_masses, 3) or NULL */
+};
+void mo_trajectory_free(struct mo_trajectory *trajectory); /* NULL-safe */
+
+#endif
