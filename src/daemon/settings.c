@@ -1,0 +1,370 @@
+/* settings.c: the table, and how text becomes values. See settings.h; files, flags and checks are in settings_load.c and
+ * settings_check.c. */
+#include "settings.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <inttypes.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define KIB                UINT64_C(1024)
+#define MIB                (KIB * KIB)
+#define GIB                (MIB * KIB)
+#define SECOND             UINT64_C(1000)
+#define HOUR               (3600 * SECOND)
+#define AT(settings, row)  ((void *)((char *)(settings) + (row)->offset))
+#define CAT(settings, row) ((const void *)((const char *)(settings) + (row)->offset))
+
+#define PATH_ROW(n, field, initial, words, reloads, help)                                                              \
+  {                                                                                                                    \
+    n, SETTING_PATH, offsetof(struct settings, field), 0, 0, initial, words, NULL, reloads, help                       \
+  }
+#define LIST_ROW(n, field, initial, words, reloads, help)                                                              \
+  {                                                                                                                    \
+    n, SETTING_LIST, offsetof(struct settings, field), 0, 0, initial, words, NULL, reloads, help                       \
+  }
+#define VALUE_ROW(n, type, field, min, max, initial, words, help)                                                      \
+  {                                                                                                                    \
+    n, type, offsetof(struct settings, field), min, max, initial, words, NULL, false, help                             \
+  }
+#define CHOICE_ROW(n, field, choices, initial, reloads, help)                                                          \
+  {                                                                                                                    \
+    n, SETTING_CHOICE, offsetof(struct settings, field), 0, 0, initial, NULL, choices, reloads, help                   \
+  }
+
+const struct setting settings_table[] = {
+    PATH_ROW("state_dir", state_dir, "", "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod",
+             false, "Folder of the database, controllers and recordings; made if missing, for the owner alone."),
+    LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
+             "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. Sockets that systemd "
+             "passes "
+             "are served besides; then the default is not."),
+    VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
+              "Threads that compute. Scores do not depend on it."),
+    CHOICE_ROW(
+        "isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
+        "Instruction set of the kernels. Scores of one set are the same for ever; sets differ in the last bits."),
+    VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
+              "Niceness of the computing threads above the process's, so that replies never wait for computing."),
+    PATH_ROW("default_controller", default_controller, "", "bootstrap.safetensors of the installation", false,
+             "Controller file that becomes \"default\" and \"bootstrap\" at the first start."),
+    PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,
+             "File with bearer tokens, one per line. Required for addresses beyond loopback."),
+    CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
+               "Whether loopback addresses ask for a token, too."),
+    LIST_ROW("allowed_hosts", allowed_hosts, "", "the loopback names and the addresses served", false,
+             "Further names that a request's Host and Origin may carry."),
+    LIST_ROW("unix_groups", unix_groups, "", "none", false,
+             "Groups whose members may use the unix sockets, besides root and the service's own user."),
+    VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
+              "Connections at one time; more are refused with 503."),
+    VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
+              "Event streams at one time; more are refused with 503."),
+    VALUE_ROW("max_body", SETTING_BYTES, max_body_bytes, 1 * KIB, 1 * GIB, "32M", NULL,
+              "Largest JSON request body. 10,000 full bodies given as cells take 12 MiB."),
+    VALUE_ROW("max_controller", SETTING_BYTES, max_controller_bytes, 1 * MIB, 4 * GIB, "16M", NULL,
+              "Largest controller file that a client may store."),
+    VALUE_ROW("header_timeout", SETTING_DURATION, header_timeout_ms, SECOND, HOUR, "10s", NULL,
+              "Time within which a request's header must have arrived."),
+    VALUE_ROW("body_timeout", SETTING_DURATION, body_timeout_ms, SECOND, HOUR, "60s", NULL,
+              "Time within which a request's body must have arrived."),
+    VALUE_ROW("idle_timeout", SETTING_DURATION, idle_timeout_ms, SECOND, HOUR, "60s", NULL,
+              "Time after which an idle connection is closed."),
+    VALUE_ROW("max_open_jobs", SETTING_NUMBER, max_open_jobs, 1, 1000000, "10000", NULL,
+              "Jobs queued, running or paused at one time; more are refused with 503."),
+    VALUE_ROW("max_open_rollouts", SETTING_NUMBER, max_open_rollouts, 1000, UINT64_C(1000000000), "20000000", NULL,
+              "Rollouts of all open jobs; more are refused with 503."),
+    VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
+              "Recorded trajectories of one evaluation; a request for more is refused with 422."),
+    VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
+              "Requests of one client handled at one time; more are refused with 429."),
+    VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
+              "Accepted submissions per second and client address; more are refused with 429."),
+    VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
+              "Events kept for clients that come back with Last-Event-ID."),
+    VALUE_ROW(
+        "drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
+        "Time that a stop gives running work to finish before it is parked. Parked work continues at the next start."),
+    CHOICE_ROW(
+        "log_level", log_level, "error|warning|info|debug", "info", true,
+        "Least severe messages that are logged; info has a line for every request, debug also for health checks."),
+    CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
+               "Format of the log lines on standard error."),
+    PATH_ROW("port_file", port_file, "", "none", false,
+             "File that receives the addresses served, one per line, once they are served; removed at the end."),
+};
+const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
+_Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX, "settings.source is too short");
+
+void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
+{
+  char *text = NULL;
+  va_list arguments;
+  va_start(arguments, format);
+  int n = vasprintf(&text, format, arguments);
+  va_end(arguments);
+  char **texts = realloc(faults->texts, (faults->n + 1) * sizeof(*texts));
+  if (texts != NULL)
+    faults->texts = texts;
+  bool *flags = realloc(faults->fatal, (faults->n + 1) * sizeof(*flags));
+  if (flags != NULL)
+    faults->fatal = flags;
+  faults->n_fatal += fatal;
+  if (n < 0)
+    return;
+  if (texts == NULL || flags == NULL) {
+    free(text); /* the count of fatal faults still says that something is wrong */
+    return;
+  }
+  faults->texts[faults->n] = text;
+  faults->fatal[faults->n] = fatal;
+  faults->n++;
+}
+
+void settings_faults_free(struct settings_faults *faults)
+{
+  for (size_t i = 0; i < faults->n; i++)
+    free(faults->texts[i]);
+  free(faults->texts);
+  free(faults->fatal);
+  *faults = (struct settings_faults){0};
+}
+
+static void list_free(struct setting_list *list)
+{
+  for (size_t i = 0; i < list->n; i++)
+    free(list->items[i]);
+  free(list->items);
+  *list = (struct setting_list){0};
+}
+
+static int list_add(struct setting_list *list, const char *text, size_t length)
+{
+  char **items = realloc(list->items, (list->n + 1) * sizeof(*items));
+  if (items == NULL)
+    return MO_ERR_NO_MEMORY;
+  list->items = items;
+  items[list->n] = strndup(text, length);
+  if (items[list->n] == NULL)
+    return MO_ERR_NO_MEMORY;
+  list->n++;
+  return MO_OK;
+}
+
+static int set_list(struct setting_list *list, const char *text, bool append, struct mo_message *message)
+{
+  if (!append)
+    list_free(list);
+  for (const char *c = text; *c != 0;) {
+    size_t gap = strspn(c, ", \t");
+    c += gap;
+    size_t length = strcspn(c, ", \t");
+    if (length > 0 && list->n >= 64)
+      return mo_fail(message, MO_ERR_LIMIT, "a list holds at most 64 items");
+    if (length > 0 && list_add(list, c, length) != MO_OK)
+      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+    c += length;
+  }
+  return MO_OK;
+}
+
+struct unit {
+  const char *name;
+  uint64_t factor;
+};
+static const struct unit byte_units[] = {{"", 1},      {"K", KIB}, {"KiB", KIB}, {"M", MIB},
+                                         {"MiB", MIB}, {"G", GIB}, {"GiB", GIB}};
+static const struct unit time_units[] = {{"s", SECOND}, {"ms", 1}, {"min", 60 * SECOND}, {"h", HOUR}, {"", SECOND}};
+static const struct unit no_units[] = {{"", 1}};
+
+static int units_of(enum setting_type type, const struct unit **units)
+{
+  switch (type) {
+  case SETTING_BYTES: *units = byte_units; return (int)(sizeof(byte_units) / sizeof(byte_units[0]));
+  case SETTING_DURATION: *units = time_units; return (int)(sizeof(time_units) / sizeof(time_units[0]));
+  default: *units = no_units; return 1;
+  }
+}
+
+/* The shortest way to write a value that reads back as the same value. */
+static void write_number(enum setting_type type, uint64_t value, char *text, size_t capacity)
+{
+  if (type == SETTING_BYTES && value != 0 && value % GIB == 0)
+    snprintf(text, capacity, "%" PRIu64 "G", value / GIB);
+  else if (type == SETTING_BYTES && value != 0 && value % MIB == 0)
+    snprintf(text, capacity, "%" PRIu64 "M", value / MIB);
+  else if (type == SETTING_BYTES && value != 0 && value % KIB == 0)
+    snprintf(text, capacity, "%" PRIu64 "K", value / KIB);
+  else if (type == SETTING_DURATION && value != 0 && value % HOUR == 0)
+    snprintf(text, capacity, "%" PRIu64 "h", value / HOUR);
+  else if (type == SETTING_DURATION && value % SECOND == 0)
+    snprintf(text, capacity, "%" PRIu64 "s", value / SECOND);
+  else if (type == SETTING_DURATION)
+    snprintf(text, capacity, "%" PRIu64 "ms", value);
+  else
+    snprintf(text, capacity, "%" PRIu64, value);
+}
+
+static int set_number(const struct setting *setting, const char *text, uint64_t *number, struct mo_message *message)
+{
+  static const char *const wanted[] = {[SETTING_NUMBER] = "a whole number",
+                                       [SETTING_BYTES] = "a size such as 64M",
+                                       [SETTING_DURATION] = "a duration such as 10s"};
+  const struct unit *units;
+  int n_units = units_of(setting->type, &units);
+  char *end = NULL;
+  errno = 0;
+  unsigned long long value = isdigit((unsigned char)*text) ? strtoull(text, &end, 10) : 0;
+  if (end == NULL)
+    return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not %s", text, wanted[setting->type]);
+  end += strspn(end, " ");
+  int u = 0;
+  while (u < n_units && strcmp(end, units[u].name) != 0)
+    u++;
+  if (u == n_units)
+    return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not %s", text, wanted[setting->type]);
+  uint64_t scaled;
+  if (errno == ERANGE || __builtin_mul_overflow((uint64_t)value, units[u].factor, &scaled) || scaled < setting->min ||
+      scaled > setting->max) {
+    char low[32], high[32];
+    write_number(setting->type, setting->min, low, sizeof(low));
+    write_number(setting->type, setting->max, high, sizeof(high));
+    return mo_fail(message, MO_ERR_RANGE, "%.60s is not between %s and %s", text, low, high);
+  }
+  *number = scaled;
+  return MO_OK;
+}
+
+static int choice_at(const char *choices, const char *text)
+{
+  size_t length = strlen(text);
+  int position = 0;
+  for (const char *c = choices;; position++) {
+    size_t n = strcspn(c, "|");
+    if (n == length && strncmp(c, text, n) == 0)
+      return position;
+    c += n;
+    if (*c == 0)
+      return -1;
+    c++;
+  }
+}
+
+int settings_set(struct settings *settings, const struct setting *setting, const char *text, enum setting_source source,
+                 bool append, struct mo_message *message)
+{
+  int status = MO_OK;
+  switch (setting->type) {
+  case SETTING_PATH: {
+    char *copy = NULL;
+    if (*text != 0 && (copy = strdup(text)) == NULL)
+      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+    char **value = AT(settings, setting);
+    free(*value);
+    *value = copy;
+    break;
+  }
+  case SETTING_LIST: status = set_list(AT(settings, setting), text, append, message); break;
+  case SETTING_NUMBER:
+  case SETTING_BYTES:
+  case SETTING_DURATION: {
+    uint64_t number = 0;
+    status = set_number(setting, text, &number, message);
+    if (status == MO_OK)
+      *(uint64_t *)AT(settings, setting) = number;
+    break;
+  }
+  case SETTING_CHOICE: {
+    int position = choice_at(setting->choices, text);
+    if (position < 0)
+      return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not one of %s", text, setting->choices);
+    *(int *)AT(settings, setting) = position;
+    break;
+  }
+  }
+  if (status == MO_OK)
+    settings->source[setting - settings_table] = (uint8_t)source;
+  return status;
+}
+
+int settings_init(struct settings *settings)
+{
+  *settings = (struct settings){0};
+  for (size_t i = 0; i < settings_count; i++) {
+    int status = settings_set(settings, &settings_table[i], settings_table[i].initial, SOURCE_DEFAULT, false, NULL);
+    if (status != MO_OK) {
+      settings_free(settings);
+      return status;
+    }
+  }
+  return MO_OK;
+}
+
+void settings_free(struct settings *settings)
+{
+  for (size_t i = 0; i < settings_count; i++) {
+    const struct setting *setting = &settings_table[i];
+    if (setting->type == SETTING_PATH)
+      free(*(char **)AT(settings, setting));
+    else if (setting->type == SETTING_LIST)
+      list_free(AT(settings, setting));
+  }
+  *settings = (struct settings){0};
+}
+
+char *settings_value_text(const struct settings *settings, const struct setting *setting)
+{
+  char number[32];
+  switch (setting->type) {
+  case SETTING_PATH: {
+    const char *path = *(char *const *)CAT(settings, setting);
+    return strdup(path != NULL ? path : "");
+  }
+  case SETTING_LIST: {
+    const struct setting_list *list = CAT(settings, setting);
+    size_t length = 1;
+    for (size_t i = 0; i < list->n; i++)
+      length += strlen(list->items[i]) + 2;
+    char *text = malloc(length);
+    if (text == NULL)
+      return NULL;
+    char *end = text;
+    *end = 0;
+    for (size_t i = 0; i < list->n; i++) {
+      if (i > 0)
+        end = stpcpy(end, ", ");
+      end = stpcpy(end, list->items[i]);
+    }
+    return text;
+  }
+  case SETTING_NUMBER:
+  case SETTING_BYTES:
+  case SETTING_DURATION:
+    write_number(setting->type, *(const uint64_t *)CAT(settings, setting), number, sizeof(number));
+    return strdup(number);
+  case SETTING_CHOICE: {
+    const char *c = setting->choices;
+    for (int position = *(const int *)CAT(settings, setting); position > 0; position--)
+      c += strcspn(c, "|") + 1;
+    return strndup(c, strcspn(c, "|"));
+  }
+  }
+  return NULL;
+}
+
+void settings_flag_name(const struct setting *setting, char *text, size_t capacity)
+{
+  snprintf(text, capacity, "--%s", setting->name);
+  for (char *c = text; *c != 0; c++)
+    if (*c == '_')
+      *c = '-';
+}
+
+void settings_variable_name(const struct setting *setting, char *text, size_t capacity)
+{
+  snprintf(text, capacity, "MORPHOD_%s", setting->name);
+  for (char *c = text; *c != 0; c++)
+    *c = (char)toupper((unsigned char)*c);
+}

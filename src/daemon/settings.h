@@ -1,0 +1,142 @@
+/* settings.h: everything about morphod that can be set, in one table.
+ *
+ * A row of the table drives the parsing of the file, the environment and the flags, `--help`, `--print-config`,
+ * `--check-config`, the table in docs/configuration.md and the list in morphod(8): a setting that is not in the table does
+ * not exist. Precedence: flag, environment variable, file, default.
+ *
+ * From the name `max_body` follow the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. File: `name = value` lines, `#`
+ * comments. Lists are separated by commas or white space; a flag given again adds to its list. Sizes take K, M, G (powers
+ * of 1024), durations ms, s, min, h. */
+#ifndef MORPHO_DAEMON_SETTINGS_H
+#define MORPHO_DAEMON_SETTINGS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+
+#include <morpho/error.h>
+
+enum setting_type {
+  SETTING_PATH,     /* char *, NULL when empty */
+  SETTING_LIST,     /* struct setting_list */
+  SETTING_NUMBER,   /* uint64_t */
+  SETTING_BYTES,    /* uint64_t */
+  SETTING_DURATION, /* uint64_t milliseconds */
+  SETTING_CHOICE    /* int: position in `choices` */
+};
+
+enum setting_source { SOURCE_DEFAULT = 0, SOURCE_FILE, SOURCE_ENVIRONMENT, SOURCE_FLAG };
+
+struct setting_list {
+  char **items;
+  size_t n;
+};
+
+#define SETTINGS_MAX 48
+
+struct settings {
+  char *state_dir;
+  struct setting_list listen;
+  uint64_t workers;
+  int isa; /* 0: auto, else enum mo_isa + 1 */
+  uint64_t worker_nice;
+  char *default_controller;
+  char *token_file;
+  int token_on_loopback; /* 0: no, 1: yes */
+  struct setting_list allowed_hosts;
+  struct setting_list unix_groups;
+  uint64_t max_connections;
+  uint64_t max_streams;
+  uint64_t max_body_bytes;
+  uint64_t max_controller_bytes;
+  uint64_t header_timeout_ms, body_timeout_ms, idle_timeout_ms;
+  uint64_t max_open_jobs, max_open_rollouts;
+  uint64_t max_in_flight;
+  uint64_t max_recorded_bytes;
+  uint64_t client_rate_per_s;
+  uint64_t events_kept;
+  uint64_t drain_timeout_ms;
+  int log_level, log_format;
+  char *port_file;
+  /* For messages and --print-config: where each value came from. */
+  uint8_t source[SETTINGS_MAX];
+};
+
+struct setting {
+  const char *name;
+  enum setting_type type;
+  size_t offset;             /* of the value in struct settings */
+  uint64_t min, max;         /* numbers, sizes, durations (milliseconds) */
+  const char *initial;       /* default, as it would be written in the file */
+  const char *initial_words; /* default in words where `initial` does not tell; else NULL */
+  const char *choices;       /* SETTING_CHOICE: names separated by '|' */
+  bool reloads;              /* SIGHUP applies a new value */
+  const char *help;          /* one or two sentences for people */
+};
+
+extern const struct setting settings_table[];
+extern const size_t settings_count;
+
+/* Faults in the configuration, one sentence each. `fatal` false: a warning. */
+struct settings_faults {
+  char **texts;
+  bool *fatal;
+  size_t n, n_fatal;
+};
+void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+void settings_faults_free(struct settings_faults *faults);
+
+/* What the command line asks for besides settings. */
+enum settings_action { ACTION_RUN = 0, ACTION_HELP, ACTION_VERSION, ACTION_CHECK, ACTION_PRINT, ACTION_TABLE };
+struct settings_request {
+  enum settings_action action;
+  const char *config; /* --config or MORPHOD_CONFIG; NULL: the usual places */
+  char *config_found; /* the file that was read; NULL: none (malloc) */
+  bool usage_fault;   /* the command line itself is wrong (unknown flag, missing value) */
+};
+
+/* All values to their defaults. MO_ERR_NO_MEMORY. */
+int settings_init(struct settings *settings);
+void settings_free(struct settings *settings);
+
+/* Reads flags, then file and environment, and applies them in order of precedence. Never stops at the first fault. */
+void settings_load(struct settings *settings, int argc, const char *const *argv, const char *const *environment,
+                   struct settings_request *request, struct settings_faults *faults);
+void settings_request_free(struct settings_request *request);
+
+/* The parts of settings_load, for tests. `name` in messages. */
+void settings_read_text(struct settings *settings, const char *name, const char *text, size_t length,
+                        struct settings_faults *faults);
+void settings_read_environment(struct settings *settings, const char *const *environment,
+                               struct settings_faults *faults);
+
+/* Sets one value from its text. MO_ERR_INVALID, MO_ERR_RANGE with a message, MO_ERR_NO_MEMORY. `append`: lists grow. */
+int settings_set(struct settings *settings, const struct setting *setting, const char *text, enum setting_source source,
+                 bool append, struct mo_message *message);
+
+/* Fills in what follows from the surroundings: state_dir, token_file from a credential. */
+int settings_complete(struct settings *settings, const char *const *environment);
+
+/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads, never writes. */
+void settings_check(const struct settings *settings, struct settings_faults *faults);
+
+/* "127.0.0.1:8765", "[::1]:8765", "localhost:0", "unix:/run/x": MO_ERR_INVALID with a message. */
+struct listen_address {
+  bool is_unix, is_loopback;
+  char host[256]; /* or the path */
+  uint16_t port;
+};
+int settings_parse_address(const char *text, struct listen_address *address, struct mo_message *message);
+
+void settings_print_help(FILE *file);
+void settings_print(const struct settings *settings, FILE *file); /* a file that gives these values */
+void settings_print_table(FILE *file);                            /* Markdown */
+
+/* The value of a setting as text (malloc, NULL without memory). */
+char *settings_value_text(const struct settings *settings, const struct setting *setting);
+void settings_flag_name(const struct setting *setting, char *text, size_t capacity);     /* "--state-dir" */
+void settings_variable_name(const struct setting *setting, char *text, size_t capacity); /* "MORPHOD_STATE_DIR" */
+
+#endif

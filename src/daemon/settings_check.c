@@ -1,0 +1,202 @@
+/* settings_check.c: what the values refer to. Everything here only reads: --check-config changes nothing. */
+#include "settings.h"
+
+#include <arpa/inet.h>
+#include <ctype.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include <morpho/controller.h>
+#include <morpho/rollout.h>
+
+static bool is_loopback(const char *host)
+{
+  struct in_addr v4;
+  struct in6_addr v6;
+  if (inet_pton(AF_INET, host, &v4) == 1)
+    return (ntohl(v4.s_addr) >> 24) == 127;
+  if (inet_pton(AF_INET6, host, &v6) == 1)
+    return IN6_IS_ADDR_LOOPBACK(&v6);
+  return strcmp(host, "localhost") == 0;
+}
+
+int settings_parse_address(const char *text, struct listen_address *address, struct mo_message *message)
+{
+  struct listen_address result = {0};
+  if (strncmp(text, "unix:", 5) == 0) {
+    const char *path = text + 5;
+    if (*path != '/')
+      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /", text);
+    if (strlen(path) >= sizeof(((struct sockaddr_un *)0)->sun_path))
+      return mo_fail(message, MO_ERR_RANGE, "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
+                     sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
+    result.is_unix = result.is_loopback = true;
+    strcpy(result.host, path); /* fits: checked above */
+    *address = result;
+    return MO_OK;
+  }
+  const char *colon = strrchr(text, ':');
+  if (colon == NULL || !isdigit((unsigned char)colon[1]))
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
+  char *end;
+  errno = 0;
+  unsigned long port = strtoul(colon + 1, &end, 10);
+  if (*end != 0)
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" does not end in a port number", text);
+  if (errno != 0 || port > 65535)
+    return mo_fail(message, MO_ERR_RANGE, "\"%.100s\": a port is at most 65535", text);
+  size_t length = (size_t)(colon - text);
+  const char *host = text;
+  if (length >= 2 && host[0] == '[' && host[length - 1] == ']') {
+    host++;
+    length -= 2;
+  } else if (memchr(host, ':', length) != NULL) {
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
+  }
+  if (length == 0 || length >= sizeof(result.host))
+    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
+  memcpy(result.host, host, length);
+  result.port = (uint16_t)port;
+  result.is_loopback = is_loopback(result.host);
+  *address = result;
+  return MO_OK;
+}
+
+/* The state folder: a writable folder, or one that can be made below the deepest existing folder of its path. */
+static void check_state_dir(const char *path, struct settings_faults *faults)
+{
+  struct stat status;
+  if (*path != '/') {
+    settings_fault(faults, true, "state_dir: \"%s\" is not an absolute path", path);
+    return;
+  }
+  if (stat(path, &status) == 0) {
+    if (!S_ISDIR(status.st_mode))
+      settings_fault(faults, true, "state_dir: %s is not a folder", path);
+    else if (faccessat(AT_FDCWD, path, W_OK | X_OK, AT_EACCESS) != 0)
+      settings_fault(faults, true, "state_dir: %s cannot be written: %s", path, strerror(errno));
+    else if ((status.st_mode & 022) != 0)
+      settings_fault(faults, false, "state_dir: %s can be written by others (mode %03o)", path,
+                     (unsigned)status.st_mode & 0777);
+    return;
+  }
+  if (errno != ENOENT) {
+    settings_fault(faults, true, "state_dir: %s: %s", path, strerror(errno));
+    return;
+  }
+  char *parent = strdup(path);
+  if (parent == NULL) {
+    settings_fault(faults, true, "out of memory");
+    return;
+  }
+  for (;;) {
+    char *slash = strrchr(parent, '/');
+    if (slash == parent)
+      slash[1] = 0;
+    else
+      *slash = 0;
+    if (stat(parent, &status) == 0) {
+      if (!S_ISDIR(status.st_mode))
+        settings_fault(faults, true, "state_dir: %s cannot be made: %s is not a folder", path, parent);
+      else if (faccessat(AT_FDCWD, parent, W_OK | X_OK, AT_EACCESS) != 0)
+        settings_fault(faults, true, "state_dir: %s cannot be made in %s: %s", path, parent, strerror(errno));
+      break;
+    }
+    if (errno != ENOENT || slash == parent) {
+      settings_fault(faults, true, "state_dir: %s: %s", parent, strerror(errno));
+      break;
+    }
+  }
+  free(parent);
+}
+
+static void check_token_file(const char *path, struct settings_faults *faults)
+{
+  struct stat status;
+  FILE *file = fopen(path, "re");
+  if (file == NULL || fstat(fileno(file), &status) != 0) {
+    settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
+  } else if (!S_ISREG(status.st_mode)) {
+    settings_fault(faults, true, "token_file: %s is not a file", path);
+  } else {
+    char text[4096];
+    size_t n = fread(text, 1, sizeof(text), file);
+    bool any = false;
+    for (size_t i = 0; i < n; i++)
+      any |= isgraph((unsigned char)text[i]) != 0;
+    if (!any)
+      settings_fault(faults, true, "token_file: %s holds no token", path);
+    if ((status.st_mode & 0007) != 0)
+      settings_fault(faults, false, "token_file: %s can be read by everybody (mode %03o)", path,
+                     (unsigned)status.st_mode & 0777);
+  }
+  if (file != NULL)
+    fclose(file);
+}
+
+static void check_listen(const struct settings *settings, struct settings_faults *faults)
+{
+  bool beyond = false;
+  if (settings->listen.n == 0)
+    settings_fault(faults, true, "listen: no address");
+  for (size_t i = 0; i < settings->listen.n; i++) {
+    struct listen_address address;
+    struct mo_message message = {{0}};
+    const char *text = settings->listen.items[i];
+    if (settings_parse_address(text, &address, &message) != MO_OK) {
+      settings_fault(faults, true, "listen: %s", message.text);
+      continue;
+    }
+    for (size_t j = 0; j < i; j++)
+      if (strcmp(text, settings->listen.items[j]) == 0 && !(address.port == 0 && !address.is_unix))
+        settings_fault(faults, true, "listen: %s is named twice", text);
+    if (address.is_unix) {
+      char *folder = strdup(address.host);
+      char *slash = folder != NULL ? strrchr(folder, '/') : NULL;
+      if (slash != NULL) {
+        slash[slash == folder] = 0;
+        if (faccessat(AT_FDCWD, folder, W_OK | X_OK, AT_EACCESS) != 0)
+          settings_fault(faults, true, "listen: %s: %s: %s", text, folder, strerror(errno));
+      }
+      free(folder);
+    }
+    beyond |= !address.is_loopback;
+  }
+  if (beyond && settings->token_file == NULL)
+    settings_fault(faults, true, "listen: an address beyond loopback needs a token_file");
+}
+
+static void check_controller(const char *path, struct settings_faults *faults)
+{
+  struct mo_controller *controller;
+  struct mo_message message = {{0}};
+  int status = mo_controller_read(path, &controller, &message);
+  if (status == MO_OK)
+    mo_controller_free(controller);
+  else
+    settings_fault(faults, true, "default_controller: %s: %s", path,
+                   message.text[0] != 0 ? message.text : mo_error_text(status));
+}
+
+void settings_check(const struct settings *settings, struct settings_faults *faults)
+{
+  check_state_dir(settings->state_dir, faults);
+  check_listen(settings, faults);
+  if (settings->token_file != NULL)
+    check_token_file(settings->token_file, faults);
+  if (settings->default_controller != NULL)
+    check_controller(settings->default_controller, faults);
+  if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
+    settings_fault(faults, true, "isa: this processor does not run %s; the widest is %s",
+                   mo_isa_name((enum mo_isa)(settings->isa - 1)), mo_isa_name(mo_isa_best()));
+  for (size_t i = 0; i < settings->allowed_hosts.n; i++)
+    if (strpbrk(settings->allowed_hosts.items[i], "/@") != NULL)
+      settings_fault(faults, true, "allowed_hosts: \"%s\" is not a host name", settings->allowed_hosts.items[i]);
+  if (settings->max_streams > settings->max_connections)
+    settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
+}

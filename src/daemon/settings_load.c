@@ -1,0 +1,496 @@
+/* settings_load.c: file, environment and flags, and the texts that the table gives: help, a file, Markdown. */
+#include "settings.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define FILE_MAX (1 << 20)
+
+struct flag {
+  const char *name;
+  enum settings_action action;
+  const char *help;
+};
+static const struct flag action_flags[] = {
+    {"--help", ACTION_HELP, "Print this text."},
+    {"--version", ACTION_VERSION, "Print the version."},
+    {"--check-config", ACTION_CHECK,
+     "Check the configuration and all that it refers to, say what is wrong, and exit with 0 or 78."},
+    {"--print-config", ACTION_PRINT, "Print the values in force as a configuration file, with where each came from."},
+    {"--print-settings", ACTION_TABLE, "Print the table of all settings as Markdown."},
+};
+static const size_t n_action_flags = sizeof(action_flags) / sizeof(action_flags[0]);
+
+static size_t distance(const char *a, const char *b)
+{
+  size_t row[64];
+  size_t m = strlen(b);
+  if (m >= sizeof(row) / sizeof(row[0]))
+    return SIZE_MAX;
+  for (size_t j = 0; j <= m; j++)
+    row[j] = j;
+  for (size_t i = 1; a[i - 1] != 0; i++) {
+    size_t diagonal = row[0];
+    row[0] = i;
+    for (size_t j = 1; j <= m; j++) {
+      size_t above = row[j];
+      size_t best = diagonal + (a[i - 1] != b[j - 1]);
+      if (above + 1 < best)
+        best = above + 1;
+      if (row[j - 1] + 1 < best)
+        best = row[j - 1] + 1;
+      diagonal = above;
+      row[j] = best;
+    }
+  }
+  return row[m];
+}
+
+/* The setting whose name is nearest to a mistyped one; NULL if none is near. */
+static const struct setting *nearest(const char *name)
+{
+  const struct setting *best = NULL;
+  size_t best_distance = strlen(name) / 3 + 2;
+  for (size_t i = 0; i < settings_count; i++) {
+    size_t d = distance(name, settings_table[i].name);
+    if (d < best_distance) {
+      best_distance = d;
+      best = &settings_table[i];
+    }
+  }
+  return best;
+}
+
+static const struct setting *find(const char *name)
+{
+  for (size_t i = 0; i < settings_count; i++)
+    if (strcmp(settings_table[i].name, name) == 0)
+      return &settings_table[i];
+  return NULL;
+}
+
+static char *trim(char *text)
+{
+  text += strspn(text, " \t\r");
+  size_t n = strlen(text);
+  while (n > 0 && strchr(" \t\r", text[n - 1]) != NULL)
+    n--;
+  text[n] = 0;
+  return text;
+}
+
+static void read_line(struct settings *settings, const char *file, size_t number, char *line, unsigned *lines_seen,
+                      struct settings_faults *faults)
+{
+  char *text = trim(line);
+  if (*text == 0 || *text == '#')
+    return;
+  char *equals = strchr(text, '=');
+  if (equals == NULL) {
+    settings_fault(faults, true, "%s:%zu: no \"=\" in \"%.60s\"; a line is \"name = value\"", file, number, text);
+    return;
+  }
+  *equals = 0;
+  char *name = trim(text);
+  char *value = trim(equals + 1);
+  /* A comment may follow the value; a # inside a word belongs to it. */
+  for (char *c = value; *c != 0; c++)
+    if (*c == '#' && (c == value || c[-1] == ' ' || c[-1] == '\t')) {
+      *c = 0;
+      value = trim(value);
+      break;
+    }
+  const struct setting *setting = find(name);
+  if (setting == NULL) {
+    const struct setting *near = nearest(name);
+    if (near != NULL)
+      settings_fault(faults, true, "%s:%zu: unknown setting \"%.60s\"; did you mean \"%s\"?", file, number, name,
+                     near->name);
+    else
+      settings_fault(faults, true, "%s:%zu: unknown setting \"%.60s\"", file, number, name);
+    return;
+  }
+  unsigned *seen = &lines_seen[setting - settings_table];
+  if (*seen != 0) {
+    settings_fault(faults, true, "%s:%zu: \"%s\" is set already in line %u", file, number, name, *seen);
+    return;
+  }
+  *seen = (unsigned)number;
+  struct mo_message message = {{0}};
+  if (settings_set(settings, setting, value, SOURCE_FILE, false, &message) != MO_OK)
+    settings_fault(faults, true, "%s:%zu: %s: %s", file, number, name, message.text);
+}
+
+void settings_read_text(struct settings *settings, const char *file, const char *text, size_t length,
+                        struct settings_faults *faults)
+{
+  unsigned lines_seen[SETTINGS_MAX] = {0};
+  size_t number = 0;
+  for (size_t start = 0; start < length;) {
+    const char *newline = memchr(text + start, '\n', length - start);
+    size_t n = newline != NULL ? (size_t)(newline - (text + start)) : length - start;
+    number++;
+    if (memchr(text + start, 0, n) != NULL) {
+      settings_fault(faults, true, "%s:%zu: NUL byte", file, number);
+    } else {
+      char *line = strndup(text + start, n);
+      if (line == NULL) {
+        settings_fault(faults, true, "%s: out of memory", file);
+        return;
+      }
+      read_line(settings, file, number, line, lines_seen, faults);
+      free(line);
+    }
+    start += n + 1;
+  }
+}
+
+/* Returns whether the file exists. */
+static bool read_file(struct settings *settings, const char *path, bool required, struct settings_faults *faults)
+{
+  FILE *file = fopen(path, "re");
+  if (file == NULL) {
+    if (required || errno != ENOENT)
+      settings_fault(faults, true, "%s: %s", path, strerror(errno));
+    return false;
+  }
+  char *text = malloc(FILE_MAX + 1);
+  size_t n = text != NULL ? fread(text, 1, FILE_MAX + 1, file) : 0;
+  if (text == NULL)
+    settings_fault(faults, true, "%s: out of memory", path);
+  else if (ferror(file))
+    settings_fault(faults, true, "%s: %s", path, strerror(errno));
+  else if (n > FILE_MAX)
+    settings_fault(faults, true, "%s: larger than %d bytes", path, FILE_MAX);
+  else
+    settings_read_text(settings, path, text, n, faults);
+  free(text);
+  fclose(file);
+  return true;
+}
+
+void settings_read_environment(struct settings *settings, const char *const *environment,
+                               struct settings_faults *faults)
+{
+  /* Variables of this prefix that are not settings: morphoctl's, and the name of the file. */
+  static const char *const others[] = {"config", "server", "token"};
+  for (const char *const *entry = environment; entry != NULL && *entry != NULL; entry++) {
+    if (strncmp(*entry, "MORPHOD_", 8) != 0)
+      continue;
+    const char *equals = strchr(*entry, '=');
+    char name[64];
+    size_t length = equals != NULL ? (size_t)(equals - *entry) - 8 : sizeof(name);
+    if (length >= sizeof(name))
+      continue;
+    for (size_t i = 0; i < length; i++)
+      name[i] = (char)tolower((unsigned char)(*entry)[8 + i]);
+    name[length] = 0;
+    bool other = false;
+    for (size_t i = 0; i < sizeof(others) / sizeof(others[0]); i++)
+      other |= strcmp(name, others[i]) == 0;
+    if (other)
+      continue;
+    const struct setting *setting = find(name);
+    if (setting == NULL) {
+      const struct setting *near = nearest(name);
+      char variable[80] = "";
+      if (near != NULL)
+        settings_variable_name(near, variable, sizeof(variable));
+      settings_fault(faults, false, "environment: %.*s is not a setting%s%s%s", (int)length + 8, *entry,
+                     near != NULL ? "; did you mean " : "", variable, near != NULL ? "?" : "");
+      continue;
+    }
+    struct mo_message message = {{0}};
+    if (settings_set(settings, setting, equals + 1, SOURCE_ENVIRONMENT, false, &message) != MO_OK)
+      settings_fault(faults, true, "environment: %.*s: %s", (int)length + 8, *entry, message.text);
+  }
+}
+
+static void usage(struct settings_request *request, struct settings_faults *faults, const char *flag, size_t length,
+                  const char *why)
+{
+  request->usage_fault = true;
+  settings_fault(faults, true, "%.*s: %s", (int)length, flag, why);
+}
+
+static void apply_flag(struct settings *settings, const struct setting *setting, const char *flag, const char *value,
+                       struct settings_faults *faults)
+{
+  struct mo_message message = {{0}};
+  bool again = settings->source[setting - settings_table] == SOURCE_FLAG;
+  if (settings_set(settings, setting, value, SOURCE_FLAG, again, &message) != MO_OK)
+    settings_fault(faults, true, "%s: %s", flag, message.text);
+}
+
+/* One walk over the command line. `settings` NULL: look only for what comes before everything else (action, --config). */
+static void read_flags(struct settings *settings, int argc, const char *const *argv, struct settings_request *request,
+                       struct settings_faults *faults)
+{
+  bool first_walk = settings == NULL;
+  for (int i = 1; i < argc; i++) {
+    const char *equals = strchr(argv[i], '=');
+    size_t length = equals != NULL ? (size_t)(equals - argv[i]) : strlen(argv[i]);
+    bool known =
+        length == 12 && strncmp(argv[i], "--foreground", length) == 0; /* the only mode: accepted, changes nothing */
+    for (size_t a = 0; a < n_action_flags && !known; a++)
+      if (strlen(action_flags[a].name) == length && strncmp(argv[i], action_flags[a].name, length) == 0) {
+        known = true;
+        if (first_walk && request->action != ACTION_HELP)
+          request->action = action_flags[a].action;
+      }
+    if (known) {
+      if (first_walk && equals != NULL)
+        usage(request, faults, argv[i], length, "takes no value");
+      continue;
+    }
+    const struct setting *setting = NULL;
+    char flag[80];
+    for (size_t s = 0; s < settings_count && setting == NULL; s++) {
+      settings_flag_name(&settings_table[s], flag, sizeof(flag));
+      if (strlen(flag) == length && strncmp(flag, argv[i], length) == 0)
+        setting = &settings_table[s];
+    }
+    bool is_config = length == 8 && strncmp(argv[i], "--config", length) == 0;
+    if (setting == NULL && !is_config) {
+      if (first_walk) {
+        char name[64] = "";
+        const struct setting *near = NULL;
+        if (length > 2 && length < sizeof(name)) {
+          for (size_t k = 2; k < length; k++)
+            name[k - 2] = argv[i][k] == '-' ? '_' : argv[i][k];
+          near = nearest(name);
+        }
+        if (near != NULL)
+          settings_flag_name(near, flag, sizeof(flag));
+        char why[128] = "is not a flag; see --help";
+        if (near != NULL)
+          snprintf(why, sizeof(why), "is not a flag; did you mean %s?", flag);
+        usage(request, faults, argv[i], length, why);
+      }
+      continue;
+    }
+    if (equals == NULL && i + 1 >= argc) {
+      if (first_walk)
+        usage(request, faults, argv[i], length, "needs a value");
+      break;
+    }
+    const char *value = equals != NULL ? equals + 1 : argv[++i];
+    if (is_config)
+      request->config = value;
+    else if (!first_walk)
+      apply_flag(settings, setting, flag, value, faults);
+  }
+}
+
+static const char *variable(const char *const *environment, const char *name)
+{
+  size_t length = strlen(name);
+  for (const char *const *entry = environment; entry != NULL && *entry != NULL; entry++)
+    if (strncmp(*entry, name, length) == 0 && (*entry)[length] == '=')
+      return *entry + length + 1;
+  return NULL;
+}
+
+void settings_load(struct settings *settings, int argc, const char *const *argv, const char *const *environment,
+                   struct settings_request *request, struct settings_faults *faults)
+{
+  *request = (struct settings_request){0};
+  read_flags(NULL, argc, argv, request, faults);
+  if (request->config == NULL)
+    request->config = variable(environment, "MORPHOD_CONFIG");
+  if (request->config != NULL && *request->config != 0) {
+    if (read_file(settings, request->config, true, faults))
+      request->config_found = strdup(request->config);
+  } else if (request->config == NULL) {
+    /* systemd names the folder of ConfigurationDirectory=; by hand the usual place. */
+    const char *folder = variable(environment, "CONFIGURATION_DIRECTORY");
+    char *path = NULL;
+    if (asprintf(&path, "%s/morphod.conf", folder != NULL && *folder != 0 ? folder : "/etc/morphod") < 0)
+      settings_fault(faults, true, "out of memory");
+    else if (read_file(settings, path, false, faults))
+      request->config_found = path;
+    else
+      free(path);
+  }
+  settings_read_environment(settings, environment, faults);
+  read_flags(settings, argc, argv, request, faults);
+}
+
+void settings_request_free(struct settings_request *request)
+{
+  free(request->config_found);
+  *request = (struct settings_request){0};
+}
+
+int settings_complete(struct settings *settings, const char *const *environment)
+{
+  if (settings->state_dir == NULL) {
+    /* systemd gives a list separated by colons; ours has one folder. */
+    const char *state = variable(environment, "STATE_DIRECTORY");
+    const char *xdg = variable(environment, "XDG_STATE_HOME");
+    const char *home = variable(environment, "HOME");
+    int n = 0;
+    if (state != NULL && *state != 0)
+      settings->state_dir = strndup(state, strcspn(state, ":"));
+    else if (xdg != NULL && *xdg == '/')
+      n = asprintf(&settings->state_dir, "%s/morphod", xdg);
+    else if (home != NULL && *home == '/')
+      n = asprintf(&settings->state_dir, "%s/.local/state/morphod", home);
+    else
+      settings->state_dir = strdup("/var/lib/morphod");
+    if (n < 0)
+      settings->state_dir = NULL;
+    if (settings->state_dir == NULL)
+      return MO_ERR_NO_MEMORY;
+  }
+  if (settings->token_file == NULL) {
+    const char *credentials = variable(environment, "CREDENTIALS_DIRECTORY");
+    if (credentials != NULL && *credentials != 0) {
+      char *path = NULL;
+      if (asprintf(&path, "%s/token", credentials) < 0)
+        return MO_ERR_NO_MEMORY;
+      FILE *file = fopen(path, "re");
+      if (file == NULL) {
+        free(path);
+      } else {
+        fclose(file);
+        settings->token_file = path;
+      }
+    }
+  }
+  return MO_OK;
+}
+
+/* Writes help text in lines of at most 78 columns, each after `indent` spaces. */
+static void print_wrapped(FILE *file, int indent, const char *text)
+{
+  int column = 0;
+  for (const char *c = text; *c != 0;) {
+    int length = (int)strcspn(c, " ");
+    if (column == 0) {
+      fprintf(file, "%*s", indent, "");
+      column = indent;
+    } else if (column + 1 + length > 78) {
+      fprintf(file, "\n%*s", indent, "");
+      column = indent;
+    } else {
+      fputc(' ', file);
+      column++;
+    }
+    fprintf(file, "%.*s", length, c);
+    column += length;
+    c += length;
+    c += strspn(c, " ");
+  }
+  fputc('\n', file);
+}
+
+static const char *value_word(const struct setting *setting)
+{
+  switch (setting->type) {
+  case SETTING_PATH: return "PATH";
+  case SETTING_LIST: return "LIST";
+  case SETTING_NUMBER: return "NUMBER";
+  case SETTING_BYTES: return "SIZE";
+  case SETTING_DURATION: return "TIME";
+  case SETTING_CHOICE: return setting->choices;
+  }
+  return "VALUE";
+}
+
+static void bounds_text(const struct setting *setting, char *text, size_t capacity)
+{
+  struct settings values = {0};
+  *text = 0;
+  if (setting->type == SETTING_CHOICE) {
+    char *out = text;
+    for (const char *c = setting->choices; *c != 0 && (size_t)(out - text) + 3 < capacity; c++) {
+      if (*c == '|')
+        out = stpcpy(out, ", ");
+      else
+        *out++ = *c;
+    }
+    *out = 0;
+  } else if (setting->type != SETTING_PATH && setting->type != SETTING_LIST) {
+    *(uint64_t *)((char *)&values + setting->offset) = setting->min;
+    char *low = settings_value_text(&values, setting);
+    *(uint64_t *)((char *)&values + setting->offset) = setting->max;
+    char *high = settings_value_text(&values, setting);
+    snprintf(text, capacity, "%s to %s", low != NULL ? low : "", high != NULL ? high : "");
+    free(low);
+    free(high);
+  }
+}
+
+void settings_print_help(FILE *file)
+{
+  fputs("Usage: morphod [FLAG]...\n"
+        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP reloads tokens and log "
+        "level.\n\n"
+        "  --config PATH\n"
+        "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
+        "      /etc/morphod/morphod.conf, if it exists).\n"
+        "  --foreground\n"
+        "      Accepted for clarity: there is no other mode.\n",
+        file);
+  for (size_t i = 0; i < n_action_flags; i++) {
+    fprintf(file, "  %s\n", action_flags[i].name);
+    print_wrapped(file, 6, action_flags[i].help);
+  }
+  fputs("\nSettings: flag before environment variable before file before default. In the file\n"
+        "--state-dir is state_dir, in the environment MORPHOD_STATE_DIR, and so on.\n\n",
+        file);
+  for (size_t i = 0; i < settings_count; i++) {
+    const struct setting *setting = &settings_table[i];
+    char flag[80], bounds[128], text[1024];
+    settings_flag_name(setting, flag, sizeof(flag));
+    bounds_text(setting, bounds, sizeof(bounds));
+    fprintf(file, "  %s %s\n", flag, value_word(setting));
+    const char *initial = setting->initial_words != NULL ? setting->initial_words : setting->initial;
+    if (setting->type == SETTING_CHOICE || *bounds == 0)
+      snprintf(text, sizeof(text), "%s Default: %s.", setting->help, initial);
+    else
+      snprintf(text, sizeof(text), "%s Default: %s (%s).", setting->help, initial, bounds);
+    print_wrapped(file, 6, text);
+  }
+}
+
+void settings_print(const struct settings *settings, FILE *file)
+{
+  static const char *const sources[] = {"default", "file", "environment", "flag"};
+  for (size_t i = 0; i < settings_count; i++) {
+    const struct setting *setting = &settings_table[i];
+    char *text = settings_value_text(settings, setting);
+    if (text == NULL || *text == 0)
+      fprintf(file, "# %s =  # %s\n", setting->name, setting->initial_words != NULL ? setting->initial_words : "empty");
+    else
+      fprintf(file, "%s = %s  # %s\n", setting->name, text, sources[settings->source[i]]);
+    free(text);
+  }
+}
+
+void settings_print_table(FILE *file)
+{
+  fputs("| setting | flag | environment | default | values | meaning |\n"
+        "| --- | --- | --- | --- | --- | --- |\n",
+        file);
+  for (size_t i = 0; i < settings_count; i++) {
+    const struct setting *setting = &settings_table[i];
+    char flag[80], name[80], bounds[128];
+    settings_flag_name(setting, flag, sizeof(flag));
+    settings_variable_name(setting, name, sizeof(name));
+    bounds_text(setting, bounds, sizeof(bounds));
+    const char *kind = setting->type == SETTING_PATH ? "path" : setting->type == SETTING_LIST ? "list" : bounds;
+    if (setting->initial_words == NULL)
+      fprintf(file, "| `%s` | `%s` | `%s` | `%s` | %s | %s%s |\n", setting->name, flag, name, setting->initial, kind,
+              setting->help, setting->reloads ? " SIGHUP applies it." : "");
+    else if (*setting->initial != 0)
+      fprintf(file, "| `%s` | `%s` | `%s` | `%s`: %s | %s | %s%s |\n", setting->name, flag, name, setting->initial,
+              setting->initial_words, kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
+    else
+      fprintf(file, "| `%s` | `%s` | `%s` | %s | %s | %s%s |\n", setting->name, flag, name, setting->initial_words,
+              kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
+  }
+}

@@ -1,0 +1,95 @@
+/* Log lines: one line each, in three formats, whatever the values hold. */
+#include "../check.h"
+
+#include <jansson.h>
+
+#include "daemon/log.h"
+
+static char line[4096];
+
+static size_t format(enum log_format kind, bool priority, int64_t time_us, const char *message,
+                     const struct log_field *fields, size_t n)
+{
+  return log_format_line(line, sizeof(line), kind, priority, time_us, LOG_LEVEL_INFO, message, fields, n);
+}
+
+static void text_for_people(void)
+{
+  const struct log_field fields[] = {LOG_TEXT("address", "127.0.0.1:8765"), LOG_INT("jobs", -3),
+                                     LOG_REAL("seconds", 0.5), LOG_TEXT("label", "two words"), LOG_TEXT("none", NULL)};
+  format(LOG_FORMAT_TEXT, false, 1700000000123456, "listening", fields, 5);
+  CHECK_TEXT(
+      line,
+      "2023-11-14T22:13:20.123456Z info: listening address=127.0.0.1:8765 jobs=-3 seconds=0.5 label=\"two words\" "
+      "none=null\n");
+}
+
+static void logfmt_and_priority(void)
+{
+  const struct log_field fields[] = {LOG_TEXT("a", "x=\"y\"\n")};
+  format(LOG_FORMAT_LOGFMT, true, 0, "hello there", fields, 1);
+  CHECK_TEXT(line, "<6>level=info msg=\"hello there\" a=\"x=\\\"y\\\"\\n\"\n");
+}
+
+static void json_is_json(void)
+{
+  const struct log_field fields[] = {LOG_TEXT("path", "/a\"b\\c\n\x01"), LOG_REAL("nan", NAN), LOG_INT("n", INT64_MIN)};
+  format(LOG_FORMAT_JSON, false, 1700000000000001, "request", fields, 3);
+  json_t *object = json_loads(line, 0, NULL);
+  REQUIRE(object != NULL);
+  CHECK_TEXT(json_string_value(json_object_get(object, "path")), "/a\"b\\c\n\x01");
+  CHECK(json_is_null(json_object_get(object, "nan")));
+  CHECK(json_integer_value(json_object_get(object, "n")) == INT64_MIN);
+  CHECK_TEXT(json_string_value(json_object_get(object, "level")), "info");
+  CHECK_TEXT(json_string_value(json_object_get(object, "time")), "2023-11-14T22:13:20.000001Z");
+  json_decref(object);
+}
+
+static void a_line_stays_one_line(void)
+{
+  char *large = malloc(100001);
+  REQUIRE(large != NULL);
+  memset(large, '\n', 100000);
+  large[100000] = 0;
+  const struct log_field fields[] = {LOG_TEXT("a", large), LOG_TEXT("b", large), LOG_INT("c", 1)};
+  for (enum log_format kind = LOG_FORMAT_TEXT; kind <= LOG_FORMAT_JSON; kind++) {
+    size_t n = format(kind, true, 1, large, fields, 3);
+    CHECK(n < sizeof(line));
+    CHECK(line[n] == 0 && line[n - 1] == '\n');
+    CHECK(strchr(line, '\n') == line + n - 1);
+  }
+  free(large);
+  large = malloc(3000);
+  REQUIRE(large != NULL);
+  memset(large, 'x', 2999);
+  large[2999] = 0;
+  const struct log_field two[] = {LOG_TEXT("a", large), LOG_TEXT("b", large), LOG_INT("c", 1)};
+  format(LOG_FORMAT_JSON, false, 1, "m", two, 3);
+  json_t *object = json_loads(line, 0, NULL);
+  CHECK(object != NULL); /* cut, and still JSON */
+  json_decref(object);
+  free(large);
+}
+
+static void names(void)
+{
+  enum log_level level = LOG_LEVEL_ERROR;
+  enum log_format kind = LOG_FORMAT_TEXT;
+  CHECK_INT(log_level_from_name("debug", &level), 0);
+  CHECK_INT(level, LOG_LEVEL_DEBUG);
+  CHECK_INT(log_level_from_name("loud", &level), -1);
+  CHECK_INT(log_format_from_name("json", &kind), 0);
+  CHECK_INT(kind, LOG_FORMAT_JSON);
+  CHECK_INT(log_format_from_name("", &kind), -1);
+  log_open(LOG_FORMAT_TEXT, LOG_LEVEL_WARNING);
+  CHECK(log_enabled(LOG_LEVEL_ERROR) && log_enabled(LOG_LEVEL_WARNING) && !log_enabled(LOG_LEVEL_INFO));
+  log_set_level(LOG_LEVEL_DEBUG);
+  CHECK(log_enabled(LOG_LEVEL_DEBUG));
+}
+
+static const struct check_case cases[] = {
+    {"text for people", text_for_people},   {"logfmt and priority", logfmt_and_priority},
+    {"JSON is JSON", json_is_json},         {"a line stays one line", a_line_stays_one_line},
+    {"names of levels and formats", names},
+};
+CHECK_MAIN(cases)
