@@ -1,0 +1,18 @@
+/* contact.h: one mass against the terrain, float64. */
+#ifndef MORPHO_ROLLOUT_CONTACT_H
+#define MORPHO_ROLLOUT_CONTACT_H
+
+#include <morpho/rollout.h>
+
+/* When a mass that leaves `position` with `velocity` first comes below the terrain, given that it is below it after dt.
+ * In [0, dt]. */
+double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+                       const double velocity_m_per_s[3], double dt_s);
+double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
+                           const double velocity_m_per_s[3], double dt_s, uint32_t bisections);
+
+/* Moves a mass for one step; `highest_m` is the terrain's largest height. */
+void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                     double position_m[3], double velocity_m_per_s[3]);
+
+#endif

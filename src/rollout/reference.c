@@ -1,0 +1,193 @@
+/* reference.c: the rollout in plain float64 C, step by step as docs/model.md writes it down. It is the yardstick for every
+ * faster path, so it trades speed for being readable; all sums run in index order. */
+#include "rollout/contact.h"
+#include "rollout/scene.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct reference {
+  const struct mo_body *body;
+  const struct mo_controller *controller; /* NULL: passive */
+  const struct mo_environment *environment;
+  const struct mo_physics *physics;
+  double light_m[3];
+  double highest_m;
+  double *position_m;       /* (n_masses, 3) */
+  double *velocity_m_per_s; /* (n_masses, 3) */
+  double *impulse_n_s;      /* (n_masses, 3) */
+  double *sane_m;           /* (n_masses, 3) positions before the present step */
+  double *activation;       /* (n_springs) */
+  double *input;            /* (n_inputs) */
+  double *scratch;          /* (2, MO_HIDDEN) */
+};
+
+static double sense(enum mo_sensor sensor, double distance_m)
+{
+  if (sensor == MO_SENSOR_INVERSE_SQUARE)
+    return 1.0 / (distance_m * distance_m + 1e-4);
+  return 1.0 / (sqrt(distance_m + 1e-8) + 1e-8);
+}
+
+/* Light at each mass, less the body's mean, into the inputs at the masses' lattice places. */
+static void sense_light(struct reference *r)
+{
+  const struct mo_body *body = r->body;
+  double mean = 0;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const double *p = r->position_m + 3 * (size_t)i;
+    const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
+    const double light = sense(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
+    r->input[body->mass_lattice[i]] = light;
+    mean += light;
+  }
+  mean /= body->n_masses;
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    r->input[body->mass_lattice[i]] -= mean;
+}
+
+/* Activations of the body's springs at the start of step `step` (from 0). */
+static void control(struct reference *r, uint32_t step)
+{
+  sense_light(r);
+  const double t = step * r->physics->dt_s;
+  for (int k = 0; k < MO_CPG_INPUTS; k++)
+    r->input[r->controller->n_masses + (uint32_t)k] = sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
+  mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
+                        r->scratch);
+}
+
+/* Impulses of all springs over one step. */
+static void pull_springs(struct reference *r)
+{
+  const struct mo_body *body = r->body;
+  const struct mo_physics *physics = r->physics;
+  memset(r->impulse_n_s, 0, (size_t)body->n_masses * 3 * sizeof(double));
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
+    double d[3];
+    for (int axis = 0; axis < 3; axis++)
+      d[axis] = r->position_m[a + axis] - r->position_m[b + axis];
+    const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+    double rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
+    if (r->controller != NULL)
+      rest *= 1.0 + physics->actuation * r->activation[s];
+    const double pull = physics->dt_s * physics->stiffness_n_per_m * (length - rest) / (length + 1e-8);
+    for (int axis = 0; axis < 3; axis++) {
+      r->impulse_n_s[a + axis] -= pull * d[axis];
+      r->impulse_n_s[b + axis] += pull * d[axis];
+    }
+  }
+}
+
+static void move_masses(struct reference *r)
+{
+  const struct mo_physics *physics = r->physics;
+  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  for (uint32_t i = 0; i < r->body->n_masses; i++) {
+    double *v = r->velocity_m_per_s + 3 * (size_t)i;
+    for (int axis = 0; axis < 3; axis++)
+      v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->mass_kg;
+    v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
+    mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m, r->position_m + 3 * (size_t)i, v);
+  }
+}
+
+/* Finite everywhere and nothing faster than MO_DIVERGED_SPEED_M_PER_S. */
+static bool is_sane(const struct reference *r)
+{
+  for (uint32_t i = 0; i < r->body->n_masses; i++) {
+    const double *p = r->position_m + 3 * (size_t)i, *v = r->velocity_m_per_s + 3 * (size_t)i;
+    if (!(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] <= MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S) ||
+        !isfinite(p[0] + p[1] + p[2]))
+      return false;
+  }
+  return true;
+}
+
+static void record(const struct reference *r, const struct mo_recording *recording, uint32_t step)
+{
+  if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
+    return;
+  const size_t frame = step / recording->stride, n = (size_t)r->body->n_masses * 3;
+  if (recording->com_m != NULL)
+    mo_scene_com(r->position_m, r->body->n_masses, recording->com_m + 3 * frame);
+  if (recording->mass_m != NULL)
+    for (size_t k = 0; k < n; k++)
+      recording->mass_m[frame * n + k] = (float)r->position_m[k];
+}
+
+static int allocate(struct reference *r)
+{
+  const size_t n = r->body->n_masses;
+  r->position_m = calloc(4 * 3 * n, sizeof(double));
+  if (r->position_m == NULL)
+    return MO_ERR_NO_MEMORY;
+  r->velocity_m_per_s = r->position_m + 3 * n;
+  r->impulse_n_s = r->position_m + 6 * n;
+  r->sane_m = r->position_m + 9 * n;
+  if (r->controller == NULL)
+    return MO_OK;
+  r->activation = calloc((size_t)r->body->n_springs + r->controller->n_inputs + 2 * (size_t)MO_HIDDEN, sizeof(double));
+  if (r->activation == NULL) {
+    free(r->position_m);
+    return MO_ERR_NO_MEMORY;
+  }
+  r->input = r->activation + r->body->n_springs;
+  r->scratch = r->input + r->controller->n_inputs;
+  return MO_OK;
+}
+
+static void run(struct reference *r, const struct mo_recording *recording, struct mo_outcome *outcome)
+{
+  const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
+  *outcome = (struct mo_outcome){0};
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
+  record(r, recording, 0);
+  for (uint32_t step = 0; step < r->physics->n_steps; step++) {
+    if (outcome->diverged_step == 0) {
+      memcpy(r->sane_m, r->position_m, bytes);
+      if (r->controller != NULL)
+        control(r, step);
+      pull_springs(r);
+      move_masses(r);
+      if (!is_sane(r)) {
+        outcome->diverged_step = (int32_t)step + 1;
+        memcpy(r->position_m, r->sane_m, bytes);
+      }
+    }
+    record(r, recording, step + 1);
+  }
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
+  outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY
+                                              : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->light_m);
+}
+
+static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
+{
+  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
+}
+
+int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
+                         const struct mo_environment *environment, const struct mo_physics *physics,
+                         const struct mo_recording *recording, struct mo_outcome *outcome)
+{
+  if (controller != NULL && !same_workspace(controller->workspace, body->workspace))
+    return MO_ERR_INVALID;
+  struct reference r = {.body = body,
+                        .controller = controller,
+                        .environment = environment,
+                        .physics = physics,
+                        .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
+  const int status = allocate(&r);
+  if (status < 0)
+    return status;
+  mo_scene_light(environment, r.light_m);
+  mo_scene_start(body, environment, physics, r.position_m);
+  run(&r, recording, outcome);
+  free(r.activation);
+  free(r.position_m);
+  return MO_OK;
+}

@@ -1,0 +1,51 @@
+/* scene.c: start positions, light, centre of mass, loss. */
+#include "rollout/scene.h"
+
+#include <math.h>
+
+void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
+                    const struct mo_physics *physics, double *position_m)
+{
+  const double left = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx;
+  const double front = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny;
+  uint16_t lowest = UINT16_MAX;
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    if (body->mass_xyz[3 * i + 2] < lowest)
+      lowest = body->mass_xyz[3 * i + 2];
+  double lift = -INFINITY;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    double *p = position_m + 3 * (size_t)i;
+    const uint16_t *cell = body->mass_xyz + 3 * (size_t)i;
+    p[0] = left + MO_VOXEL_M * cell[0];
+    p[1] = front + MO_VOXEL_M * cell[1];
+    p[2] = MO_VOXEL_M * (cell[2] - lowest);
+    if (cell[2] == lowest)
+      lift = fmax(lift, mo_terrain_height(environment->terrain_heights_m, p[0], p[1]));
+  }
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    position_m[3 * (size_t)i + 2] += lift + physics->drop_height_m;
+}
+
+void mo_scene_light(const struct mo_environment *environment, double light_m[3])
+{
+  light_m[0] = environment->light_xy_m[0];
+  light_m[1] = environment->light_xy_m[1];
+  light_m[2] = mo_terrain_height(environment->terrain_heights_m, light_m[0], light_m[1]);
+}
+
+void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])
+{
+  double sum[3] = {0, 0, 0};
+  for (uint32_t i = 0; i < n; i++)
+    for (int axis = 0; axis < 3; axis++)
+      sum[axis] += position_m[3 * (size_t)i + axis];
+  for (int axis = 0; axis < 3; axis++)
+    com_m[axis] = sum[axis] / n;
+}
+
+double mo_scene_loss(const double com_start_m[3], const double com_end_m[3], const double light_xy_m[2])
+{
+  const double start = hypot(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
+  const double end = hypot(com_end_m[0] - light_xy_m[0], com_end_m[1] - light_xy_m[1]);
+  return end / (start + MO_LOSS_GUARD_M);
+}
