@@ -7,6 +7,7 @@
 #ifndef MORPHO_RANDOM_H
 #define MORPHO_RANDOM_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -42,6 +43,7 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index);
 
 uint32_t mo_random_u32(struct mo_random *random);
+void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n); /* n times mo_random_u32, faster */
 uint64_t mo_random_u64(struct mo_random *random);               /* first number is the low half */
 double mo_random_uniform(struct mo_random *random);             /* [0, 1), 53 bits */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n); /* uniform on 0 … n−1, unbiased; 0 for n = 0 */

@@ -1,0 +1,154 @@
+/* random.c: Philox4x32-10 and the streams made of it.
+ *
+ * One block is ten rounds of two 32 × 32 → 64 bit products on four counter words; see Salmon et al., "Parallel random
+ * numbers: as easy as 1, 2, 3", SC 2011. Blocks do not depend on one another, so mo_random_fill computes several at once. */
+#include <morpho/random.h>
+
+#include "base/normal.h"
+
+#define MULTIPLIER_0 UINT32_C(0xD2511F53)
+#define MULTIPLIER_1 UINT32_C(0xCD9E8D57)
+#define WEYL_0       UINT32_C(0x9E3779B9)
+#define WEYL_1       UINT32_C(0xBB67AE85)
+#define ROUNDS       10
+#define LANES        8
+
+void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t out[4])
+{
+  uint32_t c0 = counter[0];
+  uint32_t c1 = counter[1];
+  uint32_t c2 = counter[2];
+  uint32_t c3 = counter[3];
+  uint32_t k0 = key[0];
+  uint32_t k1 = key[1];
+  for (int round = 0; round < ROUNDS; round++) {
+    uint64_t p0 = (uint64_t)MULTIPLIER_0 * c0;
+    uint64_t p1 = (uint64_t)MULTIPLIER_1 * c2;
+    c0 = (uint32_t)(p1 >> 32) ^ c1 ^ k0;
+    c1 = (uint32_t)p1;
+    c2 = (uint32_t)(p0 >> 32) ^ c3 ^ k1;
+    c3 = (uint32_t)p0;
+    k0 += WEYL_0;
+    k1 += WEYL_1;
+  }
+  out[0] = c0;
+  out[1] = c1;
+  out[2] = c2;
+  out[3] = c3;
+}
+
+/* LANES blocks whose first counter words follow one another, written one after the other. */
+static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
+{
+  /* Each lane is a 64-bit word of which the low half counts: the compiler turns the products into vector ones. */
+  uint64_t c0[LANES];
+  uint64_t c1[LANES];
+  uint64_t c2[LANES];
+  uint64_t c3[LANES];
+  for (uint32_t i = 0; i < LANES; i++) {
+    c0[i] = (uint32_t)(counter[0] + i);
+    c1[i] = counter[1];
+    c2[i] = counter[2];
+    c3[i] = counter[3];
+  }
+  uint32_t k0 = key[0];
+  uint32_t k1 = key[1];
+  for (int round = 0; round < ROUNDS; round++) {
+    for (int i = 0; i < LANES; i++) {
+      uint64_t p0 = (c0[i] & UINT32_MAX) * MULTIPLIER_0;
+      uint64_t p1 = (c2[i] & UINT32_MAX) * MULTIPLIER_1;
+      c0[i] = (p1 >> 32) ^ c1[i] ^ k0;
+      c1[i] = p1;
+      c2[i] = (p0 >> 32) ^ c3[i] ^ k1;
+      c3[i] = p0;
+    }
+    k0 += WEYL_0;
+    k1 += WEYL_1;
+  }
+  for (int i = 0; i < LANES; i++) {
+    out[4 * i] = (uint32_t)c0[i];
+    out[4 * i + 1] = (uint32_t)c1[i];
+    out[4 * i + 2] = (uint32_t)c2[i];
+    out[4 * i + 3] = (uint32_t)c3[i];
+  }
+}
+
+void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index)
+{
+  random->key[0] = (uint32_t)seed;
+  random->key[1] = (uint32_t)(seed >> 32);
+  random->counter[0] = 0;
+  random->counter[1] = (uint32_t)index;
+  random->counter[2] = step;
+  random->counter[3] = (uint32_t)purpose << 16 | ((uint32_t)(index >> 32) & 0xffff);
+  random->used = 4;
+}
+
+/* `counter` always names the block after the one in `block`. */
+uint32_t mo_random_u32(struct mo_random *random)
+{
+  if (random->used >= 4) {
+    mo_philox4x32_10(random->counter, random->key, random->block);
+    random->counter[0]++;
+    random->used = 0;
+  }
+  return random->block[random->used++];
+}
+
+void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n)
+{
+  size_t i = 0;
+  while (i < n && random->used < 4) {
+    numbers[i++] = random->block[random->used++];
+  }
+  for (; n - i >= (size_t)LANES * 4; i += (size_t)LANES * 4) {
+    philox_lanes(random->counter, random->key, numbers + i);
+    random->counter[0] += LANES;
+  }
+  if (n - i > 4) { /* the rest, at the price of one group */
+    uint32_t group[LANES * 4];
+    philox_lanes(random->counter, random->key, group);
+    uint32_t whole = (uint32_t)((n - i) / 4);
+    for (uint32_t k = 0; k < whole * 4; k++) {
+      numbers[i++] = group[k];
+    }
+    random->counter[0] += whole;
+  }
+  while (i < n) {
+    numbers[i++] = mo_random_u32(random);
+  }
+}
+
+uint64_t mo_random_u64(struct mo_random *random)
+{
+  uint64_t low = mo_random_u32(random);
+  return low | (uint64_t)mo_random_u32(random) << 32;
+}
+
+double mo_random_uniform(struct mo_random *random)
+{
+  return (double)(mo_random_u64(random) >> 11) * 0x1p-53;
+}
+
+/* Multiply and shift (Lemire 2019): the low half tells whether the number falls into the part that would be counted once
+ * too often. */
+uint32_t mo_random_below(struct mo_random *random, uint32_t n)
+{
+  if (n == 0) {
+    return 0;
+  }
+  uint64_t product = (uint64_t)mo_random_u32(random) * n;
+  if ((uint32_t)product < n) {
+    uint32_t excess = (uint32_t)-n % n;
+    while ((uint32_t)product < excess) {
+      product = (uint64_t)mo_random_u32(random) * n;
+    }
+  }
+  return (uint32_t)(product >> 32);
+}
+
+/* 52 bits and a half: the argument is exact, symmetric about ½, and never 0 or 1. */
+double mo_random_normal(struct mo_random *random)
+{
+  return mo_normal_quantile(((double)(mo_random_u64(random) >> 12) + 0.5) * 0x1p-52);
+}

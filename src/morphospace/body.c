@@ -1,0 +1,152 @@
+/* body.c: the masses and springs that one genotype expresses.
+ *
+ * Voxels mark their masses and springs in two bit arrays over the lattice; reading the marks in order gives both lists
+ * ascending and without duplicates, and counting marks below a mass gives its position. One allocation holds the body. */
+#include <morpho/morphospace.h>
+
+#include "base/memory.h"
+#include "morphospace/bits.h"
+
+#include <stdlib.h>
+
+struct marks {
+  uint64_t *mass;       /* one bit per lattice mass */
+  uint64_t *spring;     /* one bit per lattice spring */
+  uint32_t *mass_below; /* marked masses in the words before this one */
+  uint32_t mass_words, spring_words;
+};
+
+static void mark(const struct mo_lattice *lattice, const uint64_t *bits, struct marks *marks)
+{
+  uint32_t words = mo_workspace_words(lattice->workspace);
+  for (uint32_t w = 0; w < words; w++) {
+    for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
+      size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
+      for (int i = 0; i < 8; i++) {
+        mo_bits_set(marks->mass, lattice->voxel_mass[8 * voxel + i]);
+      }
+      for (int i = 0; i < 24; i++) {
+        mo_bits_set(marks->spring, lattice->voxel_spring[24 * voxel + i]);
+      }
+    }
+  }
+  uint32_t below = 0;
+  for (uint32_t w = 0; w < marks->mass_words; w++) {
+    marks->mass_below[w] = below;
+    below += mo_bits_count_word(marks->mass[w]);
+  }
+}
+
+static uint32_t position(const struct marks *marks, uint32_t mass)
+{
+  uint64_t lower = marks->mass[mass >> 6] & ((UINT64_C(1) << (mass & 63)) - 1);
+  return marks->mass_below[mass >> 6] + mo_bits_count_word(lower);
+}
+
+/* The arrays of a body, widest elements first, behind the structure itself. */
+struct arrays {
+  uint32_t *mass_lattice, *spring_lattice, *spring_a, *spring_b;
+  uint16_t *mass_xyz;
+  uint8_t *spring_diagonal;
+};
+
+static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct arrays *arrays)
+{
+  const size_t header = (sizeof(struct mo_body) + MO_CACHE_LINE_BYTES - 1) / MO_CACHE_LINE_BYTES * MO_CACHE_LINE_BYTES;
+  size_t bytes = header + n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
+                 n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
+  char *memory = mo_alloc_aligned(bytes, 1);
+  if (memory == NULL) {
+    return NULL;
+  }
+  arrays->mass_lattice = (uint32_t *)(void *)(memory + header);
+  arrays->spring_lattice = arrays->mass_lattice + n_masses;
+  arrays->spring_a = arrays->spring_lattice + n_springs;
+  arrays->spring_b = arrays->spring_a + n_springs;
+  arrays->mass_xyz = (uint16_t *)(void *)(arrays->spring_b + n_springs);
+  arrays->spring_diagonal = (uint8_t *)(arrays->mass_xyz + (size_t)3 * n_masses);
+  struct mo_body *body = (struct mo_body *)(void *)memory;
+  body->n_masses = n_masses;
+  body->n_springs = n_springs;
+  body->mass_lattice = arrays->mass_lattice;
+  body->mass_xyz = arrays->mass_xyz;
+  body->spring_lattice = arrays->spring_lattice;
+  body->spring_a = arrays->spring_a;
+  body->spring_b = arrays->spring_b;
+  body->spring_diagonal = arrays->spring_diagonal;
+  return body;
+}
+
+static void fill(const struct mo_lattice *lattice, const struct marks *marks, struct arrays *arrays)
+{
+  const uint32_t side_y = lattice->workspace.ny + UINT32_C(1);
+  const uint32_t side_z = lattice->workspace.nz + UINT32_C(1);
+  uint32_t n = 0;
+  for (uint32_t w = 0; w < marks->mass_words; w++) {
+    for (uint64_t rest = marks->mass[w]; rest != 0; rest &= rest - 1) {
+      uint32_t mass = w * 64 + (uint32_t)__builtin_ctzll(rest);
+      arrays->mass_lattice[n] = mass;
+      arrays->mass_xyz[3 * (size_t)n] = (uint16_t)(mass / side_z / side_y);
+      arrays->mass_xyz[3 * (size_t)n + 1] = (uint16_t)(mass / side_z % side_y);
+      arrays->mass_xyz[3 * (size_t)n + 2] = (uint16_t)(mass % side_z);
+      n++;
+    }
+  }
+  n = 0;
+  for (uint32_t w = 0; w < marks->spring_words; w++) {
+    for (uint64_t rest = marks->spring[w]; rest != 0; rest &= rest - 1) {
+      uint32_t spring = w * 64 + (uint32_t)__builtin_ctzll(rest);
+      arrays->spring_lattice[n] = spring;
+      arrays->spring_a[n] = position(marks, lattice->spring_a[spring]);
+      arrays->spring_b[n] = position(marks, lattice->spring_b[spring]);
+      arrays->spring_diagonal[n] = lattice->spring_diagonal[spring];
+      n++;
+    }
+  }
+}
+
+int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_body **body)
+{
+  uint32_t n_voxels = mo_genotype_count(lattice->workspace, bits);
+  if (n_voxels == 0) {
+    return MO_ERR_EMPTY;
+  }
+  struct marks marks = {.mass_words = (lattice->n_masses + 63) / 64, .spring_words = (lattice->n_springs + 63) / 64};
+  size_t bytes =
+      ((size_t)marks.mass_words + marks.spring_words) * sizeof(uint64_t) + marks.mass_words * sizeof(uint32_t);
+  uint64_t local[256];
+  uint64_t *memory = local;
+  if (bytes > sizeof(local)) {
+    memory = mo_alloc_aligned(bytes, 1);
+    if (memory == NULL) {
+      return MO_ERR_NO_MEMORY;
+    }
+  } else {
+    memset(local, 0, bytes);
+  }
+  marks.mass = memory;
+  marks.spring = memory + marks.mass_words;
+  marks.mass_below = (uint32_t *)(marks.spring + marks.spring_words);
+  mark(lattice, bits, &marks);
+
+  int code = MO_ERR_NO_MEMORY;
+  struct arrays arrays;
+  struct mo_body *made =
+      allocate(mo_bits_count(marks.mass, marks.mass_words), mo_bits_count(marks.spring, marks.spring_words), &arrays);
+  if (made != NULL) {
+    made->workspace = lattice->workspace;
+    made->n_voxels = n_voxels;
+    fill(lattice, &marks, &arrays);
+    *body = made;
+    code = MO_OK;
+  }
+  if (memory != local) {
+    free(memory);
+  }
+  return code;
+}
+
+void mo_body_free(struct mo_body *body)
+{
+  free(body);
+}

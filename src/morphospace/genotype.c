@@ -1,0 +1,272 @@
+/* genotype.c: genotypes in and out of lists of cells, text and bytes; counting and comparing. */
+#include <morpho/morphospace.h>
+
+#include "morphospace/bits.h"
+#include "morphospace/shape.h"
+
+#include <string.h>
+
+static uint32_t voxel_of(struct mo_workspace workspace, const int64_t cell[3])
+{
+  return ((uint32_t)cell[0] * workspace.ny + (uint32_t)cell[1]) * workspace.nz + (uint32_t)cell[2];
+}
+
+static void tell(struct mo_cell_fault *fault, size_t cell, size_t other, int axis)
+{
+  if (fault != NULL) {
+    *fault = (struct mo_cell_fault){.cell = cell, .other = other, .axis = axis};
+  }
+}
+
+/* Sets the cells in `bits`; the first cell out of the workspace or seen before ends it. */
+static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n, uint64_t *bits,
+                     struct mo_cell_fault *fault)
+{
+  const int64_t side[3] = {workspace.nx, workspace.ny, workspace.nz};
+  for (size_t i = 0; i < n; i++) {
+    for (int axis = 0; axis < 3; axis++) {
+      if (cells[i][axis] < 0 || cells[i][axis] >= side[axis]) {
+        tell(fault, i, 0, axis);
+        return MO_ERR_RANGE;
+      }
+    }
+    uint32_t voxel = voxel_of(workspace, cells[i]);
+    if (mo_bits_get(bits, voxel)) {
+      size_t earlier = 0;
+      while (voxel_of(workspace, cells[earlier]) != voxel) {
+        earlier++;
+      }
+      tell(fault, i, earlier, 0);
+      return MO_ERR_DUPLICATE;
+    }
+    mo_bits_set(bits, voxel);
+  }
+  return MO_OK;
+}
+
+int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n, uint64_t *bits,
+                           struct mo_cell_fault *fault)
+{
+  uint32_t words = mo_workspace_words(workspace);
+  if (n == 0) {
+    tell(fault, 0, 0, 0);
+    return MO_ERR_EMPTY;
+  }
+  struct mo_scratch all;
+  if (mo_scratch_open(&all, words) != MO_OK) {
+    return MO_ERR_NO_MEMORY;
+  }
+  struct mo_scratch reached;
+  if (mo_scratch_open(&reached, words) != MO_OK) {
+    mo_scratch_close(&all);
+    return MO_ERR_NO_MEMORY;
+  }
+  int code = set_cells(workspace, cells, n, all.bits, fault);
+  if (code == MO_OK) {
+    code = mo_shape_component(workspace, all.bits, voxel_of(workspace, cells[0]), reached.bits);
+  }
+  for (size_t i = 1; code == MO_OK && i < n; i++) {
+    if (!mo_bits_get(reached.bits, voxel_of(workspace, cells[i]))) {
+      tell(fault, i, 0, 0);
+      code = MO_ERR_NOT_CONTIGUOUS;
+    }
+  }
+  if (code == MO_OK) {
+    memcpy(bits, all.bits, words * sizeof(uint64_t));
+  }
+  mo_scratch_close(&reached);
+  mo_scratch_close(&all);
+  return code;
+}
+
+/* The first voxel that the lowest one does not reach; MO_OK if there is none. */
+static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint32_t *apart)
+{
+  uint32_t words = mo_workspace_words(workspace);
+  uint32_t first = 0;
+  while (first < words && bits[first] == 0) {
+    first++;
+  }
+  if (first == words) {
+    *apart = 0;
+    return MO_ERR_EMPTY;
+  }
+  struct mo_scratch reached;
+  if (mo_scratch_open(&reached, words) != MO_OK) {
+    return MO_ERR_NO_MEMORY;
+  }
+  int code = mo_shape_component(workspace, bits, first * 64 + (uint32_t)__builtin_ctzll(bits[first]), reached.bits);
+  for (uint32_t w = 0; code == MO_OK && w < words; w++) {
+    uint64_t rest = bits[w] & ~reached.bits[w];
+    if (rest != 0) {
+      *apart = w * 64 + (uint32_t)__builtin_ctzll(rest);
+      code = MO_ERR_NOT_CONTIGUOUS;
+    }
+  }
+  mo_scratch_close(&reached);
+  return code;
+}
+
+int mo_genotype_is_contiguous(struct mo_workspace workspace, const uint64_t *bits)
+{
+  uint32_t apart;
+  int code = find_apart(workspace, bits, &apart);
+  return code == MO_OK ? 1 : code == MO_ERR_NO_MEMORY ? code : 0;
+}
+
+int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length, uint64_t *bits,
+                          struct mo_cell_fault *fault)
+{
+  uint32_t voxels = mo_workspace_voxels(workspace);
+  uint32_t words = mo_workspace_words(workspace);
+  if (length != voxels) {
+    tell(fault, length, 0, 0);
+    return MO_ERR_RANGE;
+  }
+  struct mo_scratch scratch;
+  if (mo_scratch_open(&scratch, words) != MO_OK) {
+    return MO_ERR_NO_MEMORY;
+  }
+  int code = MO_OK;
+  uint32_t place = 0;
+  for (uint32_t v = 0; code == MO_OK && v < voxels; v++) {
+    if (text[v] == '1') {
+      mo_bits_set(scratch.bits, v);
+    } else if (text[v] != '0') {
+      place = v;
+      code = MO_ERR_FORMAT;
+    }
+  }
+  if (code == MO_OK) {
+    code = find_apart(workspace, scratch.bits, &place);
+  }
+  if (code == MO_OK) {
+    memcpy(bits, scratch.bits, words * sizeof(uint64_t));
+  } else if (code != MO_ERR_NO_MEMORY) {
+    tell(fault, place, 0, 0);
+  }
+  mo_scratch_close(&scratch);
+  return code;
+}
+
+void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, char *text)
+{
+  uint32_t voxels = mo_workspace_voxels(workspace);
+  for (uint32_t v = 0; v < voxels; v++) {
+    text[v] = mo_bits_get(bits, v) ? '1' : '0';
+  }
+  text[voxels] = '\0';
+}
+
+static uint64_t reverse_bits_of_bytes(uint64_t word)
+{
+  word = (word >> 1 & UINT64_C(0x5555555555555555)) | (word & UINT64_C(0x5555555555555555)) << 1;
+  word = (word >> 2 & UINT64_C(0x3333333333333333)) | (word & UINT64_C(0x3333333333333333)) << 2;
+  return (word >> 4 & UINT64_C(0x0f0f0f0f0f0f0f0f)) | (word & UINT64_C(0x0f0f0f0f0f0f0f0f)) << 4;
+}
+
+void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, uint8_t *bytes)
+{
+  uint32_t n = (mo_workspace_voxels(workspace) + 7) / 8;
+  uint64_t word = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    word = i % 8 == 0 ? reverse_bits_of_bytes(bits[i / 8]) : word >> 8;
+    bytes[i] = (uint8_t)word;
+  }
+}
+
+int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes, uint64_t *bits)
+{
+  uint32_t voxels = mo_workspace_voxels(workspace);
+  uint32_t n = (voxels + 7) / 8;
+  if (voxels % 8 != 0 && (bytes[n - 1] & (0xff >> voxels % 8)) != 0) {
+    return MO_ERR_FORMAT;
+  }
+  memset(bits, 0, mo_workspace_words(workspace) * sizeof(uint64_t));
+  for (uint32_t i = 0; i < n; i++) {
+    bits[i / 8] |= reverse_bits_of_bytes(bytes[i]) << i % 8 * 8;
+  }
+  return MO_OK;
+}
+
+uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
+{
+  return mo_bits_count(bits, mo_workspace_words(workspace));
+}
+
+uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b)
+{
+  uint32_t words = mo_workspace_words(workspace);
+  uint32_t count = 0;
+  for (uint32_t w = 0; w < words; w++) {
+    count += mo_bits_count_word(a[w] ^ b[w]);
+  }
+  return count;
+}
+
+/* ---- ids ---- */
+
+static int digit_value(char digit)
+{
+  if (digit >= '0' && digit <= '9') {
+    return digit - '0';
+  }
+  if (digit >= 'a' && digit <= 'f') {
+    return digit - 'a' + 10;
+  }
+  if (digit >= 'A' && digit <= 'F') {
+    return digit - 'A' + 10;
+  }
+  return -1;
+}
+
+/* The bits that the digits spell; MO_ERR_FORMAT for another digit or bits past the last voxel. */
+static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits)
+{
+  for (size_t i = 0; i < n; i++) {
+    int value = digit_value(id[i]);
+    if (value < 0) {
+      return MO_ERR_FORMAT;
+    }
+    uint64_t nibble = (uint64_t)((value & 1) << 3 | (value & 2) << 1 | (value & 4) >> 1 | (value & 8) >> 3);
+    if (i + 1 == n && voxels % 4 != 0 && nibble >> voxels % 4 != 0) {
+      return MO_ERR_FORMAT;
+    }
+    bits[i / 16] |= nibble << i % 16 * 4;
+  }
+  return MO_OK;
+}
+
+int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length, uint64_t *form)
+{
+  uint32_t voxels = mo_workspace_voxels(workspace);
+  uint32_t words = mo_workspace_words(workspace);
+  if (length != (voxels + 3) / 4) {
+    return MO_ERR_FORMAT;
+  }
+  struct mo_scratch given;
+  if (mo_scratch_open(&given, words) != MO_OK) {
+    return MO_ERR_NO_MEMORY;
+  }
+  struct mo_scratch canonical;
+  if (mo_scratch_open(&canonical, words) != MO_OK) {
+    mo_scratch_close(&given);
+    return MO_ERR_NO_MEMORY;
+  }
+  uint32_t apart;
+  int code = read_digits(voxels, id, length, given.bits);
+  if (code == MO_OK) {
+    code = find_apart(workspace, given.bits, &apart);
+  }
+  if (code == MO_OK) {
+    mo_genotype_canonical(workspace, given.bits, canonical.bits);
+    if (memcmp(given.bits, canonical.bits, words * sizeof(uint64_t)) != 0) {
+      code = MO_ERR_FORMAT;
+    } else {
+      memcpy(form, given.bits, words * sizeof(uint64_t));
+    }
+  }
+  mo_scratch_close(&canonical);
+  mo_scratch_close(&given);
+  return code;
+}

@@ -1,0 +1,150 @@
+/* lattice.c: all masses and springs of a workspace, and which of them each voxel expresses.
+ *
+ * From a mass, springs lead to at most nine masses of higher index: three edges and six face diagonals, `steps` below, in
+ * the order of the far end. A spring's index is therefore first[a] + the number of earlier steps that exist at a, where
+ * first[a] counts the springs of all lower masses. */
+#include <morpho/morphospace.h>
+
+#include "base/memory.h"
+
+#include <stdlib.h>
+
+#define STEPS 9
+
+struct step {
+  int8_t x, y, z;
+};
+
+static const struct step steps[STEPS] = {{0, 0, 1},  {0, 1, -1}, {0, 1, 0}, {0, 1, 1}, {1, -1, 0},
+                                         {1, 0, -1}, {1, 0, 0},  {1, 0, 1}, {1, 1, 0}};
+
+static int is_diagonal(struct step step)
+{
+  return (step.x != 0) + (step.y != 0) + (step.z != 0) > 1;
+}
+
+/* Bit i: step i leads to a mass of the workspace. */
+static unsigned steps_at(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z)
+{
+  unsigned mask = 0;
+  for (int i = 0; i < STEPS; i++) {
+    int32_t far_x = x + steps[i].x;
+    int32_t far_y = y + steps[i].y;
+    int32_t far_z = z + steps[i].z;
+    if (far_x <= workspace.nx && far_y >= 0 && far_y <= workspace.ny && far_z >= 0 && far_z <= workspace.nz) {
+      mask |= 1U << i;
+    }
+  }
+  return mask;
+}
+
+static uint32_t mass_at(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z)
+{
+  return ((uint32_t)x * (workspace.ny + UINT32_C(1)) + (uint32_t)y) * (workspace.nz + UINT32_C(1)) + (uint32_t)z;
+}
+
+static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b, uint8_t *diagonal, uint32_t *first)
+{
+  uint32_t spring = 0;
+  uint32_t mass = 0;
+  for (int32_t x = 0; x <= workspace.nx; x++) {
+    for (int32_t y = 0; y <= workspace.ny; y++) {
+      for (int32_t z = 0; z <= workspace.nz; z++) {
+        unsigned mask = steps_at(workspace, x, y, z);
+        first[mass] = spring;
+        for (int i = 0; i < STEPS; i++) {
+          if (mask >> i & 1) {
+            a[spring] = mass;
+            b[spring] = mass_at(workspace, x + steps[i].x, y + steps[i].y, z + steps[i].z);
+            diagonal[spring] = (uint8_t)is_diagonal(steps[i]);
+            spring++;
+          }
+        }
+        mass++;
+      }
+    }
+  }
+}
+
+/* Corners in ascending order of mass, steps in ascending order of the far end: both lists come out ascending. */
+static void fill_voxel(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z, const uint32_t *first,
+                       uint32_t masses[8], uint32_t springs[24])
+{
+  int n = 0;
+  for (int corner = 0; corner < 8; corner++) {
+    int32_t corner_x = corner >> 2;
+    int32_t corner_y = corner >> 1 & 1;
+    int32_t corner_z = corner & 1;
+    uint32_t mass = mass_at(workspace, x + corner_x, y + corner_y, z + corner_z);
+    unsigned mask = steps_at(workspace, x + corner_x, y + corner_y, z + corner_z);
+    masses[corner] = mass;
+    for (int i = 0; i < STEPS; i++) {
+      int32_t far_x = corner_x + steps[i].x;
+      int32_t far_y = corner_y + steps[i].y;
+      int32_t far_z = corner_z + steps[i].z;
+      if (far_x <= 1 && far_y >= 0 && far_y <= 1 && far_z >= 0 && far_z <= 1) {
+        unsigned earlier = mask & ((1U << i) - 1);
+        springs[n++] = first[mass] + (uint32_t)__builtin_popcount(earlier);
+      }
+    }
+  }
+}
+
+int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice)
+{
+  int code = mo_workspace_check(workspace);
+  if (code != MO_OK) {
+    return code;
+  }
+  struct mo_lattice *made = calloc(1, sizeof(*made));
+  if (made == NULL) {
+    return MO_ERR_NO_MEMORY;
+  }
+  made->workspace = workspace;
+  made->n_voxels = mo_workspace_voxels(workspace);
+  made->n_masses = mo_workspace_masses(workspace);
+  made->n_springs = mo_workspace_springs(workspace);
+  uint32_t *spring_a = mo_alloc_aligned(made->n_springs, sizeof(uint32_t));
+  uint32_t *spring_b = mo_alloc_aligned(made->n_springs, sizeof(uint32_t));
+  uint8_t *diagonal = mo_alloc_aligned(made->n_springs, 1);
+  uint32_t *voxel_mass = mo_alloc_aligned(made->n_voxels, 8 * sizeof(uint32_t));
+  uint32_t *voxel_spring = mo_alloc_aligned(made->n_voxels, 24 * sizeof(uint32_t));
+  uint32_t *first = mo_alloc_aligned(made->n_masses, sizeof(uint32_t));
+  made->spring_a = spring_a;
+  made->spring_b = spring_b;
+  made->spring_diagonal = diagonal;
+  made->voxel_mass = voxel_mass;
+  made->voxel_spring = voxel_spring;
+  if (spring_a == NULL || spring_b == NULL || diagonal == NULL || voxel_mass == NULL || voxel_spring == NULL ||
+      first == NULL) {
+    free(first);
+    mo_lattice_free(made);
+    return MO_ERR_NO_MEMORY;
+  }
+  fill_springs(workspace, spring_a, spring_b, diagonal, first);
+  size_t voxel = 0;
+  for (int32_t x = 0; x < workspace.nx; x++) {
+    for (int32_t y = 0; y < workspace.ny; y++) {
+      for (int32_t z = 0; z < workspace.nz; z++) {
+        fill_voxel(workspace, x, y, z, first, voxel_mass + 8 * voxel, voxel_spring + 24 * voxel);
+        voxel++;
+      }
+    }
+  }
+  free(first);
+  *lattice = made;
+  return MO_OK;
+}
+
+void mo_lattice_free(struct mo_lattice *lattice)
+{
+  if (lattice == NULL) {
+    return;
+  }
+  free((void *)lattice->spring_a);
+  free((void *)lattice->spring_b);
+  free((void *)lattice->spring_diagonal);
+  free((void *)lattice->voxel_mass);
+  free((void *)lattice->voxel_spring);
+  free(lattice);
+}

@@ -1,0 +1,140 @@
+/* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.h) and single voxels (grid.h). */
+#include "morphospace/shape.h"
+
+#include "morphospace/bits.h"
+#include "morphospace/grid.h"
+#include "morphospace/slabs.h"
+
+static int is_default(struct mo_workspace workspace)
+{
+  return workspace.nx == 6 && workspace.ny == 6 && workspace.nz == 4;
+}
+
+/* Runs STATEMENTS with `s` as the slab shape, as a constant if the workspace is the default one. */
+#define WITH_SLABS(workspace, statements)                                                                              \
+  do {                                                                                                                 \
+    uint64_t slab[MO_SLABS_MAX];                                                                                       \
+    if (is_default(workspace)) {                                                                                       \
+      const struct mo_slab_shape s = MO_SLAB_SHAPE_DEFAULT;                                                            \
+      statements                                                                                                       \
+    } else {                                                                                                           \
+      const struct mo_slab_shape s = mo_slabs_shape(workspace);                                                        \
+      statements                                                                                                       \
+    }                                                                                                                  \
+  } while (0)
+
+int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start, uint64_t *reached)
+{
+  if (!mo_slabs_fit(workspace)) {
+    return mo_grid_component(workspace, bits, start, reached);
+  }
+  uint64_t part[MO_SLABS_MAX] = {0};
+  uint32_t length = (uint32_t)workspace.ny * workspace.nz;
+  part[start / length] = UINT64_C(1) << start % length;
+  WITH_SLABS(workspace, {
+    mo_slabs_load(s, bits, slab);
+    mo_slabs_flood(s, slab, part);
+    mo_slabs_store(s, part, reached);
+  });
+  return MO_OK;
+}
+
+int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits)
+{
+  if (!mo_slabs_fit(workspace)) {
+    return mo_grid_keep_largest(workspace, bits);
+  }
+  WITH_SLABS(workspace, {
+    mo_slabs_load(s, bits, slab);
+    mo_slabs_keep_largest(s, slab);
+    mo_slabs_store(s, slab, bits);
+  });
+  return MO_OK;
+}
+
+/* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is least at one shift or at
+ * two neighbouring ones, and monotone on either side of them. */
+int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum)
+{
+  int64_t count = (int64_t)n;
+  int64_t lacking = count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
+  /* ceil(lacking / 2n − ½): the nearest integer, the lower one in the middle between two. */
+  int64_t above = lacking - count;
+  int64_t shift = above >= 0 ? (above + 2 * count - 1) / (2 * count) : -(-above / (2 * count));
+  int64_t least = -(int64_t)low;
+  int64_t most = (int64_t)side - 1 - (int64_t)high;
+  return (int32_t)(shift < least ? least : shift > most ? most : shift);
+}
+
+void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits)
+{
+  if (!mo_slabs_fit(workspace)) {
+    mo_grid_place(workspace, bits);
+    return;
+  }
+  WITH_SLABS(workspace, {
+    mo_slabs_load(s, bits, slab);
+    mo_slabs_place(s, slab);
+    mo_slabs_store(s, slab, bits);
+  });
+}
+
+void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form)
+{
+  uint32_t words = mo_workspace_words(workspace);
+  if (mo_bits_empty(bits, words)) {
+    memset(form, 0, words * sizeof(uint64_t));
+    return;
+  }
+  if (!mo_slabs_fit(workspace)) {
+    struct mo_grid_view view;
+    mo_grid_view_canonical(workspace, bits, &view);
+    mo_grid_view_write(workspace, bits, &view, form);
+    return;
+  }
+  WITH_SLABS(workspace, {
+    mo_slabs_load(s, bits, slab);
+    mo_slabs_canonical(s, slab);
+    mo_slabs_store(s, slab, form);
+  });
+}
+
+int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, uint64_t *image)
+{
+  if (k > 7) {
+    return MO_ERR_RANGE;
+  }
+  struct mo_grid_view view;
+  int code = mo_grid_view_image(workspace, bits, k, &view);
+  if (code == MO_OK) {
+    mo_grid_view_write(workspace, bits, &view, image);
+  }
+  return code;
+}
+
+/* Small forms are made in words; others are read off the view voxel by voxel, so that no memory is needed. */
+void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
+{
+  static const char digits[] = "0123456789abcdef";
+  uint32_t voxels = mo_workspace_voxels(workspace);
+  uint32_t n = (voxels + 3) / 4;
+  if (voxels <= MO_SCRATCH_WORDS * 64) {
+    uint64_t form[MO_SCRATCH_WORDS];
+    mo_genotype_canonical(workspace, bits, form);
+    for (uint32_t i = 0; i < n; i++) {
+      uint64_t nibble = form[i / 16] >> i % 16 * 4;
+      id[i] = digits[(nibble & 1) << 3 | (nibble & 2) << 1 | (nibble & 4) >> 1 | (nibble & 8) >> 3];
+    }
+  } else {
+    struct mo_grid_view view;
+    mo_grid_view_canonical(workspace, bits, &view);
+    for (uint32_t i = 0; i < n; i++) {
+      unsigned digit = 0;
+      for (uint32_t v = 4 * i; v < 4 * i + 4; v++) {
+        digit = digit << 1 | (v < voxels && mo_grid_view_get(workspace, bits, &view, v) ? 1U : 0U);
+      }
+      id[i] = digits[digit];
+    }
+  }
+  id[n] = '\0';
+}
