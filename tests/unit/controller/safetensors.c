@@ -1,0 +1,581 @@
+/* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1 file; a text of its header is
+ * replaced, and the message must name the fault. */
+#include "../check.h"
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <morpho/controller.h>
+#include <morpho/random.h>
+
+struct blob {
+  uint8_t *bytes;
+  size_t size;
+};
+
+static struct blob good_file(void)
+{
+  struct blob blob = {NULL, 0};
+  struct mo_controller *c = NULL;
+  if (mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) < 0)
+    return blob;
+  mo_controller_randomize(c, 3);
+  if (mo_controller_encode(c, &blob.bytes, &blob.size) < 0)
+    blob.bytes = NULL;
+  mo_controller_free(c);
+  return blob;
+}
+
+/* A file of this header (its length is written, no padding) and the data of `good`, with `extra` more bytes of data. */
+static struct blob with_header(const struct blob *good, const char *header, size_t length, ptrdiff_t extra)
+{
+  uint64_t old;
+  memcpy(&old, good->bytes, 8);
+  const size_t data = good->size - 8 - old;
+  struct blob blob = {calloc(1, 8 + length + data + (extra > 0 ? (size_t)extra : 0)), 0};
+  if (blob.bytes == NULL)
+    return blob;
+  const uint64_t n = length;
+  memcpy(blob.bytes, &n, 8);
+  memcpy(blob.bytes + 8, header, length);
+  memcpy(blob.bytes + 8 + length, good->bytes + 8 + old, data);
+  blob.size = (size_t)((ptrdiff_t)(8 + length + data) + extra);
+  return blob;
+}
+
+static char *header_text(const struct blob *good)
+{
+  uint64_t n;
+  memcpy(&n, good->bytes, 8);
+  return strndup((const char *)good->bytes + 8, n);
+}
+
+/* Decodes; reports the code and what the message lacks. */
+static void expect(const char *name, const struct blob *blob, int code, const char *says)
+{
+  struct mo_controller *c = NULL;
+  struct mo_message message = {""};
+  const int r = mo_controller_decode(blob->bytes, blob->size, &c, &message);
+  if (r != code || (says != NULL && strstr(message.text, says) == NULL) || (r < 0 && c != NULL)) {
+    check_failures++;
+    printf("# %s: code %d (expected %d), message \"%s\" (expected \"%s\")\n", name, r, code, message.text,
+           says ? says : "");
+  }
+  mo_controller_free(c);
+}
+
+struct edit {
+  const char *name, *find, *replace;
+  int code;
+  const char *says;
+};
+
+static const struct edit edits[] = {
+    {"nothing changed", "\"F32\"", "\"F32\"", MO_OK, ""},
+    {"dtype", "\"F32\"", "\"F16\"", MO_ERR_FORMAT, "tensor net.0.weight has dtype \"F16\"; expected \"F32\""},
+    {"dtype is no text", "\"F32\"", "32", MO_ERR_FORMAT, "tensor net.0.weight: expected {\"dtype\""},
+    {"shape transposed", "[256,13]", "[13,256]", MO_ERR_FORMAT,
+     "tensor net.0.weight has shape [13, 256]; expected [256, 13] in a workspace of 1x1x1 voxels"},
+    {"shape too short", "[256,13]", "[3328]", MO_ERR_FORMAT, "shape [3328]; expected [256, 13]"},
+    {"shape too long", "[256,13]", "[256,13,1]", MO_ERR_FORMAT, "shape [256, 13, 1]; expected [256, 13]"},
+    {"shape of hundreds", "[256,13]",
+     "[256,13,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1]",
+     MO_ERR_FORMAT, "tensor net.0.weight has shape [256, 13, 1,"},
+    {"shape of a vector", "[24]", "[24,1]", MO_ERR_FORMAT, "tensor net.9.bias has shape [24, 1]; expected [24]"},
+    {"shape negative", "[256,13]", "[-256,-13]", MO_ERR_FORMAT, "shape [-256, -13]"},
+    {"shape fraction", "[256,13]", "[256.0,13]", MO_ERR_FORMAT, "shape [?, 13]"},
+    {"shape product overflows", "[256,13]", "[4294967296,4294967296]", MO_ERR_FORMAT,
+     "shape [4294967296, 4294967296]; expected [256, 13]"},
+    {"shape beyond 64 bits", "[256,13]", "[18446744073709551616,13]", MO_ERR_FORMAT, "not valid JSON: too big"},
+    {"shape not an array", "[256,13]", "\"256,13\"", MO_ERR_FORMAT, "tensor net.0.weight: expected {\"dtype\""},
+    {"empty shape", "[256,13]", "[]", MO_ERR_FORMAT, "has shape []; expected"},
+    {"overlap", "[13312,14336]", "[0,1024]", MO_ERR_FORMAT, "tensors overlap"},
+    {"partial overlap", "[13312,14336]", "[13308,14332]", MO_ERR_FORMAT,
+     "tensor net.0.bias starts at byte 13308 of the data; expected 13312: tensors overlap"},
+    {"beyond the end", "[13312,14336]", "[4000000,4001024]", MO_ERR_FORMAT,
+     "tensor net.0.bias ends at byte 4001024 of the data, which has"},
+    {"begin after end", "[13312,14336]", "[14336,13312]", MO_ERR_FORMAT, "tensor net.0.bias: data_offsets must be"},
+    {"negative offset", "[13312,14336]", "[-1024,0]", MO_ERR_FORMAT, "tensor net.0.bias: data_offsets must be"},
+    {"offset near 2^63", "[13312,14336]", "[9223372036854774783,9223372036854775807]", MO_ERR_FORMAT,
+     "tensor net.0.bias ends at byte 9223372036854775807"},
+    {"offset as fraction", "[13312,14336]", "[13312.0,14336.0]", MO_ERR_FORMAT, "data_offsets must be"},
+    {"one offset", "[13312,14336]", "[13312]", MO_ERR_FORMAT, "data_offsets must be"},
+    {"three offsets", "[13312,14336]", "[13312,14336,14336]", MO_ERR_FORMAT, "data_offsets must be"},
+    {"wrong span", "[13312,14336]", "[13312,14340]", MO_ERR_FORMAT,
+     "tensor net.0.bias spans 1028 bytes; expected 1024"},
+    {"shifted onto the next", "[13312,14336]", "[14336,15360]", MO_ERR_FORMAT,
+     "tensor net.0.bias starts at byte 14336 of the data; expected 13312: there is a gap"},
+    {"tensor renamed", "net.9.bias", "net.9.bios", MO_ERR_FORMAT, "unexpected tensor \"net.9.bios\""},
+    {"strange name", "net.9.bias", "n\\u001b[31m\xc3\xa4", MO_ERR_FORMAT, "unexpected tensor \"n?[31m??\""},
+    {"long name", "net.9.bias",
+     "aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa",
+     MO_ERR_FORMAT, "unexpected tensor \"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\""},
+    {"tensor is null", "{\"dtype\":\"F32\",\"shape\":[24],", "{\"shape\":[24],", MO_ERR_FORMAT,
+     "tensor net.9.bias: expected {\"dtype\""},
+    {"more fields", "\"shape\":[24],", "\"shape\":[24],\"stride\":[1],", MO_ERR_FORMAT, "tensor net.9.bias: expected"},
+    {"extra tensor", "\"net.9.bias\"",
+     "\"net.10.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"net.9.bias\"", MO_ERR_FORMAT,
+     "unexpected tensor \"net.10.bias\""},
+    {"tensor twice", "\"net.0.bias\"", "\"net.0.weight\"", MO_ERR_FORMAT, "duplicate"},
+    {"key twice in a tensor", "\"shape\":[24],", "\"shape\":[24],\"shape\":[24],", MO_ERR_FORMAT, "duplicate"},
+    {"metadata key twice", "\"mass_order\":", "\"sensor\":\"inverse_sqrt\",\"mass_order\":", MO_ERR_FORMAT,
+     "duplicate"},
+    {"NUL in a value", "lexicographic", "lex\\u0000graphic", MO_ERR_FORMAT, "not valid JSON"},
+    {"NUL in a name", "net.9.bias", "net.9.bias\\u0000", MO_ERR_FORMAT, "not valid JSON"},
+    {"broken UTF-8", "lexicographic", "\xff\xfe", MO_ERR_FORMAT, "not valid JSON"},
+    {"lone surrogate", "lexicographic", "\\ud800", MO_ERR_FORMAT, "not valid JSON"},
+    {"1e400", "[24]", "[1e400]", MO_ERR_FORMAT, "not valid JSON"},
+    {"NaN literal", "[24]", "[NaN]", MO_ERR_FORMAT, "not valid JSON"},
+    {"trailing text", "}}", "}} x", MO_ERR_FORMAT, "not valid JSON"},
+    {"spring order", "lexicographic", "random", MO_ERR_FORMAT,
+     "metadata \"spring_order\" is \"random endpoint pairs\"; expected \"lexicographic endpoint pairs\""},
+    {"mass order", "(x*2+y)", "(y*2+x)", MO_ERR_FORMAT, "metadata \"mass_order\" is \"x-major lattice (y*2+x)*2+z\""},
+    {"sensor", "\"inverse_sqrt\"", "\"inverse_cube\"", MO_ERR_FORMAT,
+     "metadata \"sensor\" is \"inverse_cube\"; expected \"inverse_sqrt\" or"},
+    {"sensor is no text", "\"inverse_sqrt\"", "7", MO_ERR_FORMAT, "metadata \"sensor\" is not a text"},
+    {"metadata of lists", "\"1x1x1\"", "[1,1,1]", MO_ERR_FORMAT, "metadata \"workspace\" is not a text"},
+    {"workspace of two", "\"1x1x1\"", "\"1x1\"", MO_ERR_FORMAT, "metadata \"workspace\" is \"1x1\""},
+    {"workspace of four", "\"1x1x1\"", "\"1x1x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace with zero", "\"1x1x1\"", "\"0x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace with sign", "\"1x1x1\"", "\"+1x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace with leading zero", "\"1x1x1\"", "\"01x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace with space", "\"1x1x1\"", "\"1x1x1 \"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace empty", "\"1x1x1\"", "\"\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace beyond 16 bits", "\"1x1x1\"", "\"65537x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace wraps", "\"1x1x1\"", "\"4294967297x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace too large", "\"1x1x1\"", "\"65535x65535x65535\"", MO_ERR_LIMIT, "at most 1048576 in all"},
+    {"workspace of other shapes", "\"1x1x1\"", "\"1x2x1\"", MO_ERR_FORMAT, "metadata \"mass_order\""},
+    {"no workspace named", "\"workspace\":\"1x1x1\"", "\"note\":\"\"", MO_ERR_FORMAT,
+     "expected \"x-major lattice (x*7+y)*5+z\""},
+};
+
+static void hostile_headers(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  char *header = header_text(&good);
+  for (size_t i = 0; i < sizeof(edits) / sizeof(edits[0]); i++) {
+    const struct edit *e = &edits[i];
+    const char *at = strstr(header, e->find);
+    if (at == NULL) {
+      check_failures++;
+      printf("# %s: the header has no %s\n", e->name, e->find);
+      continue;
+    }
+    char *text = NULL;
+    const int n = asprintf(&text, "%.*s%s%s", (int)(at - header), header, e->replace, at + strlen(e->find));
+    REQUIRE(n > 0);
+    struct blob bad = with_header(&good, text, (size_t)n, 0);
+    expect(e->name, &bad, e->code, e->says);
+    free(bad.bytes);
+    free(text);
+  }
+  free(header);
+  free(good.bytes);
+}
+
+static void expect_header(const struct blob *good, const char *name, const char *header, size_t n, int code,
+                          const char *says)
+{
+  struct blob bad = with_header(good, header, n, 0);
+  expect(name, &bad, code, says);
+  free(bad.bytes);
+}
+
+static void not_an_object(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  const char *const texts[] = {"", "[]", " {}", "\xef\xbb\xbf{}", "null", "\"{\"", "\n{}"};
+  for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
+    expect_header(&good, texts[i], texts[i], strlen(texts[i]), MO_ERR_FORMAT, "its first byte must be '{'");
+  expect_header(&good, "unfinished", "{", 1, MO_ERR_FORMAT, "not valid JSON");
+  expect_header(&good, "empty object", "{}", 2, MO_ERR_FORMAT, "tensor net.0.weight is missing");
+  expect_header(&good, "raw NUL", "{\0}", 3, MO_ERR_FORMAT, "not valid JSON");
+  expect_header(&good, "metadata list", "{\"__metadata__\":[]}", 19, MO_ERR_FORMAT,
+                "\"__metadata__\" is not an object");
+  free(good.bytes);
+}
+
+static void depth_bombs(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  const size_t n = 1 << 20;
+  char *text = malloc(n + 1);
+  REQUIRE(text != NULL);
+  memcpy(text, "{\"a\":", 5);
+  memset(text + 5, '[', n - 5);
+  expect_header(&good, "a million brackets", text, n, MO_ERR_FORMAT, "nests deeper than 64 levels");
+  expect_header(&good, "65 levels", text, 5 + 64, MO_ERR_FORMAT, "nests deeper than 64 levels");
+  expect_header(&good, "64 levels", text, 5 + 63, MO_ERR_FORMAT, "not valid JSON");
+  for (size_t i = 5; i + 5 <= n; i += 5)
+    memcpy(text + i, "{\"a\":", 5);
+  expect_header(&good, "objects in objects", text, n - n % 5, MO_ERR_FORMAT, "nests deeper than 64 levels");
+  /* Brackets in texts are only text, also behind escaped quotes. */
+  const int used = snprintf(text, n, "{\"\\\"");
+  memset(text + used, '[', 500);
+  memcpy(text + used + 500, "\":1}", 5);
+  expect_header(&good, "brackets in a text", text, (size_t)used + 504, MO_ERR_FORMAT, "unexpected tensor \"\"[[[");
+  free(text);
+  free(good.bytes);
+}
+
+static void lengths(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  uint64_t header;
+  memcpy(&header, good.bytes, 8);
+  CHECK_INT((8 + header) % 8, 0);
+  /* Every truncation of the header, and some of the data. */
+  for (size_t n = 0; n < good.size; n += n < 8 + header + 64 ? 1 : 4099) {
+    struct mo_controller *c = NULL;
+    struct mo_message message = {""};
+    uint8_t *part = malloc(n + 1); /* exactly as long as it says, so that ASan sees a step beyond */
+    REQUIRE(part != NULL);
+    memcpy(part, good.bytes, n);
+    part = realloc(part, n > 0 ? n : 1);
+    CHECK_INT(mo_controller_decode(part, n, &c, &message), MO_ERR_FORMAT);
+    CHECK(message.text[0] != '\0' && c == NULL);
+    free(part);
+  }
+  const struct {
+    uint64_t claim;
+    int code;
+  } claims[] = {{UINT64_MAX, MO_ERR_LIMIT},     {UINT64_C(1) << 63, MO_ERR_LIMIT},
+                {UINT64_MAX - 7, MO_ERR_LIMIT}, {(1 << 20) + 1, MO_ERR_LIMIT},
+                {1 << 20, MO_ERR_FORMAT},       {good.size - 7, MO_ERR_FORMAT},
+                {good.size - 8, MO_ERR_FORMAT}, {0, MO_ERR_FORMAT},
+                {header - 8, MO_ERR_FORMAT},    {header + 8, MO_ERR_FORMAT}};
+  for (size_t i = 0; i < sizeof(claims) / sizeof(claims[0]); i++) {
+    memcpy(good.bytes, &claims[i].claim, 8);
+    expect("header length", &good, claims[i].code, NULL);
+  }
+  memcpy(good.bytes, &header, 8);
+  char *text = header_text(&good);
+  struct blob longer = with_header(&good, text, strlen(text), 4);
+  expect("more data", &longer, MO_ERR_FORMAT, "the tensors end at byte");
+  free(longer.bytes);
+  struct blob shorter = with_header(&good, text, strlen(text), -1);
+  expect("less data", &shorter, MO_ERR_FORMAT, "tensor net.9.bias ends at byte");
+  free(shorter.bytes);
+  /* The last tensor 4 bytes later: a gap. */
+  char *at = strstr(text, "\"net.9.bias\"");
+  REQUIRE(at != NULL);
+  unsigned long begin = 0, end = 0;
+  REQUIRE(sscanf(strstr(at, "data_offsets"), "data_offsets\":[%lu,%lu]", &begin, &end) == 2);
+  char *gap = NULL;
+  REQUIRE(asprintf(&gap, "%.*s\"net.9.bias\":{\"dtype\":\"F32\",\"shape\":[24],\"data_offsets\":[%lu,%lu]}}",
+                   (int)(at - text), text, begin + 4, end + 4) > 0);
+  struct blob gapped = with_header(&good, gap, strlen(gap), 4);
+  expect("gap", &gapped, MO_ERR_FORMAT, "there is a gap between tensors");
+  free(gapped.bytes);
+  free(gap);
+  /* Without the last tensor. */
+  at[-1] = '}';
+  at[0] = '\0';
+  struct blob missing = with_header(&good, text, strlen(text), 0);
+  expect("missing", &missing, MO_ERR_FORMAT, "tensor net.9.bias is missing");
+  free(missing.bytes);
+  free(text);
+  free(good.bytes);
+}
+
+static void many_metadata(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  char *header = header_text(&good), *text = malloc(200000);
+  REQUIRE(text != NULL);
+  int n = sprintf(text, "{\"__metadata__\":{\"workspace\":\"1x1x1\"");
+  const char *rest = strstr(header, "},") + 1;
+  const int start = n;
+  for (int i = 0; i < 1019; i++)
+    n += sprintf(text + n, ",\"%d\":\"\"", i);
+  int m = n + sprintf(text + n, "}%s", rest);
+  expect_header(&good, "1020 entries", text, (size_t)m, MO_OK, "");
+  m = n + sprintf(text + n, ",\"x\":\"\"}%s", rest);
+  expect_header(&good, "1021 entries", text, (size_t)m, MO_ERR_LIMIT, "has 1021 entries; at most 1020");
+  n = start + sprintf(text + start, ",\"long\":\"");
+  memset(text + n, 'a', 65537);
+  m = n + 65536 + sprintf(text + n + 65536, "\"}%s", rest);
+  expect_header(&good, "64 KiB", text, (size_t)m, MO_OK, "");
+  text[n + 65536] = 'a';
+  m = n + 65537 + sprintf(text + n + 65537, "\"}%s", rest);
+  expect_header(&good, "64 KiB and one", text, (size_t)m, MO_ERR_LIMIT, "metadata \"long\" is longer");
+  free(text);
+  free(header);
+  free(good.bytes);
+}
+
+static void values_not_finite(void)
+{
+  struct mo_controller *c = NULL;
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  const float bad[] = {NAN, -NAN, INFINITY, -INFINITY};
+  float *const places[] = {&c->weight[0][0], &c->norm_gain[1][7], &c->bias[3][23]};
+  const char *const names[] = {"tensor net.0.weight: value 0 is", "tensor net.4.weight: value 7 is",
+                               "tensor net.9.bias: value 23 is"};
+  for (int p = 0; p < 3; p++)
+    for (int k = 0; k < 4; k++) {
+      const float before = *places[p];
+      *places[p] = bad[k];
+      struct blob blob;
+      REQUIRE(mo_controller_encode(c, &blob.bytes, &blob.size) == MO_OK);
+      expect("not finite", &blob, MO_ERR_FORMAT, names[p]);
+      free(blob.bytes);
+      *places[p] = before;
+    }
+  mo_controller_free(c);
+}
+
+/* A good header with random bytes replaced: never a crash, and what is accepted is whole. */
+static void random_damage(void)
+{
+  struct blob good = good_file();
+  REQUIRE(good.bytes != NULL);
+  uint64_t header;
+  memcpy(&header, good.bytes, 8);
+  struct mo_random random;
+  mo_random_init(&random, 11, MO_PURPOSE_CHECK, 0, 0);
+  int accepted = 0, refused = 0;
+  for (int trial = 0; trial < 20000; trial++) {
+    uint8_t saved[4];
+    size_t at[4];
+    const uint32_t n = 1 + mo_random_below(&random, 4);
+    for (uint32_t i = 0; i < n; i++) {
+      at[i] = mo_random_below(&random, (uint32_t)header + 8);
+      saved[i] = good.bytes[at[i]];
+      const char *const likely = "{}[]\",:0123456789-.eE \\u";
+      good.bytes[at[i]] = (uint8_t)(mo_random_below(&random, 2) ? likely[mo_random_below(&random, 24)]
+                                                                : (int)mo_random_below(&random, 256));
+    }
+    struct mo_controller *c = NULL;
+    struct mo_message message = {""};
+    const int r = mo_controller_decode(good.bytes, good.size, &c, &message);
+    if (r == MO_OK) {
+      accepted++;
+      CHECK(c != NULL && c->n_parameters * 4 + 8 + header == good.size);
+    } else {
+      refused++;
+      CHECK(c == NULL && (r == MO_ERR_FORMAT || r == MO_ERR_LIMIT) && message.text[0] != '\0');
+    }
+    mo_controller_free(c);
+    for (uint32_t i = n; i-- > 0;)
+      good.bytes[at[i]] = saved[i];
+  }
+  printf("# %d accepted, %d refused\n", accepted, refused);
+  CHECK(accepted > 0 && refused > 10000);
+  free(good.bytes);
+}
+
+static void round_trip(void)
+{
+  struct mo_controller *a = NULL, *b = NULL;
+  struct mo_message message = {""};
+  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE, &a) == MO_OK);
+  mo_controller_randomize(a, 9);
+  CHECK_INT(mo_controller_set_metadata(a, "note", "\"quotes\" \\ \n \x01 \xc2\xb5"), MO_OK);
+  struct blob first, second;
+  REQUIRE(mo_controller_encode(a, &first.bytes, &first.size) == MO_OK);
+  REQUIRE(mo_controller_decode(first.bytes, first.size, &b, &message) == MO_OK);
+  CHECK_INT(b->n_parameters, a->n_parameters);
+  CHECK(memcmp(a->parameters, b->parameters, a->n_parameters * sizeof(float)) == 0);
+  CHECK_INT(b->sensor, MO_SENSOR_INVERSE_SQUARE);
+  CHECK_INT(b->workspace.nz, 3);
+  CHECK_INT(b->n_metadata, a->n_metadata);
+  for (size_t i = 0; i < a->n_metadata; i++) {
+    CHECK_TEXT(b->metadata[i].key, a->metadata[i].key);
+    CHECK_TEXT(b->metadata[i].value, a->metadata[i].value);
+  }
+  REQUIRE(mo_controller_encode(b, &second.bytes, &second.size) == MO_OK);
+  CHECK(first.size == second.size && memcmp(first.bytes, second.bytes, first.size) == 0);
+  free(first.bytes);
+  free(second.bytes);
+  mo_controller_free(a);
+  mo_controller_free(b);
+}
+
+static char *source_path(const char *relative)
+{
+  const char *root = getenv("MORPHO_SOURCE_DIR");
+  char *path = NULL;
+  return asprintf(&path, "%s/%s", root != NULL ? root : ".", relative) < 0 ? NULL : path;
+}
+
+static struct blob slurp(const char *path)
+{
+  struct blob blob = {NULL, 0};
+  FILE *file = path != NULL ? fopen(path, "rb") : NULL;
+  if (file == NULL)
+    return blob;
+  fseek(file, 0, SEEK_END);
+  blob.size = (size_t)ftell(file);
+  rewind(file);
+  blob.bytes = malloc(blob.size + 1);
+  if (blob.bytes != NULL && fread(blob.bytes, 1, blob.size, file) != blob.size)
+    blob.size = 0;
+  fclose(file);
+  return blob;
+}
+
+/* The header was written by the safetensors package: other order of tensors in header and data. */
+static void from_package(void)
+{
+  char *path = source_path("tests/golden/safetensors-package-1x1x1.header");
+  struct blob header = slurp(path);
+  free(path);
+  REQUIRE(header.bytes != NULL);
+  const size_t n = 256 * 13 + 2 * 65536 + 24 * 256 + 24 + 9 * 256;
+  struct blob file = {malloc(header.size + n * 4), header.size + n * 4};
+  REQUIRE(file.bytes != NULL);
+  memcpy(file.bytes, header.bytes, header.size);
+  for (size_t i = 0; i < n; i++) {
+    const float value = (float)i;
+    memcpy(file.bytes + header.size + 4 * i, &value, 4);
+  }
+  struct mo_controller *c = NULL;
+  struct mo_message message = {""};
+  CHECK_INT(mo_controller_decode(file.bytes, file.size, &c, &message), MO_OK);
+  CHECK_TEXT(message.text, "");
+  REQUIRE(c != NULL);
+  CHECK_NEAR((double)c->bias[0][0], 0, 0); /* sorted by name: net.0.bias comes first */
+  CHECK_NEAR((double)c->weight[0][0], 256, 0);
+  CHECK_NEAR((double)c->weight[0][13 * 256 - 1], 256 + 13 * 256 - 1, 0);
+  CHECK_NEAR((double)c->norm_shift[0][0], 14 * 256, 0);
+  CHECK_NEAR((double)c->weight[3][24 * 256 - 1], (double)n - 1, 0);
+  CHECK_INT(c->sensor, MO_SENSOR_INVERSE_SQUARE);
+  CHECK_TEXT(mo_controller_get_metadata(c, "note"), "quotes \" and \\ and \xc2\xb5 and \xe8\xaa\x9e");
+  mo_controller_free(c);
+  free(file.bytes);
+  free(header.bytes);
+}
+
+static void bootstrap(void)
+{
+  char *path = source_path("data/controllers/bootstrap.safetensors");
+  struct mo_controller *c = NULL;
+  struct mo_message message = {""};
+  CHECK_INT(mo_controller_read(path, &c, &message), MO_OK);
+  REQUIRE(c != NULL);
+  CHECK_INT(c->n_parameters, 620912);
+  CHECK_TEXT(mo_controller_get_metadata(c, "sensor"), "inverse_sqrt");
+  /* Our writer gives the same bytes as the program that trained it. */
+  struct blob ours, theirs = slurp(path);
+  REQUIRE(mo_controller_encode(c, &ours.bytes, &ours.size) == MO_OK);
+  CHECK(ours.size == theirs.size && memcmp(ours.bytes, theirs.bytes, ours.size) == 0);
+  free(ours.bytes);
+  free(theirs.bytes);
+  free(path);
+  mo_controller_free(c);
+}
+
+static char folder[] = "/tmp/morpho-controller-XXXXXX";
+
+static void read_faults(void)
+{
+  struct mo_controller *c = NULL;
+  struct mo_message message = {""};
+  char path[64];
+  snprintf(path, sizeof(path), "%s/absent", folder);
+  CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_NOT_FOUND);
+  CHECK(strstr(message.text, "No such file") != NULL);
+  CHECK_INT(mo_controller_read(folder, &c, &message), MO_ERR_IO);
+  CHECK_TEXT(message.text, "not a regular file");
+  snprintf(path, sizeof(path), "%s/pipe", folder);
+  REQUIRE(mkfifo(path, 0600) == 0);
+  CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_IO); /* at once, although nobody writes */
+  unlink(path);
+  snprintf(path, sizeof(path), "%s/short", folder);
+  const int fd = open(path, O_CREAT | O_WRONLY | O_CLOEXEC, 0600);
+  REQUIRE(fd >= 0);
+  CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_FORMAT);
+  CHECK_INT(write(fd, "\x02\0\0\0\0\0\0\0{}", 10), 10);
+  CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_FORMAT);
+  CHECK_TEXT(message.text, "tensor net.0.weight is missing");
+  /* A sparse file beyond the limit. */
+  if (ftruncate(fd, (off_t)MO_CONTROLLER_FILE_MAX + 1) == 0) {
+    CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_LIMIT);
+  }
+  close(fd);
+  unlink(path);
+  CHECK(c == NULL);
+}
+
+static void write_faults(void)
+{
+  struct mo_controller *c = NULL, *back = NULL;
+  struct mo_message message = {""};
+  char path[64];
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  mo_controller_randomize(c, 1);
+  snprintf(path, sizeof(path), "%s/there", folder);
+  CHECK_INT(mo_controller_write(c, path, &message), MO_OK);
+  CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
+  CHECK(back != NULL && memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) == 0);
+  mo_controller_free(back);
+  /* A write that fails half way leaves the old file, and nothing beside it. */
+  back = NULL;
+  const struct rlimit unlimited = {RLIM_INFINITY, RLIM_INFINITY}, small = {1000, RLIM_INFINITY};
+  signal(SIGXFSZ, SIG_IGN);
+  REQUIRE(setrlimit(RLIMIT_FSIZE, &small) == 0);
+  mo_controller_randomize(c, 2);
+  CHECK_INT(mo_controller_write(c, path, &message), MO_ERR_IO);
+  setrlimit(RLIMIT_FSIZE, &unlimited);
+  CHECK(strstr(message.text, "cannot write") != NULL);
+  CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
+  CHECK(back != NULL && memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) != 0);
+  mo_controller_free(back);
+  unlink(path);
+  CHECK_INT(rmdir(folder), 0); /* empty */
+  CHECK_INT(mo_controller_write(c, path, &message), MO_ERR_IO);
+  REQUIRE(mkdir(folder, 0700) == 0);
+  mo_controller_free(c);
+}
+
+static void header_overflow(void)
+{
+  struct mo_controller *c = NULL;
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  char *text = calloc(1, 65537), key[8];
+  REQUIRE(text != NULL);
+  memset(text, 'a', 65536);
+  for (int i = 0; i < 16; i++) {
+    snprintf(key, sizeof(key), "k%d", i);
+    CHECK_INT(mo_controller_set_metadata(c, key, text), MO_OK);
+  }
+  struct blob blob = {NULL, 0};
+  CHECK_INT(mo_controller_encode(c, &blob.bytes, &blob.size), MO_ERR_LIMIT);
+  CHECK(blob.bytes == NULL);
+  free(text);
+  mo_controller_free(c);
+}
+
+static const struct check_case cases[] = {{"round trip", round_trip},
+                                          {"the bootstrap controller", bootstrap},
+                                          {"a header of the safetensors package", from_package},
+                                          {"hostile headers", hostile_headers},
+                                          {"headers that are no object", not_an_object},
+                                          {"depth bombs", depth_bombs},
+                                          {"truncations, lengths, gaps", lengths},
+                                          {"much metadata", many_metadata},
+                                          {"values that are not finite", values_not_finite},
+                                          {"random damage", random_damage},
+                                          {"files that cannot be read", read_faults},
+                                          {"files that cannot be written", write_faults},
+                                          {"a header too long to write", header_overflow}};
+
+int main(int argc, char **argv)
+{
+  if (mkdtemp(folder) == NULL) {
+    printf("Bail out! no temporary folder\n");
+    return 1;
+  }
+  const int r = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
+  rmdir(folder);
+  return r;
+}
