@@ -79,10 +79,12 @@ int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits);
 
 /* Canonical form: aligned to the origin; of the images under z-rotations by 90° and reflections in x and y that fit the
- * workspace, the lexicographically smallest of (dimensions, then bits in voxel order). */
+ * workspace, the lexicographically smallest of (dimensions, then bits in voxel order). `form` must not overlap `bits`; the
+ * form of an empty genotype is empty. */
 void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form);
 
-/* The k-th of the 8 images (k = 0 … 7), aligned to the origin; MO_ERR_RANGE if it does not fit the workspace. */
+/* The k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4, then mirrored in x if k & 1 and in y
+ * if k & 2. MO_ERR_RANGE if it does not fit the workspace. `image` must not overlap `bits`. */
 int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, uint64_t *image);
 
 /* Id: the canonical form as hexadecimal digits (lower case), first voxel in the top bit: ceil(voxels / 4) digits + NUL. */
@@ -98,7 +100,8 @@ uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, c
 /* One random body (paper, appendix A.1), drawn from `random`. */
 int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, uint64_t *bits);
 
-/* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if nothing is left. */
+/* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if nothing is left;
+ * MO_ERR_RANGE for a rate outside 0 … 1. */
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate, struct mo_random *random,
                        uint64_t *child);
 
@@ -109,7 +112,8 @@ int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, cons
 struct mo_form_set;
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set);
 void mo_form_set_free(struct mo_form_set *set);
-/* 1: added; 0: was there; negative: error, set unchanged. `form` must be canonical. */
+/* 1: added; 0: was there; negative: MO_ERR_NO_MEMORY or, for an empty form, MO_ERR_EMPTY; set unchanged. `form` must be
+ * canonical. */
 int mo_form_set_add(struct mo_form_set *set, const uint64_t *form);
 int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form); /* 1 or 0 */
 uint64_t mo_form_set_count(const struct mo_form_set *set);

@@ -1,0 +1,205 @@
+/* form_set.c: an exact set of canonical forms, made for tens of millions of them.
+ *
+ * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default workspace); a slot of
+ * zeros is free, because no form is empty. The hash's top bits choose one of SEGMENTS tables, its other bits the slot. Each
+ * table grows by a quarter on its own when it is 4/5 full, so that a growing set never holds two copies of itself: the peak is
+ * the set plus one table, and forms take between 1.25 and 1.57 times their own size. */
+#include <morpho/morphospace.h>
+
+#include "morphospace/bits.h"
+
+#define SEGMENTS      256
+#define SEGMENT_FIRST 16 /* slots of a table's first size */
+#define SLOTS_MAX     (UINT64_C(1) << 32)
+
+struct segment {
+  uint8_t *slots; /* (capacity, form_bytes) */
+  uint64_t capacity, used;
+};
+
+struct mo_form_set {
+  struct mo_workspace workspace;
+  size_t form_bytes;
+  uint64_t count;
+  size_t bytes;
+  struct segment segments[SEGMENTS];
+};
+
+int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set)
+{
+  int code = mo_workspace_check(workspace);
+  if (code != MO_OK) {
+    return code;
+  }
+  struct mo_form_set *made = calloc(1, sizeof(*made));
+  if (made == NULL) {
+    return MO_ERR_NO_MEMORY;
+  }
+  made->workspace = workspace;
+  made->form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;
+  made->bytes = sizeof(*made);
+  *set = made;
+  return MO_OK;
+}
+
+void mo_form_set_free(struct mo_form_set *set)
+{
+  if (set == NULL) {
+    return;
+  }
+  for (int i = 0; i < SEGMENTS; i++) {
+    free(set->segments[i].slots);
+  }
+  free(set);
+}
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "a form's first bytes are the low bytes of its first word");
+
+static inline uint64_t load(const uint8_t *bytes, size_t n)
+{
+  uint64_t word = 0;
+  memcpy(&word, bytes, n);
+  return word;
+}
+
+static uint64_t mix(uint64_t a, uint64_t b)
+{
+  unsigned __int128 product = (unsigned __int128)a * b;
+  return (uint64_t)product ^ (uint64_t)(product >> 64);
+}
+
+static uint64_t hash(const uint8_t *form, size_t n)
+{
+  uint64_t state = UINT64_C(0x9e3779b97f4a7c15) ^ n;
+  while (n > 16) {
+    state = mix(load(form, 8) ^ UINT64_C(0xa0761d6478bd642f), load(form + 8, 8) ^ state);
+    form += 16;
+    n -= 16;
+  }
+  size_t low = n < 8 ? n : 8;
+  state = mix(load(form, low) ^ UINT64_C(0xe7037ed1a0b428db), load(form + low, n - low) ^ state);
+  return mix(state ^ UINT64_C(0x8ebc6af09c88c6e3), UINT64_C(0x589965cc75374cc3));
+}
+
+static inline __attribute__((always_inline)) int is_free(const uint8_t *slot, size_t n)
+{
+  uint64_t any = 0;
+  size_t i = 0;
+  for (; i + 8 <= n; i += 8) {
+    any |= load(slot + i, 8);
+  }
+  return (any | load(slot + i, n - i)) == 0;
+}
+
+static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, const uint8_t *b, size_t n)
+{
+  uint64_t difference = 0;
+  size_t i = 0;
+  for (; i + 8 <= n; i += 8) {
+    difference |= load(a + i, 8) ^ load(b + i, 8);
+  }
+  return (difference | (load(a + i, n - i) ^ load(b + i, n - i))) == 0;
+}
+
+/* Inlined with a constant n for the default workspace. */
+static inline __attribute__((always_inline)) uint64_t probe(const struct segment *segment, const uint8_t *form,
+                                                            size_t n, uint64_t slot, int *found)
+{
+  for (;;) {
+    const uint8_t *there = segment->slots + slot * n;
+    if (is_equal(there, form, n)) {
+      *found = 1;
+      return slot;
+    }
+    if (is_free(there, n)) {
+      *found = 0;
+      return slot;
+    }
+    slot = slot + 1 < segment->capacity ? slot + 1 : 0;
+  }
+}
+
+/* Where the form is, or the free slot where it would be. The table has a free slot. */
+static uint64_t find(const struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed, int *found)
+{
+  uint64_t slot = (hashed & UINT32_MAX) * segment->capacity >> 32;
+  return n == 18 ? probe(segment, form, 18, slot, found) : probe(segment, form, n, slot, found);
+}
+
+static int grow(struct mo_form_set *set, struct segment *segment)
+{
+  const size_t n = set->form_bytes;
+  struct segment larger = {.used = segment->used};
+  larger.capacity = segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4;
+  if (larger.capacity > SLOTS_MAX || larger.capacity > SIZE_MAX / n) {
+    return MO_ERR_NO_MEMORY;
+  }
+  larger.slots = calloc(larger.capacity, n);
+  if (larger.slots == NULL) {
+    return MO_ERR_NO_MEMORY;
+  }
+  for (uint64_t slot = 0; slot < segment->capacity; slot++) {
+    const uint8_t *form = segment->slots + slot * n;
+    if (!is_free(form, n)) {
+      int found;
+      uint64_t to = find(&larger, form, n, hash(form, n), &found);
+      memcpy(larger.slots + to * n, form, n);
+    }
+  }
+  set->bytes += (larger.capacity - segment->capacity) * n;
+  free(segment->slots);
+  *segment = larger;
+  return MO_OK;
+}
+
+int mo_form_set_add(struct mo_form_set *set, const uint64_t *form)
+{
+  const size_t n = set->form_bytes;
+  if (mo_bits_empty(form, mo_workspace_words(set->workspace))) {
+    return MO_ERR_EMPTY;
+  }
+  const uint8_t *bytes = (const uint8_t *)form;
+  uint64_t hashed = hash(bytes, n);
+  struct segment *segment = &set->segments[hashed >> 56];
+  int found = 0;
+  uint64_t slot = 0;
+  if (segment->capacity > 0) {
+    slot = find(segment, bytes, n, hashed, &found);
+    if (found) {
+      return 0;
+    }
+  }
+  if ((segment->used + 1) * 5 > segment->capacity * 4) {
+    int code = grow(set, segment);
+    if (code != MO_OK) {
+      return code;
+    }
+    slot = find(segment, bytes, n, hashed, &found);
+  }
+  memcpy(segment->slots + slot * n, bytes, n);
+  segment->used++;
+  set->count++;
+  return 1;
+}
+
+int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
+{
+  const uint8_t *bytes = (const uint8_t *)form;
+  uint64_t hashed = hash(bytes, set->form_bytes);
+  const struct segment *segment = &set->segments[hashed >> 56];
+  int found = 0;
+  if (segment->capacity > 0 && !mo_bits_empty(form, mo_workspace_words(set->workspace))) {
+    find(segment, bytes, set->form_bytes, hashed, &found);
+  }
+  return found;
+}
+
+uint64_t mo_form_set_count(const struct mo_form_set *set)
+{
+  return set->count;
+}
+
+size_t mo_form_set_bytes(const struct mo_form_set *set)
+{
+  return set->bytes;
+}

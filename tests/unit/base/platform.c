@@ -1,0 +1,65 @@
+/* platform.c: allocation, clock, error texts. */
+#include "../check.h"
+
+#include "base/clock.h"
+#include "base/memory.h"
+
+#include <morpho/error.h>
+#include <stdint.h>
+
+static void allocation(void)
+{
+  for (size_t n = 0; n < 300; n += 7) {
+    unsigned char *memory = mo_alloc_aligned(n, 3);
+    REQUIRE(memory != NULL);
+    CHECK((uintptr_t)memory % MO_CACHE_LINE_BYTES == 0);
+    int sum = 0;
+    for (size_t i = 0; i < 3 * n; i++) {
+      sum += memory[i];
+      memory[i] = 0xff;
+    }
+    CHECK_INT(sum, 0);
+    free(memory);
+  }
+  volatile size_t huge = SIZE_MAX; /* volatile: the compiler would warn of what is tested here */
+  CHECK(mo_alloc_aligned(huge / 2, 3) == NULL);
+  CHECK(mo_alloc_aligned(huge, 1) == NULL);
+  CHECK(mo_alloc_aligned(huge - 10, 1) == NULL);
+}
+
+static void clock_goes_on(void)
+{
+  uint64_t before = mo_clock_ns();
+  uint64_t now = before;
+  for (int i = 0; i < 1000000 && now < before + 1000; i++) {
+    uint64_t next = mo_clock_ns();
+    CHECK(next >= now);
+    now = next;
+  }
+  CHECK(now >= before + 1000);
+}
+
+static void texts(void)
+{
+  for (int code = MO_ERR_UNSUPPORTED; code <= MO_OK; code++) {
+    for (int other = MO_ERR_UNSUPPORTED; other < code; other++) {
+      CHECK(strcmp(mo_error_text(code), mo_error_text(other)) != 0);
+    }
+    CHECK(strcmp(mo_error_text(code), "unknown error") != 0);
+  }
+  CHECK_TEXT(mo_error_text(1), "unknown error");
+  CHECK_TEXT(mo_error_text(-1000), "unknown error");
+  struct mo_message message;
+  CHECK_INT(mo_fail(&message, MO_ERR_RANGE, "%d is above %s", 7, "six"), MO_ERR_RANGE);
+  CHECK_TEXT(message.text, "7 is above six");
+  CHECK_INT(mo_fail(&message, MO_ERR_LIMIT, "%0500d", 1), MO_ERR_LIMIT);
+  CHECK_INT(strlen(message.text), sizeof(message.text) - 1);
+  CHECK_INT(mo_fail(NULL, MO_ERR_IO, "nobody listens"), MO_ERR_IO);
+}
+
+static const struct check_case cases[] = {
+    {"memory is aligned, zeroed, and checked against overflow", allocation},
+    {"the clock goes on", clock_goes_on},
+    {"codes have words of their own", texts},
+};
+CHECK_MAIN(cases)

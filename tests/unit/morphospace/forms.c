@@ -1,0 +1,163 @@
+/* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies. */
+#include "../check.h"
+
+#include <morpho/morphospace.h>
+
+static const struct mo_workspace home = {6, 6, 4};
+
+static void set_is_exact(void)
+{
+  enum { N = 60000 };
+  struct mo_form_set *set = NULL;
+  REQUIRE(mo_form_set_create(home, &set) == MO_OK);
+  /* Forms from a small range, so that about half come again; a bit array knows which. */
+  static uint8_t seen[N];
+  struct mo_random random;
+  mo_random_init(&random, 51, MO_PURPOSE_CHECK, 0, 0);
+  uint64_t count = 0;
+  int wrong = 0;
+  for (int i = 0; i < N; i++) {
+    uint32_t k = mo_random_below(&random, N / 2);
+    uint64_t form[3] = {k + 1, k % 7 == 0 ? 0 : (uint64_t)k * k, k & 0xffff};
+    wrong += mo_form_set_has(set, form) != seen[k];
+    wrong += mo_form_set_add(set, form) != !seen[k];
+    count += !seen[k];
+    seen[k] = 1;
+  }
+  CHECK_INT(wrong, 0);
+  CHECK_INT(mo_form_set_count(set), count);
+  for (uint32_t k = 0; k < N / 2; k++) {
+    uint64_t form[3] = {k + 1, k % 7 == 0 ? 0 : (uint64_t)k * k, k & 0xffff};
+    wrong += mo_form_set_has(set, form) != seen[k];
+  }
+  CHECK_INT(wrong, 0);
+  const uint64_t nothing[3] = {0};
+  CHECK_INT(mo_form_set_add(set, nothing), MO_ERR_EMPTY);
+  CHECK_INT(mo_form_set_has(set, nothing), 0);
+  mo_form_set_free(set);
+  mo_form_set_free(NULL);
+  CHECK_INT(mo_form_set_create((struct mo_workspace){0, 1, 1}, &set), MO_ERR_RANGE);
+}
+
+static void set_of_other_workspaces(void)
+{
+  static const struct mo_workspace several[] = {{1, 1, 1}, {2, 2, 2}, {4, 4, 4}, {5, 5, 5}, {12, 12, 8}};
+  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
+    struct mo_form_set *set = NULL;
+    REQUIRE(mo_form_set_create(several[i], &set) == MO_OK);
+    uint64_t form[18] = {0};
+    uint32_t voxels = mo_workspace_voxels(several[i]);
+    for (uint32_t v = 0; v < voxels; v++) {
+      form[v / 64] |= UINT64_C(1) << v % 64;
+      CHECK_INT(mo_form_set_has(set, form), 0);
+      CHECK_INT(mo_form_set_add(set, form), 1);
+      CHECK_INT(mo_form_set_add(set, form), 0);
+      CHECK_INT(mo_form_set_has(set, form), 1);
+    }
+    CHECK_INT(mo_form_set_count(set), voxels);
+    mo_form_set_free(set);
+  }
+}
+
+/* At every size the set stays below 30 bytes a form: ten million fit in 300 MiB. */
+static void set_is_small(void)
+{
+  struct mo_form_set *set = NULL;
+  REQUIRE(mo_form_set_create(home, &set) == MO_OK);
+  double worst = 0.0;
+  for (uint64_t i = 0; i < 1000000; i++) {
+    uint64_t form[3] = {i + 1, 0, 0};
+    REQUIRE(mo_form_set_add(set, form) == 1);
+    if (i > 50000) {
+      double bytes = (double)mo_form_set_bytes(set) / (double)(i + 1);
+      worst = bytes > worst ? bytes : worst;
+    }
+  }
+  printf("# at worst %.2f bytes a form\n", worst);
+  CHECK(worst < 30.0 && worst > 18.0);
+  mo_form_set_free(set);
+}
+
+static void stream_is_distinct(void)
+{
+  enum { N = 3000 };
+  struct mo_body_stream *stream = NULL;
+  REQUIRE(mo_body_stream_create(home, 1, &stream) == MO_OK);
+  static uint64_t forms[N][3];
+  static uint64_t bodies[N][3];
+  for (int i = 0; i < N; i++) {
+    REQUIRE(mo_body_stream_next(stream, bodies[i]) == MO_OK);
+    mo_genotype_canonical(home, bodies[i], forms[i]);
+  }
+  int wrong = 0;
+  for (int i = 0; i < N; i++) {
+    for (int j = 0; j < i; j++) {
+      wrong += memcmp(forms[i], forms[j], sizeof(forms[i])) == 0;
+    }
+  }
+  CHECK_INT(wrong, 0);
+  uint64_t draws = mo_body_stream_draws(stream);
+  CHECK(draws > N);
+  mo_body_stream_free(stream);
+
+  /* Its bodies are the plain draws, less those seen before. */
+  struct mo_form_set *seen = NULL;
+  REQUIRE(mo_form_set_create(home, &seen) == MO_OK);
+  int n = 0;
+  for (uint64_t i = 0; i < draws; i++) {
+    struct mo_random random;
+    uint64_t bits[3];
+    uint64_t form[3];
+    mo_random_init(&random, 1, MO_PURPOSE_BODY, 0, i);
+    REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
+    mo_genotype_canonical(home, bits, form);
+    if (mo_form_set_add(seen, form) == 1) {
+      REQUIRE(n < N);
+      wrong += memcmp(bits, bodies[n++], sizeof(bits)) != 0;
+    }
+  }
+  CHECK_INT(n, N);
+  CHECK_INT(wrong, 0);
+  mo_form_set_free(seen);
+
+  /* What is excluded does not come. */
+  REQUIRE(mo_body_stream_create(home, 1, &stream) == MO_OK);
+  for (int i = 0; i < N; i += 2) {
+    CHECK_INT(mo_body_stream_exclude(stream, forms[i]), MO_OK);
+  }
+  for (int i = 1; i < N; i += 2) {
+    uint64_t bits[3];
+    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK);
+    wrong += memcmp(bits, bodies[i], sizeof(bits)) != 0;
+  }
+  CHECK_INT(wrong, 0);
+  mo_body_stream_free(stream);
+  mo_body_stream_free(NULL);
+}
+
+/* 2 × 2 × 1 has four designs: one, two, three and four voxels. */
+static void stream_runs_dry(void)
+{
+  struct mo_body_stream *stream = NULL;
+  REQUIRE(mo_body_stream_create((struct mo_workspace){2, 2, 1}, 3, &stream) == MO_OK);
+  uint64_t bits;
+  uint32_t sizes = 0;
+  for (int i = 0; i < 4; i++) {
+    REQUIRE(mo_body_stream_next(stream, &bits) == MO_OK);
+    sizes |= 1U << mo_genotype_count((struct mo_workspace){2, 2, 1}, &bits);
+  }
+  CHECK_INT(sizes, 0x1e);
+  bits = 77;
+  CHECK_INT(mo_body_stream_next(stream, &bits), MO_ERR_EXHAUSTED);
+  CHECK(bits == 77);
+  mo_body_stream_free(stream);
+}
+
+static const struct check_case cases[] = {
+    {"the set is exact", set_is_exact},
+    {"the set holds forms of any size", set_of_other_workspaces},
+    {"the set is small", set_is_small},
+    {"the stream's bodies are distinct", stream_is_distinct},
+    {"a small workspace runs dry", stream_runs_dry},
+};
+CHECK_MAIN(cases)

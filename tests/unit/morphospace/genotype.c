@@ -1,0 +1,197 @@
+/* genotype.c: cells, text, bytes and ids in and out, and what they refuse. */
+#include "../check.h"
+
+#include <morpho/morphospace.h>
+
+static const struct mo_workspace home = {6, 6, 4};
+
+static int cells(const int64_t (*list)[3], size_t n, struct mo_cell_fault *fault)
+{
+  uint64_t bits[3] = {1, 2, 3};
+  *fault = (struct mo_cell_fault){99, 99, 99};
+  int code = mo_genotype_from_cells(home, list, n, bits, fault);
+  if (code != MO_OK) {
+    CHECK(bits[0] == 1 && bits[1] == 2 && bits[2] == 3); /* outputs untouched */
+  }
+  return code;
+}
+
+static void from_cells(void)
+{
+  struct mo_cell_fault fault;
+  uint64_t bits[3];
+  const int64_t good[3][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}};
+  CHECK_INT(mo_genotype_from_cells(home, good, 3, bits, NULL), MO_OK);
+  CHECK(bits[0] == (1 | UINT64_C(1) << 24 | UINT64_C(1) << 28) && bits[1] == 0 && bits[2] == 0);
+
+  CHECK_INT(cells(good, 0, &fault), MO_ERR_EMPTY);
+  const int64_t out[3][3] = {{0, 0, 0}, {1, 0, 4}, {9, 9, 9}};
+  CHECK_INT(cells(out, 3, &fault), MO_ERR_RANGE);
+  CHECK_INT(fault.cell, 1);
+  CHECK_INT(fault.axis, 2);
+  const int64_t negative[1][3] = {{0, INT64_MIN, 0}};
+  CHECK_INT(cells(negative, 1, &fault), MO_ERR_RANGE);
+  CHECK_INT(fault.cell, 0);
+  CHECK_INT(fault.axis, 1);
+  const int64_t huge[1][3] = {{INT64_C(1) << 32, 0, 0}};
+  CHECK_INT(cells(huge, 1, &fault), MO_ERR_RANGE);
+  CHECK_INT(fault.axis, 0);
+  const int64_t twice[4][3] = {{0, 0, 0}, {1, 0, 0}, {2, 0, 0}, {1, 0, 0}};
+  CHECK_INT(cells(twice, 4, &fault), MO_ERR_DUPLICATE);
+  CHECK_INT(fault.cell, 3);
+  CHECK_INT(fault.other, 1);
+  const int64_t apart[4][3] = {{3, 3, 3}, {3, 3, 2}, {0, 0, 0}, {0, 0, 1}};
+  CHECK_INT(cells(apart, 4, &fault), MO_ERR_NOT_CONTIGUOUS);
+  CHECK_INT(fault.cell, 2);
+  /* Edges and corners do not connect. */
+  const int64_t edge[2][3] = {{3, 3, 3}, {3, 2, 2}};
+  CHECK_INT(cells(edge, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
+  /* Nor does the end of one column with the start of the next. */
+  const int64_t wrap_z[2][3] = {{0, 0, 3}, {0, 1, 0}};
+  CHECK_INT(cells(wrap_z, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
+  const int64_t wrap_y[2][3] = {{0, 5, 0}, {1, 0, 0}};
+  CHECK_INT(cells(wrap_y, 2, &fault), MO_ERR_NOT_CONTIGUOUS);
+}
+
+static void from_text(void)
+{
+  char text[145];
+  uint64_t bits[3];
+  uint64_t same[3];
+  struct mo_cell_fault fault;
+  memset(text, '1', 144);
+  CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_OK);
+  CHECK_INT(mo_genotype_count(home, bits), 144);
+  CHECK(bits[2] == 0xffff);
+  memset(text, '0', 144);
+  CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_ERR_EMPTY);
+  text[143] = '1';
+  CHECK_INT(mo_genotype_from_text(home, text, 144, bits, NULL), MO_OK);
+  CHECK(bits[0] == 0 && bits[1] == 0 && bits[2] == 0x8000);
+  text[7] = '1';
+  CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_ERR_NOT_CONTIGUOUS);
+  CHECK_INT(fault.cell, 143);
+  text[100] = '2';
+  CHECK_INT(mo_genotype_from_text(home, text, 144, bits, &fault), MO_ERR_FORMAT);
+  CHECK_INT(fault.cell, 100);
+  CHECK_INT(mo_genotype_from_text(home, text, 143, bits, &fault), MO_ERR_RANGE);
+  CHECK_INT(fault.cell, 143);
+  CHECK_INT(mo_genotype_from_text(home, text, 145, bits, &fault), MO_ERR_RANGE);
+  CHECK_INT(mo_genotype_from_text(home, "", 0, bits, NULL), MO_ERR_RANGE);
+  CHECK(bits[0] == 0 && bits[1] == 0 && bits[2] == 0x8000);
+
+  struct mo_random random;
+  mo_random_init(&random, 3, MO_PURPOSE_CHECK, 0, 0);
+  for (int i = 0; i < 1000; i++) {
+    REQUIRE(mo_genotype_random(home, &random, bits) == MO_OK);
+    mo_genotype_to_text(home, bits, text);
+    CHECK_INT(strlen(text), 144);
+    REQUIRE(mo_genotype_from_text(home, text, 144, same, NULL) == MO_OK);
+    CHECK(memcmp(bits, same, sizeof(bits)) == 0);
+  }
+}
+
+static void bytes(void)
+{
+  uint64_t bits[3] = {1 | UINT64_C(1) << 13, 0, UINT64_C(1) << 15};
+  uint64_t same[3];
+  uint8_t stored[18];
+  mo_genotype_to_bytes(home, bits, stored);
+  CHECK_INT(stored[0], 0x80);
+  CHECK_INT(stored[1], 0x04);
+  CHECK_INT(stored[17], 0x01);
+  struct mo_random random;
+  mo_random_init(&random, 4, MO_PURPOSE_CHECK, 0, 0);
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1}, {2, 1, 1}, {4, 4, 4}, {3, 3, 3}};
+  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
+    uint32_t voxels = mo_workspace_voxels(several[i]);
+    for (int round = 0; round < 100; round++) {
+      memset(bits, 0, sizeof(bits));
+      for (uint32_t v = 0; v < voxels; v++) {
+        bits[v / 64] |= (uint64_t)mo_random_below(&random, 2) << v % 64;
+      }
+      mo_genotype_to_bytes(several[i], bits, stored);
+      for (uint32_t v = 0; v < voxels; v++) {
+        CHECK_INT(stored[v / 8] >> (7 - v % 8) & 1, bits[v / 64] >> v % 64 & 1);
+      }
+      CHECK_INT(mo_genotype_from_bytes(several[i], stored, same), MO_OK);
+      CHECK(memcmp(bits, same, mo_workspace_words(several[i]) * sizeof(uint64_t)) == 0);
+      if (voxels % 8 != 0) {
+        stored[voxels / 8] |= 1;
+        CHECK_INT(mo_genotype_from_bytes(several[i], stored, same), MO_ERR_FORMAT);
+      }
+    }
+  }
+}
+
+static void ids(void)
+{
+  struct mo_random random;
+  mo_random_init(&random, 5, MO_PURPOSE_CHECK, 0, 0);
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1}, {2, 1, 1}, {7, 3, 1}, {12, 11, 10}};
+  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
+    struct mo_workspace w = several[i];
+    size_t digits = (mo_workspace_voxels(w) + 3) / 4;
+    for (int round = 0; round < 300; round++) {
+      uint64_t bits[21];
+      uint64_t form[21];
+      uint64_t same[21] = {0};
+      char id[400];
+      REQUIRE(mo_genotype_random(w, &random, bits) == MO_OK);
+      mo_genotype_id(w, bits, id);
+      CHECK_INT(strlen(id), digits);
+      mo_genotype_canonical(w, bits, form);
+      REQUIRE(mo_genotype_from_id(w, id, digits, same) == MO_OK);
+      CHECK(memcmp(form, same, mo_workspace_words(w) * sizeof(uint64_t)) == 0);
+      for (size_t v = 0; v < mo_workspace_voxels(w); v++) {
+        unsigned digit = (unsigned)(id[v / 4] <= '9' ? id[v / 4] - '0' : id[v / 4] - 'a' + 10);
+        CHECK_INT(digit >> (3 - v % 4) & 1, form[v / 64] >> v % 64 & 1);
+      }
+    }
+  }
+}
+
+static void bad_ids(void)
+{
+  uint64_t form[3] = {7, 7, 7};
+  const char *one = "800000000000000000000000000000000000";
+  CHECK_INT(mo_genotype_from_id(home, one, 35, form), MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_id(home, "8000000000000000000000000000000000000", 37, form), MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_id(home, "80000000000000000000000000000000000g", 36, form), MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_id(home, "000000000000000000000000000000000000", 36, form), MO_ERR_EMPTY);
+  CHECK_INT(mo_genotype_from_id(home, "a00000000000000000000000000000000000", 36, form), MO_ERR_NOT_CONTIGUOUS);
+  CHECK_INT(mo_genotype_from_id(home, "400000000000000000000000000000000000", 36, form),
+            MO_ERR_FORMAT); /* not aligned */
+  CHECK_INT(mo_genotype_from_id(home, "800000800000000000000000000000000000", 36, form),
+            MO_ERR_FORMAT); /* lies along x */
+  CHECK(form[0] == 7 && form[1] == 7 && form[2] == 7);
+  CHECK_INT(mo_genotype_from_id(home, one, 36, form), MO_OK);
+  CHECK(form[0] == 1 && form[1] == 0 && form[2] == 0);
+  uint64_t upper[3];
+  uint64_t lower[3];
+  CHECK_INT(mo_genotype_from_id(home, "F00000000000000000000000000000000000", 36, upper), MO_OK);
+  CHECK_INT(mo_genotype_from_id(home, "f00000000000000000000000000000000000", 36, lower), MO_OK);
+  CHECK(memcmp(upper, lower, sizeof(upper)) == 0);
+  const struct mo_workspace odd = {3, 1, 1};
+  CHECK_INT(mo_genotype_from_id(odd, "e", 1, form), MO_OK);
+  CHECK_INT(mo_genotype_from_id(odd, "f", 1, form), MO_ERR_FORMAT); /* a bit past the last voxel */
+}
+
+static void distance(void)
+{
+  const uint64_t a[3] = {0xf0, 1, 0x8000};
+  const uint64_t b[3] = {0x0f, 1, 0};
+  CHECK_INT(mo_genotype_hamming(home, a, b), 9);
+  CHECK_INT(mo_genotype_hamming(home, a, a), 0);
+  CHECK_INT(mo_genotype_count(home, a), 6);
+}
+
+static const struct check_case test_cases[] = {
+    {"cells are read or refused with the place of the fault", from_cells},
+    {"text is read or refused with the place of the fault", from_text},
+    {"bytes have voxel 0 in their top bit", bytes},
+    {"ids spell canonical forms and come back", ids},
+    {"ids that are not canonical are refused", bad_ids},
+    {"counts and distances", distance},
+};
+CHECK_MAIN(test_cases)
