@@ -1,0 +1,135 @@
+/* block.c: one worker's scratch, and the way from mo_rollout_block into the kernels.
+ *
+ * The scratch is one allocation that grows to the largest body seen; a block of a body that fits allocates nothing. */
+#include "rollout/fast.h"
+
+#include <stdlib.h>
+#include <time.h>
+#include <x86intrin.h>
+
+enum { ALIGNMENT = 64 };
+
+struct mo_workspace_memory {
+  char *base;
+  size_t size;
+};
+
+int mo_workspace_memory_create(struct mo_workspace_memory **memory)
+{
+  struct mo_workspace_memory *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  *memory = made;
+  return MO_OK;
+}
+
+void mo_workspace_memory_free(struct mo_workspace_memory *memory)
+{
+  if (memory == NULL)
+    return;
+  free(memory->base);
+  free(memory);
+}
+
+size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory)
+{
+  return memory->size + sizeof(*memory);
+}
+
+static void *carve(char *base, size_t *used, size_t n, size_t size)
+{
+  void *piece = base != NULL ? base + *used : NULL;
+  *used += (n * size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+  return piece;
+}
+
+/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns the bytes they need. */
+static size_t lay_out(struct mo_fast_run *run, char *base)
+{
+  const struct mo_pack *pack = run->pack;
+  const size_t real = pack->real_bytes, panel = pack->panel, n_masses = run->body->n_masses;
+  const size_t n_springs = run->body->n_springs, springs_padded = (n_springs + panel - 1) / panel * panel;
+  size_t used = 0;
+  for (int i = 0; i < 2; i++)
+    run->position[i] = carve(base, &used, n_masses * 3 * MO_LANES, real);
+  run->velocity = carve(base, &used, n_masses * 3 * MO_LANES, real);
+  run->start = carve(base, &used, n_masses * 3, sizeof(double));
+  run->spring_ends = carve(base, &used, n_springs * 2, sizeof(uint32_t));
+  run->spring_rest = carve(base, &used, n_springs, real);
+  run->activation = carve(base, &used, 2 * MO_LANES * panel, real);
+  run->terrain = carve(base, &used, (size_t)MO_LANES * MO_CELLS * 4, real);
+  if (!pack->passive) {
+    run->sensor = carve(base, &used, n_masses * MO_LANES, real);
+    run->hidden = carve(base, &used, (size_t)2 * MO_LANES * MO_HIDDEN, real);
+    run->input_weight = carve(base, &used, n_masses * MO_HIDDEN, real);
+    run->output_weight = carve(base, &used, springs_padded * MO_HIDDEN, real);
+    run->output_bias = carve(base, &used, springs_padded, real);
+  }
+  return used;
+}
+
+static int reserve(struct mo_workspace_memory *memory, size_t bytes)
+{
+  if (bytes <= memory->size)
+    return MO_OK;
+  char *larger = aligned_alloc(ALIGNMENT, bytes);
+  if (larger == NULL)
+    return MO_ERR_NO_MEMORY;
+  free(memory->base);
+  memory->base = larger;
+  memory->size = bytes;
+  return MO_OK;
+}
+
+static double now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
+static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
+{
+  struct mo_rollout_profile *total = run->profile, block = {0};
+  run->profile = &block;
+  const double start_s = now_s();
+  const uint64_t start = __rdtsc();
+  const int status = function(run);
+  const double tick_s = (now_s() - start_s) / (double)(__rdtsc() - start);
+  total->pack_s += block.pack_s * tick_s;
+  total->sense_s += block.sense_s * tick_s;
+  total->control_s += block.control_s * tick_s;
+  total->spring_s += block.spring_s * tick_s;
+  total->contact_s += block.contact_s * tick_s;
+  total->rollout_steps += block.rollout_steps;
+  return status;
+}
+
+int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack, const struct mo_body *body,
+                     const struct mo_environment *const *environments, uint32_t n_environments,
+                     const struct mo_physics *physics, const struct mo_recording *recordings,
+                     const struct mo_pause_point *pause, struct mo_rollout_profile *profile,
+                     struct mo_outcome *outcomes)
+{
+  if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
+    return MO_ERR_RANGE;
+  if (!pack->passive && (pack->workspace.nx != body->workspace.nx || pack->workspace.ny != body->workspace.ny ||
+                         pack->workspace.nz != body->workspace.nz))
+    return MO_ERR_INVALID;
+  struct mo_fast_run run = {.pack = pack,
+                            .body = body,
+                            .environments = environments,
+                            .n_environments = n_environments,
+                            .physics = physics,
+                            .recordings = recordings,
+                            .pause = pause,
+                            .profile = profile,
+                            .outcomes = outcomes};
+  const int status = reserve(memory, lay_out(&run, NULL));
+  if (status < 0)
+    return status;
+  lay_out(&run, memory->base);
+  mo_fast_function *const function = mo_fast_find(pack->isa, pack->precision);
+  return profile != NULL ? run_profiled(&run, function) : function(&run);
+}

@@ -1,0 +1,95 @@
+/* fast.h: what block.c prepares and kernel.inc runs. Internal to this room.
+ *
+ * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments: MO_BLOCK_LANES values side
+ * by side, so that a spring or a mass is one vector operation for all environments and needs no gather. The controller's
+ * matrices are cut into panels of `panel` outputs, (k, panel) row-major, so that its products run with outputs side by side
+ * and every environment is one row. */
+#ifndef MORPHO_ROLLOUT_FAST_H
+#define MORPHO_ROLLOUT_FAST_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/rollout.h>
+
+#define MO_LANES MO_BLOCK_LANES
+
+/* The terrain as polynomials: 7 × 7 cells and a rim of cells beyond the map, where the clamped coordinate has no effect.
+ * Cell (i, j), −1 ≤ i, j ≤ 7, at (j + 1)·9 + (i + 1): h + u·a + w·b + u·w·c with u, w measured from the cell's corner. */
+#define MO_CELLS_SIDE 9
+#define MO_CELLS      (MO_CELLS_SIDE * MO_CELLS_SIDE)
+
+struct mo_pack {
+  enum mo_isa isa;
+  enum mo_precision precision;
+  bool passive;
+  struct mo_workspace workspace;
+  enum mo_sensor sensor;
+  uint32_t n_masses, n_springs;
+  uint32_t vector, panel; /* reals per vector; outputs per panel: two vectors */
+  size_t real_bytes, bytes;
+  /* One allocation; float where the weights are only read to be packed again for a body. */
+  float *input_weight;                       /* (n_masses, 256): transposed */
+  float *output_weight, *output_bias;        /* (n_springs, 256), (n_springs): as in the file */
+  void *cpg_weight;                          /* reals (5, 256): transposed */
+  void *hidden_weight[MO_HIDDEN_LAYERS - 1]; /* reals (256 / panel, 256, panel) */
+  void *bias[MO_HIDDEN_LAYERS];              /* reals (256) */
+  void *gain[MO_HIDDEN_LAYERS], *shift[MO_HIDDEN_LAYERS];
+};
+
+struct mo_fast_run {
+  const struct mo_pack *pack;
+  const struct mo_body *body;
+  const struct mo_environment *const *environments;
+  uint32_t n_environments;
+  const struct mo_physics *physics;
+  const struct mo_recording *recordings;
+  const struct mo_pause_point *pause;
+  struct mo_rollout_profile *profile;
+  struct mo_outcome *outcomes;
+  /* Scratch, carved by block.c. */
+  void *input_weight;    /* (256 / panel, n_masses, panel) of the body's masses */
+  void *output_weight;   /* (n_panels, 256, panel); the last panel is one vector wide if that holds the rest */
+  void *output_bias;     /* (n_panels · panel) */
+  uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
+  void *spring_rest;     /* (n_springs) rest lengths */
+  void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's centre */
+  void *velocity;        /* (n_masses, 3, lanes) */
+  double *start;         /* (n_masses, 3) */
+  void *sensor;          /* (n_masses, lanes) */
+  void *hidden;          /* (2, lanes, 256) */
+  void *activation;      /* (lanes, panel), then (panel, lanes) */
+  void *terrain;         /* (lanes, MO_CELLS, 4) */
+};
+
+typedef int mo_fast_function(struct mo_fast_run *run);
+mo_fast_function mo_fast_baseline_float, mo_fast_baseline_double;
+mo_fast_function mo_fast_avx2_float, mo_fast_avx2_double;
+mo_fast_function mo_fast_avx512_float, mo_fast_avx512_double;
+
+/* tanh over n values in place and the plain product c = init + x·w, for tests: the kernels' own code. n: a multiple of the
+ * vector; x (rows, k); w one panel (k, panel); init (panel); c (rows, panel). */
+struct mo_fast_probe {
+  void *tanh_values;
+  size_t n_tanh;
+  uint32_t rows, k;
+  const void *x, *w, *init;
+  void *c;
+};
+typedef void mo_fast_probe_function(const struct mo_fast_probe *probe);
+mo_fast_probe_function mo_fast_probe_baseline_float, mo_fast_probe_baseline_double;
+mo_fast_probe_function mo_fast_probe_avx2_float, mo_fast_probe_avx2_double;
+mo_fast_probe_function mo_fast_probe_avx512_float, mo_fast_probe_avx512_double;
+
+/* The kernels of an instruction set; NULL where this build has none. */
+mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
+mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision precision);
+uint32_t mo_isa_vector_bytes(enum mo_isa isa);
+
+/* sin and exp from IEEE operations alone, so that the bits do not depend on the C library's choice for the processor. Within
+ * 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤ x ≤ 0 respectively. */
+double mo_fast_sin(double x);
+double mo_fast_exp(double x);
+
+#endif
