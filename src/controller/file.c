@@ -19,11 +19,11 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
   if (size > MO_CONTROLLER_FILE_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "the file has %zu bytes; at most %" PRIu64 " are accepted", size,
                    MO_CONTROLLER_FILE_MAX);
-  uint32_t header_size;
+  uint32_t header_size = 0;
   int r = mo_safetensors_header_size(bytes, size, &header_size, message);
   if (r < 0)
     return r;
-  struct mo_safetensors file;
+  struct mo_safetensors file = {0};
   r = mo_safetensors_parse((const char *)bytes + 8, header_size, size, &file, message);
   if (r < 0)
     return r;
@@ -63,7 +63,7 @@ static int read_header(int fd, uint64_t size, struct mo_safetensors *file, struc
 {
   uint8_t prefix[8] = {0};
   int r = read_at(fd, prefix, size < 8 ? size : 8, 0, message);
-  uint32_t header_size;
+  uint32_t header_size = 0;
   if (r == MO_OK)
     r = mo_safetensors_header_size(prefix, size, &header_size, message);
   if (r < 0)
@@ -89,9 +89,9 @@ static int read_open(int fd, struct mo_controller **controller, struct mo_messag
   if (size > MO_CONTROLLER_FILE_MAX)
     return mo_fail(message, MO_ERR_LIMIT, "the file has %" PRIu64 " bytes; at most %" PRIu64 " are accepted", size,
                    MO_CONTROLLER_FILE_MAX);
-  struct mo_safetensors file;
+  struct mo_safetensors file = {0};
   int r = read_header(fd, size, &file, message);
-  if (r < 0)
+  if (r < 0 || file.controller == NULL)
     return r;
   for (int i = 0; i < MO_CONTROLLER_TENSORS && r == MO_OK; i++)
     r = read_at(fd, file.controller->parameters + file.tensors[i].offset, file.tensors[i].count * sizeof(float),

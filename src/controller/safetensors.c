@@ -370,8 +370,8 @@ static json_t *build_header(const struct mo_controller *controller)
   mo_controller_tensors(controller->workspace, tensors);
   for (int i = 0; ok && i < MO_CONTROLLER_TENSORS; i++) {
     const struct mo_tensor *t = &tensors[i];
-    const json_int_t begin = (json_int_t)(t->offset * sizeof(float));
-    const json_int_t end = (json_int_t)((t->offset + t->count) * sizeof(float));
+    const json_int_t begin = (json_int_t)t->offset * (json_int_t)sizeof(float);
+    const json_int_t end = begin + (json_int_t)t->count * (json_int_t)sizeof(float);
     json_t *shape = t->n_dims == 1 ? json_pack("[I]", (json_int_t)t->shape[0])
                                    : json_pack("[I, I]", (json_int_t)t->shape[0], (json_int_t)t->shape[1]);
     json_t *entry = json_pack("{s:s, s:o, s:[I, I]}", "dtype", "F32", "shape", shape, "data_offsets", begin, end);
@@ -396,7 +396,7 @@ int mo_safetensors_format(const struct mo_controller *controller, uint8_t **byte
   uint8_t *out = padded <= MO_SAFETENSORS_HEADER_MAX ? malloc(8 + padded) : NULL;
   if (out != NULL) {
     memcpy(out, &padded, 8);
-    memcpy(out + 8, text, length);
+    memcpy(out + 8, text, length); /* NOLINT(bugprone-not-null-terminated-result): bytes of a file, not a string */
     memset(out + 8 + length, ' ', padded - length);
     *bytes = out;
     *size = 8 + padded;

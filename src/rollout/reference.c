@@ -1,28 +1,13 @@
 /* reference.c: the rollout in plain float64 C, step by step as docs/model.md writes it down. It is the yardstick for every
  * faster path, so it trades speed for being readable; all sums run in index order. */
+#include "rollout/reference.h"
+
 #include "rollout/contact.h"
 #include "rollout/scene.h"
 
 #include <math.h>
-#include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
-
-struct reference {
-  const struct mo_body *body;
-  const struct mo_controller *controller; /* NULL: passive */
-  const struct mo_environment *environment;
-  const struct mo_physics *physics;
-  double light_m[3];
-  double highest_m;
-  double *position_m;       /* (n_masses, 3) */
-  double *velocity_m_per_s; /* (n_masses, 3) */
-  double *impulse_n_s;      /* (n_masses, 3) */
-  double *sane_m;           /* (n_masses, 3) positions before the present step */
-  double *activation;       /* (n_springs) */
-  double *input;            /* (n_inputs) */
-  double *scratch;          /* (2, MO_HIDDEN) */
-};
 
 static double sense(enum mo_sensor sensor, double distance_m)
 {
@@ -32,7 +17,7 @@ static double sense(enum mo_sensor sensor, double distance_m)
 }
 
 /* Light at each mass, less the body's mean, into the inputs at the masses' lattice places. */
-static void sense_light(struct reference *r)
+static void sense_light(struct mo_reference *r)
 {
   const struct mo_body *body = r->body;
   double mean = 0;
@@ -49,7 +34,7 @@ static void sense_light(struct reference *r)
 }
 
 /* Activations of the body's springs at the start of step `step` (from 0). */
-static void control(struct reference *r, uint32_t step)
+static void control(struct mo_reference *r, uint32_t step)
 {
   sense_light(r);
   const double t = step * r->physics->dt_s;
@@ -60,7 +45,7 @@ static void control(struct reference *r, uint32_t step)
 }
 
 /* Impulses of all springs over one step. */
-static void pull_springs(struct reference *r)
+static void pull_springs(struct mo_reference *r)
 {
   const struct mo_body *body = r->body;
   const struct mo_physics *physics = r->physics;
@@ -82,7 +67,7 @@ static void pull_springs(struct reference *r)
   }
 }
 
-static void move_masses(struct reference *r)
+static void move_masses(struct mo_reference *r)
 {
   const struct mo_physics *physics = r->physics;
   const double keep = exp(-physics->drag_per_s * physics->dt_s);
@@ -96,7 +81,7 @@ static void move_masses(struct reference *r)
 }
 
 /* Finite everywhere and nothing faster than MO_DIVERGED_SPEED_M_PER_S. */
-static bool is_sane(const struct reference *r)
+static bool is_sane(const struct mo_reference *r)
 {
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const double *p = r->position_m + 3 * (size_t)i, *v = r->velocity_m_per_s + 3 * (size_t)i;
@@ -107,7 +92,7 @@ static bool is_sane(const struct reference *r)
   return true;
 }
 
-static void record(const struct reference *r, const struct mo_recording *recording, uint32_t step)
+static void record(const struct mo_reference *r, const struct mo_recording *recording, uint32_t step)
 {
   if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
     return;
@@ -119,7 +104,7 @@ static void record(const struct reference *r, const struct mo_recording *recordi
       recording->mass_m[frame * n + k] = (float)r->position_m[k];
 }
 
-static int allocate(struct reference *r)
+static int allocate(struct mo_reference *r)
 {
   const size_t n = r->body->n_masses;
   r->position_m = calloc(4 * 3 * n, sizeof(double));
@@ -140,29 +125,18 @@ static int allocate(struct reference *r)
   return MO_OK;
 }
 
-static void run(struct reference *r, const struct mo_recording *recording, struct mo_outcome *outcome)
+bool mo_reference_step(struct mo_reference *r, uint32_t step)
 {
   const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
-  *outcome = (struct mo_outcome){0};
-  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
-  record(r, recording, 0);
-  for (uint32_t step = 0; step < r->physics->n_steps; step++) {
-    if (outcome->diverged_step == 0) {
-      memcpy(r->sane_m, r->position_m, bytes);
-      if (r->controller != NULL)
-        control(r, step);
-      pull_springs(r);
-      move_masses(r);
-      if (!is_sane(r)) {
-        outcome->diverged_step = (int32_t)step + 1;
-        memcpy(r->position_m, r->sane_m, bytes);
-      }
-    }
-    record(r, recording, step + 1);
-  }
-  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
-  outcome->loss = outcome->diverged_step != 0 ? (double)INFINITY
-                                              : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->light_m);
+  memcpy(r->sane_m, r->position_m, bytes);
+  if (r->controller != NULL)
+    control(r, step);
+  pull_springs(r);
+  move_masses(r);
+  if (is_sane(r))
+    return true;
+  memcpy(r->position_m, r->sane_m, bytes);
+  return false;
 }
 
 static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
@@ -170,24 +144,52 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
   return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
 }
 
+int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
+                      const struct mo_controller *controller, const struct mo_environment *environment,
+                      const struct mo_physics *physics)
+{
+  if (controller != NULL && !same_workspace(controller->workspace, body->workspace))
+    return MO_ERR_INVALID;
+  *reference = (struct mo_reference){.body = body,
+                                     .controller = controller,
+                                     .environment = environment,
+                                     .physics = physics,
+                                     .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
+  const int r = allocate(reference);
+  if (r < 0)
+    return r;
+  mo_scene_light(environment, reference->light_m);
+  mo_scene_start(body, environment, physics, reference->position_m);
+  return MO_OK;
+}
+
+void mo_reference_done(struct mo_reference *reference)
+{
+  free(reference->activation);
+  free(reference->position_m);
+  *reference = (struct mo_reference){0};
+}
+
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome)
 {
-  if (controller != NULL && !same_workspace(controller->workspace, body->workspace))
-    return MO_ERR_INVALID;
-  struct reference r = {.body = body,
-                        .controller = controller,
-                        .environment = environment,
-                        .physics = physics,
-                        .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
-  const int status = allocate(&r);
-  if (status < 0)
-    return status;
-  mo_scene_light(environment, r.light_m);
-  mo_scene_start(body, environment, physics, r.position_m);
-  run(&r, recording, outcome);
-  free(r.activation);
-  free(r.position_m);
+  struct mo_reference reference;
+  const int r = mo_reference_init(&reference, body, controller, environment, physics);
+  if (r < 0)
+    return r;
+  *outcome = (struct mo_outcome){0};
+  mo_scene_com(reference.position_m, body->n_masses, outcome->com_start_m);
+  record(&reference, recording, 0);
+  for (uint32_t step = 0; step < physics->n_steps; step++) {
+    if (outcome->diverged_step == 0 && !mo_reference_step(&reference, step))
+      outcome->diverged_step = (int32_t)step + 1;
+    record(&reference, recording, step + 1);
+  }
+  mo_scene_com(reference.position_m, body->n_masses, outcome->com_end_m);
+  outcome->loss = outcome->diverged_step != 0
+                      ? (double)INFINITY
+                      : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, environment->light_xy_m);
+  mo_reference_done(&reference);
   return MO_OK;
 }

@@ -1,0 +1,34 @@
+/* reference.h: the float64 rollout one step at a time, so that tests can set and inspect a state. */
+#ifndef MORPHO_ROLLOUT_REFERENCE_H
+#define MORPHO_ROLLOUT_REFERENCE_H
+
+#include <stdbool.h>
+
+#include <morpho/rollout.h>
+
+struct mo_reference {
+  const struct mo_body *body;
+  const struct mo_controller *controller; /* NULL: passive */
+  const struct mo_environment *environment;
+  const struct mo_physics *physics;
+  double light_m[3];
+  double highest_m;         /* of the terrain */
+  double *position_m;       /* (n_masses, 3) */
+  double *velocity_m_per_s; /* (n_masses, 3) */
+  double *impulse_n_s;      /* (n_masses, 3) of the last step's springs */
+  double *sane_m;           /* (n_masses, 3) positions before the last step */
+  double *activation;       /* (n_springs) NULL without a controller, as are the next two */
+  double *input;            /* (n_inputs) */
+  double *scratch;          /* (2, MO_HIDDEN) */
+};
+
+/* Borrows all arguments. MO_ERR_INVALID: the controller is for another workspace; MO_ERR_NO_MEMORY. */
+int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
+                      const struct mo_controller *controller, const struct mo_environment *environment,
+                      const struct mo_physics *physics);
+void mo_reference_done(struct mo_reference *reference);
+
+/* Step number `step`, from 0. False: it diverged; the positions are those before the step. */
+bool mo_reference_step(struct mo_reference *reference, uint32_t step);
+
+#endif
