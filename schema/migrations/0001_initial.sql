@@ -122,7 +122,7 @@ CREATE TABLE jobs(
   error_text TEXT
 ) STRICT;
 CREATE INDEX jobs_by_state ON jobs(state, id);
-CREATE INDEX jobs_open ON jobs(state, priority DESC, id) WHERE state <= 2;
+CREATE INDEX jobs_queued ON jobs(priority, id) WHERE state = 0;
 
 CREATE TABLE evaluations(
   job INTEGER PRIMARY KEY REFERENCES jobs(id),

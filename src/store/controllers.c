@@ -1,0 +1,469 @@
+/* controllers.c: weights by content, names that point to them.
+ *
+ * A file is written beside its place, synced, renamed, and its folder synced, before the row that speaks of it commits: a row
+ * never refers to bytes that are not there. A file without a row is harmless: the next upload of the same content finds it. */
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <jansson.h>
+
+#include "store/internal.h"
+
+int mo_controller_name_check(const char *name)
+{
+  static const char first[] = "abcdefghijklmnopqrstuvwxyz0123456789";
+  static const char others[] = "abcdefghijklmnopqrstuvwxyz0123456789._-";
+  size_t length = strlen(name);
+  if (length < 1 || length > MO_NAME_BYTES_MAX || strchr(first, name[0]) == NULL)
+    return MO_ERR_FORMAT;
+  return strspn(name, others) == length ? MO_OK : MO_ERR_FORMAT;
+}
+
+/* "<folder>/<sha256>.safetensors" (malloc). */
+static char *file_path(const struct mo_store *store, const struct mo_sha256 *sha256)
+{
+  char digits[MO_SHA256_DIGITS + 1];
+  size_t size = strlen(store->controllers_path) + MO_SHA256_DIGITS + sizeof("/.safetensors");
+  char *path = malloc(size);
+  if (path == NULL)
+    return NULL;
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(path, size, "%s/%s.safetensors", store->controllers_path, digits);
+  return path;
+}
+
+static int read_whole(const char *path, size_t size, uint8_t **ret)
+{
+  int fd = open(path, O_RDONLY | O_CLOEXEC);
+  size_t filled = 0;
+  uint8_t *bytes;
+  struct stat status;
+  if (fd < 0)
+    return errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO;
+  if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size) {
+    close(fd);
+    return MO_ERR_CORRUPT;
+  }
+  bytes = malloc(size > 0 ? size : 1);
+  if (bytes == NULL) {
+    close(fd);
+    return MO_ERR_NO_MEMORY;
+  }
+  while (filled < size) {
+    ssize_t n = read(fd, bytes + filled, size - filled);
+    if (n < 0 && errno == EINTR)
+      continue;
+    if (n <= 0)
+      break;
+    filled += (size_t)n;
+  }
+  close(fd);
+  if (filled < size) {
+    free(bytes);
+    return MO_ERR_IO;
+  }
+  *ret = bytes;
+  return MO_OK;
+}
+
+static int write_error(void)
+{
+  return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : MO_ERR_IO;
+}
+
+static int write_and_sync(int fd, const uint8_t *bytes, size_t size)
+{
+  size_t written = 0;
+  while (written < size) {
+    ssize_t n = write(fd, bytes + written, size - written);
+    if (n < 0 && errno == EINTR)
+      continue;
+    if (n < 0)
+      return write_error();
+    written += (size_t)n;
+  }
+  return fsync(fd) == 0 ? MO_OK : write_error();
+}
+
+static int sync_folder(const char *path)
+{
+  int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  int error = MO_OK;
+  if (fd < 0)
+    return MO_ERR_IO;
+  if (fsync(fd) != 0)
+    error = MO_ERR_IO;
+  close(fd);
+  return error;
+}
+
+static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes, size_t size)
+{
+  char *path = file_path(store, sha256);
+  size_t temporary_size = strlen(store->controllers_path) + 64;
+  char *temporary = malloc(temporary_size);
+  uint8_t *there = NULL;
+  int fd;
+  int error = MO_OK;
+  if (path == NULL || temporary == NULL) {
+    error = MO_ERR_NO_MEMORY;
+    goto out;
+  }
+  if (read_whole(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0)
+    goto out; /* a row may be missing, the file is whole: a crash may have come between the two */
+  snprintf(temporary, temporary_size, "%s/.tmp-%u", store->controllers_path, atomic_fetch_add(&store->file_counter, 1));
+  fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+  if (fd < 0) {
+    error = write_error();
+    goto out;
+  }
+  error = write_and_sync(fd, bytes, size);
+  if (close(fd) != 0 && error == MO_OK)
+    error = write_error();
+  if (error == MO_OK && rename(temporary, path) != 0)
+    error = write_error();
+  if (error != MO_OK)
+    (void)unlink(temporary);
+out:
+  if (error == MO_OK)
+    error = sync_folder(store->controllers_path);
+  free(there);
+  free(temporary);
+  free(path);
+  return error;
+}
+
+static char *metadata_json(const struct mo_controller *controller)
+{
+  json_t *object = json_object();
+  char *text = NULL;
+  bool whole = object != NULL;
+  for (size_t i = 0; i < controller->n_metadata && whole; i++)
+    whole = json_object_set_new(object, controller->metadata[i].key, json_string(controller->metadata[i].value)) == 0;
+  if (whole)
+    text = json_dumps(object, JSON_COMPACT);
+  json_decref(object);
+  return text;
+}
+
+struct put_arguments {
+  const char *name;
+  const struct mo_controller *controller;
+  const char *metadata;
+  struct mo_sha256 sha256;
+  size_t size;
+  struct mo_controller_record record;
+  bool created;
+};
+
+static int content_row(struct mo_connection *writer, const struct put_arguments *call, int64_t now_us, int64_t *row)
+{
+  static const char find_sql[] = "SELECT id FROM controllers WHERE sha256=?1";
+  static const char insert_sql[] =
+      "INSERT INTO controllers(sha256,size,sensor,nx,ny,nz,n_parameters,metadata,stored_us) "
+      "VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9)";
+  const struct mo_controller *controller = call->controller;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, find_sql, &error);
+  if (statement == NULL)
+    return error;
+  mo_bind_hash(statement, 1, &call->sha256);
+  error = mo_sql_integer(writer, statement, row);
+  if (error != MO_ERR_NOT_FOUND)
+    return error;
+  statement = mo_sql(writer, insert_sql, &error);
+  if (statement == NULL)
+    return error;
+  mo_bind_hash(statement, 1, &call->sha256);
+  sqlite3_bind_int64(statement, 2, (sqlite3_int64)call->size);
+  sqlite3_bind_int64(statement, 3, controller->sensor);
+  sqlite3_bind_int64(statement, 4, controller->workspace.nx);
+  sqlite3_bind_int64(statement, 5, controller->workspace.ny);
+  sqlite3_bind_int64(statement, 6, controller->workspace.nz);
+  sqlite3_bind_int64(statement, 7, (sqlite3_int64)controller->n_parameters);
+  sqlite3_bind_text(statement, 8, call->metadata, -1, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 9, now_us);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  *row = sqlite3_last_insert_rowid(writer->db);
+  return error;
+}
+
+static int put(struct mo_store *store, void *arguments)
+{
+  static const char find_sql[] = "SELECT controller,version,stored_us FROM controller_names WHERE name=?1";
+  static const char set_sql[] = "INSERT INTO controller_names(name,controller,version,stored_us) VALUES(?1,?2,?3,?4)"
+                                " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
+  struct put_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  char digits[MO_SHA256_DIGITS + 1], data[256];
+  int64_t row, known = 0, version = 0, now_us = mo_store_now_us();
+  sqlite3_stmt *statement;
+  int step;
+  int error = content_row(writer, call, now_us, &row);
+  if (error != MO_OK)
+    return error;
+  statement = mo_sql(writer, find_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_text(statement, 1, call->name, -1, SQLITE_STATIC);
+  step = mo_sql_step(writer, statement);
+  if (step < 0)
+    return step;
+  if (step > 0) {
+    known = sqlite3_column_int64(statement, 0);
+    version = sqlite3_column_int64(statement, 1);
+    if (known == row)
+      now_us = sqlite3_column_int64(statement, 2);
+    (void)sqlite3_reset(statement);
+  }
+  call->created = step == 0;
+  if (known != row) {
+    version++;
+    statement = mo_sql(writer, set_sql, &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_text(statement, 1, call->name, -1, SQLITE_STATIC);
+    sqlite3_bind_int64(statement, 2, row);
+    sqlite3_bind_int64(statement, 3, version);
+    sqlite3_bind_int64(statement, 4, now_us);
+    error = mo_sql_run(writer, statement);
+    (void)sqlite3_clear_bindings(statement);
+    if (error != MO_OK)
+      return error;
+    mo_sha256_to_hex(&call->sha256, digits);
+    snprintf(data, sizeof(data), "{\"name\":\"%s\",\"sha256\":\"%s\"}", call->name, digits);
+    error = mo_writer_event(store, 0, "controller.stored", data);
+  }
+  call->record.version = version;
+  call->record.stored_us = now_us;
+  return error;
+}
+
+int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
+                            const struct mo_controller *controller, struct mo_controller_record *record, bool *created)
+{
+  struct put_arguments call = {.name = name, .controller = controller, .size = size};
+  char *metadata;
+  int error = mo_controller_name_check(name);
+  if (error != MO_OK)
+    return error;
+  metadata = metadata_json(controller);
+  if (metadata == NULL)
+    return MO_ERR_NO_MEMORY;
+  call.metadata = metadata;
+  mo_sha256_of(bytes, size, &call.sha256);
+  error = write_file(store, &call.sha256, bytes, size);
+  if (error == MO_OK)
+    error = mo_write(store, put, &call);
+  free(metadata);
+  if (error != MO_OK)
+    return error;
+  *record = (struct mo_controller_record){.version = call.record.version,
+                                          .sha256 = call.sha256,
+                                          .size = size,
+                                          .sensor = controller->sensor,
+                                          .workspace = controller->workspace,
+                                          .n_parameters = controller->n_parameters,
+                                          .stored_us = call.record.stored_us};
+  snprintf(record->name, sizeof(record->name), "%s", name);
+  *created = call.created;
+  return MO_OK;
+}
+
+static int remove_name(struct mo_store *store, void *arguments)
+{
+  static const char sql[] = "DELETE FROM controller_names WHERE name=?1";
+  const char *name = arguments;
+  struct mo_connection *writer = &store->writer;
+  char data[128];
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  if (error != MO_OK)
+    return error;
+  if (sqlite3_changes(writer->db) == 0)
+    return MO_ERR_NOT_FOUND;
+  snprintf(data, sizeof(data), "{\"name\":\"%s\"}", name);
+  return mo_writer_event(store, 0, "controller.removed", data);
+}
+
+int mo_store_controller_remove(struct mo_store *store, const char *name)
+{
+  if (mo_controller_name_check(name) != MO_OK)
+    return MO_ERR_NOT_FOUND;
+  return mo_write(store, remove_name, (void *)name);
+}
+
+/* ---- reading ---- */
+
+int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row)
+{
+  static const char by_hash[] = "SELECT id FROM controllers WHERE sha256=?1";
+  static const char by_name[] = "SELECT controller FROM controller_names WHERE name=?1";
+  struct mo_sha256 sha256;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  if (strncmp(name, "sha256:", 7) == 0) {
+    if (mo_sha256_from_hex(name + 7, strlen(name + 7), &sha256) != MO_OK)
+      return MO_ERR_NOT_FOUND;
+    statement = mo_sql(connection, by_hash, &error);
+    if (statement == NULL)
+      return error;
+    mo_bind_hash(statement, 1, &sha256);
+  } else {
+    statement = mo_sql(connection, by_name, &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
+  }
+  error = mo_sql_integer(connection, statement, row);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"
+
+static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
+{
+  memset(record, 0, sizeof(*record));
+  record->size = (uint64_t)sqlite3_column_int64(statement, 1);
+  record->sensor = (enum mo_sensor)sqlite3_column_int(statement, 2);
+  record->workspace =
+      (struct mo_workspace){(uint16_t)sqlite3_column_int(statement, 3), (uint16_t)sqlite3_column_int(statement, 4),
+                            (uint16_t)sqlite3_column_int(statement, 5)};
+  record->n_parameters = (uint64_t)sqlite3_column_int64(statement, 6);
+  mo_column_text(statement, 7, record->name, sizeof(record->name));
+  record->version = sqlite3_column_int64(statement, 8);
+  record->stored_us = sqlite3_column_int64(statement, 9);
+  return mo_column_hash(statement, 0, &record->sha256);
+}
+
+int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
+                             size_t limit)
+{
+  static const char sql[] = "SELECT " CONTROLLER_COLUMNS ",n.name,n.version,n.stored_us FROM controller_names n"
+                            " JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name LIMIT ?2";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  int64_t n = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step;
+    sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
+    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
+    while ((step = mo_sql_step(reader, statement)) > 0 && error == MO_OK)
+      error = record_from_row(statement, &records[n++]);
+    if (step < 0)
+      error = step;
+    (void)sqlite3_reset(statement);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record)
+{
+  static const char by_name[] = "SELECT " CONTROLLER_COLUMNS ",n.name,n.version,n.stored_us FROM controller_names n"
+                                " JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
+  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",'',1,c.stored_us FROM controllers c WHERE c.id=?1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  bool hashed = strncmp(name, "sha256:", 7) == 0;
+  sqlite3_stmt *statement = NULL;
+  int64_t row = 0;
+  int error = hashed ? mo_controller_find(reader, name, &row) : MO_OK;
+  if (error == MO_OK)
+    statement = mo_sql(reader, hashed ? by_row : by_name, &error);
+  if (statement != NULL) {
+    int step;
+    if (hashed)
+      sqlite3_bind_int64(statement, 1, row);
+    else
+      sqlite3_bind_text(statement, 1, name, -1, SQLITE_STATIC);
+    step = mo_sql_step(reader, statement);
+    error = step > 0 ? record_from_row(statement, record) : step < 0 ? step : MO_ERR_NOT_FOUND;
+    (void)sqlite3_reset(statement);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  mo_reader_release(store, reader);
+  return error;
+}
+
+static int content_size(struct mo_store *store, const struct mo_sha256 *sha256, int64_t *size)
+{
+  static const char sql[] = "SELECT size FROM controllers WHERE sha256=?1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    mo_bind_hash(statement, 1, sha256);
+    error = mo_sql_integer(reader, statement, size);
+  }
+  mo_reader_release(store, reader);
+  return error;
+}
+
+int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256, uint8_t **ret, size_t *ret_size)
+{
+  struct mo_sha256 found;
+  uint8_t *bytes = NULL;
+  int64_t size;
+  char *path;
+  int error = content_size(store, sha256, &size);
+  if (error != MO_OK)
+    return error;
+  path = file_path(store, sha256);
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  error = size >= 0 ? read_whole(path, (size_t)size, &bytes) : MO_ERR_CORRUPT;
+  free(path);
+  if (error == MO_ERR_NOT_FOUND)
+    error = MO_ERR_CORRUPT; /* the row is there, its file is not */
+  if (error == MO_OK) {
+    mo_sha256_of(bytes, (size_t)size, &found);
+    if (!mo_sha256_equal(&found, sha256)) {
+      free(bytes);
+      error = MO_ERR_CORRUPT;
+    }
+  }
+  if (error == MO_OK) {
+    *ret = bytes;
+    *ret_size = (size_t)size;
+  }
+  return error;
+}
+
+int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256, char **json)
+{
+  static const char sql[] = "SELECT metadata FROM controllers WHERE sha256=?1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step;
+    mo_bind_hash(statement, 1, sha256);
+    step = mo_sql_step(reader, statement);
+    error = step < 0 ? step : step == 0 ? MO_ERR_NOT_FOUND : MO_OK;
+    if (step > 0) {
+      const char *text = (const char *)sqlite3_column_text(statement, 0);
+      char *copy = text != NULL ? strdup(text) : NULL;
+      if (copy == NULL)
+        error = MO_ERR_NO_MEMORY;
+      else
+        *json = copy;
+    }
+    (void)sqlite3_reset(statement);
+  }
+  mo_reader_release(store, reader);
+  return error;
+}

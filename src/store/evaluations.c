@@ -1,0 +1,403 @@
+/* evaluations.c: reading jobs, their results and their trajectories. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/internal.h"
+
+int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  int kind = sqlite3_column_int(row, 2), state = sqlite3_column_int(row, 3), priority = sqlite3_column_int(row, 4);
+  int64_t n_environments = sqlite3_column_int64(row, 15), n_designs = sqlite3_column_int64(row, 16);
+  int record = sqlite3_column_int(row, 19);
+  int error;
+  memset(job, 0, sizeof(*job));
+  if (kind != MO_JOB_EVALUATION || state < 0 || state >= MO_JOB_STATES || priority < MO_BATCH ||
+      priority > MO_INTERACTIVE || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX || n_designs < 1 ||
+      n_designs > MO_DESIGNS_MAX)
+    return MO_ERR_CORRUPT;
+  job->id = sqlite3_column_int64(row, 0);
+  job->version = sqlite3_column_int64(row, 1);
+  job->kind = (enum mo_job_kind)kind;
+  job->state = (enum mo_job_state)state;
+  job->priority = (enum mo_urgency)priority;
+  job->has_label = sqlite3_column_type(row, 5) != SQLITE_NULL;
+  mo_column_text(row, 5, job->label, sizeof(job->label));
+  job->created_us = sqlite3_column_int64(row, 6);
+  job->started_us = sqlite3_column_int64(row, 7);
+  job->finished_us = sqlite3_column_int64(row, 8);
+  job->attempts = (uint32_t)sqlite3_column_int64(row, 9);
+  job->error = sqlite3_column_int(row, 10);
+  mo_column_text(row, 11, job->error_text, sizeof(job->error_text));
+  mo_column_text(row, 12, job->controller_name, sizeof(job->controller_name));
+  error = mo_column_hash(row, 13, &job->controller_sha256);
+  mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
+  job->n_environments = (uint32_t)n_environments;
+  job->n_designs = (uint32_t)n_designs;
+  if (error == MO_OK) {
+    const void *encoding = sqlite3_column_blob(row, 17);
+    error = encoding == NULL ? MO_ERR_CORRUPT
+                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17), &job->physics,
+                                                 &job->precision, &job->sensor);
+  }
+  job->verify = sqlite3_column_int(row, 18) != 0;
+  job->record_com = (record & 1) != 0;
+  job->record_masses = (record & 2) != 0;
+  job->record_stride = (uint32_t)sqlite3_column_int64(row, 20);
+  job->rollouts_total = (uint64_t)n_designs * (uint64_t)n_environments;
+  job->rollouts_done = (uint64_t)sqlite3_column_int64(row, 21);
+  job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, 22);
+  job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, 23);
+  return error;
+}
+
+static int get_job(struct mo_connection *connection, int64_t id, struct mo_job *job)
+{
+  static const char sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE j.id=?1";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  int step;
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  step = mo_sql_step(connection, statement);
+  error = step > 0 ? mo_job_from_row(statement, job) : step < 0 ? step : MO_ERR_NOT_FOUND;
+  (void)sqlite3_reset(statement);
+  return error;
+}
+
+int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_job found;
+  int error = get_job(reader, id, &found);
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    *job = found;
+  return error;
+}
+
+int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit)
+{
+  static const char all_sql[] =
+      "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+  static const char state_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
+                                  "WHERE j.state=?4 AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, query->state < 0 ? all_sql : state_sql, &error);
+  if (statement != NULL) {
+    int step = 0;
+    sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
+    sqlite3_bind_int64(statement, 2, query->kind);
+    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+    if (query->state >= 0)
+      sqlite3_bind_int64(statement, 4, query->state);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
+      error = mo_job_from_row(statement, &jobs[n++]);
+    if (step < 0)
+      error = step;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
+{
+  static const char sql[] = "SELECT state,count(*) FROM jobs GROUP BY state";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  uint64_t found[MO_JOB_STATES] = {0};
+  int error = MO_OK;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  while (statement != NULL && error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    int state = sqlite3_column_int(statement, 0);
+    if (state < 0 || state >= MO_JOB_STATES)
+      error = MO_ERR_CORRUPT;
+    else
+      found[state] = (uint64_t)sqlite3_column_int64(statement, 1);
+  }
+  if (step < 0)
+    error = step;
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    memcpy(counts, found, sizeof(found));
+  return error;
+}
+
+/* ---- results ---- */
+
+struct result_keys {
+  int64_t controller, physics;
+  bool verify;
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int64_t lowest, highest; /* environment rows: one range scan per genotype */
+};
+
+static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
+                     struct mo_evaluation_results *results)
+{
+  static const char sql[] = "SELECT controller,physics,verify,n_designs,n_environments FROM evaluations WHERE job=?1";
+  static const char environments_sql[] =
+      "SELECT position,environment FROM evaluation_environments WHERE job=?1 ORDER BY position";
+  int error = MO_OK;
+  int64_t n_designs, n_environments;
+  uint32_t k = 0;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  step = mo_sql_step(reader, statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  keys->controller = sqlite3_column_int64(statement, 0);
+  keys->physics = sqlite3_column_int64(statement, 1);
+  keys->verify = sqlite3_column_int(statement, 2) != 0;
+  n_designs = sqlite3_column_int64(statement, 3);
+  n_environments = sqlite3_column_int64(statement, 4);
+  (void)sqlite3_reset(statement);
+  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX)
+    return MO_ERR_CORRUPT;
+  results->n_designs = (uint32_t)n_designs;
+  results->n_environments = (uint32_t)n_environments;
+  statement = mo_sql(reader, environments_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  keys->lowest = INT64_MAX;
+  keys->highest = INT64_MIN;
+  while ((step = mo_sql_step(reader, statement)) > 0) {
+    if (k == results->n_environments || sqlite3_column_int64(statement, 0) != k)
+      return MO_ERR_CORRUPT;
+    keys->environments[k] = sqlite3_column_int64(statement, 1);
+    if (keys->environments[k] < keys->lowest)
+      keys->lowest = keys->environments[k];
+    if (keys->environments[k] > keys->highest)
+      keys->highest = keys->environments[k];
+    k++;
+  }
+  if (step < 0)
+    return step;
+  return k == results->n_environments ? MO_OK : MO_ERR_CORRUPT;
+}
+
+static int allocate_results(struct mo_evaluation_results *results, bool verify)
+{
+  size_t n = results->n_designs, cells = n * results->n_environments;
+  results->forms = calloc(n, sizeof(*results->forms));
+  results->genotypes = calloc(n, sizeof(*results->genotypes));
+  results->scores = calloc(n, sizeof(*results->scores));
+  results->losses = calloc(cells, sizeof(*results->losses));
+  results->diverged_steps = calloc(cells, sizeof(*results->diverged_steps));
+  if (verify) {
+    results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
+    results->agrees = calloc(n, sizeof(*results->agrees));
+  }
+  if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL || results->losses == NULL ||
+      results->diverged_steps == NULL || (verify && (results->stored_losses == NULL || results->agrees == NULL)))
+    return MO_ERR_NO_MEMORY;
+  for (size_t i = 0; i < cells; i++) {
+    results->losses[i] = NAN;
+    if (verify)
+      results->stored_losses[i] = NAN;
+  }
+  return MO_OK;
+}
+
+/* The stored losses of one genotype, into row `n` of the results. */
+static int load_losses(struct mo_connection *reader, const struct result_keys *keys, int64_t genotype, size_t n,
+                       struct mo_evaluation_results *results)
+{
+  static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
+                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
+  int error = MO_OK;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, genotype);
+  sqlite3_bind_int64(statement, 2, keys->controller);
+  sqlite3_bind_int64(statement, 3, keys->physics);
+  sqlite3_bind_int64(statement, 4, keys->lowest);
+  sqlite3_bind_int64(statement, 5, keys->highest);
+  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    int64_t environment = sqlite3_column_int64(statement, 0);
+    double loss = 0;
+    error = mo_column_double(statement, 1, &loss);
+    for (uint32_t k = 0; k < results->n_environments; k++)
+      if (keys->environments[k] == environment) {
+        results->losses[n * results->n_environments + k] = loss;
+        results->diverged_steps[n * results->n_environments + k] = sqlite3_column_int(statement, 2);
+      }
+  }
+  return step < 0 ? step : error;
+}
+
+static int load_designs(struct mo_connection *reader, int64_t id, const struct result_keys *keys,
+                        struct mo_evaluation_results *results)
+{
+  static const char sql[] = "SELECT e.position,e.genotype,g.bits,d.form FROM evaluation_designs e"
+                            " JOIN genotypes g ON g.id=e.genotype JOIN designs d ON d.id=g.design"
+                            " WHERE e.job=?1 ORDER BY e.position";
+  int error = MO_OK;
+  int step = 0;
+  uint32_t n = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    if (n == results->n_designs || sqlite3_column_int64(statement, 0) != n) {
+      error = MO_ERR_CORRUPT;
+      break;
+    }
+    error = mo_column_bits(statement, 2, &results->genotypes[n]);
+    if (error == MO_OK)
+      error = mo_column_bits(statement, 3, &results->forms[n]);
+    if (error == MO_OK && !keys->verify)
+      error = load_losses(reader, keys, sqlite3_column_int64(statement, 1), n, results);
+    n++;
+  }
+  if (step < 0)
+    return step;
+  return error == MO_OK && n != results->n_designs ? MO_ERR_CORRUPT : error;
+}
+
+static int load_recomputed(struct mo_connection *reader, int64_t id, struct mo_evaluation_results *results)
+{
+  static const char sql[] = "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
+                            "BY position,environment";
+  int error = MO_OK;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  memset(results->agrees, 1, results->n_designs);
+  sqlite3_bind_int64(statement, 1, id);
+  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
+    size_t cell;
+    if (n < 0 || n >= results->n_designs || k < 0 || k >= results->n_environments)
+      return MO_ERR_CORRUPT;
+    cell = (size_t)n * results->n_environments + (size_t)k;
+    error = mo_column_double(statement, 2, &results->losses[cell]);
+    results->diverged_steps[cell] = sqlite3_column_int(statement, 3);
+    if (error == MO_OK && sqlite3_column_type(statement, 4) != SQLITE_NULL) {
+      error = mo_column_double(statement, 4, &results->stored_losses[cell]);
+      if (memcmp(&results->stored_losses[cell], &results->losses[cell], sizeof(double)) != 0)
+        results->agrees[n] = 0;
+    }
+  }
+  return step < 0 ? step : error;
+}
+
+int mo_store_results(struct mo_store *store, int64_t id, struct mo_evaluation_results **ret)
+{
+  struct mo_evaluation_results *results = calloc(1, sizeof(*results));
+  struct mo_connection *reader;
+  struct result_keys keys = {0};
+  int error;
+  if (results == NULL)
+    return MO_ERR_NO_MEMORY;
+  reader = mo_reader_acquire(store);
+  error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = load_keys(reader, id, &keys, results);
+  if (error == MO_OK)
+    error = allocate_results(results, keys.verify);
+  if (error == MO_OK)
+    error = load_designs(reader, id, &keys, results);
+  if (error == MO_OK && keys.verify)
+    error = load_recomputed(reader, id, results);
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    mo_evaluation_results_free(results);
+    return error;
+  }
+  for (uint32_t n = 0; n < results->n_designs; n++) {
+    double sum = 0;
+    for (uint32_t k = 0; k < results->n_environments; k++)
+      sum += results->losses[(size_t)n * results->n_environments + k];
+    results->scores[n] = sum / results->n_environments;
+  }
+  *ret = results;
+  return MO_OK;
+}
+
+/* ---- trajectories ---- */
+
+static int read_trajectory(sqlite3_stmt *row, struct mo_trajectory *trajectory)
+{
+  int64_t stride = sqlite3_column_int64(row, 0), frames = sqlite3_column_int64(row, 1);
+  int64_t n_masses = sqlite3_column_int64(row, 2);
+  bool has_com = sqlite3_column_type(row, 3) != SQLITE_NULL, has_masses = sqlite3_column_type(row, 4) != SQLITE_NULL;
+  if (stride < 1 || stride > MO_STEPS_MAX || frames < 1 || frames > MO_STEPS_MAX + 1 || n_masses < 1 ||
+      n_masses > MO_DEFAULT_MASSES || (has_com && sqlite3_column_bytes(row, 3) != frames * 24) ||
+      (has_masses && sqlite3_column_bytes(row, 4) != frames * n_masses * 12))
+    return MO_ERR_CORRUPT;
+  trajectory->stride = (uint32_t)stride;
+  trajectory->n_frames = (uint32_t)frames;
+  trajectory->n_masses = (uint32_t)n_masses;
+  if (has_com) {
+    size_t n = (size_t)frames * 3;
+    trajectory->com_m = malloc(n * sizeof(double));
+    if (trajectory->com_m == NULL)
+      return MO_ERR_NO_MEMORY;
+    mo_decode_doubles(sqlite3_column_blob(row, 3), n, trajectory->com_m);
+  }
+  if (has_masses) {
+    size_t n = (size_t)frames * (size_t)n_masses * 3;
+    trajectory->mass_m = malloc(n * sizeof(float));
+    if (trajectory->mass_m == NULL)
+      return MO_ERR_NO_MEMORY;
+    mo_decode_floats(sqlite3_column_blob(row, 4), n, trajectory->mass_m);
+  }
+  return MO_OK;
+}
+
+int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k, struct mo_trajectory **ret)
+{
+  static const char sql[] = "SELECT t.stride,t.frames,t.n_masses,t.com,t.masses,p.encoding FROM trajectories t"
+                            " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
+                            " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
+  struct mo_trajectory *trajectory = calloc(1, sizeof(*trajectory));
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  struct mo_physics physics;
+  enum mo_precision precision;
+  enum mo_sensor sensor;
+  int error = MO_OK;
+  if (trajectory == NULL)
+    return MO_ERR_NO_MEMORY;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, n);
+    sqlite3_bind_int64(statement, 3, k);
+    step = mo_sql_step(reader, statement);
+    error = step > 0 ? read_trajectory(statement, trajectory) : step < 0 ? step : MO_ERR_NOT_FOUND;
+    if (error == MO_OK) {
+      const void *encoding = sqlite3_column_blob(statement, 5);
+      error = encoding == NULL ? MO_ERR_CORRUPT
+                               : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(statement, 5), &physics,
+                                                   &precision, &sensor);
+      if (error == MO_OK)
+        trajectory->dt_s = physics.dt_s;
+    }
+  }
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    mo_trajectory_free(trajectory);
+    return error;
+  }
+  *ret = trajectory;
+  return MO_OK;
+}

@@ -1,0 +1,68 @@
+/* events.c: reading the durable sequence of events. */
+#include "store/internal.h"
+
+static int range(struct mo_connection *reader, int64_t *oldest, int64_t *newest)
+{
+  static const char oldest_sql[] = "SELECT coalesce(min(sequence),0) FROM events";
+  static const char newest_sql[] = "SELECT coalesce(max(sequence),0) FROM events";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, oldest_sql, &error);
+  if (statement != NULL)
+    error = mo_sql_integer(reader, statement, oldest);
+  statement = error == MO_OK ? mo_sql(reader, newest_sql, &error) : NULL;
+  if (statement != NULL)
+    error = mo_sql_integer(reader, statement, newest);
+  return error;
+}
+
+static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t job, struct mo_event *events,
+                           size_t limit)
+{
+  static const char all_sql[] =
+      "SELECT sequence,time_us,job,type,data FROM events WHERE sequence>?1 ORDER BY sequence LIMIT ?2";
+  static const char job_sql[] =
+      "SELECT sequence,time_us,job,type,data FROM events WHERE job=?3 AND sequence>?1 ORDER BY sequence LIMIT ?2";
+  int error = MO_OK;
+  int64_t n = 0;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, job != 0 ? job_sql : all_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, after);
+  sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
+  if (job != 0)
+    sqlite3_bind_int64(statement, 3, job);
+  while ((step = mo_sql_step(reader, statement)) > 0) {
+    struct mo_event *event = &events[n++];
+    event->sequence = sqlite3_column_int64(statement, 0);
+    event->time_us = sqlite3_column_int64(statement, 1);
+    event->job = sqlite3_column_int64(statement, 2);
+    mo_column_text(statement, 3, event->type, sizeof(event->type));
+    mo_column_text(statement, 4, event->data, sizeof(event->data));
+  }
+  return step < 0 ? step : n;
+}
+
+int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events, size_t limit,
+                        int64_t *oldest, int64_t *newest)
+{
+  struct mo_connection *reader;
+  int64_t first = 0, last = 0, n = 0;
+  int error;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = range(reader, &first, &last);
+  if (error == MO_OK)
+    n = read_events(reader, after, job, events, limit);
+  mo_reader_release(store, reader);
+  if (error != MO_OK)
+    return error;
+  if (n >= 0 && oldest != NULL)
+    *oldest = first;
+  if (n >= 0 && newest != NULL)
+    *newest = last;
+  return n;
+}

@@ -1,0 +1,145 @@
+/* internal.h: connections, the writer's queue, and the store itself. For this room alone. */
+#ifndef MORPHO_STORE_INTERNAL_H
+#define MORPHO_STORE_INTERNAL_H
+
+#include <pthread.h>
+#include <sqlite3.h>
+#include <stdatomic.h>
+
+#include "store/encode.h"
+#include "store/runner.h"
+#include "store/store.h"
+
+#define MO_APPLICATION_ID    0x6D727068 /* "mrph" */
+#define MO_STATEMENTS_MAX    96
+#define MO_CHECKPOINT_FRAMES 2000
+#define MO_LISTENERS_MAX     64
+
+/* ---- a connection: a database handle with its prepared statements, used by one thread at a time ---- */
+
+struct mo_connection {
+  sqlite3 *db;
+  struct {
+    const char *sql;
+    sqlite3_stmt *statement;
+  } cache[MO_STATEMENTS_MAX];
+  unsigned n_cached;
+  bool busy;
+};
+
+int mo_connection_open(const struct mo_store *store, bool writable, struct mo_connection *connection);
+void mo_connection_close(struct mo_connection *connection);
+
+/* The statement of a literal (found again by its address), reset and unbound. NULL when it cannot be prepared. */
+sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *error);
+/* 1: a row; 0: done (and reset); negative: an error (and reset). */
+int mo_sql_step(struct mo_connection *connection, sqlite3_stmt *statement);
+/* Runs a statement that gives no rows. */
+int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement);
+int mo_sql_exec(struct mo_connection *connection, const char *sql);
+/* The one integer of the first row; MO_ERR_NOT_FOUND without rows. */
+int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value);
+/* What a SQLite code means to callers. */
+int mo_sql_error(sqlite3 *db, int code);
+
+/* Bindings of static data, which cannot fail but by a mistake in this room. */
+void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash);
+/* Columns with their checks: MO_ERR_CORRUPT. */
+int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
+int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
+int mo_column_double(sqlite3_stmt *statement, int column, double *value); /* 8-byte BLOB */
+void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size);
+
+/* ---- writing ---- */
+
+struct mo_operation {
+  /* Runs inside a savepoint, perhaps more than once: a later run must forget what an earlier one left in `arguments`. */
+  int (*run)(struct mo_store *store, void *arguments);
+  void *arguments;
+  void (*done)(void *arguments, int status); /* NULL: somebody waits */
+  int status;
+  bool finished;
+  size_t first_event; /* of this operation in the batch's events */
+  pthread_cond_t released;
+  struct mo_operation *next;
+};
+
+struct mo_store {
+  char *path, *database_path, *controllers_path, *vfs;
+  int lock_fd;
+  int64_t epoch;
+  uint64_t events_kept;
+  int64_t idempotency_keep_us;
+  void (*fatal)(void *context, const char *what);
+  void *fatal_context;
+
+  /* Readers. */
+  pthread_mutex_t readers_mutex;
+  pthread_cond_t reader_free;
+  struct mo_connection *readers;
+  uint32_t n_readers;
+  pthread_mutex_t runner_mutex;
+  struct mo_connection runner; /* the scheduler's */
+
+  /* The writer. Below the mutex: touched by the writer's thread alone. */
+  struct mo_connection writer;
+  pthread_t thread;
+  bool thread_started;
+  pthread_mutex_t mutex;
+  pthread_cond_t work;
+  struct mo_operation *first, *last;
+  bool closing;
+  struct mo_event *events; /* made in this batch */
+  size_t n_events, events_capacity;
+  uint64_t events_since_prune;
+  int64_t last_prune_us;
+  int wal_frames;
+
+  pthread_mutex_t listeners_mutex;
+  struct {
+    int handle;
+    mo_store_listener call;
+    void *context;
+  } listeners[MO_LISTENERS_MAX];
+  unsigned n_listeners;
+  int next_handle;
+
+  atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
+  atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
+  atomic_bool no_space, is_fatal;
+  atomic_uint file_counter;
+};
+
+/* Runs `run` on the writer's thread and waits for its commit. */
+int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments);
+/* The same without waiting; `done` frees what is to be freed. */
+int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
+                   void (*done)(void *arguments, int status));
+int mo_writer_start(struct mo_store *store);
+void mo_writer_stop(struct mo_store *store);
+/* Inside an operation: adds an event. `data`: a JSON object. */
+int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data);
+
+/* ---- reading ---- */
+
+struct mo_connection *mo_reader_acquire(struct mo_store *store); /* waits for a free one */
+void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
+
+/* ---- shared queries ---- */
+
+#define MO_JOB_COLUMNS                                                                                                 \
+  "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
+  "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \
+  "e.record_stride,e.done,e.cached,e.diverged"
+#define MO_JOB_TABLES                                                                                                  \
+  " FROM jobs j JOIN evaluations e ON e.job=j.id JOIN controllers c ON c.id=e.controller"                              \
+  " JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s ON s.id=e.environment_set "
+#define MO_JOB_N_COLUMNS 24
+int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
+
+/* Row of a controller by name or "sha256:…". MO_ERR_NOT_FOUND. */
+int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);
+int mo_register_paper_test(struct mo_store *store);
+int64_t mo_monotonic_us(void);
+
+#endif

@@ -1,0 +1,419 @@
+/* open.c: opening, migrating and closing a state folder; the pool of readers.
+ *
+ * Order: lock, database, application id and version, quick_check after an unclean stop, migrations, epoch, readers, writer. The
+ * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. */
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "migrations.h"
+#include "store/internal.h"
+
+static char *join(const char *folder, const char *name)
+{
+  size_t size = strlen(folder) + strlen(name) + 2;
+  char *path = malloc(size);
+  if (path != NULL)
+    snprintf(path, size, "%s/%s", folder, name);
+  return path;
+}
+
+static int lock_folder(struct mo_store *store, struct mo_message *message)
+{
+  char *path = join(store->path, "lock");
+  struct stat status;
+  int error = MO_OK;
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (stat(store->path, &status) != 0 || !S_ISDIR(status.st_mode)) {
+    free(path);
+    return mo_fail(message, MO_ERR_NOT_FOUND, "the state folder %s does not exist or is not a folder", store->path);
+  }
+  store->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
+  if (store->lock_fd < 0)
+    error = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "cannot write to the state folder %s: %s",
+                    store->path, strerrordesc_np(errno));
+  else if (flock(store->lock_fd, LOCK_EX | LOCK_NB) != 0)
+    error = mo_fail(message, MO_ERR_BUSY, "another process uses the state folder %s", store->path);
+  free(path);
+  return error;
+}
+
+/* The folder of weights; what an interrupted write left there is removed. */
+static int prepare_controllers(struct mo_store *store, struct mo_message *message)
+{
+  struct dirent *entry;
+  DIR *folder;
+  if (mkdir(store->controllers_path, 0700) != 0 && errno != EEXIST)
+    return mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "cannot create %s: %s",
+                   store->controllers_path, strerrordesc_np(errno));
+  folder = opendir(store->controllers_path);
+  if (folder == NULL)
+    return mo_fail(message, MO_ERR_IO, "cannot read %s: %s", store->controllers_path, strerrordesc_np(errno));
+  while ((entry = readdir(folder)) != NULL) /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
+    if (strncmp(entry->d_name, ".tmp-", 5) == 0)
+      (void)unlinkat(dirfd(folder), entry->d_name, 0);
+  closedir(folder);
+  return MO_OK;
+}
+
+static int get_pragma(struct mo_connection *connection, const char *sql, int64_t *value)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  return statement != NULL ? mo_sql_integer(connection, statement, value) : error;
+}
+
+/* Runs a check that answers "ok" in one row. */
+static int run_check(struct mo_connection *connection, const char *sql, struct mo_message *message)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  char text[160];
+  int step;
+  if (statement == NULL)
+    return error;
+  step = mo_sql_step(connection, statement);
+  if (step < 0)
+    return mo_fail(message, step, "the database cannot be read: %s", mo_error_text(step));
+  if (step == 0)
+    return MO_OK;
+  mo_column_text(statement, 0, text, sizeof(text));
+  (void)sqlite3_reset(statement);
+  if (strcmp(text, "ok") != 0)
+    return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
+  return MO_OK;
+}
+
+static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)
+{
+  char sql[64];
+  int error = mo_sql_exec(writer, "BEGIN EXCLUSIVE");
+  for (size_t i = (size_t)from; i < migration_count && error == MO_OK; i++) {
+    error = mo_sql_exec(writer, (const char *)migration_files[i].bytes);
+    if (error != MO_OK)
+      mo_fail(message, error, "migration %s failed: %s", migration_files[i].name, sqlite3_errmsg(writer->db));
+  }
+  if (error == MO_OK) {
+    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", migration_count);
+    error = mo_sql_exec(writer, sql);
+  }
+  if (error == MO_OK) {
+    snprintf(sql, sizeof(sql), "PRAGMA application_id=%d", MO_APPLICATION_ID);
+    error = mo_sql_exec(writer, sql);
+  }
+  if (error == MO_OK)
+    error = mo_sql_exec(writer, "COMMIT");
+  if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
+    (void)mo_sql_exec(writer, "ROLLBACK");
+  return error;
+}
+
+static int prepare_database(struct mo_store *store, struct mo_message *message)
+{
+  struct mo_connection *writer = &store->writer;
+  int64_t application = 0, version = 0, tables = 0, clean = 1;
+  int error = mo_connection_open(store, true, writer);
+  if (error == MO_OK)
+    error = get_pragma(writer, "PRAGMA application_id", &application);
+  if (error == MO_OK)
+    error = get_pragma(writer, "PRAGMA user_version", &version);
+  if (error == MO_OK)
+    error = get_pragma(writer, "SELECT count(*) FROM sqlite_schema", &tables);
+  if (error == MO_ERR_CORRUPT)
+    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged", store->database_path);
+  if (error != MO_OK)
+    return mo_fail(message, error, "cannot open %s: %s", store->database_path, mo_error_text(error));
+  if (application != MO_APPLICATION_ID && (application != 0 || tables != 0))
+    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
+  if (version > migration_count || version < 0)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
+                   store->database_path, (long long)version, migration_count);
+  error = mo_sql_exec(writer, "PRAGMA journal_mode=WAL");
+  if (error == MO_OK && version > 0) {
+    error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
+    if (error == MO_OK && !clean)
+      error = run_check(writer, "PRAGMA quick_check(1)", message);
+    if (error == MO_ERR_NOT_FOUND)
+      error = mo_fail(message, MO_ERR_CORRUPT, "%s lacks its own description", store->database_path);
+    if (error == MO_ERR_CORRUPT)
+      return error;
+  }
+  if (error == MO_OK && version < migration_count)
+    error = migrate(writer, version, message);
+  if (error == MO_OK)
+    error = mo_sql_exec(writer, "BEGIN IMMEDIATE;"
+                                "INSERT INTO meta(key,value) VALUES('epoch',1)"
+                                " ON CONFLICT(key) DO UPDATE SET value=value+1;"
+                                "INSERT INTO meta(key,value) VALUES('clean',0)"
+                                " ON CONFLICT(key) DO UPDATE SET value=0;"
+                                "COMMIT");
+  if (error == MO_OK)
+    error = get_pragma(writer, "SELECT value FROM meta WHERE key='epoch'", &store->epoch);
+  if (error != MO_OK && message != NULL && message->text[0] == '\0')
+    mo_fail(message, error, "cannot prepare %s: %s", store->database_path, mo_error_text(error));
+  return error;
+}
+
+static int open_readers(struct mo_store *store)
+{
+  int error = mo_connection_open(store, false, &store->runner);
+  for (uint32_t i = 0; i < store->n_readers && error == MO_OK; i++)
+    error = mo_connection_open(store, false, &store->readers[i]);
+  return error;
+}
+
+struct mo_connection *mo_reader_acquire(struct mo_store *store)
+{
+  struct mo_connection *found = NULL;
+  pthread_mutex_lock(&store->readers_mutex);
+  while (found == NULL) {
+    for (uint32_t i = 0; i < store->n_readers && found == NULL; i++)
+      if (!store->readers[i].busy)
+        found = &store->readers[i];
+    if (found == NULL)
+      pthread_cond_wait(&store->reader_free, &store->readers_mutex);
+  }
+  found->busy = true;
+  pthread_mutex_unlock(&store->readers_mutex);
+  return found;
+}
+
+void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
+{
+  /* A statement left in the middle of its rows would hold back the checkpoints. */
+  for (unsigned i = 0; i < connection->n_cached; i++)
+    (void)sqlite3_reset(connection->cache[i].statement);
+  if (!sqlite3_get_autocommit(connection->db))
+    (void)mo_sql_exec(connection, "COMMIT");
+  pthread_mutex_lock(&store->readers_mutex);
+  connection->busy = false;
+  pthread_cond_signal(&store->reader_free);
+  pthread_mutex_unlock(&store->readers_mutex);
+}
+
+static void free_store(struct mo_store *store)
+{
+  if (store->readers != NULL)
+    for (uint32_t i = 0; i < store->n_readers; i++)
+      mo_connection_close(&store->readers[i]);
+  mo_connection_close(&store->runner);
+  mo_connection_close(&store->writer);
+  if (store->lock_fd >= 0)
+    close(store->lock_fd);
+  pthread_mutex_destroy(&store->readers_mutex);
+  pthread_cond_destroy(&store->reader_free);
+  pthread_mutex_destroy(&store->runner_mutex);
+  pthread_mutex_destroy(&store->mutex);
+  pthread_cond_destroy(&store->work);
+  pthread_mutex_destroy(&store->listeners_mutex);
+  free(store->events);
+  free(store->readers);
+  free(store->path);
+  free(store->database_path);
+  free(store->controllers_path);
+  free(store->vfs);
+  free(store);
+}
+
+static struct mo_store *create_store(const struct mo_store_config *config)
+{
+  struct mo_store *store = calloc(1, sizeof(*store));
+  pthread_condattr_t monotonic;
+  if (store == NULL)
+    return NULL;
+  store->lock_fd = -1;
+  store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
+  store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
+  store->idempotency_keep_us = (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
+  store->fatal = config->fatal;
+  store->fatal_context = config->fatal_context;
+  pthread_mutex_init(&store->readers_mutex, NULL);
+  pthread_cond_init(&store->reader_free, NULL);
+  pthread_mutex_init(&store->runner_mutex, NULL);
+  pthread_mutex_init(&store->mutex, NULL);
+  pthread_mutex_init(&store->listeners_mutex, NULL);
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+  pthread_cond_init(&store->work, &monotonic);
+  pthread_condattr_destroy(&monotonic);
+  store->path = strdup(config->path);
+  store->database_path = join(config->path, "morphod.db");
+  store->controllers_path = join(config->path, "controllers");
+  store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
+  store->readers = calloc(store->n_readers, sizeof(*store->readers));
+  if (store->path == NULL || store->database_path == NULL || store->controllers_path == NULL ||
+      store->readers == NULL || (config->vfs != NULL && store->vfs == NULL)) {
+    free_store(store);
+    return NULL;
+  }
+  return store;
+}
+
+int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, struct mo_message *message)
+{
+  struct mo_store *store;
+  int error;
+  if (config->path == NULL || config->path[0] == '\0')
+    return mo_fail(message, MO_ERR_INVALID, "a state folder must be named");
+  if (message != NULL)
+    message->text[0] = '\0';
+  store = create_store(config);
+  if (store == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  error = lock_folder(store, message);
+  if (error == MO_OK)
+    error = prepare_controllers(store, message);
+  if (error == MO_OK)
+    error = prepare_database(store, message);
+  if (error == MO_OK)
+    error = open_readers(store);
+  if (error == MO_OK)
+    error = mo_writer_start(store);
+  if (error == MO_OK) {
+    error = mo_register_paper_test(store);
+    if (error != MO_OK)
+      mo_writer_stop(store);
+  }
+  if (error != MO_OK) {
+    if (message != NULL && message->text[0] == '\0')
+      mo_fail(message, error, "cannot open the state folder %s: %s", store->path, mo_error_text(error));
+    free_store(store);
+    return error;
+  }
+  *ret = store;
+  return MO_OK;
+}
+
+void mo_store_close(struct mo_store *store)
+{
+  if (store == NULL)
+    return;
+  mo_writer_stop(store);
+  if (!atomic_load(&store->is_fatal)) {
+    /* Readers first, so that the last checkpoint can empty the log. */
+    for (uint32_t i = 0; i < store->n_readers; i++)
+      mo_connection_close(&store->readers[i]);
+    mo_connection_close(&store->runner);
+    if (mo_sql_exec(&store->writer, "UPDATE meta SET value=1 WHERE key='clean'") == MO_OK)
+      (void)sqlite3_wal_checkpoint_v2(store->writer.db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL, NULL);
+  }
+  free_store(store);
+}
+
+int64_t mo_store_epoch(const struct mo_store *store)
+{
+  return store->epoch;
+}
+
+static int check_connection(struct mo_connection *connection, struct mo_message *message)
+{
+  int error = run_check(connection, "PRAGMA integrity_check(1)", message);
+  sqlite3_stmt *statement;
+  int step;
+  if (error != MO_OK)
+    return error;
+  statement = mo_sql(connection, "PRAGMA foreign_key_check", &error);
+  if (statement == NULL)
+    return error;
+  step = mo_sql_step(connection, statement);
+  if (step > 0) {
+    char table[64];
+    mo_column_text(statement, 0, table, sizeof(table));
+    (void)sqlite3_reset(statement);
+    return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: a row of %s refers to nothing", table);
+  }
+  return step;
+}
+
+int mo_store_check(struct mo_store *store, struct mo_message *message)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = check_connection(reader, message);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+static int sync_path(const char *path, int flags)
+{
+  int fd = open(path, flags | O_CLOEXEC);
+  int error = MO_OK;
+  if (fd < 0)
+    return MO_ERR_IO;
+  if (fsync(fd) != 0)
+    error = MO_ERR_IO;
+  close(fd);
+  return error;
+}
+
+/* Copies into `copy` and checks what was written. */
+static int copy_database(struct mo_store *store, const char *copy, struct mo_message *message)
+{
+  struct mo_connection source;
+  struct mo_store target = {.database_path = (char *)copy, .vfs = store->vfs};
+  sqlite3_stmt *statement = NULL;
+  int result, error;
+  result = sqlite3_open_v2(store->database_path, &source.db,
+                           SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE, store->vfs);
+  if (result == SQLITE_OK)
+    result = sqlite3_prepare_v2(source.db, "VACUUM INTO ?1", -1, &statement, NULL);
+  if (result == SQLITE_OK) {
+    sqlite3_bind_text(statement, 1, copy, -1, SQLITE_STATIC);
+    result = sqlite3_step(statement);
+  }
+  error = mo_sql_error(source.db, result);
+  sqlite3_finalize(statement);
+  if (error != MO_OK)
+    mo_fail(message, error, "the copy failed: %s", sqlite3_errmsg(source.db));
+  (void)sqlite3_close(source.db);
+  if (error != MO_OK)
+    return error;
+  error = mo_connection_open(&target, false, &source);
+  if (error != MO_OK)
+    return mo_fail(message, error, "the copy cannot be opened");
+  error = check_connection(&source, message);
+  mo_connection_close(&source);
+  return error;
+}
+
+int mo_store_backup(struct mo_store *store, const char *path, struct mo_message *message)
+{
+  size_t size = strlen(path) + sizeof(".partial");
+  char *copy, *folder, *slash;
+  int error;
+  if (access(path, F_OK) == 0)
+    return mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path);
+  copy = malloc(size);
+  folder = strdup(path);
+  if (copy == NULL || folder == NULL) {
+    free(copy);
+    free(folder);
+    return MO_ERR_NO_MEMORY;
+  }
+  snprintf(copy, size, "%s.partial", path);
+  (void)unlink(copy); /* of an interrupted backup */
+  error = copy_database(store, copy, message);
+  if (error == MO_OK)
+    error = sync_path(copy, O_RDONLY);
+  if (error == MO_OK && renameat2(AT_FDCWD, copy, AT_FDCWD, path, RENAME_NOREPLACE) != 0)
+    error = errno == EEXIST ? mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path)
+                            : mo_fail(message, MO_ERR_IO, "cannot name the copy %s: %s", path, strerrordesc_np(errno));
+  if (error != MO_OK) {
+    (void)unlink(copy);
+  } else {
+    slash = strrchr(folder, '/');
+    if (slash != NULL)
+      slash[slash == folder ? 1 : 0] = '\0';
+    error = sync_path(slash != NULL ? folder : ".", O_RDONLY | O_DIRECTORY);
+  }
+  free(copy);
+  free(folder);
+  return error;
+}

@@ -1,0 +1,183 @@
+/* sql.c: a thin layer over SQLite: cached statements, error codes, checked columns.
+ *
+ * Statements are written beside their use as string literals and found again by address, so that each is prepared once per
+ * connection. */
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/internal.h"
+
+int mo_sql_error(sqlite3 *db, int code)
+{
+  int system_error;
+  switch (code & 0xff) {
+  case SQLITE_OK:
+  case SQLITE_ROW:
+  case SQLITE_DONE: return MO_OK;
+  case SQLITE_FULL: return MO_ERR_NO_SPACE;
+  case SQLITE_NOMEM: return MO_ERR_NO_MEMORY;
+  case SQLITE_CORRUPT:
+  case SQLITE_NOTADB:
+  case SQLITE_CONSTRAINT:
+  case SQLITE_MISMATCH: return MO_ERR_CORRUPT;
+  case SQLITE_BUSY:
+  case SQLITE_LOCKED: return MO_ERR_BUSY;
+  case SQLITE_TOOBIG: return MO_ERR_LIMIT;
+  case SQLITE_IOERR:
+    if (code == SQLITE_IOERR_NOMEM)
+      return MO_ERR_NO_MEMORY;
+    system_error = db != NULL ? sqlite3_system_errno(db) : 0;
+    /* A failed fsync is never "no space": what the kernel dropped is unknown. */
+    if (code != SQLITE_IOERR_FSYNC && code != SQLITE_IOERR_DIR_FSYNC &&
+        (system_error == ENOSPC || system_error == EDQUOT || system_error == EFBIG))
+      return MO_ERR_NO_SPACE;
+    return MO_ERR_IO;
+  default: return MO_ERR_IO;
+  }
+}
+
+static int configure(sqlite3 *db, bool writable)
+{
+  static const char common[] = "PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON; PRAGMA mmap_size=0;"
+                               "PRAGMA temp_store=MEMORY; PRAGMA foreign_keys=ON;";
+  static const char reading[] = "PRAGMA query_only=ON; PRAGMA cache_size=-8192;";
+  static const char writing[] = "PRAGMA synchronous=FULL; PRAGMA cache_size=-65536; PRAGMA wal_autocheckpoint=0;"
+                                "PRAGMA journal_size_limit=67108864;";
+  int result = sqlite3_exec(db, common, NULL, NULL, NULL);
+  if (result == SQLITE_OK)
+    result = sqlite3_exec(db, writable ? writing : reading, NULL, NULL, NULL);
+  return result;
+}
+
+int mo_connection_open(const struct mo_store *store, bool writable, struct mo_connection *connection)
+{
+  int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) | SQLITE_OPEN_NOMUTEX |
+              SQLITE_OPEN_EXRESCODE;
+  int result, error;
+  memset(connection, 0, sizeof(*connection));
+  result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
+  if (result == SQLITE_OK) {
+    sqlite3_busy_timeout(connection->db, 5000);
+    (void)sqlite3_db_config(connection->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
+    result = configure(connection->db, writable);
+  }
+  if (result != SQLITE_OK) {
+    error = mo_sql_error(connection->db, result);
+    mo_connection_close(connection);
+    return error;
+  }
+  return MO_OK;
+}
+
+void mo_connection_close(struct mo_connection *connection)
+{
+  for (unsigned i = 0; i < connection->n_cached; i++)
+    sqlite3_finalize(connection->cache[i].statement);
+  connection->n_cached = 0;
+  (void)sqlite3_close(connection->db);
+  connection->db = NULL;
+}
+
+sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *error)
+{
+  sqlite3_stmt *statement;
+  int result;
+  for (unsigned i = 0; i < connection->n_cached; i++)
+    if (connection->cache[i].sql == sql) {
+      statement = connection->cache[i].statement;
+      (void)sqlite3_reset(statement);
+      (void)sqlite3_clear_bindings(statement);
+      return statement;
+    }
+  if (connection->n_cached == MO_STATEMENTS_MAX) {
+    *error = MO_ERR_LIMIT;
+    return NULL;
+  }
+  result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
+  if (result != SQLITE_OK) {
+    /* A statement that does not fit the schema means that the schema is not what its version says. */
+    *error = (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
+    return NULL;
+  }
+  connection->cache[connection->n_cached].sql = sql;
+  connection->cache[connection->n_cached].statement = statement;
+  connection->n_cached++;
+  return statement;
+}
+
+int mo_sql_step(struct mo_connection *connection, sqlite3_stmt *statement)
+{
+  int result = sqlite3_step(statement);
+  int error;
+  if (result == SQLITE_ROW)
+    return 1;
+  error = mo_sql_error(connection->db, result);
+  (void)sqlite3_reset(statement);
+  return error;
+}
+
+int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement)
+{
+  int step = mo_sql_step(connection, statement);
+  if (step > 0) {
+    (void)sqlite3_reset(statement);
+    return MO_OK;
+  }
+  return step;
+}
+
+int mo_sql_exec(struct mo_connection *connection, const char *sql)
+{
+  return mo_sql_error(connection->db, sqlite3_exec(connection->db, sql, NULL, NULL, NULL));
+}
+
+int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value)
+{
+  int step = mo_sql_step(connection, statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  *value = sqlite3_column_int64(statement, 0);
+  (void)sqlite3_reset(statement);
+  return MO_OK;
+}
+
+void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *hash)
+{
+  (void)sqlite3_bind_blob(statement, index, hash->bytes, sizeof(hash->bytes), SQLITE_STATIC);
+}
+
+int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash)
+{
+  const void *blob = sqlite3_column_blob(statement, column);
+  if (blob == NULL || sqlite3_column_bytes(statement, column) != (int)sizeof(hash->bytes))
+    return MO_ERR_CORRUPT;
+  memcpy(hash->bytes, blob, sizeof(hash->bytes));
+  return MO_OK;
+}
+
+int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits)
+{
+  const void *blob = sqlite3_column_blob(statement, column);
+  return mo_decode_bits(blob, (size_t)sqlite3_column_bytes(statement, column), bits);
+}
+
+int mo_column_double(sqlite3_stmt *statement, int column, double *value)
+{
+  const void *blob = sqlite3_column_blob(statement, column);
+  if (blob == NULL || sqlite3_column_bytes(statement, column) != 8)
+    return MO_ERR_CORRUPT;
+  *value = mo_decode_double(blob);
+  return MO_OK;
+}
+
+void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size)
+{
+  const unsigned char *found = sqlite3_column_text(statement, column);
+  size_t length = found != NULL ? strlen((const char *)found) : 0;
+  if (length >= size)
+    length = size - 1;
+  if (length > 0)
+    memcpy(text, found, length);
+  text[length] = '\0';
+}

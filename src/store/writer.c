@@ -1,0 +1,422 @@
+/* writer.c: the one thread that changes the database.
+ *
+ * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one transaction, commits once, and then
+ * releases the callers: under load one fsync serves many. An operation that fails rolls back alone. When SQLite gives up the
+ * whole transaction (disk full, out of memory), or the commit itself fails, each operation is run again in a transaction of its
+ * own, so that one that is too large does not take others with it. An I/O error that is not want of space is fatal: after a failed
+ * fsync nobody knows what the disk holds, so the process must end and recover from the log. */
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "store/internal.h"
+
+#define BATCH_MAX      256
+#define PRUNE_EVERY    1000 /* events */
+#define PRUNE_EVERY_US INT64_C(60000000)
+#define PRUNE_ROWS     "5000"
+#define SPACE_PROBE_US INT64_C(1000000)
+
+int64_t mo_monotonic_us(void)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+}
+
+int64_t mo_store_now_us(void)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_REALTIME, &now);
+  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+}
+
+int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data)
+{
+  static const char sql[] = "INSERT INTO events(time_us,job,type,data) VALUES(?1,?2,?3,?4)";
+  struct mo_connection *writer = &store->writer;
+  struct mo_event *event;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  if (store->n_events == store->events_capacity) {
+    size_t capacity = store->events_capacity > 0 ? store->events_capacity * 2 : 64;
+    struct mo_event *events = realloc(store->events, capacity * sizeof(*events));
+    if (events == NULL)
+      return MO_ERR_NO_MEMORY;
+    store->events = events;
+    store->events_capacity = capacity;
+  }
+  event = &store->events[store->n_events];
+  memset(event, 0, sizeof(*event));
+  if (strlen(type) >= sizeof(event->type) || strlen(data) >= sizeof(event->data))
+    return MO_ERR_LIMIT;
+  strcpy(event->type, type); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy): length checked above */
+  strcpy(event->data, data); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy) */
+  event->time_us = mo_store_now_us();
+  event->job = job;
+  statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, event->time_us);
+  sqlite3_bind_int64(statement, 2, job);
+  sqlite3_bind_text(statement, 3, event->type, -1, SQLITE_STATIC);
+  sqlite3_bind_text(statement, 4, event->data, -1, SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  if (error != MO_OK)
+    return error;
+  event->sequence = sqlite3_last_insert_rowid(writer->db);
+  store->n_events++;
+  return MO_OK;
+}
+
+static void declare_fatal(struct mo_store *store)
+{
+  if (!atomic_exchange(&store->is_fatal, true) && store->fatal != NULL)
+    store->fatal(store->fatal_context, sqlite3_errmsg(store->writer.db));
+}
+
+/* Runs one operation in the open transaction. false: the transaction is gone. */
+static bool run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
+{
+  struct mo_connection *writer = &store->writer;
+  int error;
+  operation->first_event = store->n_events;
+  operation->status = mo_sql_exec(writer, "SAVEPOINT operation");
+  if (operation->status == MO_OK)
+    operation->status = operation->run(store, operation->arguments);
+  if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
+    return false;
+  if (operation->status != MO_OK) {
+    store->n_events = operation->first_event;
+    error = mo_sql_exec(writer, "ROLLBACK TO operation");
+    if (error != MO_OK)
+      return false;
+  }
+  return mo_sql_exec(writer, "RELEASE operation") == MO_OK;
+}
+
+static int commit(struct mo_store *store)
+{
+  int64_t start = mo_monotonic_us();
+  int error = mo_sql_exec(&store->writer, "COMMIT");
+  if (error == MO_OK) {
+    atomic_fetch_add(&store->commits, 1);
+    atomic_fetch_add(&store->commit_ns, (uint64_t)(mo_monotonic_us() - start) * 1000);
+  }
+  return error;
+}
+
+static void abandon(struct mo_store *store)
+{
+  if (!sqlite3_get_autocommit(store->writer.db))
+    (void)mo_sql_exec(&store->writer, "ROLLBACK");
+  store->n_events = 0;
+}
+
+static int run_alone(struct mo_store *store, struct mo_operation *operation)
+{
+  int error;
+  if (atomic_load(&store->is_fatal))
+    return MO_ERR_IO;
+  error = mo_sql_exec(&store->writer, "BEGIN IMMEDIATE");
+  if (error == MO_OK)
+    error = operation->run(store, operation->arguments);
+  if (error == MO_OK)
+    error = sqlite3_get_autocommit(store->writer.db) ? MO_ERR_IO : commit(store);
+  return error;
+}
+
+static void tell(struct mo_store *store)
+{
+  if (store->n_events == 0)
+    return;
+  pthread_mutex_lock(&store->listeners_mutex);
+  for (unsigned i = 0; i < store->n_listeners; i++)
+    store->listeners[i].call(store->listeners[i].context, store->events, store->n_events);
+  pthread_mutex_unlock(&store->listeners_mutex);
+  store->events_since_prune += store->n_events;
+  store->n_events = 0;
+}
+
+static void release(struct mo_store *store, struct mo_operation *operation)
+{
+  atomic_fetch_add(&store->operations, 1);
+  atomic_fetch_sub(&store->queued, 1);
+  if (operation->status == MO_ERR_NO_SPACE)
+    atomic_store(&store->no_space, true);
+  else if (operation->status == MO_OK)
+    atomic_store(&store->no_space, false);
+  if (operation->status != MO_OK)
+    atomic_fetch_add(&store->operations_failed, 1);
+  if (operation->done != NULL) {
+    operation->done(operation->arguments, operation->status);
+    free(operation);
+    return;
+  }
+  pthread_mutex_lock(&store->mutex);
+  operation->finished = true;
+  pthread_cond_signal(&operation->released);
+  pthread_mutex_unlock(&store->mutex);
+}
+
+static void run_batch(struct mo_store *store, struct mo_operation *first)
+{
+  struct mo_operation *operation, *next;
+  bool whole = !atomic_load(&store->is_fatal) && mo_sql_exec(&store->writer, "BEGIN IMMEDIATE") == MO_OK;
+  store->n_events = 0;
+  for (operation = first; operation != NULL && whole; operation = operation->next)
+    whole = run_in_savepoint(store, operation);
+  if (whole)
+    whole = commit(store) == MO_OK;
+  if (!whole) {
+    abandon(store);
+    for (operation = first; operation != NULL; operation = operation->next) {
+      operation->status = run_alone(store, operation);
+      if (operation->status == MO_ERR_IO)
+        declare_fatal(store);
+      if (operation->status != MO_OK)
+        abandon(store);
+      tell(store);
+    }
+  }
+  tell(store);
+  for (operation = first; operation != NULL; operation = next) {
+    next = operation->next;
+    release(store, operation);
+  }
+}
+
+/* Deletes what is past its time, a bounded number of rows at once. Failures wait for the next round. */
+static void prune(struct mo_store *store)
+{
+  static const char events_sql[] =
+      "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events WHERE sequence <= "
+      "(SELECT max(sequence) FROM events) - ?1 ORDER BY sequence LIMIT " PRUNE_ROWS ")";
+  static const char keys_sql[] = "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys "
+                                 "WHERE created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
+  struct mo_connection *writer = &store->writer;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  store->last_prune_us = mo_monotonic_us();
+  store->events_since_prune = 0;
+  if (mo_sql_exec(writer, "BEGIN IMMEDIATE") != MO_OK) {
+    abandon(store);
+    return;
+  }
+  statement = mo_sql(writer, events_sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, (sqlite3_int64)store->events_kept);
+    error = mo_sql_run(writer, statement);
+    if (sqlite3_changes(writer->db) > 0)
+      store->events_since_prune = PRUNE_EVERY; /* there may be more: again soon */
+  }
+  statement = error == MO_OK ? mo_sql(writer, keys_sql, &error) : NULL;
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, mo_store_now_us() - store->idempotency_keep_us);
+    error = mo_sql_run(writer, statement);
+  }
+  if (error == MO_OK)
+    error = commit(store);
+  if (error == MO_ERR_IO)
+    declare_fatal(store);
+  if (error != MO_OK) {
+    store->events_since_prune = 0;
+    abandon(store);
+  }
+}
+
+static void maintain(struct mo_store *store)
+{
+  static const char pages_sql[] = "PRAGMA page_count";
+  struct mo_connection *writer = &store->writer;
+  sqlite3_stmt *statement;
+  int64_t pages;
+  int error = MO_OK;
+  int result;
+  if (atomic_load(&store->is_fatal))
+    return;
+  if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
+    prune(store);
+  if (store->wal_frames >= MO_CHECKPOINT_FRAMES) {
+    result = sqlite3_wal_checkpoint_v2(writer->db, NULL, SQLITE_CHECKPOINT_PASSIVE, NULL, NULL);
+    if (result != SQLITE_OK && mo_sql_error(writer->db, result) == MO_ERR_IO)
+      declare_fatal(store);
+    store->wal_frames = 0; /* counted anew by the hook at the next commit */
+  }
+  statement = mo_sql(writer, pages_sql, &error);
+  if (statement != NULL && mo_sql_integer(writer, statement, &pages) == MO_OK)
+    atomic_store(&store->database_bytes, pages * 4096);
+}
+
+static int count_frames(void *context, sqlite3 *db, const char *name, int frames)
+{
+  struct mo_store *store = context;
+  (void)db;
+  (void)name;
+  store->wal_frames = frames;
+  atomic_store(&store->wal_bytes, (int64_t)frames * (4096 + 24));
+  return SQLITE_OK;
+}
+
+/* Waits for operations, at most a second, and takes up to BATCH_MAX of them. NULL with *closing: the end. */
+static struct mo_operation *take(struct mo_store *store, bool *closing)
+{
+  struct mo_operation *first, *last;
+  struct timespec deadline;
+  clock_gettime(CLOCK_MONOTONIC, &deadline);
+  deadline.tv_sec += 1;
+  pthread_mutex_lock(&store->mutex);
+  while (store->first == NULL && !store->closing)
+    if (pthread_cond_timedwait(&store->work, &store->mutex, &deadline) == ETIMEDOUT)
+      break;
+  first = last = store->first;
+  if (first != NULL) {
+    for (unsigned n = 1; n < BATCH_MAX && last->next != NULL; n++)
+      last = last->next;
+    store->first = last->next;
+    if (store->first == NULL)
+      store->last = NULL;
+    last->next = NULL;
+  }
+  *closing = store->closing && first == NULL;
+  pthread_mutex_unlock(&store->mutex);
+  return first;
+}
+
+static void *write_loop(void *context)
+{
+  struct mo_store *store = context;
+  bool closing = false;
+  for (;;) {
+    struct mo_operation *first = take(store, &closing);
+    if (closing)
+      break;
+    if (first != NULL)
+      run_batch(store, first);
+    maintain(store);
+    atomic_store(&store->heartbeat_us, mo_monotonic_us());
+  }
+  return NULL;
+}
+
+int mo_writer_start(struct mo_store *store)
+{
+  sqlite3_wal_hook(store->writer.db, count_frames, store);
+  store->last_prune_us = mo_monotonic_us();
+  atomic_store(&store->heartbeat_us, mo_monotonic_us());
+  if (pthread_create(&store->thread, NULL, write_loop, store) != 0)
+    return MO_ERR_NO_MEMORY;
+  store->thread_started = true;
+  return MO_OK;
+}
+
+void mo_writer_stop(struct mo_store *store)
+{
+  if (!store->thread_started)
+    return;
+  pthread_mutex_lock(&store->mutex);
+  store->closing = true;
+  pthread_cond_signal(&store->work);
+  pthread_mutex_unlock(&store->mutex);
+  pthread_join(store->thread, NULL);
+  store->thread_started = false;
+}
+
+static int enqueue(struct mo_store *store, struct mo_operation *operation)
+{
+  if (atomic_load(&store->is_fatal))
+    return MO_ERR_IO;
+  pthread_mutex_lock(&store->mutex);
+  if (store->closing) {
+    pthread_mutex_unlock(&store->mutex);
+    return MO_ERR_CANCELLED;
+  }
+  operation->next = NULL;
+  if (store->last != NULL)
+    store->last->next = operation;
+  else
+    store->first = operation;
+  store->last = operation;
+  atomic_fetch_add(&store->queued, 1);
+  pthread_cond_signal(&store->work);
+  if (operation->done == NULL)
+    while (!operation->finished)
+      pthread_cond_wait(&operation->released, &store->mutex);
+  pthread_mutex_unlock(&store->mutex);
+  return MO_OK;
+}
+
+int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+{
+  struct mo_operation operation = {.run = run, .arguments = arguments};
+  int error;
+  if (pthread_cond_init(&operation.released, NULL) != 0)
+    return MO_ERR_NO_MEMORY;
+  error = enqueue(store, &operation);
+  pthread_cond_destroy(&operation.released);
+  return error != MO_OK ? error : operation.status;
+}
+
+int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
+                   void (*done)(void *arguments, int status))
+{
+  struct mo_operation *operation = calloc(1, sizeof(*operation));
+  int error;
+  if (operation == NULL)
+    return MO_ERR_NO_MEMORY;
+  operation->run = run;
+  operation->arguments = arguments;
+  operation->done = done;
+  error = enqueue(store, operation);
+  if (error != MO_OK)
+    free(operation);
+  return error;
+}
+
+int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context, int *ret_handle)
+{
+  int error = MO_OK;
+  pthread_mutex_lock(&store->listeners_mutex);
+  if (store->n_listeners == MO_LISTENERS_MAX) {
+    error = MO_ERR_LIMIT;
+  } else {
+    store->listeners[store->n_listeners].handle = ++store->next_handle;
+    store->listeners[store->n_listeners].call = listener;
+    store->listeners[store->n_listeners].context = context;
+    store->n_listeners++;
+    *ret_handle = store->next_handle;
+  }
+  pthread_mutex_unlock(&store->listeners_mutex);
+  return error;
+}
+
+void mo_store_unsubscribe(struct mo_store *store, int handle)
+{
+  pthread_mutex_lock(&store->listeners_mutex);
+  for (unsigned i = 0; i < store->n_listeners; i++)
+    if (store->listeners[i].handle == handle) {
+      for (unsigned k = i + 1; k < store->n_listeners; k++)
+        store->listeners[k - 1] = store->listeners[k];
+      store->n_listeners--;
+      break;
+    }
+  pthread_mutex_unlock(&store->listeners_mutex);
+}
+
+void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats)
+{
+  *stats = (struct mo_store_stats){
+      .commits = atomic_load(&store->commits),
+      .operations = atomic_load(&store->operations),
+      .operations_failed = atomic_load(&store->operations_failed),
+      .queued = atomic_load(&store->queued),
+      .commit_s = (double)atomic_load(&store->commit_ns) * 1e-9,
+      .database_bytes = atomic_load(&store->database_bytes),
+      .wal_bytes = atomic_load(&store->wal_bytes),
+      .heartbeat_us = atomic_load(&store->heartbeat_us),
+      .no_space = atomic_load(&store->no_space),
+      .fatal = atomic_load(&store->is_fatal),
+  };
+}

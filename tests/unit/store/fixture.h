@@ -1,0 +1,117 @@
+/* fixture.h: a state folder of its own for every case, and small submissions. */
+#ifndef MORPHO_TESTS_STORE_FIXTURE_H
+#define MORPHO_TESTS_STORE_FIXTURE_H
+
+#include <ftw.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "store/runner.h"
+
+struct fixture {
+  char path[256];
+  struct mo_store *store;
+  struct mo_message message;
+};
+
+static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind, struct FTW *place)
+{
+  (void)status;
+  (void)kind;
+  (void)place;
+  return remove(path);
+}
+
+static inline void fixture_remove(const char *path)
+{
+  (void)nftw(path, fixture_remove_entry, 16, FTW_DEPTH | FTW_PHYS);
+}
+
+static inline int fixture_folder(struct fixture *fixture)
+{
+  const char *base = getenv("TMPDIR");
+  memset(fixture, 0, sizeof(*fixture));
+  snprintf(fixture->path, sizeof(fixture->path), "%s/morpho-store-XXXXXX", base != NULL ? base : "/tmp");
+  return mkdtemp(fixture->path) != NULL ? 0 : -1;
+}
+
+static inline int fixture_reopen(struct fixture *fixture)
+{
+  struct mo_store_config config = {.path = fixture->path};
+  mo_store_close(fixture->store);
+  fixture->store = NULL;
+  return mo_store_open(&config, &fixture->store, &fixture->message);
+}
+
+static inline void fixture_end(struct fixture *fixture)
+{
+  mo_store_close(fixture->store);
+  fixture_remove(fixture->path);
+}
+
+/* Weights drawn from a seed, stored under a name. */
+static inline int fixture_controller(struct mo_store *store, const char *name, uint64_t seed,
+                                     struct mo_controller_record *record)
+{
+  struct mo_controller *controller = NULL;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  bool created;
+  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
+  if (error == MO_OK) {
+    mo_controller_randomize(controller, seed);
+    error = mo_controller_encode(controller, &bytes, &size);
+  }
+  if (error == MO_OK)
+    error = mo_store_controller_put(store, name, bytes, size, controller, record, &created);
+  free(bytes);
+  mo_controller_free(controller);
+  return error;
+}
+
+static inline int fixture_start(struct fixture *fixture)
+{
+  struct mo_controller_record record;
+  int error = fixture_folder(fixture);
+  if (error == 0)
+    error = fixture_reopen(fixture);
+  if (error == MO_OK)
+    error = fixture_controller(fixture->store, "default", 1, &record);
+  return error;
+}
+
+/* Distinct bodies, placed, with their canonical forms. Caller frees both. */
+static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms, struct mo_bits **genotypes)
+{
+  struct mo_body_stream *stream = NULL;
+  int error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream);
+  *forms = calloc(n, sizeof(**forms));
+  *genotypes = calloc(n, sizeof(**genotypes));
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_body_stream_next(stream, (*genotypes)[i].words);
+    if (error == MO_OK) {
+      mo_genotype_place(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words);
+      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, (*genotypes)[i].words, (*forms)[i].words);
+    }
+  }
+  mo_body_stream_free(stream);
+  return error;
+}
+
+static inline struct mo_submission fixture_submission(const struct mo_bits *forms, const struct mo_bits *genotypes,
+                                                      uint32_t n)
+{
+  return (struct mo_submission){.forms = forms,
+                                .genotypes = genotypes,
+                                .n_designs = n,
+                                .environment_set = "paper-test",
+                                .controller = "default",
+                                .physics = mo_default_physics(),
+                                .precision = MO_FLOAT32,
+                                .priority = MO_BATCH,
+                                .record_stride = 10};
+}
+
+#endif
