@@ -10,8 +10,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include <jansson.h>
-
 #include "store/internal.h"
 
 int mo_controller_name_check(const char *name)
@@ -138,16 +136,52 @@ out:
   return error;
 }
 
+/* Writes a JSON string to `to` (NULL: only counts) and returns its bytes. The text is UTF-8 already. */
+static size_t quote(const char *text, char *to)
+{
+  size_t n = 0;
+  char piece[8];
+  for (const char *c = text;; c++) {
+    bool end = *c == '\0', start = c == text;
+    int length = 0;
+    if (start)
+      piece[length++] = '"';
+    if (end)
+      piece[length++] = '"';
+    else if (*c == '"' || *c == '\\')
+      length += snprintf(piece + length, sizeof(piece) - 1, "\\%c", *c);
+    else if ((unsigned char)*c < 0x20)
+      length += snprintf(piece + length, sizeof(piece) - 1, "\\u%04x", (unsigned)*c);
+    else
+      piece[length++] = *c;
+    if (to != NULL)
+      memcpy(to + n, piece, (size_t)length);
+    n += (size_t)length;
+    if (end)
+      return n;
+  }
+}
+
+/* The metadata as a JSON object (malloc). */
 static char *metadata_json(const struct mo_controller *controller)
 {
-  json_t *object = json_object();
-  char *text = NULL;
-  bool whole = object != NULL;
-  for (size_t i = 0; i < controller->n_metadata && whole; i++)
-    whole = json_object_set_new(object, controller->metadata[i].key, json_string(controller->metadata[i].value)) == 0;
-  if (whole)
-    text = json_dumps(object, JSON_COMPACT);
-  json_decref(object);
+  size_t size = 3, at = 0;
+  char *text;
+  for (size_t i = 0; i < controller->n_metadata; i++)
+    size += quote(controller->metadata[i].key, NULL) + quote(controller->metadata[i].value, NULL) + 2;
+  text = malloc(size);
+  if (text == NULL)
+    return NULL;
+  text[at++] = '{';
+  for (size_t i = 0; i < controller->n_metadata; i++) {
+    if (i > 0)
+      text[at++] = ',';
+    at += quote(controller->metadata[i].key, text + at);
+    text[at++] = ':';
+    at += quote(controller->metadata[i].value, text + at);
+  }
+  text[at++] = '}';
+  text[at] = '\0';
   return text;
 }
 

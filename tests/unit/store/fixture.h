@@ -62,6 +62,9 @@ static inline int fixture_controller(struct mo_store *store, const char *name, u
   int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
   if (error == MO_OK) {
     mo_controller_randomize(controller, seed);
+    error = mo_controller_set_metadata(controller, "note", "a \"quoted\"\n\\ \xc3\xa9 note");
+  }
+  if (error == MO_OK) {
     error = mo_controller_encode(controller, &bytes, &size);
   }
   if (error == MO_OK)
