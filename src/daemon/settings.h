@@ -119,8 +119,9 @@ int settings_set(struct settings *settings, const struct setting *setting, const
 /* Fills in what follows from the surroundings: state_dir, token_file from a credential. */
 int settings_complete(struct settings *settings, const char *const *environment);
 
-/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads, never writes. */
-void settings_check(const struct settings *settings, struct settings_faults *faults);
+/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads, never writes. `state_dir`: the
+ * state folder, too (a start finds out by itself, and tells a broken folder from a broken configuration). */
+void settings_check(const struct settings *settings, bool state_dir, struct settings_faults *faults);
 
 /* "127.0.0.1:8765", "[::1]:8765", "localhost:0", "unix:/run/x": MO_ERR_INVALID with a message. */
 struct listen_address {

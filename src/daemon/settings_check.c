@@ -183,9 +183,10 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-void settings_check(const struct settings *settings, struct settings_faults *faults)
+void settings_check(const struct settings *settings, bool state_dir, struct settings_faults *faults)
 {
-  check_state_dir(settings->state_dir, faults);
+  if (state_dir)
+    check_state_dir(settings->state_dir, faults);
   check_listen(settings, faults);
   if (settings->token_file != NULL)
     check_token_file(settings->token_file, faults);

@@ -1,0 +1,124 @@
+/* cmd_job.c: job list, show, cancel, pause, resume. */
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "commands.h"
+#include "table.h"
+#include "transport.h"
+
+int run_job_list(struct ctl *ctl)
+{
+  static const char *const states[] = {"queued", "running", "paused", "succeeded", "failed", "cancelled"};
+  const char *state = option_text(ctl, "state", NULL);
+  int64_t limit = 50;
+  if (!option_number(ctl, "limit", 1, 1000000, &limit))
+    return STATUS_USAGE;
+  if (option_is_set(ctl, "all"))
+    limit = 0;
+  bool known = state == NULL;
+  for (size_t i = 0; i < 6 && !known; i++)
+    known = strcmp(states[i], state) == 0;
+  if (!known)
+    return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
+                    state);
+  char path[64];
+  json_t *items;
+  snprintf(path, sizeof(path), "/v1/jobs%s%s", state != NULL ? "?state=" : "", state != NULL ? state : "");
+  int status = collect(ctl, path, (size_t)limit, &items);
+  if (status != STATUS_OK)
+    return status;
+  if (ctl->json) {
+    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
+    print_json(page);
+    json_decref(page);
+  } else {
+    struct table table;
+    size_t i;
+    const json_t *job;
+    table_open(&table, ">job|state|priority|>designs|>rollouts|>done|created|label");
+    json_array_foreach(items, i, job)
+    {
+      char designs[32], rollouts[32], done[16], time[32];
+      int64_t total = number_of(job, "rollouts_total");
+      snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * number_of(job, "rollouts_done") / total) : 0);
+      const char *cells[] = {text_of(job, "id"),
+                             text_of(job, "state"),
+                             text_of(job, "priority"),
+                             count_text(number_of(job, "n_designs"), designs),
+                             count_text(total, rollouts),
+                             done,
+                             time_text(json_object_get(job, "created_at"), time),
+                             text_of(job, "label")};
+      table_add(&table, cells);
+    }
+    table_print(&table, stdout, ctl);
+  }
+  json_decref(items);
+  return STATUS_OK;
+}
+
+int run_job_show(struct ctl *ctl)
+{
+  const char *id = ctl->operands[0];
+  bool results = option_is_set(ctl, "results");
+  char path[64];
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  snprintf(path, sizeof(path), "/v1/%s/%s", results ? "evaluations" : "jobs", id);
+  if (ctl->json)
+    return show_json(ctl, path);
+  json_t *job;
+  int status = transport_get_json(ctl, path, 0, &job);
+  if (status == STATUS_OK) {
+    print_job_facts(ctl, job);
+    if (json_object_get(job, "results") != NULL) {
+      putchar('\n');
+      print_results(ctl, job, NULL, false, 0);
+    }
+  }
+  json_decref(job);
+  return status;
+}
+
+static int change(struct ctl *ctl, const char *method, const char *verb)
+{
+  int worst = STATUS_OK;
+  for (size_t i = 0; i < ctl->n_operands; i++) {
+    const char *id = ctl->operands[i];
+    char path[64];
+    if (!check_job_id(id))
+      return STATUS_USAGE;
+    snprintf(path, sizeof(path), "/v1/jobs/%s%s", id, verb);
+    struct reply reply;
+    int status = transport_send(ctl, &(struct request){.method = method, .path = path}, &reply);
+    json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
+    if (job != NULL && ctl->json)
+      print_json(job);
+    else if (job != NULL && !ctl->quiet)
+      printf("job %s is %s%s\n", id, text_of(job, "state"),
+             reply.status == 202 ? ", its running work is being stopped" : "");
+    json_decref(job);
+    reply_free(&reply);
+    if (status != STATUS_OK)
+      worst = status;
+    if (status == STATUS_CONNECTION || status == STATUS_INTERRUPTED)
+      break;
+  }
+  return worst;
+}
+
+int run_job_cancel(struct ctl *ctl)
+{
+  return change(ctl, "DELETE", "");
+}
+
+int run_job_pause(struct ctl *ctl)
+{
+  return change(ctl, "POST", "/pause");
+}
+
+int run_job_resume(struct ctl *ctl)
+{
+  return change(ctl, "POST", "/resume");
+}

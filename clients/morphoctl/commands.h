@@ -1,0 +1,72 @@
+/* commands.h: what the commands share. Each command is a function of its own in a cmd_*.c file; main.c lists them. */
+#ifndef MORPHOCTL_COMMANDS_H
+#define MORPHOCTL_COMMANDS_H
+
+#include <jansson.h>
+
+#include "ctl.h"
+#include "designs.h"
+
+int run_eval(struct ctl *ctl);
+int run_verify(struct ctl *ctl);
+int run_design_show(struct ctl *ctl);
+int run_design_list(struct ctl *ctl);
+int run_design_draw(struct ctl *ctl);
+int run_design_random(struct ctl *ctl);
+int run_job_list(struct ctl *ctl);
+int run_job_show(struct ctl *ctl);
+int run_job_cancel(struct ctl *ctl);
+int run_job_pause(struct ctl *ctl);
+int run_job_resume(struct ctl *ctl);
+int run_watch(struct ctl *ctl);
+int run_controller_list(struct ctl *ctl);
+int run_controller_info(struct ctl *ctl);
+int run_controller_get(struct ctl *ctl);
+int run_controller_put(struct ctl *ctl);
+int run_controller_delete(struct ctl *ctl);
+int run_status(struct ctl *ctl);
+int run_version(struct ctl *ctl);
+int run_completion(struct ctl *ctl);
+
+/* Options that describe a score: controller, environments, physics, precision. request.c */
+#define SCORE_OPTIONS                                                                                                  \
+  {"controller", 'c', "NAME", "Controller: a name or sha256:<64 digits> (default: default)."},                         \
+      {"environments", 'e', "FILE",                                                                                    \
+       "paper-test (default), or a JSON file with a list of environments; - is standard input."},                      \
+      {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."}, \
+  {                                                                                                                    \
+    "precision", 0, "float32|float64", "Precision of the simulation (default: float32)."                               \
+  }
+
+/* Fills in the body of POST /v1/evaluations but for its designs. */
+int request_fill(const struct ctl *ctl, json_t *request);
+/* One "key=value" of --physics into `physics`. */
+int request_physics(json_t *physics, const char *text);
+
+/* Posts an evaluation. With `wait`, waits to its end with progress; *evaluation is then the final one with results. */
+int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation);
+/* STATUS_OK if it succeeded, else STATUS_NEGATIVE and a complaint. */
+int evaluation_outcome(const json_t *evaluation);
+
+/* The results of a finished evaluation as a table. names: (n) or NULL. */
+void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names, bool by_score, size_t top);
+/* A fact per line: "controller   default (sha256 …)". */
+void print_fact(const struct ctl *ctl, const char *name, const char *format, ...) __attribute__((format(printf, 3, 4)));
+void print_job_facts(const struct ctl *ctl, const json_t *job);
+
+/* JSON as it came from the API, indented on a terminal. */
+void print_json(const json_t *json);
+/* GET and print; for --json of commands that show one thing. */
+int show_json(struct ctl *ctl, const char *path);
+
+/* Collects the items of a paged list up to `limit` (0: all). *items is an array of what came, in order. */
+int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
+
+bool is_final(const char *state);
+/* Whether an operand is the decimal id of a job; complains if not. */
+bool check_job_id(const char *text);
+
+const char *text_of(const json_t *object, const char *key); /* "" if there is none */
+int64_t number_of(const json_t *object, const char *key);
+
+#endif

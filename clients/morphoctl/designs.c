@@ -1,0 +1,331 @@
+/* designs.c: see designs.h. The server checks bodies; here only what cannot be sent at all is refused, with file and line. */
+#include "designs.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+int read_input(const char *path, size_t limit, char **text, size_t *length)
+{
+  bool standard = strcmp(path, "-") == 0;
+  FILE *file = standard ? stdin : fopen(path, "re");
+  if (file == NULL)
+    return complain(STATUS_USAGE, "%s: %s", path, strerror(errno));
+  const char *name = standard ? "standard input" : path;
+  size_t n = 0, capacity = 0;
+  char *bytes = NULL;
+  int status = STATUS_OK;
+  for (;;) {
+    if (n + 1 >= capacity) {
+      capacity = capacity + capacity / 2 + 65536;
+      char *grown = realloc(bytes, capacity);
+      if (grown == NULL) {
+        status = complain(STATUS_ERROR, "out of memory");
+        break;
+      }
+      bytes = grown;
+    }
+    size_t got = fread(bytes + n, 1, capacity - n - 1, file);
+    n += got;
+    if (n > limit) {
+      status = complain(STATUS_USAGE, "%s is larger than %zu MiB", name, limit >> 20);
+      break;
+    }
+    if (got == 0) {
+      if (ferror(file))
+        status = complain(STATUS_USAGE, "%s: %s", name, strerror(errno));
+      break;
+    }
+  }
+  if (!standard)
+    fclose(file);
+  if (status != STATUS_OK) {
+    free(bytes);
+    return status;
+  }
+  bytes[n] = 0;
+  *text = bytes;
+  *length = n;
+  return STATUS_OK;
+}
+
+bool is_id(const char *text, size_t length)
+{
+  if (length != ID_DIGITS)
+    return false;
+  for (size_t i = 0; i < length; i++)
+    if (!isxdigit((unsigned char)text[i]))
+      return false;
+  return true;
+}
+
+bool is_voxels(const char *text, size_t length)
+{
+  return length == VOXELS && strspn(text, "01") >= VOXELS;
+}
+
+static int add(struct designs *designs, json_t *design, const char *name)
+{
+  if (designs->list == NULL)
+    designs->list = json_array();
+  char **names = realloc(designs->names, (designs->n + 1) * sizeof(*names));
+  if (names != NULL)
+    designs->names = names;
+  if (names == NULL || designs->list == NULL || design == NULL) {
+    json_decref(design);
+    return complain(STATUS_ERROR, "out of memory");
+  }
+  if (designs->n >= DESIGNS_MAX) {
+    json_decref(design);
+    return complain(STATUS_USAGE, "more than %d designs in one request; split them", DESIGNS_MAX);
+  }
+  names[designs->n] = NULL;
+  if (name != NULL) {
+    names[designs->n] = strdup(name);
+    designs->named = true;
+  }
+  if (json_array_append_new(designs->list, design) != 0) {
+    free(names[designs->n]);
+    return complain(STATUS_ERROR, "out of memory");
+  }
+  designs->n++;
+  return STATUS_OK;
+}
+
+static bool is_point(const json_t *json)
+{
+  return json_array_size(json) == 3 && json_is_number(json_array_get(json, 0));
+}
+
+static int add_json(struct designs *designs, const char *source, size_t line, json_t *json, int depth)
+{
+  static const char *const forms[] = {"cells", "voxels", "id"};
+  if (json_is_string(json)) {
+    const char *text = json_string_value(json);
+    size_t length = json_string_length(json);
+    if (is_id(text, length) || is_voxels(text, length))
+      return add(designs, json_pack("{s:s}", is_id(text, length) ? "id" : "voxels", text), NULL);
+    return complain(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits", source, line);
+  }
+  if (json_is_array(json)) {
+    if (json_array_size(json) > 0 && is_point(json_array_get(json, 0)))
+      return add(designs, json_pack("{s:O}", "cells", json), NULL);
+    if (depth > 1)
+      return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
+    size_t i;
+    json_t *entry;
+    int status = STATUS_OK;
+    json_array_foreach(json, i, entry)
+    {
+      status = add_json(designs, source, line, entry, depth + 1);
+      if (status != STATUS_OK)
+        break;
+    }
+    return status;
+  }
+  if (!json_is_object(json))
+    return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
+  json_t *many = json_object_get(json, "designs");
+  if (many != NULL && depth == 0)
+    return add_json(designs, source, line, many, 0);
+  json_t *design = json_object();
+  const char *key;
+  json_t *value;
+  json_object_foreach(json, key, value)
+  {
+    if (strcmp(key, "name") == 0 || strcmp(key, "description") == 0)
+      continue;
+    bool known = false;
+    for (size_t i = 0; i < 3; i++)
+      known |= strcmp(key, forms[i]) == 0;
+    if (!known) {
+      json_decref(design);
+      const char *near = nearest_name(key, forms, 3);
+      return complain(STATUS_USAGE,
+                      "%s:%zu: a design has no \"%s\"%s%s; it has cells, voxels or id, and perhaps a name", source,
+                      line, key, near != NULL ? "; did you mean " : "", near != NULL ? near : "");
+    }
+    json_object_set(design, key, value);
+  }
+  if (json_object_size(design) != 1) {
+    json_decref(design);
+    return complain(STATUS_USAGE, "%s:%zu: a design has one of cells, voxels and id", source, line);
+  }
+  return add(designs, design, json_string_value(json_object_get(json, "name")));
+}
+
+static size_t count_lines(const char *text, size_t n)
+{
+  size_t lines = 0;
+  for (size_t i = 0; i < n; i++)
+    lines += text[i] == '\n';
+  return lines;
+}
+
+int designs_add_text(struct designs *designs, const char *source, const char *text, size_t length)
+{
+  size_t line = 1;
+  int status = STATUS_OK;
+  for (size_t i = 0; i < length && status == STATUS_OK;) {
+    if (text[i] == '\n')
+      line++;
+    if (isspace((unsigned char)text[i]) || text[i] == ',') {
+      i++;
+    } else if (text[i] == '#') {
+      while (i < length && text[i] != '\n')
+        i++;
+    } else if (text[i] == '{' || text[i] == '[') {
+      json_error_t error;
+      json_t *json = json_loadb(text + i, length - i, JSON_REJECT_DUPLICATES | JSON_DISABLE_EOF_CHECK, &error);
+      if (json == NULL)
+        return complain(STATUS_USAGE, "%s:%zu: %s", source, line + (size_t)(error.line > 0 ? error.line - 1 : 0),
+                        error.text);
+      status = add_json(designs, source, line, json, 0);
+      json_decref(json);
+      line += count_lines(text + i, (size_t)error.position);
+      i += (size_t)error.position;
+    } else {
+      size_t n = 0;
+      while (i + n < length && !isspace((unsigned char)text[i + n]) && text[i + n] != ',')
+        n++;
+      if (is_id(text + i, n))
+        status = add(designs, json_pack("{s:s%}", "id", text + i, n), NULL);
+      else if (is_voxels(text + i, n))
+        status = add(designs, json_pack("{s:s%}", "voxels", text + i, n), NULL);
+      else if (n == strspn(text + i, "01") && n > ID_DIGITS)
+        return complain(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
+      else
+        return complain(STATUS_USAGE,
+                        "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 hexadecimal digits",
+                        source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
+      i += n;
+    }
+  }
+  return status;
+}
+
+int designs_add_operand(struct designs *designs, const char *operand)
+{
+  size_t length = strlen(operand);
+  if (strcmp(operand, "-") != 0 && access(operand, F_OK) != 0 &&
+      (is_id(operand, length) || is_voxels(operand, length) || *operand == '{' || *operand == '['))
+    return designs_add_text(designs, "operand", operand, length);
+  char *text;
+  int status = read_input(operand, INPUT_BYTES_MAX, &text, &length);
+  if (status != STATUS_OK)
+    return status;
+  size_t before = designs->n;
+  const char *source = strcmp(operand, "-") == 0 ? "standard input" : operand;
+  status = designs_add_text(designs, source, text, length);
+  free(text);
+  if (status == STATUS_OK && designs->n == before)
+    return complain(STATUS_USAGE, "%s holds no design", source);
+  return status;
+}
+
+void designs_free(struct designs *designs)
+{
+  for (size_t i = 0; i < designs->n; i++)
+    free(designs->names[i]);
+  free(designs->names);
+  json_decref(designs->list);
+  *designs = (struct designs){0};
+}
+
+/* ---- random bodies ---- */
+
+/* SplitMix64: a small generator whose state is a counter. */
+static uint64_t next_random(uint64_t *state)
+{
+  uint64_t z = *state += UINT64_C(0x9e3779b97f4a7c15);
+  z = (z ^ (z >> 30)) * UINT64_C(0xbf58476d1ce4e5b9);
+  z = (z ^ (z >> 27)) * UINT64_C(0x94d049bb133111eb);
+  return z ^ (z >> 31);
+}
+
+static size_t voxel_index(int x, int y, int z)
+{
+  return (size_t)((x * WORKSPACE_Y + y) * WORKSPACE_Z + z);
+}
+
+/* Grown from one voxel: again and again a random free neighbour of the body is filled, until it has its size. */
+static void grow(uint64_t *state, char voxels[VOXELS + 1])
+{
+  static const int steps[6][3] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
+  memset(voxels, '0', VOXELS);
+  voxels[VOXELS] = 0;
+  voxels[next_random(state) % VOXELS] = '1';
+  size_t size = 1 + next_random(state) % 60;
+  for (size_t n = 1; n < size; n++) {
+    size_t border[VOXELS], n_border = 0;
+    for (int x = 0; x < WORKSPACE_X; x++)
+      for (int y = 0; y < WORKSPACE_Y; y++)
+        for (int z = 0; z < WORKSPACE_Z; z++) {
+          bool touches = false;
+          for (int k = 0; k < 6; k++) {
+            int a = x + steps[k][0], b = y + steps[k][1], c = z + steps[k][2];
+            if (a >= 0 && a < WORKSPACE_X && b >= 0 && b < WORKSPACE_Y && c >= 0 && c < WORKSPACE_Z)
+              touches |= voxels[voxel_index(a, b, c)] == '1';
+          }
+          if (touches && voxels[voxel_index(x, y, z)] == '0')
+            border[n_border++] = voxel_index(x, y, z);
+        }
+    voxels[border[next_random(state) % n_border]] = '1';
+  }
+}
+
+int designs_add_random(struct designs *designs, uint64_t seed, size_t n)
+{
+  uint64_t state = seed;
+  int status = STATUS_OK;
+  for (size_t i = 0; i < n && status == STATUS_OK; i++) {
+    char voxels[VOXELS + 1];
+    grow(&state, voxels);
+    status = add(designs, json_pack("{s:s}", "voxels", voxels), NULL);
+  }
+  return status;
+}
+
+/* ---- what a design looks like ---- */
+
+bool id_voxels(const char *id, char voxels[VOXELS + 1])
+{
+  if (!is_id(id, strlen(id)))
+    return false;
+  for (size_t i = 0; i < VOXELS; i++) {
+    int c = tolower((unsigned char)id[i / 4]);
+    int digit = c <= '9' ? c - '0' : c - 'a' + 10;
+    voxels[i] = digit >> (3 - i % 4) & 1 ? '1' : '0';
+  }
+  voxels[VOXELS] = 0;
+  return true;
+}
+
+bool design_voxels(const json_t *design, char voxels[VOXELS + 1])
+{
+  const char *text = json_string_value(json_object_get(design, "voxels"));
+  if (text != NULL && is_voxels(text, strlen(text))) {
+    memcpy(voxels, text, VOXELS + 1);
+    return true;
+  }
+  const json_t *cells = json_object_get(design, "cells");
+  if (!json_is_array(cells) || json_array_size(cells) == 0)
+    return false;
+  memset(voxels, '0', VOXELS);
+  voxels[VOXELS] = 0;
+  for (size_t i = 0; i < json_array_size(cells); i++) {
+    static const json_int_t sides[3] = {WORKSPACE_X, WORKSPACE_Y, WORKSPACE_Z};
+    int point[3];
+    for (size_t k = 0; k < 3; k++) {
+      const json_t *coordinate = json_array_get(json_array_get(cells, i), k);
+      if (!json_is_integer(coordinate) || json_integer_value(coordinate) < 0 ||
+          json_integer_value(coordinate) >= sides[k])
+        return false;
+      point[k] = (int)json_integer_value(coordinate);
+    }
+    voxels[voxel_index(point[0], point[1], point[2])] = '1';
+  }
+  return true;
+}

@@ -1,0 +1,388 @@
+/* options.c: the command line. Options may stand anywhere; "--" ends them; "--name=value" and "--name value" are the same. */
+#include "ctl.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+const struct option_spec common_options[] = {
+    {"server", 's', "ADDRESS",
+     "Server: http://host:port or unix:/path (default: $MORPHOD_SERVER, else http://127.0.0.1:8765)."},
+    {"token-file", 0, "FILE", "File whose first line is the bearer token (default: the token in $MORPHOD_TOKEN)."},
+    {"json", 'j', NULL, "Print the API's JSON instead of tables."},
+    {"quiet", 'q', NULL, "No progress and no remarks."},
+    {"retry", 0, "SECONDS",
+     "How long a failing connection is tried again (default: 2, and 60 once the server has answered)."},
+    {"help", 'h', NULL, "Print this text."},
+    {NULL, 0, NULL, NULL},
+};
+
+static volatile sig_atomic_t interrupt_seen;
+
+static void interrupt(int number)
+{
+  (void)number;
+  interrupt_seen = 1;
+}
+
+bool interrupted(void)
+{
+  return interrupt_seen != 0;
+}
+
+void catch_interrupts(void)
+{
+  struct sigaction action = {.sa_handler = interrupt,
+                             .sa_flags = (int)SA_RESETHAND}; /* the second one ends the program */
+  sigemptyset(&action.sa_mask);
+  sigaction(SIGINT, &action, NULL);
+  sigaction(SIGTERM, &action, NULL);
+}
+
+int complain(int status, const char *format, ...)
+{
+  va_list arguments;
+  fputs("morphoctl: ", stderr);
+  va_start(arguments, format);
+  vfprintf(stderr, format, arguments);
+  va_end(arguments);
+  fputc('\n', stderr);
+  return status;
+}
+
+static size_t distance(const char *a, const char *b)
+{
+  size_t row[64];
+  size_t m = strlen(b);
+  if (m >= sizeof(row) / sizeof(row[0]))
+    return SIZE_MAX;
+  for (size_t j = 0; j <= m; j++)
+    row[j] = j;
+  for (size_t i = 1; a[i - 1] != 0; i++) {
+    size_t diagonal = row[0];
+    row[0] = i;
+    for (size_t j = 1; j <= m; j++) {
+      size_t best = diagonal + (a[i - 1] != b[j - 1]);
+      if (row[j] + 1 < best)
+        best = row[j] + 1;
+      if (row[j - 1] + 1 < best)
+        best = row[j - 1] + 1;
+      diagonal = row[j];
+      row[j] = best;
+    }
+  }
+  return row[m];
+}
+
+const char *nearest_name(const char *name, const char *const *names, size_t n)
+{
+  const char *best = NULL;
+  size_t best_distance = strlen(name) / 3 + 2;
+  for (size_t i = 0; i < n; i++) {
+    size_t d = distance(name, names[i]);
+    if (d < best_distance) {
+      best_distance = d;
+      best = names[i];
+    }
+  }
+  return best;
+}
+
+/* ---- help ---- */
+
+static void print_wrapped(FILE *file, int indent, const char *text)
+{
+  int column = 0;
+  for (const char *c = text; *c != 0;) {
+    int length = (int)strcspn(c, " \n");
+    if (column == 0) {
+      fprintf(file, "%*s", indent, "");
+      column = indent;
+    } else if (column + 1 + length > 78) {
+      fprintf(file, "\n%*s", indent, "");
+      column = indent;
+    } else if (column > indent) {
+      fputc(' ', file);
+      column++;
+    }
+    fprintf(file, "%.*s", length, c);
+    column += length;
+    c += length;
+    if (*c == '\n') {
+      fputc('\n', file);
+      column = 0;
+      c++;
+    } else {
+      c += strspn(c, " ");
+    }
+  }
+  fputc('\n', file);
+}
+
+static void print_options(FILE *file, const struct option_spec *options)
+{
+  for (const struct option_spec *spec = options; spec != NULL && spec->name != NULL; spec++) {
+    if (spec->letter != 0)
+      fprintf(file, "  -%c, --%s%s%s\n", spec->letter, spec->name, spec->value != NULL ? " " : "",
+              spec->value != NULL ? spec->value : "");
+    else
+      fprintf(file, "  --%s%s%s\n", spec->name, spec->value != NULL ? " " : "", spec->value != NULL ? spec->value : "");
+    print_wrapped(file, 6, spec->help);
+  }
+}
+
+void options_print_help(FILE *file, const struct command *command)
+{
+  if (command != NULL) {
+    fprintf(file, "Usage: morphoctl %s [OPTION]...%s%s\n", command->name, *command->operands != 0 ? " " : "",
+            command->operands);
+    print_wrapped(file, 0, command->summary);
+    if (command->details != NULL) {
+      fputc('\n', file);
+      print_wrapped(file, 0, command->details);
+    }
+    if (command->options != NULL) {
+      fputs("\nOptions:\n", file);
+      print_options(file, command->options);
+    }
+    fputs("\nCommon options:\n", file);
+    print_options(file, common_options);
+    return;
+  }
+  fputs("Usage: morphoctl COMMAND [OPTION]... [OPERAND]...\n"
+        "Scores voxel robots and looks after the work of a morphod server.\n\nCommands:\n",
+        file);
+  for (size_t i = 0; i < n_commands; i++)
+    fprintf(file, "  %-18s %s\n", commands[i].name, commands[i].summary);
+  fputs("\nCommon options:\n", file);
+  print_options(file, common_options);
+  fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no connection;\n"
+        "5 not allowed; 6 rejected by the server; 7 server too busy; 130 interrupted.\n"
+        "morphoctl COMMAND --help tells more about a command; morphoctl(1) about everything.\n",
+        file);
+}
+
+void options_print_completion(FILE *file)
+{
+  fputs("# bash completion of morphoctl; written by `morphoctl completion`.\n"
+        "_morphoctl() {\n"
+        "  local word=${COMP_WORDS[COMP_CWORD]} first=${COMP_WORDS[1]-} second=${COMP_WORDS[2]-} options\n"
+        "  COMPREPLY=()\n"
+        "  if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
+        "    mapfile -t COMPREPLY < <(compgen -W \"",
+        file);
+  for (size_t i = 0; i < n_commands; i++) {
+    size_t length = strcspn(commands[i].name, " ");
+    if (i == 0 || strncmp(commands[i].name, commands[i - 1].name, length) != 0 ||
+        strcspn(commands[i - 1].name, " ") != length)
+      fprintf(file, "%.*s ", (int)length, commands[i].name);
+  }
+  fputs("\" -- \"$word\")\n    return\n  fi\n  case \"$first $second\" in\n", file);
+  for (size_t i = 0; i < n_commands; i++) {
+    bool two = strchr(commands[i].name, ' ') != NULL;
+    fprintf(file, "    \"%s\"%s) options=\"", commands[i].name, two ? "" : "\\ *");
+    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL; spec++)
+      fprintf(file, "--%s ", spec->name);
+    for (const struct option_spec *spec = common_options; spec->name != NULL; spec++)
+      fprintf(file, "--%s ", spec->name);
+    fputs("\" ;;\n", file);
+  }
+  for (size_t i = 0; i < n_commands; i++) {
+    size_t length = strcspn(commands[i].name, " ");
+    if (commands[i].name[length] == 0 || (i > 0 && strncmp(commands[i].name, commands[i - 1].name, length + 1) == 0))
+      continue;
+    fprintf(file, "    \"%.*s \"*) options=\"", (int)length, commands[i].name);
+    for (size_t j = i; j < n_commands && strncmp(commands[j].name, commands[i].name, length + 1) == 0; j++)
+      fprintf(file, "%s ", commands[j].name + length + 1);
+    fputs("\" ;;\n", file);
+  }
+  fputs("    *) options= ;;\n  esac\n"
+        "  mapfile -t COMPREPLY < <(compgen -W \"$options\" -- \"$word\")\n"
+        "  case \"$word\" in -*) ;; *) [ \"${#COMPREPLY[@]}\" -gt 0 ] && [ \"$COMP_CWORD\" -eq 2 ] ||"
+        " mapfile -t COMPREPLY < <(compgen -f -- \"$word\") ;; esac\n"
+        "}\ncomplete -F _morphoctl morphoctl\n",
+        file);
+}
+
+/* ---- parsing ---- */
+
+static const struct option_spec *find_option(const struct command *command, const char *name, size_t length)
+{
+  const struct option_spec *lists[2] = {command->options, common_options};
+  for (int l = 0; l < 2; l++)
+    for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL; spec++)
+      if ((length == 1 && *name == spec->letter) ||
+          (length > 1 && strlen(spec->name) == length && strncmp(spec->name, name, length) == 0))
+        return spec;
+  return NULL;
+}
+
+static int unknown_option(const struct command *command, const char *text, size_t length)
+{
+  const char *names[64];
+  char name[64] = "";
+  size_t n = 0;
+  const struct option_spec *lists[2] = {command->options, common_options};
+  for (int l = 0; l < 2; l++)
+    for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL && n < 64; spec++)
+      names[n++] = spec->name;
+  if (length > 2 && length - 2 < sizeof(name))
+    memcpy(name, text + 2, length - 2);
+  const char *near = *name != 0 ? nearest_name(name, names, n) : NULL;
+  if (near != NULL)
+    return complain(STATUS_USAGE, "%.*s is not an option of %s; did you mean --%s?", (int)length, text, command->name,
+                    near);
+  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length, text,
+                  command->name, command->name);
+}
+
+/* The command that the first words name; *used: how many words. */
+static const struct command *find_command(int argc, const char *const *argv, int *used)
+{
+  for (size_t i = 0; i < n_commands; i++) {
+    const char *space = strchr(commands[i].name, ' ');
+    size_t length = space != NULL ? (size_t)(space - commands[i].name) : strlen(commands[i].name);
+    if (strlen(argv[1]) != length || strncmp(argv[1], commands[i].name, length) != 0)
+      continue;
+    if (space == NULL) {
+      *used = 1;
+      return &commands[i];
+    }
+    if (argc > 2 && strcmp(argv[2], space + 1) == 0) {
+      *used = 2;
+      return &commands[i];
+    }
+  }
+  return NULL;
+}
+
+static int unknown_command(int argc, const char *const *argv)
+{
+  size_t length = strlen(argv[1]);
+  bool group = false;
+  for (size_t i = 0; i < n_commands; i++)
+    if (strncmp(commands[i].name, argv[1], length) == 0 && commands[i].name[length] == ' ') {
+      if (!group)
+        fprintf(stderr, "morphoctl: %s%s%s; the commands are\n", argv[1],
+                argc > 2 ? " has no command " : " needs a command", argc > 2 ? argv[2] : "");
+      group = true;
+      fprintf(stderr, "  morphoctl %-18s %s\n", commands[i].name, commands[i].summary);
+    }
+  if (group)
+    return argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0) ? STATUS_OK : STATUS_USAGE;
+  const char *names[64];
+  size_t n = 0;
+  for (size_t i = 0; i < n_commands && n < 64; i++)
+    names[n++] = commands[i].name;
+  const char *near = nearest_name(argv[1], names, n);
+  if (near != NULL)
+    return complain(STATUS_USAGE, "there is no command \"%s\"; did you mean %s?", argv[1], near);
+  return complain(STATUS_USAGE, "there is no command \"%s\"; see morphoctl --help", argv[1]);
+}
+
+int options_parse(struct ctl *ctl, int argc, const char *const *argv)
+{
+  if (argc < 2) {
+    options_print_help(stderr, NULL);
+    return STATUS_USAGE;
+  }
+  if (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 || strcmp(argv[1], "help") == 0) {
+    options_print_help(stdout, NULL);
+    return STATUS_OK;
+  }
+  const char *version[] = {argv[0], "version"};
+  if (strcmp(argv[1], "--version") == 0) {
+    argv = version;
+    argc = 2;
+  }
+  int used = 0;
+  const struct command *command = find_command(argc, argv, &used);
+  if (command == NULL)
+    return unknown_command(argc, argv);
+  ctl->command = command;
+  ctl->given = calloc((size_t)argc, sizeof(*ctl->given));
+  ctl->operands = calloc((size_t)argc, sizeof(*ctl->operands));
+  if (ctl->given == NULL || ctl->operands == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  bool ended = false;
+  for (int i = 1 + used; i < argc; i++) {
+    const char *word = argv[i];
+    if (ended || word[0] != '-' || word[1] == 0) {
+      ctl->operands[ctl->n_operands++] = word;
+      continue;
+    }
+    if (strcmp(word, "--") == 0) {
+      ended = true;
+      continue;
+    }
+    bool is_long = word[1] == '-';
+    const char *name = word + (is_long ? 2 : 1);
+    const char *equals = is_long ? strchr(name, '=') : NULL;
+    size_t length = equals != NULL ? (size_t)(equals - name) : is_long ? strlen(name) : 1;
+    const struct option_spec *spec = is_long && length == 1 ? NULL : find_option(command, name, length);
+    if (spec == NULL)
+      return unknown_option(command, word, equals != NULL ? (size_t)(equals - word) : strlen(word));
+    const char *value = NULL;
+    if (spec->value == NULL && (equals != NULL || (!is_long && word[2] != 0)))
+      return complain(STATUS_USAGE, "--%s takes no value", spec->name);
+    if (spec->value != NULL) {
+      if (equals != NULL)
+        value = equals + 1;
+      else if (!is_long && word[2] != 0)
+        value = word + 2;
+      else if (i + 1 < argc)
+        value = argv[++i];
+      else
+        return complain(STATUS_USAGE, "--%s needs a value: %s", spec->name, spec->value);
+    }
+    ctl->given[ctl->n_given++] = (struct given){spec, value};
+  }
+  if (option_is_set(ctl, "help")) {
+    options_print_help(stdout, command);
+    return STATUS_OK;
+  }
+  if (ctl->n_operands < command->min_operands || ctl->n_operands > command->max_operands)
+    return complain(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", command->name, command->operands);
+  return -1;
+}
+
+void options_free(struct ctl *ctl)
+{
+  free(ctl->given);
+  free(ctl->operands);
+}
+
+bool option_is_set(const struct ctl *ctl, const char *name)
+{
+  for (size_t i = 0; i < ctl->n_given; i++)
+    if (strcmp(ctl->given[i].spec->name, name) == 0)
+      return true;
+  return false;
+}
+
+const char *option_text(const struct ctl *ctl, const char *name, const char *otherwise)
+{
+  for (size_t i = ctl->n_given; i-- > 0;)
+    if (strcmp(ctl->given[i].spec->name, name) == 0)
+      return ctl->given[i].value;
+  return otherwise;
+}
+
+bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max, int64_t *number)
+{
+  const char *text = option_text(ctl, name, NULL);
+  if (text == NULL)
+    return true;
+  char *end;
+  errno = 0;
+  long long value = strtoll(text, &end, 10);
+  if (*text == 0 || *end != 0 || errno != 0 || value < min || value > max) {
+    complain(STATUS_USAGE, "--%s: \"%s\" is not a whole number from %lld to %lld", name, text, (long long)min,
+             (long long)max);
+    return false;
+  }
+  *number = value;
+  return true;
+}

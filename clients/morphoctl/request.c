@@ -1,0 +1,186 @@
+/* request.c: from options to the body of an evaluation, and from there to its end. */
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "commands.h"
+#include "table.h"
+#include "transport.h"
+
+int request_physics(json_t *physics, const char *text)
+{
+  static const char *const keys[] = {
+      "dt_s",      "n_steps",  "stiffness_n_per_m", "mass_kg",       "drag_per_s", "gravity_m_per_s2",
+      "actuation", "friction", "friction_cap",      "drop_height_m", "impact"};
+  enum { N_KEYS = sizeof(keys) / sizeof(keys[0]) };
+  const char *equals = strchr(text, '=');
+  char key[64];
+  if (equals == NULL || equals == text || (size_t)(equals - text) >= sizeof(key))
+    return complain(STATUS_USAGE, "--physics: \"%s\" is not KEY=VALUE", text);
+  memcpy(key, text, (size_t)(equals - text));
+  key[equals - text] = 0;
+  size_t k = 0;
+  while (k < N_KEYS && strcmp(keys[k], key) != 0)
+    k++;
+  if (k == N_KEYS) {
+    const char *near = nearest_name(key, keys, N_KEYS);
+    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key, near != NULL ? "; did you mean " : "",
+                    near != NULL ? near : "", near != NULL ? "?" : "");
+  }
+  const char *value = equals + 1;
+  json_t *json = NULL;
+  char *end = NULL;
+  if (strcmp(key, "impact") == 0) {
+    json = json_string(value);
+  } else if (strcmp(key, "n_steps") == 0) {
+    long long n = strtoll(value, &end, 10);
+    if (*value != 0 && *end == 0)
+      json = json_integer(n);
+  } else {
+    double number = strtod(value, &end);
+    if (*value != 0 && *end == 0)
+      json = json_real(number); /* NULL if it is not finite */
+  }
+  if (json == NULL)
+    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", value, k == 1 ? "whole number" : "number");
+  json_object_set_new(physics, key, json);
+  return STATUS_OK;
+}
+
+static int fill_environments(const struct ctl *ctl, json_t *request)
+{
+  const char *name = option_text(ctl, "environments", NULL);
+  if (name == NULL)
+    return STATUS_OK;
+  if (strcmp(name, "paper-test") == 0) {
+    json_object_set_new(request, "environments", json_string(name));
+    return STATUS_OK;
+  }
+  char *text;
+  size_t length;
+  int status = read_input(name, INPUT_BYTES_MAX, &text, &length);
+  if (status != STATUS_OK)
+    return status;
+  json_error_t error;
+  json_t *json = json_loadb(text, length, JSON_REJECT_DUPLICATES, &error);
+  free(text);
+  if (json == NULL)
+    return complain(STATUS_USAGE, "%s:%d: %s", name, error.line, error.text);
+  json_t *list = json_is_object(json) ? json_object_get(json, "environments") : json;
+  if (list == NULL && json_object_get(json, "light_xy_m") != NULL)
+    list = json_pack("[O]", json);
+  else
+    json_incref(list);
+  json_decref(json);
+  if (!json_is_array(list) && !json_is_string(list)) {
+    json_decref(list);
+    return complain(STATUS_USAGE,
+                    "%s: not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, …]", name);
+  }
+  json_object_set_new(request, "environments", list);
+  return STATUS_OK;
+}
+
+int request_fill(const struct ctl *ctl, json_t *request)
+{
+  const char *controller = option_text(ctl, "controller", NULL), *precision = option_text(ctl, "precision", NULL);
+  if (controller != NULL)
+    json_object_set_new(request, "controller", json_string(controller));
+  if (precision != NULL) {
+    if (strcmp(precision, "float32") != 0 && strcmp(precision, "float64") != 0)
+      return complain(STATUS_USAGE, "--precision: \"%s\" is not float32 or float64", precision);
+    json_object_set_new(request, "precision", json_string(precision));
+  }
+  json_t *physics = json_object();
+  int status = STATUS_OK;
+  for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
+    if (strcmp(ctl->given[i].spec->name, "physics") == 0)
+      status = request_physics(physics, ctl->given[i].value);
+  if (json_object_size(physics) > 0)
+    json_object_set(request, "physics", physics);
+  json_decref(physics);
+  return status == STATUS_OK ? fill_environments(ctl, request) : status;
+}
+
+/* Waits until the job is final; the reply to each question waits a second on the server's side. */
+static int wait_for(struct ctl *ctl, const char *id)
+{
+  struct progress progress = {0};
+  char path[64];
+  int status = STATUS_OK;
+  snprintf(path, sizeof(path), "/v1/jobs/%s", id);
+  catch_interrupts();
+  for (;;) {
+    json_t *job;
+    status = transport_get_json(ctl, path, 1, &job);
+    const char *state = text_of(job, "state");
+    bool final = is_final(state);
+    if (status == STATUS_OK && !final)
+      progress_show(&progress, ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"));
+    bool resting = strcmp(state, "paused") == 0;
+    json_decref(job);
+    if (status != STATUS_OK || final || interrupted())
+      break;
+    if (resting)
+      pause_s(1);
+  }
+  progress_end(&progress);
+  if (interrupted()) {
+    if (!ctl->quiet)
+      fprintf(stderr, "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s\n", id, id);
+    return STATUS_INTERRUPTED;
+  }
+  return status;
+}
+
+int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation)
+{
+  char generated[33], *key_header = NULL;
+  const char *key = option_text(ctl, "idempotency-key", NULL);
+  *evaluation = NULL;
+  if (key == NULL) {
+    int status = random_key(generated);
+    if (status != STATUS_OK)
+      return status;
+    key = generated;
+  }
+  char *body = json_dumps(request, JSON_COMPACT | JSON_REAL_PRECISION(17));
+  if (body == NULL || asprintf(&key_header, "Idempotency-Key: %s", key) < 0) {
+    free(body);
+    return complain(STATUS_ERROR, "out of memory");
+  }
+  struct request post = {.method = "POST",
+                         .path = "/v1/evaluations",
+                         .content_type = "application/json",
+                         .body = body,
+                         .body_bytes = strlen(body),
+                         .headers = {key_header},
+                         .wait_s = wait ? 1 : 0};
+  struct reply reply;
+  int status = transport_send(ctl, &post, &reply);
+  free(body);
+  free(key_header);
+  if (status == STATUS_OK && (*evaluation = reply_json(&reply)) == NULL)
+    status = STATUS_ERROR;
+  reply_free(&reply);
+  if (status != STATUS_OK || !wait || is_final(text_of(*evaluation, "state")))
+    return status;
+  char path[64], id[24];
+  snprintf(id, sizeof(id), "%s", text_of(*evaluation, "id"));
+  snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
+  json_decref(*evaluation);
+  *evaluation = NULL;
+  status = wait_for(ctl, id);
+  return status == STATUS_OK ? transport_get_json(ctl, path, 0, evaluation) : status;
+}
+
+int evaluation_outcome(const json_t *evaluation)
+{
+  const char *state = text_of(evaluation, "state");
+  if (strcmp(state, "succeeded") == 0)
+    return STATUS_OK;
+  const json_t *error = json_object_get(evaluation, "error");
+  if (json_is_object(error))
+    return complain(STATUS_NEGATIVE, "job %s %s: %s", text_of(evaluation, "id"), state, text_of(error, "detail"));
+  return complain(STATUS_NEGATIVE, "job %s is %s", text_of(evaluation, "id"), state);
+}

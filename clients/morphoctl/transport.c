@@ -1,0 +1,419 @@
+/* transport.c: see transport.h. */
+#include "transport.h"
+
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+#include <sys/random.h>
+#include <time.h>
+
+#include <curl/curl.h>
+
+#define REPLY_BYTES_MAX (UINT64_C(2) << 30)
+
+struct transport {
+  CURL *curl;
+  char *base;        /* "http://127.0.0.1:8765" */
+  char *socket;      /* path of a unix socket, or NULL */
+  bool has_answered; /* the server has been there: worth waiting for */
+};
+
+static double now_s(void)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
+}
+
+void pause_s(double seconds)
+{
+  struct timespec rest = {(time_t)seconds, (long)((seconds - (double)(time_t)seconds) * 1e9)};
+  nanosleep(&rest, NULL); /* a signal ends it early, as it should */
+}
+
+int random_key(char key[33])
+{
+  unsigned char bytes[16];
+  if (getrandom(bytes, sizeof(bytes), 0) != (ssize_t)sizeof(bytes))
+    return complain(STATUS_ERROR, "no random numbers: %s", strerror(errno));
+  for (size_t i = 0; i < sizeof(bytes); i++)
+    snprintf(key + 2 * i, 3, "%02x", bytes[i]);
+  return STATUS_OK;
+}
+
+char *escape(const char *text)
+{
+  static const char safe[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-._~:";
+  char *escaped = malloc(3 * strlen(text) + 1), *end = escaped;
+  if (escaped == NULL)
+    return NULL;
+  for (const unsigned char *c = (const unsigned char *)text; *c != 0; c++)
+    if (strchr(safe, *c) != NULL)
+      *end++ = (char)*c;
+    else
+      end += sprintf(end, "%%%02X", *c);
+  *end = 0;
+  return escaped;
+}
+
+int transport_open(struct ctl *ctl)
+{
+  const char *server = ctl->server;
+  struct transport *transport = calloc(1, sizeof(*transport));
+  if (transport == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  ctl->transport = transport;
+  int n = 0;
+  if (strncmp(server, "unix:", 5) == 0) {
+    if (server[5] != '/')
+      return complain(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /", server);
+    transport->socket = strdup(server + 5);
+    transport->base = strdup("http://localhost");
+    n = transport->socket == NULL ? -1 : 0;
+  } else if (strncmp(server, "http://", 7) == 0 || strncmp(server, "https://", 8) == 0) {
+    transport->base = strdup(server);
+    for (size_t end = transport->base != NULL ? strlen(transport->base) : 0; end > 0 && transport->base[end - 1] == '/';
+         end--)
+      transport->base[end - 1] = 0;
+  } else if (*server != 0 && strstr(server, "://") == NULL) {
+    n = asprintf(&transport->base, "http://%s", server);
+  } else {
+    return complain(STATUS_USAGE, "server \"%s\" is not http://host:port or unix:/path", server);
+  }
+  if (n < 0 || transport->base == NULL || curl_global_init(CURL_GLOBAL_DEFAULT) != 0 ||
+      (transport->curl = curl_easy_init()) == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  return STATUS_OK;
+}
+
+void transport_close(struct ctl *ctl)
+{
+  struct transport *transport = ctl->transport;
+  if (transport == NULL)
+    return;
+  if (transport->curl != NULL) {
+    curl_easy_cleanup(transport->curl);
+    curl_global_cleanup();
+  }
+  free(transport->base);
+  free(transport->socket);
+  free(transport);
+  ctl->transport = NULL;
+}
+
+void reply_free(struct reply *reply)
+{
+  free(reply->body);
+  *reply = (struct reply){.retry_after_s = -1};
+}
+
+static size_t take_body(char *bytes, size_t size, size_t count, void *context)
+{
+  struct reply *reply = context;
+  size_t n = size * count;
+  if (reply->body_bytes + n > REPLY_BYTES_MAX)
+    return 0;
+  size_t needed = reply->body_bytes + n + 1;
+  if (needed > reply->body_capacity) { /* grown by halves: a reply of 10,000 results comes in thousands of pieces */
+    size_t capacity = needed + needed / 2 + 4096;
+    char *grown = realloc(reply->body, capacity);
+    if (grown == NULL)
+      return 0;
+    reply->body = grown;
+    reply->body_capacity = capacity;
+  }
+  memcpy(reply->body + reply->body_bytes, bytes, n);
+  reply->body_bytes += n;
+  reply->body[reply->body_bytes] = 0;
+  return n;
+}
+
+static void copy_header(const char *line, size_t length, const char *name, char *value, size_t capacity)
+{
+  size_t n = strlen(name);
+  if (length <= n || strncasecmp(line, name, n) != 0 || line[n] != ':')
+    return;
+  line += n + 1;
+  length -= n + 1;
+  while (length > 0 && (*line == ' ' || *line == '\t')) {
+    line++;
+    length--;
+  }
+  while (length > 0 && strchr("\r\n \t", line[length - 1]) != NULL)
+    length--;
+  if (length >= capacity)
+    length = capacity - 1;
+  memcpy(value, line, length);
+  value[length] = 0;
+}
+
+static size_t take_header(char *line, size_t size, size_t count, void *context)
+{
+  struct reply *reply = context;
+  size_t n = size * count;
+  char retry[16] = "";
+  copy_header(line, n, "Content-Type", reply->content_type, sizeof(reply->content_type));
+  copy_header(line, n, "Location", reply->location, sizeof(reply->location));
+  copy_header(line, n, "Morphod-Shape", reply->shape, sizeof(reply->shape));
+  copy_header(line, n, "X-Request-Id", reply->request_id, sizeof(reply->request_id));
+  copy_header(line, n, "Retry-After", retry, sizeof(retry));
+  if (*retry >= '0' && *retry <= '9')
+    reply->retry_after_s = strtol(retry, NULL, 10);
+  return n;
+}
+
+static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl_off_t c, curl_off_t d)
+{
+  (void)context, (void)a, (void)b, (void)c, (void)d;
+  return interrupted();
+}
+
+static bool append(struct curl_slist **list, const char *name, const char *value)
+{
+  char *line = NULL;
+  if (value == NULL)
+    return true;
+  if (asprintf(&line, "%s: %s", name, value) < 0)
+    return false;
+  struct curl_slist *grown = curl_slist_append(*list, line);
+  free(line);
+  if (grown == NULL)
+    return false;
+  *list = grown;
+  return true;
+}
+
+/* One attempt. `data` NULL: the body goes into the reply. */
+static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply, curl_write_callback data,
+                        void *context)
+{
+  struct transport *transport = ctl->transport;
+  CURL *curl = transport->curl;
+  struct curl_slist *headers = NULL;
+  char *url = NULL, *bearer = NULL, wait[24];
+  CURLcode code = CURLE_OUT_OF_MEMORY;
+  if (asprintf(&url, "%s%s", transport->base, request->path) < 0)
+    return code;
+  snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
+  if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
+    bearer = NULL;
+  bool ok = (ctl->token == NULL || bearer != NULL) && append(&headers, "Authorization", bearer) &&
+            append(&headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
+            append(&headers, "Content-Type", request->content_type) &&
+            append(&headers, "Prefer", request->wait_s > 0 ? wait : NULL);
+  struct curl_slist *grown = ok ? curl_slist_append(headers, "Expect:") : NULL; /* no round trip before a body */
+  ok = grown != NULL;
+  for (size_t i = 0; ok && i < HEADERS_MAX && request->headers[i] != NULL; i++) {
+    headers = grown;
+    grown = curl_slist_append(headers, request->headers[i]);
+    ok = grown != NULL;
+  }
+  if (ok) {
+    headers = grown;
+    curl_easy_reset(curl);
+    curl_easy_setopt(curl, CURLOPT_URL, url);
+    curl_easy_setopt(curl, CURLOPT_NOSIGNAL, 1L);
+    curl_easy_setopt(curl, CURLOPT_USERAGENT, "morphoctl/" MORPHOD_VERSION);
+    curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
+    if (transport->socket != NULL)
+      curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
+    curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
+    curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
+    if (strcmp(request->method, "GET") != 0) {
+      curl_easy_setopt(curl, CURLOPT_POSTFIELDS, request->body != NULL ? request->body : "");
+      curl_easy_setopt(curl, CURLOPT_POSTFIELDSIZE_LARGE, (curl_off_t)request->body_bytes);
+    }
+    curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
+    curl_easy_setopt(curl, CURLOPT_CONNECTTIMEOUT, 10L);
+    /* A server that says nothing for so long is gone; streams have a heartbeat every 15 s. */
+    curl_easy_setopt(curl, CURLOPT_LOW_SPEED_LIMIT, 1L);
+    curl_easy_setopt(curl, CURLOPT_LOW_SPEED_TIME, 45L + (long)request->wait_s);
+    curl_easy_setopt(curl, CURLOPT_HEADERFUNCTION, take_header);
+    curl_easy_setopt(curl, CURLOPT_HEADERDATA, reply);
+    curl_easy_setopt(curl, CURLOPT_WRITEFUNCTION, data != NULL ? data : take_body);
+    curl_easy_setopt(curl, CURLOPT_WRITEDATA, data != NULL ? context : reply);
+    curl_easy_setopt(curl, CURLOPT_NOPROGRESS, 0L);
+    curl_easy_setopt(curl, CURLOPT_XFERINFOFUNCTION, stop_when_interrupted);
+    code = curl_easy_perform(curl);
+    curl_easy_getinfo(curl, CURLINFO_RESPONSE_CODE, &reply->status);
+  }
+  curl_slist_free_all(headers);
+  free(bearer);
+  free(url);
+  return code;
+}
+
+static bool may_repeat(const struct request *request)
+{
+  if (request->once)
+    return false;
+  if (strcmp(request->method, "POST") != 0)
+    return true;
+  for (size_t i = 0; i < HEADERS_MAX && request->headers[i] != NULL; i++)
+    if (strncasecmp(request->headers[i], "Idempotency-Key:", 16) == 0)
+      return true;
+  return false;
+}
+
+static bool is_passing(CURLcode code)
+{
+  switch (code) {
+  case CURLE_COULDNT_CONNECT:
+  case CURLE_COULDNT_RESOLVE_HOST:
+  case CURLE_SEND_ERROR:
+  case CURLE_RECV_ERROR:
+  case CURLE_GOT_NOTHING:
+  case CURLE_PARTIAL_FILE:
+  case CURLE_OPERATION_TIMEDOUT: return true;
+  default: return false;
+  }
+}
+
+int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply)
+{
+  *reply = (struct reply){.retry_after_s = -1};
+  double begin = now_s(), pause = 0.1;
+  for (;;) {
+    reply_free(reply);
+    CURLcode code = perform(ctl, request, reply, NULL, NULL);
+    if (code == CURLE_ABORTED_BY_CALLBACK && interrupted())
+      return STATUS_INTERRUPTED;
+    double limit_s = ctl->retry_s >= 0 ? ctl->retry_s : ctl->transport->has_answered ? 60 : 2;
+    double left_s = limit_s - (now_s() - begin);
+    if (code == CURLE_OK) {
+      ctl->transport->has_answered = true;
+      bool later = reply->status == 429 || (reply->status == 503 && reply->retry_after_s >= 0);
+      double asked_s = reply->retry_after_s > 0 ? (double)reply->retry_after_s : 0.2;
+      if (!later || !may_repeat(request) || asked_s > left_s)
+        return STATUS_OK;
+      pause_s(asked_s);
+    } else {
+      if (!is_passing(code))
+        return complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
+      if (!may_repeat(request) || pause > left_s)
+        return complain(STATUS_CONNECTION, "%s: %s", ctl->server, curl_easy_strerror(code));
+      pause_s(pause);
+      pause = pause * 2 > 5 ? 5 : pause * 2;
+    }
+    if (interrupted())
+      return STATUS_INTERRUPTED;
+  }
+}
+
+int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
+{
+  json_t *problem = reply->body != NULL && strncmp(reply->content_type, "application/problem+json", 24) == 0
+                        ? json_loads(reply->body, 0, NULL)
+                        : NULL;
+  const char *title = json_string_value(json_object_get(problem, "title"));
+  const char *detail = json_string_value(json_object_get(problem, "detail"));
+  if (title != NULL && detail != NULL && strcmp(title, detail) != 0)
+    complain(0, "%s: %s (%ld)", title, detail, reply->status);
+  else if (title != NULL || detail != NULL)
+    complain(0, "%s (%ld)", title != NULL ? title : detail, reply->status);
+  else
+    complain(0, "%s replied with status %ld", ctl->server, reply->status);
+  size_t i;
+  json_t *fault;
+  json_array_foreach(json_object_get(problem, "errors"), i, fault)
+  {
+    const char *text = json_string_value(json_object_get(fault, "detail"));
+    const char *pointer = json_string_value(json_object_get(fault, "pointer"));
+    const char *parameter = json_string_value(json_object_get(fault, "parameter"));
+    const char *header = json_string_value(json_object_get(fault, "header"));
+    const char *place = pointer != NULL ? pointer : parameter != NULL ? parameter : header;
+    fprintf(stderr, "  %s%s%s\n", place != NULL ? place : "", place != NULL ? ": " : "", text != NULL ? text : "");
+  }
+  if (reply->status >= 500 && *reply->request_id != 0)
+    fprintf(stderr, "  request %s\n", reply->request_id);
+  json_decref(problem);
+  switch (reply->status) {
+  case 401:
+    if (ctl->token == NULL)
+      fputs("  give a token with --token-file or MORPHOD_TOKEN\n", stderr);
+    return STATUS_DENIED;
+  case 403: return STATUS_DENIED;
+  case 404: return STATUS_NEGATIVE;
+  case 409: return STATUS_NEGATIVE;
+  case 429:
+  case 503:
+  case 507: return STATUS_BUSY;
+  default: return reply->status < 500 ? STATUS_REJECTED : STATUS_ERROR;
+  }
+}
+
+int transport_send(struct ctl *ctl, const struct request *request, struct reply *reply)
+{
+  int status = transport_try(ctl, request, reply);
+  if (status == STATUS_OK && reply->status >= 400)
+    status = complain_about_reply(ctl, reply);
+  return status;
+}
+
+json_t *reply_json(const struct reply *reply)
+{
+  json_error_t error;
+  json_t *json = json_loadb(reply->body != NULL ? reply->body : "", reply->body_bytes, 0, &error);
+  if (json == NULL)
+    complain(STATUS_ERROR, "the server's reply is not JSON: %s", error.text);
+  return json;
+}
+
+int transport_get_json(struct ctl *ctl, const char *path, unsigned wait_s, json_t **json)
+{
+  struct reply reply;
+  *json = NULL;
+  int status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .wait_s = wait_s}, &reply);
+  if (status == STATUS_OK && (*json = reply_json(&reply)) == NULL)
+    status = STATUS_ERROR;
+  reply_free(&reply);
+  return status;
+}
+
+/* ---- streams ---- */
+
+struct stream {
+  struct ctl *ctl;
+  struct reply reply;
+  int (*data)(void *context, const char *bytes, size_t n);
+  void *context;
+  bool ended;
+};
+
+static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
+{
+  struct stream *stream = context;
+  size_t n = size * count;
+  long status = 0;
+  curl_easy_getinfo(stream->ctl->transport->curl, CURLINFO_RESPONSE_CODE, &status);
+  if (status != 200)
+    return take_body(bytes, size, count, &stream->reply); /* a problem, to be reported */
+  stream->ctl->transport->has_answered = true;
+  if (stream->data(stream->context, bytes, n) != 0) {
+    stream->ended = true;
+    return 0;
+  }
+  return n;
+}
+
+int transport_stream(struct ctl *ctl, const char *path, const char *header,
+                     int (*data)(void *context, const char *bytes, size_t n), void *context)
+{
+  struct stream stream = {.ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
+  struct request request = {.method = "GET", .path = path, .accept = "text/event-stream", .headers = {header}};
+  CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
+  int status;
+  if (interrupted())
+    status = STATUS_INTERRUPTED;
+  else if (stream.ended)
+    status = STATUS_OK;
+  else if (stream.reply.status >= 400 && stream.reply.status != 429 && stream.reply.status != 503)
+    status = complain_about_reply(ctl, &stream.reply);
+  else if (code == CURLE_OK || is_passing(code))
+    status = STATUS_CONNECTION; /* ended or broke: the caller connects again */
+  else
+    status = complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
+  reply_free(&stream.reply);
+  return status;
+}

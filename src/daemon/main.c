@@ -1,0 +1,314 @@
+/* main.c: the process. Signals are blocked in every thread and taken, one at a time, by the main thread, which otherwise only
+ * looks after the watchdog. */
+#include <errno.h>
+#include <inttypes.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <systemd/sd-daemon.h>
+
+#include "daemon/log.h"
+#include "daemon/service.h"
+#include "daemon/settings.h"
+
+#define STOP_LIMIT_S       9        /* from the first SIGTERM, with a drain of 5 s or less, to the end of the process */
+#define HEARTBEAT_LIMIT_US 15000000 /* a part that did not come round for so long is stuck */
+#define ROUND_S            1
+#define WATCHED_SIGNALS    5
+
+struct process {
+  int argc;
+  const char *const *argv;
+  struct settings settings;
+  struct settings_request request;
+  struct service *service;
+  uint64_t watchdog_us; /* 0: nobody watches */
+};
+
+static atomic_bool broken; /* set by the store when the process must end */
+
+static void must_end(const char *what)
+{
+  log_error("the state can no longer be written; ending to recover at the next start", LOG_TEXT("reason", what));
+  atomic_store(&broken, true);
+  kill(getpid(), SIGUSR1); /* wakes the main thread */
+}
+
+static int64_t now_us(clockid_t clock)
+{
+  struct timespec now;
+  clock_gettime(clock, &now);
+  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+}
+
+static void report_faults(const struct settings_faults *faults)
+{
+  for (size_t i = 0; i < faults->n; i++)
+    if (faults->fatal[i])
+      log_error("configuration", LOG_TEXT("fault", faults->texts[i]));
+    else
+      log_warning("configuration", LOG_TEXT("fault", faults->texts[i]));
+}
+
+static void print_faults(const struct settings_faults *faults)
+{
+  for (size_t i = 0; i < faults->n; i++)
+    fprintf(stderr, "morphod: %s%s\n", faults->fatal[i] ? "" : "warning: ", faults->texts[i]);
+}
+
+/* Flags, environment and file into `settings`. Faults are collected. */
+static void load(struct process *process, struct settings *settings, struct settings_request *request,
+                 struct settings_faults *faults)
+{
+  if (settings_init(settings) != MO_OK) {
+    settings_fault(faults, true, "out of memory");
+    return;
+  }
+  settings_load(settings, process->argc, process->argv, (const char *const *)environ, request, faults);
+  if (settings_complete(settings, (const char *const *)environ) != MO_OK)
+    settings_fault(faults, true, "out of memory");
+}
+
+/* SIGHUP: takes the new configuration if it is sound; says what needs a restart. */
+static void reload(struct process *process)
+{
+  sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%" PRId64, now_us(CLOCK_MONOTONIC));
+  struct settings settings = {0};
+  struct settings_request request = {0};
+  struct settings_faults faults = {0};
+  struct mo_message message = {{0}};
+  load(process, &settings, &request, &faults);
+  if (faults.n_fatal == 0)
+    settings_check(&settings, false, &faults);
+  report_faults(&faults);
+  if (faults.n_fatal > 0) {
+    log_error("reload refused; the old configuration stays");
+  } else if (service_reload_tokens(process->service, &settings, &message) != MO_OK) {
+    log_error("reload refused; the old tokens stay", LOG_TEXT("reason", message.text));
+  } else {
+    for (size_t i = 0; i < settings_count; i++) {
+      char *old = settings_value_text(&process->settings, &settings_table[i]);
+      char *fresh = settings_value_text(&settings, &settings_table[i]);
+      if (old != NULL && fresh != NULL && strcmp(old, fresh) != 0) {
+        if (settings_table[i].reloads)
+          log_info("setting changed", LOG_TEXT("setting", settings_table[i].name), LOG_TEXT("value", fresh));
+        else
+          log_warning("setting needs a restart to change", LOG_TEXT("setting", settings_table[i].name),
+                      LOG_TEXT("value", old), LOG_TEXT("new_value", fresh));
+      }
+      free(old);
+      free(fresh);
+    }
+    log_set_level((enum log_level)settings.log_level);
+    /* What needs a restart keeps its old value for the next comparison; the two that changed take the new one. */
+    struct mo_message ignored;
+    for (size_t i = 0; i < settings_count; i++)
+      if (settings_table[i].reloads) {
+        char *fresh = settings_value_text(&settings, &settings_table[i]);
+        if (fresh != NULL)
+          settings_set(&process->settings, &settings_table[i], fresh, (enum setting_source)settings.source[i], false,
+                       &ignored);
+        free(fresh);
+      }
+    log_info("reloaded");
+  }
+  settings_faults_free(&faults);
+  settings_request_free(&request);
+  settings_free(&settings);
+  sd_notify(0, "READY=1");
+}
+
+/* The stop takes longer than it may: everything acknowledged is durable, so the process can simply end. */
+static void out_of_time(int number)
+{
+  (void)number;
+  static const char text[] = "morphod: the stop took too long; ended at its deadline\n";
+  ssize_t written = write(STDERR_FILENO, text, sizeof(text) - 1);
+  (void)written;
+  _exit(EXIT_OK);
+}
+
+static int wait_signal(const sigset_t *set, int64_t timeout_us)
+{
+  struct timespec timeout = {.tv_sec = timeout_us / 1000000, .tv_nsec = timeout_us % 1000000 * 1000};
+  return sigtimedwait(set, NULL, &timeout);
+}
+
+static void stop(struct process *process, int number, const sigset_t *set)
+{
+  int64_t begin = now_us(CLOCK_MONOTONIC);
+  uint64_t drain_s = process->settings.drain_timeout_ms / 1000;
+  struct sigaction action = {.sa_handler = out_of_time};
+  sigaction(SIGALRM, &action, NULL);
+  alarm((unsigned)(drain_s > 5 ? drain_s + 4 : STOP_LIMIT_S));
+  sd_notifyf(0, "STOPPING=1\nSTATUS=Stopping\nEXTEND_TIMEOUT_USEC=%" PRIu64, (drain_s + 10) * 1000000);
+  log_info("stopping", LOG_TEXT("signal", sigabbrev_np(number)));
+  service_drain(process->service);
+  int64_t until = begin + (int64_t)process->settings.drain_timeout_ms * 1000;
+  while (!atomic_load(&broken) && !service_is_idle(process->service)) {
+    int64_t left = until - now_us(CLOCK_MONOTONIC);
+    if (left <= 0)
+      break;
+    int again = wait_signal(set, left < 50000 ? left : 50000);
+    if (again == SIGTERM || again == SIGINT) {
+      log_info("stopping at once", LOG_TEXT("signal", sigabbrev_np(again)));
+      break;
+    }
+  }
+  bool idle = service_is_idle(process->service);
+  service_stop(process->service);
+  process->service = NULL;
+  log_info("stopped", LOG_TEXT("work", idle ? "finished" : "parked"),
+           LOG_REAL("seconds", (double)(now_us(CLOCK_MONOTONIC) - begin) * 1e-6));
+}
+
+static void look_after(struct process *process, bool *was_alive)
+{
+  const char *who;
+  int64_t limit_us = HEARTBEAT_LIMIT_US;
+  if (process->watchdog_us > 0 && (int64_t)(process->watchdog_us / 2) < limit_us)
+    limit_us = (int64_t)(process->watchdog_us / 2);
+  bool alive = service_is_alive(process->service, limit_us, &who);
+  if (alive && process->watchdog_us > 0)
+    sd_notify(0, "WATCHDOG=1");
+  if (!alive && *was_alive)
+    log_error("a part of the service is stuck", LOG_TEXT("part", who));
+  if (alive && !*was_alive)
+    log_info("the service goes on");
+  *was_alive = alive;
+}
+
+/* Returns the exit status. */
+static int run(struct process *process, const sigset_t *set)
+{
+  if (sd_watchdog_enabled(0, &process->watchdog_us) <= 0)
+    process->watchdog_us = 0;
+  int64_t round_us = ROUND_S * 1000000;
+  if (process->watchdog_us > 0 && (int64_t)(process->watchdog_us / 4) < round_us)
+    round_us = (int64_t)(process->watchdog_us / 4);
+  bool alive = true;
+  int rounds = 0;
+  for (;;) {
+    int number = wait_signal(set, round_us);
+    if (atomic_load(&broken)) {
+      /* Nothing that is left could be written. The state recovers at the next start. */
+      sd_notifyf(0, "STATUS=The state can no longer be written\nERRNO=%d", EIO);
+      return EXIT_STATE;
+    }
+    if (number == SIGTERM || number == SIGINT) {
+      stop(process, number, set);
+      return EXIT_OK;
+    }
+    if (number == SIGHUP)
+      reload(process);
+    look_after(process, &alive);
+    if (rounds++ % 10 == 0) {
+      char text[160];
+      service_describe(process->service, text, sizeof(text));
+      sd_notifyf(0, "STATUS=%s", text);
+    }
+  }
+}
+
+/* One line per address on standard output and in the file that was asked for, written whole before it gets its name. */
+static int announce(const struct process *process, struct mo_message *message)
+{
+  const char *const *addresses;
+  size_t n = service_addresses(process->service, &addresses);
+  for (size_t i = 0; i < n; i++) {
+    printf("morphod serves %s\n", addresses[i]);
+    log_info("serving", LOG_TEXT("address", addresses[i]));
+  }
+  fflush(stdout);
+  const char *path = process->settings.port_file;
+  if (path == NULL)
+    return MO_OK;
+  char *temporary = NULL;
+  if (asprintf(&temporary, "%s.new", path) < 0)
+    return MO_ERR_NO_MEMORY;
+  FILE *file = fopen(temporary, "we");
+  int status = file != NULL ? MO_OK : MO_ERR_IO;
+  for (size_t i = 0; i < n && status == MO_OK; i++)
+    if (fprintf(file, "%s\n", addresses[i]) < 0)
+      status = MO_ERR_IO;
+  if (file != NULL && fclose(file) != 0)
+    status = MO_ERR_IO;
+  if (status == MO_OK && rename(temporary, path) != 0)
+    status = MO_ERR_IO;
+  if (status != MO_OK)
+    mo_fail(message, status, "port_file: %s: %s", path, strerror(errno));
+  free(temporary);
+  return status;
+}
+
+static int serve(struct process *process)
+{
+  sigset_t set;
+  static const int watched[WATCHED_SIGNALS] = {SIGTERM, SIGINT, SIGHUP, SIGUSR1, SIGUSR2};
+  sigemptyset(&set);
+  for (size_t i = 0; i < WATCHED_SIGNALS; i++)
+    sigaddset(&set, watched[i]);
+  pthread_sigmask(SIG_BLOCK, &set, NULL);
+  signal(SIGPIPE, SIG_IGN);
+  umask(077);
+  log_open((enum log_format)process->settings.log_format, (enum log_level)process->settings.log_level);
+  log_info("starting", LOG_TEXT("version", MORPHOD_VERSION), LOG_TEXT("state_dir", process->settings.state_dir),
+           LOG_TEXT("config", process->request.config_found), LOG_INT("pid", getpid()));
+  struct mo_message message = {{0}};
+  int status = service_start(&process->settings, must_end, &process->service, &message);
+  if (status != EXIT_OK) {
+    log_error("cannot start", LOG_TEXT("reason", message.text), LOG_INT("exit_status", status));
+    sd_notifyf(0, "STATUS=%s", message.text);
+    return status;
+  }
+  if (announce(process, &message) != MO_OK) {
+    log_error("cannot start", LOG_TEXT("reason", message.text));
+    service_stop(process->service);
+    return EXIT_CONFIG;
+  }
+  sd_notify(0, "READY=1\nSTATUS=Serving");
+  status = run(process, &set);
+  if (process->settings.port_file != NULL)
+    unlink(process->settings.port_file);
+  return status;
+}
+
+int main(int argc, char **argv)
+{
+  struct process process = {.argc = argc, .argv = (const char *const *)argv};
+  struct settings_faults faults = {0};
+  load(&process, &process.settings, &process.request, &faults);
+  enum settings_action action = process.request.action;
+  int status = EXIT_OK;
+  if (action == ACTION_HELP) {
+    settings_print_help(stdout);
+  } else if (action == ACTION_VERSION) {
+    printf("morphod %s\n", MORPHOD_VERSION);
+  } else if (action == ACTION_TABLE) {
+    settings_print_table(stdout);
+  } else {
+    if (!process.request.usage_fault && faults.n_fatal == 0 && action != ACTION_PRINT)
+      settings_check(&process.settings, action == ACTION_CHECK, &faults);
+    if (faults.n_fatal > 0)
+      status = process.request.usage_fault ? EXIT_USAGE : EXIT_CONFIG;
+    print_faults(&faults);
+    if (action == ACTION_CHECK && status == EXIT_OK)
+      printf("morphod: the configuration is sound (%s)\n",
+             process.request.config_found != NULL ? process.request.config_found : "no file");
+    else if (action == ACTION_PRINT && status == EXIT_OK)
+      settings_print(&process.settings, stdout);
+    else if (action == ACTION_RUN && status == EXIT_OK)
+      status = serve(&process);
+  }
+  settings_faults_free(&faults);
+  if (status == EXIT_STATE && process.service != NULL)
+    _exit(status); /* threads of the service still run: no destructors under them */
+  settings_request_free(&process.request);
+  settings_free(&process.settings);
+  return status;
+}

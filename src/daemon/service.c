@@ -1,0 +1,493 @@
+/* service.c: see service.h. Order of start: listeners (cheap to refuse), state folder, store, crash marker, back end, jobs,
+ * controller, HTTP. The end goes the other way, except that jobs park before HTTP ends, so that replies can still be given. */
+#include "service.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include <grp.h>
+#include <systemd/sd-daemon.h>
+
+#include <morpho/compute.h>
+#include <morpho/controller.h>
+
+#include "daemon/crash.h"
+#include "daemon/log.h"
+#include "http/http.h"
+#include "jobs/jobs.h"
+#include "store/store.h"
+
+#define LISTENERS_MAX  64
+#define ADDRESS_BYTES  256
+#define TOKEN_FILE_MAX 65536
+#define JOBS_STOP_MS   3000
+#define HTTP_GRACE_MS  1000
+
+struct service {
+  char *state_dir;
+  int listeners[LISTENERS_MAX];
+  size_t n_listeners;
+  char address_text[LISTENERS_MAX][ADDRESS_BYTES];
+  const char *addresses[LISTENERS_MAX];
+  char *unix_paths[LISTENERS_MAX]; /* sockets that we made and remove at the end; NULL: not ours */
+  struct mo_store *store;
+  struct mo_compute *compute;
+  struct mo_jobs *jobs;
+  struct mo_http *http;
+  int subscription; /* −1: none */
+  bool crash_marker;
+  void (*fatal)(const char *what);
+};
+
+/* ---- tokens ---- */
+
+struct tokens {
+  char *text; /* the file, cut into pieces */
+  const char **items;
+  size_t n;
+};
+
+static void tokens_free(struct tokens *tokens)
+{
+  if (tokens->text != NULL)
+    explicit_bzero(tokens->text, TOKEN_FILE_MAX);
+  free(tokens->text);
+  free(tokens->items);
+  *tokens = (struct tokens){0};
+}
+
+/* One token per line; blank lines and lines that start with # are left out. */
+static int tokens_read(const char *path, struct tokens *tokens, struct mo_message *message)
+{
+  *tokens = (struct tokens){0};
+  if (path == NULL)
+    return MO_OK;
+  FILE *file = fopen(path, "re");
+  if (file == NULL)
+    return mo_fail(message, MO_ERR_IO, "token_file: %s: %s", path, strerror(errno));
+  tokens->text = calloc(1, TOKEN_FILE_MAX + 1);
+  size_t n = tokens->text != NULL ? fread(tokens->text, 1, TOKEN_FILE_MAX + 1, file) : 0;
+  fclose(file);
+  tokens->items = calloc(TOKEN_FILE_MAX / 2, sizeof(*tokens->items));
+  if (tokens->text == NULL || tokens->items == NULL) {
+    tokens_free(tokens);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  }
+  if (n > TOKEN_FILE_MAX) {
+    tokens_free(tokens);
+    return mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path, TOKEN_FILE_MAX);
+  }
+  char *rest = tokens->text, *line;
+  while ((line = strsep(&rest, "\n")) != NULL) {
+    line += strspn(line, " \t");
+    line[strcspn(line, " \t\r")] = 0;
+    if (*line != 0 && *line != '#')
+      tokens->items[tokens->n++] = line;
+  }
+  if (tokens->n == 0) {
+    tokens_free(tokens);
+    return mo_fail(message, MO_ERR_INVALID, "token_file: %s holds no token", path);
+  }
+  return MO_OK;
+}
+
+/* ---- parts ---- */
+
+static int make_folders(const char *path, struct mo_message *message)
+{
+  char *copy = strdup(path);
+  if (copy == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  int status = MO_OK;
+  for (char *slash = copy + 1;; slash++) {
+    if (*slash != '/' && *slash != 0)
+      continue;
+    char kept = *slash;
+    *slash = 0;
+    if (mkdir(copy, 0700) != 0 && errno != EEXIST)
+      status =
+          mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "state_dir: %s: %s", copy, strerror(errno));
+    *slash = kept;
+    if (kept == 0 || status != MO_OK)
+      break;
+  }
+  free(copy);
+  return status;
+}
+
+static int add_listener(struct service *service, int fd)
+{
+  if (service->n_listeners >= LISTENERS_MAX)
+    return MO_ERR_LIMIT;
+  service->addresses[service->n_listeners] = service->address_text[service->n_listeners];
+  service->listeners[service->n_listeners++] = fd;
+  return MO_OK;
+}
+
+static int open_listeners(struct service *service, const struct settings *settings, struct mo_message *message)
+{
+  char **names = NULL;
+  int n_passed = sd_listen_fds_with_names(1, &names);
+  if (n_passed < 0)
+    return mo_fail(message, MO_ERR_IO, "cannot take the sockets that were passed: %s", strerror(-n_passed));
+  int status = MO_OK;
+  for (int i = 0; i < n_passed && status == MO_OK; i++) {
+    bool beyond;
+    int fd = SD_LISTEN_FDS_START + i;
+    if (service->n_listeners == LISTENERS_MAX)
+      status = mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
+    else
+      status = mo_http_describe(fd, service->address_text[service->n_listeners], &beyond, message);
+    if (status == MO_OK)
+      status = add_listener(service, fd);
+    if (status == MO_OK)
+      log_debug("socket taken", LOG_TEXT("name", names != NULL ? names[i] : NULL),
+                LOG_TEXT("address", service->addresses[service->n_listeners - 1]));
+  }
+  for (int i = 0; names != NULL && names[i] != NULL; i++)
+    free(names[i]);
+  free(names);
+  if (status != MO_OK)
+    return status;
+  size_t row = 0;
+  while (settings_table[row].offset != offsetof(struct settings, listen))
+    row++;
+  if (n_passed > 0 && settings->source[row] == SOURCE_DEFAULT)
+    return MO_OK;
+  for (size_t i = 0; i < settings->listen.n && status == MO_OK; i++) {
+    int fd;
+    if (service->n_listeners == LISTENERS_MAX)
+      return mo_fail(message, MO_ERR_LIMIT, "more than %d sockets", LISTENERS_MAX);
+    size_t place = service->n_listeners;
+    status = mo_http_listen(settings->listen.items[i], &fd, service->address_text[place], message);
+    if (status == MO_OK)
+      status = add_listener(service, fd);
+    if (status == MO_OK && strncmp(settings->listen.items[i], "unix:", 5) == 0)
+      service->unix_paths[place] = strdup(settings->listen.items[i] + 5);
+  }
+  return status;
+}
+
+static void store_is_broken(void *context, const char *what)
+{
+  struct service *service = context;
+  service->fatal(what);
+}
+
+static void log_events(void *context, const struct mo_event *events, size_t n)
+{
+  (void)context;
+  for (size_t i = 0; i < n; i++) {
+    enum log_level level = strcmp(events[i].type, "job.progress") == 0 ? LOG_LEVEL_DEBUG : LOG_LEVEL_INFO;
+    if (!log_enabled(level))
+      continue;
+    if (events[i].job != 0)
+      LOG_AT(level, events[i].type, LOG_INT("job", events[i].job), LOG_INT("event", events[i].sequence),
+             LOG_TEXT("data", events[i].data));
+    else
+      LOG_AT(level, events[i].type, LOG_INT("event", events[i].sequence), LOG_TEXT("data", events[i].data));
+  }
+}
+
+static void log_request(void *context, const struct mo_http_log_entry *entry)
+{
+  (void)context;
+  /* Health checks and scrapes come every few seconds and say nothing, as long as they succeed. */
+  bool probe = entry->status == 200 && (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
+                                        strcmp(entry->path, "/metrics") == 0);
+  enum log_level level = entry->status >= 500 ? LOG_LEVEL_WARNING : probe ? LOG_LEVEL_DEBUG : LOG_LEVEL_INFO;
+  LOG_AT(level, "request", LOG_TEXT("request", entry->request_id), LOG_TEXT("client", entry->client),
+         LOG_TEXT("method", entry->method), LOG_TEXT("path", entry->path), LOG_INT("status", entry->status),
+         LOG_INT("body_in", entry->body_in), LOG_INT("body_out", entry->body_out),
+         LOG_REAL("seconds", entry->duration_s));
+}
+
+/* The controller of the first start, under both its names. */
+static int store_default_controller(struct service *service, const struct settings *settings,
+                                    struct mo_message *message)
+{
+  struct mo_controller_record record;
+  int status = mo_store_controller(service->store, "default", &record);
+  if (status != MO_ERR_NOT_FOUND)
+    return status;
+  const char *path = settings->default_controller != NULL ? settings->default_controller
+                                                          : MORPHOD_DATADIR "/controllers/bootstrap.safetensors";
+  struct mo_controller *controller = NULL;
+  uint8_t *bytes = NULL;
+  size_t size;
+  status = mo_controller_read(path, &controller, message);
+  if (status == MO_OK)
+    status = mo_controller_encode(controller, &bytes, &size);
+  /* The file's own bytes where they are at hand: the hash of a controller is that of its file. */
+  FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
+  if (file != NULL) {
+    struct stat info;
+    if (fstat(fileno(file), &info) == 0 && info.st_size > 0) {
+      uint8_t *own = malloc((size_t)info.st_size);
+      if (own != NULL && fread(own, 1, (size_t)info.st_size, file) == (size_t)info.st_size) {
+        free(bytes);
+        bytes = own;
+        size = (size_t)info.st_size;
+      } else {
+        free(own);
+      }
+    }
+    fclose(file);
+  }
+  static const char *const names[] = {"bootstrap", "default"};
+  for (size_t i = 0; i < 2 && status == MO_OK; i++) {
+    bool created;
+    status = mo_store_controller_put(service->store, names[i], bytes, size, controller, &record, &created);
+  }
+  if (status == MO_OK)
+    log_info("default controller stored", LOG_TEXT("file", path));
+  free(bytes);
+  mo_controller_free(controller);
+  return status;
+}
+
+static int start_http(struct service *service, const struct settings *settings, struct mo_message *message)
+{
+  struct tokens tokens;
+  int status = tokens_read(settings->token_file, &tokens, message);
+  if (status != MO_OK)
+    return status;
+  gid_t groups[64];
+  for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
+    const struct group *group = getgrnam(settings->unix_groups.items[i]);
+    if (group == NULL)
+      status =
+          mo_fail(message, MO_ERR_INVALID, "unix_groups: there is no group \"%s\"", settings->unix_groups.items[i]);
+    else
+      groups[i] = group->gr_gid;
+  }
+  struct mo_http_config config = {
+      .listeners = service->listeners,
+      .n_listeners = service->n_listeners,
+      .allowed_hosts = (const char *const *)settings->allowed_hosts.items,
+      .n_allowed_hosts = settings->allowed_hosts.n,
+      .tokens = tokens.items,
+      .n_tokens = tokens.n,
+      .token_on_loopback = settings->token_on_loopback != 0,
+      .unix_groups = groups,
+      .n_unix_groups = settings->unix_groups.n,
+      .max_connections = (uint32_t)settings->max_connections,
+      .max_streams = (uint32_t)settings->max_streams,
+      .max_in_flight = (uint32_t)settings->max_in_flight,
+      .client_rate_per_s = (uint32_t)settings->client_rate_per_s,
+      .max_body_bytes = settings->max_body_bytes,
+      .max_controller_bytes = settings->max_controller_bytes,
+      .header_timeout_ms = (uint32_t)settings->header_timeout_ms,
+      .body_timeout_ms = (uint32_t)settings->body_timeout_ms,
+      .idle_timeout_ms = (uint32_t)settings->idle_timeout_ms,
+      .version = MORPHOD_VERSION,
+      .log = log_request,
+  };
+  struct mo_http_services services = {.store = service->store, .jobs = service->jobs, .compute = service->compute};
+  if (status == MO_OK) {
+    service->n_listeners = 0; /* taken over, whatever comes of it */
+    status = mo_http_start(&config, &services, &service->http, message);
+    service->n_listeners = config.n_listeners;
+    if (status != MO_OK) /* closed by mo_http_start */
+      for (size_t i = 0; i < service->n_listeners; i++)
+        service->listeners[i] = -1;
+  }
+  tokens_free(&tokens);
+  return status;
+}
+
+/* ---- start ---- */
+
+static int exit_status_of(int error, int otherwise)
+{
+  switch (error) {
+  case MO_ERR_NO_MEMORY: return EXIT_SYSTEM;
+  case MO_ERR_UNSUPPORTED: return EXIT_CONFIG;
+  case MO_ERR_BUSY: return EXIT_IN_USE;
+  default: return otherwise;
+  }
+}
+
+static int fail_with(struct mo_message *message, int error, int otherwise)
+{
+  if (message->text[0] == 0)
+    snprintf(message->text, sizeof(message->text), "%s", mo_error_text(error));
+  return exit_status_of(error, otherwise);
+}
+
+int service_start(const struct settings *settings, void (*fatal)(const char *what), struct service **ret_service,
+                  struct mo_message *message)
+{
+  message->text[0] = 0;
+  struct service *service = calloc(1, sizeof(*service));
+  if (service == NULL || (service->state_dir = strdup(settings->state_dir)) == NULL) {
+    free(service);
+    return fail_with(message, MO_ERR_NO_MEMORY, EXIT_SYSTEM);
+  }
+  service->fatal = fatal;
+  service->subscription = -1;
+  char *last_marker = NULL;
+  int exit_status = EXIT_OK;
+  int error = open_listeners(service, settings, message);
+  if (error != MO_OK) {
+    exit_status = fail_with(message, error, error == MO_ERR_INVALID ? EXIT_CONFIG : EXIT_UNAVAILABLE);
+    goto out;
+  }
+
+  sd_notify(0, "STATUS=Opening the state folder");
+  error = make_folders(settings->state_dir, message);
+  struct mo_store_config store = {.path = settings->state_dir,
+                                  .events_kept = settings->events_kept,
+                                  .fatal = store_is_broken,
+                                  .fatal_context = service};
+  if (error == MO_OK)
+    error = mo_store_open(&store, &service->store, message);
+  if (error == MO_OK)
+    error = crash_open(settings->state_dir, &last_marker, message);
+  if (error != MO_OK) {
+    exit_status = fail_with(message, error, error == MO_ERR_FORMAT ? EXIT_CONFIG : EXIT_STATE);
+    goto out;
+  }
+  service->crash_marker = true;
+  if (last_marker != NULL)
+    log_warning("the last process crashed while it computed a job", LOG_TEXT("marker", last_marker));
+  mo_store_subscribe(service->store, log_events, service, &service->subscription);
+
+  struct mo_compute_config compute = {.n_workers = (uint32_t)settings->workers,
+                                      .isa = settings->isa == 0 ? mo_isa_best() : (enum mo_isa)(settings->isa - 1),
+                                      .nice = (int)settings->worker_nice};
+  error = mo_compute_create_cpu(&compute, &service->compute);
+  if (error != MO_OK) {
+    mo_fail(message, error, "workers: %s", mo_error_text(error));
+    exit_status = fail_with(message, error, EXIT_SYSTEM);
+    goto out;
+  }
+
+  error = store_default_controller(service, settings, message);
+  if (error != MO_OK) {
+    exit_status =
+        fail_with(message, error, error == MO_ERR_NO_SPACE || error == MO_ERR_CORRUPT ? EXIT_STATE : EXIT_CONFIG);
+    goto out;
+  }
+
+  struct mo_jobs_config jobs = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
+                                .max_open_rollouts = settings->max_open_rollouts,
+                                .max_recorded_bytes = settings->max_recorded_bytes,
+                                .crash_marker = last_marker};
+  error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);
+  if (error != MO_OK) {
+    exit_status =
+        fail_with(message, error, error == MO_ERR_IO || error == MO_ERR_NO_SPACE ? EXIT_STATE : EXIT_INTERNAL);
+    goto out;
+  }
+
+  error = start_http(service, settings, message);
+  if (error != MO_OK) {
+    exit_status =
+        fail_with(message, error, error == MO_ERR_IO && settings->token_file == NULL ? EXIT_UNAVAILABLE : EXIT_CONFIG);
+    goto out;
+  }
+  mo_http_set_ready(service->http, true);
+  *ret_service = service;
+  service = NULL;
+
+out:
+  free(last_marker);
+  if (service != NULL)
+    service_stop(service);
+  return exit_status;
+}
+
+size_t service_addresses(const struct service *service, const char *const **addresses)
+{
+  *addresses = service->addresses;
+  return service->n_listeners;
+}
+
+int service_reload_tokens(struct service *service, const struct settings *settings, struct mo_message *message)
+{
+  struct tokens tokens;
+  int status = tokens_read(settings->token_file, &tokens, message);
+  if (status == MO_OK)
+    status = mo_http_set_tokens(service->http, tokens.items, tokens.n, message);
+  tokens_free(&tokens);
+  return status;
+}
+
+void service_drain(struct service *service)
+{
+  mo_http_set_ready(service->http, false);
+}
+
+bool service_is_idle(struct service *service)
+{
+  struct mo_jobs_stats stats;
+  mo_jobs_get_stats(service->jobs, &stats);
+  return stats.active_batch + stats.active_interactive + stats.blocks_in_flight == 0;
+}
+
+static int64_t monotonic_us(void)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+}
+
+bool service_is_alive(struct service *service, int64_t limit_us, const char **who)
+{
+  struct mo_store_stats store;
+  struct mo_jobs_stats jobs;
+  struct mo_http_stats http;
+  mo_store_get_stats(service->store, &store);
+  mo_jobs_get_stats(service->jobs, &jobs);
+  mo_http_get_stats(service->http, &http);
+  int64_t oldest_allowed = monotonic_us() - limit_us;
+  *who = store.heartbeat_us < oldest_allowed  ? "writer"
+         : jobs.heartbeat_us < oldest_allowed ? "scheduler"
+         : http.heartbeat_us < oldest_allowed ? "http"
+                                              : NULL;
+  return *who == NULL;
+}
+
+void service_describe(struct service *service, char *text, size_t capacity)
+{
+  struct mo_jobs_stats jobs;
+  struct mo_http_stats http;
+  mo_jobs_get_stats(service->jobs, &jobs);
+  mo_http_get_stats(service->http, &http);
+  snprintf(text, capacity, "%" PRIu64 " open jobs, %" PRIu64 " rollouts to do, %" PRIu32 " connections%s",
+           jobs.open_jobs, jobs.open_rollouts, http.connections, jobs.no_space ? ", waiting for room on the disk" : "");
+}
+
+void service_stop(struct service *service)
+{
+  if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
+    log_warning("work was still being parked at its deadline; it is repeated at the next start");
+  if (service->http != NULL) {
+    mo_http_stop(service->http, HTTP_GRACE_MS);
+  } else {
+    for (size_t i = 0; i < service->n_listeners; i++)
+      if (service->listeners[i] >= 0)
+        close(service->listeners[i]);
+  }
+  for (size_t i = 0; i < LISTENERS_MAX; i++)
+    if (service->unix_paths[i] != NULL) {
+      unlink(service->unix_paths[i]);
+      free(service->unix_paths[i]);
+    }
+  mo_jobs_free(service->jobs);
+  mo_compute_free(service->compute);
+  if (service->subscription >= 0)
+    mo_store_unsubscribe(service->store, service->subscription);
+  mo_store_close(service->store);
+  if (service->crash_marker)
+    crash_close(service->state_dir);
+  free(service->state_dir);
+  free(service);
+}

@@ -1,0 +1,186 @@
+/* The reader of designs, random bodies, and the drawing. */
+#include "../check.h"
+
+#include <unistd.h>
+
+#include "designs.h"
+
+#define ONES "000000000000000000000000000000000000000000000000000000000001"
+
+static int add(struct designs *designs, const char *text)
+{
+  return designs_add_text(designs, "test", text, strlen(text));
+}
+
+static bool equals(const struct designs *designs, size_t i, const char *expected)
+{
+  char *text = json_dumps(json_array_get(designs->list, i), JSON_COMPACT);
+  bool same = text != NULL && strcmp(text, expected) == 0;
+  if (!same)
+    printf("# %zu: %s\n", i, text != NULL ? text : "nothing");
+  free(text);
+  return same;
+}
+
+static void voxels_of(char digit, char voxels[VOXELS + 1])
+{
+  memset(voxels, '0', VOXELS);
+  voxels[VOXELS] = 0;
+  voxels[5] = digit;
+}
+
+static void every_form(void)
+{
+  struct designs designs = {0};
+  char voxels[VOXELS + 1], text[2048], expected[200];
+  voxels_of('1', voxels);
+  snprintf(text, sizeof(text),
+           "# a comment\n{\"cells\": [[0,0,0],\n [1,0,0]], \"name\": "
+           "\"two\"}\n%s\n0123456789abcdef0123456789ABCDEF0123, %s\n"
+           "[[2,2,0],[2,3,0]]\n[{\"id\":\"x\"}, [[1,1,1]], \"0123456789abcdef0123456789abcdef0123\"]\n"
+           "{\"designs\": [{\"cells\": [[3,3,3]]}], \"controller\": \"ignored\"}",
+           voxels, voxels);
+  CHECK_INT(add(&designs, text), STATUS_OK);
+  REQUIRE(designs.n == 9);
+  CHECK(equals(&designs, 0, "{\"cells\":[[0,0,0],[1,0,0]]}"));
+  CHECK_TEXT(designs.names[0], "two");
+  CHECK(designs.names[1] == NULL && designs.named);
+  snprintf(expected, sizeof(expected), "{\"voxels\":\"%s\"}", voxels);
+  CHECK(equals(&designs, 1, expected));
+  CHECK(equals(&designs, 2, "{\"id\":\"0123456789abcdef0123456789ABCDEF0123\"}"));
+  CHECK(equals(&designs, 3, expected));
+  CHECK(equals(&designs, 4, "{\"cells\":[[2,2,0],[2,3,0]]}"));
+  CHECK(equals(&designs, 5, "{\"id\":\"x\"}")); /* the server says what is wrong with it */
+  CHECK(equals(&designs, 6, "{\"cells\":[[1,1,1]]}"));
+  CHECK(equals(&designs, 7, "{\"id\":\"0123456789abcdef0123456789abcdef0123\"}"));
+  CHECK(equals(&designs, 8, "{\"cells\":[[3,3,3]]}"));
+  designs_free(&designs);
+}
+
+static void refused(void)
+{
+  static const char *const texts[] = {"zebra",
+                                      "{\"cells\": [[0,0,0]]",
+                                      "{\"cell\": [[0,0,0]]}",
+                                      "{\"cells\": [[0,0,0]], \"id\": \"x\"}",
+                                      "{}",
+                                      "{\"id\": 1, \"id\": 2}",
+                                      "[[[[0,0,0]]]] 3",
+                                      "[3]",
+                                      "[\"01\"]",
+                                      ONES,
+                                      "{\"designs\": {\"cells\": [[0,0,0]], \"what\": 1}}"};
+  for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++) {
+    struct designs designs = {0};
+    if (add(&designs, texts[i]) != STATUS_USAGE) {
+      printf("# accepted: %s\n", texts[i]);
+      CHECK(false);
+    }
+    designs_free(&designs);
+  }
+}
+
+static void limit(void)
+{
+  struct designs designs = {0};
+  CHECK_INT(designs_add_random(&designs, 1, DESIGNS_MAX), STATUS_OK);
+  CHECK_INT(designs.n, DESIGNS_MAX);
+  CHECK_INT(add(&designs, "[[0,0,0]]"), STATUS_USAGE);
+  CHECK_INT(designs.n, DESIGNS_MAX);
+  designs_free(&designs);
+}
+
+static void operands(void)
+{
+  struct designs designs = {0};
+  char path[] = "/tmp/morphoctl-designs-XXXXXX";
+  int fd = mkstemp(path);
+  REQUIRE(fd >= 0);
+  REQUIRE(write(fd, "[[0,0,0]]\n", 10) == 10);
+  close(fd);
+  CHECK_INT(designs_add_operand(&designs, path), STATUS_OK);
+  CHECK_INT(designs_add_operand(&designs, "0123456789abcdef0123456789abcdef0123"), STATUS_OK);
+  CHECK_INT(designs_add_operand(&designs, "[[1,0,0]]"), STATUS_OK);
+  CHECK_INT(designs.n, 3);
+  CHECK_INT(designs_add_operand(&designs, "/nonexistent/designs.json"), STATUS_USAGE);
+  REQUIRE(truncate(path, 0) == 0);
+  CHECK_INT(designs_add_operand(&designs, path), STATUS_USAGE); /* holds no design */
+  unlink(path);
+  designs_free(&designs);
+}
+
+static size_t reached(const char *voxels, bool *seen, int x, int y, int z)
+{
+  if (x < 0 || x >= WORKSPACE_X || y < 0 || y >= WORKSPACE_Y || z < 0 || z >= WORKSPACE_Z)
+    return 0;
+  size_t i = (size_t)((x * WORKSPACE_Y + y) * WORKSPACE_Z + z);
+  if (voxels[i] != '1' || seen[i])
+    return 0;
+  seen[i] = true;
+  return 1 + reached(voxels, seen, x + 1, y, z) + reached(voxels, seen, x - 1, y, z) +
+         reached(voxels, seen, x, y + 1, z) + reached(voxels, seen, x, y - 1, z) + reached(voxels, seen, x, y, z + 1) +
+         reached(voxels, seen, x, y, z - 1);
+}
+
+static void random_bodies(void)
+{
+  struct designs a = {0}, b = {0}, c = {0};
+  CHECK_INT(designs_add_random(&a, 42, 300), STATUS_OK);
+  CHECK_INT(designs_add_random(&b, 42, 300), STATUS_OK);
+  CHECK_INT(designs_add_random(&c, 43, 300), STATUS_OK);
+  CHECK(json_equal(a.list, b.list));
+  CHECK(!json_equal(a.list, c.list));
+  for (size_t i = 0; i < a.n; i++) {
+    char voxels[VOXELS + 1];
+    bool seen[VOXELS] = {false};
+    REQUIRE(design_voxels(json_array_get(a.list, i), voxels));
+    size_t first = strcspn(voxels, "1"), count = 0;
+    for (size_t k = 0; k < VOXELS; k++)
+      count += voxels[k] == '1';
+    REQUIRE(count >= 1);
+    CHECK_INT(reached(voxels, seen, (int)first / 24, (int)first / 4 % 6, (int)first % 4), count);
+  }
+  designs_free(&a);
+  designs_free(&b);
+  designs_free(&c);
+}
+
+static void drawing(void)
+{
+  char voxels[VOXELS + 1], *text = NULL;
+  size_t length = 0;
+  json_t *design = json_loads("{\"cells\": [[0,0,0],[0,0,1],[5,5,0]]}", 0, NULL);
+  REQUIRE(design_voxels(design, voxels));
+  json_decref(design);
+  FILE *memory = open_memstream(&text, &length);
+  REQUIRE(memory != NULL);
+  draw_body(memory, voxels, false);
+  fclose(memory);
+  CHECK_TEXT(text, "   z = 0           z = 1        \n"
+                   "y  . . . . . ##    . . . . . . \n"
+                   "   . . . . . .     . . . . . . \n"
+                   "   . . . . . .     . . . . . . \n"
+                   "   . . . . . .     . . . . . . \n"
+                   "   . . . . . .     . . . . . . \n"
+                   "   ##. . . . .     ##. . . . . \n"
+                   "   x ->\n");
+  free(text);
+}
+
+static void ids(void)
+{
+  char voxels[VOXELS + 1];
+  CHECK(id_voxels("800000000000000000000000000000000001", voxels));
+  CHECK(voxels[0] == '1' && voxels[1] == '0' && voxels[143] == '1' && voxels[142] == '0');
+  CHECK(!id_voxels("80000000000000000000000000000000000", voxels));
+  CHECK(!id_voxels("80000000000000000000000000000000000g", voxels));
+  json_t *outside = json_loads("{\"cells\": [[0,0,4]]}", 0, NULL);
+  CHECK(!design_voxels(outside, voxels));
+  json_decref(outside);
+}
+
+static const struct check_case cases[] = {
+    {"every form of input", every_form}, {"what is refused", refused}, {"the limit", limit}, {"operands", operands},
+    {"random bodies", random_bodies},    {"drawing", drawing},         {"ids", ids},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,81 @@
+/* Server-sent events, cut anywhere. */
+#include "../check.h"
+
+#include "sse.h"
+
+static char seen[4096];
+
+static int note(void *context, const char *type, const char *id, const char *data)
+{
+  int *count = context;
+  size_t n = strlen(seen);
+  snprintf(seen + n, sizeof(seen) - n, "%s|%s|%s;", type, id, data);
+  (*count)++;
+  return strcmp(data, "stop") == 0;
+}
+
+static const char stream[] =
+    ": hello\n\nid: 1\nevent: job.created\ndata: {\"a\":1}\n\n"
+    "id: 2\r\ndata: one\r\ndata:two\r\n\r\n: heartbeat\r\n\r\nid: 3\rdata: \r\rdata: last\n\nid: 4\ndata: half";
+static const char expected[] = "job.created|1|{\"a\":1};message|2|one\ntwo;message|3|;message||last;";
+
+static void every_cut(void)
+{
+  for (size_t cut = 0; cut < sizeof(stream); cut++) {
+    struct sse sse = {0};
+    int count = 0;
+    *seen = 0;
+    CHECK_INT(sse_feed(&sse, stream, cut, note, &count), 0);
+    CHECK_INT(sse_feed(&sse, stream + cut, sizeof(stream) - 1 - (cut < sizeof(stream) - 1 ? cut : sizeof(stream) - 1),
+                       note, &count),
+              0);
+    CHECK_TEXT(seen, expected);
+    CHECK_TEXT(sse.last_id, "3"); /* the half one does not count */
+    sse_free(&sse);
+  }
+}
+
+static void byte_by_byte(void)
+{
+  struct sse sse = {0};
+  int count = 0;
+  *seen = 0;
+  for (size_t i = 0; i + 1 < sizeof(stream); i++)
+    CHECK_INT(sse_feed(&sse, stream + i, 1, note, &count), 0);
+  CHECK_TEXT(seen, expected);
+  sse_reset(&sse);
+  CHECK_INT(sse_feed(&sse, "data: new\n\n", 11, note, &count), 0);
+  CHECK(strstr(seen, "message||new;") != NULL);
+  CHECK_TEXT(sse.last_id, "3");
+  sse_free(&sse);
+}
+
+static void ends(void)
+{
+  struct sse sse = {0};
+  int count = 0;
+  *seen = 0;
+  CHECK_INT(sse_feed(&sse, "data: stop\n\ndata: more\n\n", 24, note, &count), 1);
+  CHECK_INT(count, 1);
+  sse_free(&sse);
+}
+
+static void too_large(void)
+{
+  struct sse sse = {0};
+  int count = 0, status = 0;
+  char *large = malloc(65536);
+  REQUIRE(large != NULL);
+  memset(large, 'x', 65536);
+  for (int i = 0; i < 64 && status == 0; i++)
+    status = sse_feed(&sse, large, 65536, note, &count);
+  CHECK_INT(status, -1);
+  free(large);
+  sse_free(&sse);
+}
+
+static const struct check_case cases[] = {{"cut anywhere", every_cut},
+                                          {"byte by byte", byte_by_byte},
+                                          {"a listener ends it", ends},
+                                          {"too large", too_large}};
+CHECK_MAIN(cases)
