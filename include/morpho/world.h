@@ -20,6 +20,7 @@ extern "C" {
 #define MO_WORLD_CENTRE_M   2.5
 #define MO_TERRAIN_FLOOR_M  0.05 /* the lowest height of a random terrain */
 #define MO_PAPER_TEST_COUNT 10
+#define MO_PAPER_TEST_SEED  UINT64_C(20250711)
 #define MO_HEIGHT_LIMIT_M   100.0 /* |height| and |light coordinate| that mo_environment_check accepts */
 #define MO_LIGHT_LIMIT_M    1000.0
 
@@ -47,7 +48,9 @@ void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigm
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index, struct mo_environment *environment);
 
 /* The paper's test set: always the same 10 environments. First the five lights at 2.0 m (angles 2πi/5), then the five at 1.5 m
- * (offset by π/5); each ring is paired at random, by a fixed seed, with one terrain of each σ in {0.02, …, 0.10} m. */
+ * (offset by π/5); each ring is paired at random, by a fixed seed, with one terrain of each σ in {0.02, …, 0.10} m. Drawn:
+ * 0.10, 0.02, 0.04, 0.08, 0.06 m, then 0.02, 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0
+ * for the pairing, 1 + k for the heights of environment k. */
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT]);
 
 #ifdef __cplusplus

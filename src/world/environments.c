@@ -6,7 +6,7 @@
  * Training environment (seed, step, index): the stream LIGHT gives first σ, then points of the square around the ring until
  * one lies in it; the stream TERRAIN gives the heights.
  *
- * Paper test set: key TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for the ring of 2.0 m, then for
+ * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for the ring of 2.0 m, then for
  * that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the heights of environment i. */
 #include <morpho/random.h>
 #include <morpho/world.h>
@@ -15,7 +15,6 @@
 #define SIGMA_TOP_M  0.1
 #define LIGHT_NEAR_M 0.4
 #define LIGHT_FAR_M  2.0
-#define TEST_SEED    UINT64_C(20250711)
 
 static void draw_terrain(struct mo_random *random, double sigma_m, double heights_m[MO_TERRAIN_HEIGHTS])
 {
@@ -68,7 +67,7 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       0.0, -0.58778525229247312917, -0.95105651629515357212, -0.95105651629515357212, -0.58778525229247312917};
   static const double radius_m[2] = {2.0, 1.5};
   struct mo_random pairing;
-  mo_random_init(&pairing, TEST_SEED, MO_PURPOSE_TEST_SET, 0, 0);
+  mo_random_init(&pairing, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, 0);
   for (int ring = 0; ring < 2; ring++) {
     double sigma_m[RING] = {0.02, 0.04, 0.06, 0.08, 0.10};
     for (uint32_t i = RING - 1; i > 0; i--) {
@@ -83,7 +82,7 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       environment->light_xy_m[0] = MO_WORLD_CENTRE_M + radius_m[ring] * cosine[angle];
       environment->light_xy_m[1] = MO_WORLD_CENTRE_M + radius_m[ring] * sine[angle];
       struct mo_random random;
-      mo_random_init(&random, TEST_SEED, MO_PURPOSE_TEST_SET, 0, (uint64_t)(1 + ring * RING + i));
+      mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, (uint64_t)(1 + ring * RING + i));
       draw_terrain(&random, sigma_m[i], environment->terrain_heights_m);
     }
   }

@@ -1,0 +1,402 @@
+/* cpu.c: the CPU back end: worker threads, two queues, urgent blocks that overtake.
+ *
+ * Workers take from two first-in-first-out queues under one mutex, the interactive one first. A worker that is inside a batch
+ * block looks at an atomic count every few steps; if an interactive block waits, it runs it then and there, on its own stack
+ * and in a second scratch, and goes on with the batch block, whose bits cannot notice. So an interactive block waits for a
+ * few steps of a rollout and never for a whole block, and no thread beyond one per worker is needed.
+ *
+ * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand back what is queued as
+ * cancelled, and leave. Every block's `done` is called exactly once. Counters are atomics: reading them takes no lock. */
+#include "compute/internal.h"
+
+#include <morpho/error.h>
+
+#include "base/clock.h"
+
+#include <pthread.h>
+#include <sched.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+enum {
+  WORKERS_MAX = 1024,
+  PAUSE_STEPS = 20,     /* between looks at the queue, for bodies of the default workspace: about 1 ms */
+  PAUSE_SPRINGS = 2000, /* larger bodies look after every step */
+  DEPTHS = 2            /* a batch block, and an interactive one inside it */
+};
+
+struct queue {
+  struct mo_block *first, *last;
+  atomic_uint_fast64_t n; /* written under the mutex, read anywhere */
+};
+
+struct worker {
+  struct mo_compute *compute;
+  struct mo_workspace_memory *memory[DEPTHS];
+  pthread_t thread;
+};
+
+struct mo_compute {
+  enum mo_isa isa;
+  int nice;
+  uint32_t n_workers; /* started */
+  struct worker *workers;
+  pthread_mutex_t mutex;
+  pthread_cond_t wake;
+  struct queue queues[2]; /* by mo_urgency */
+  atomic_bool stopping;   /* written under the mutex */
+  atomic_uint_fast32_t n_busy;
+  atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted, busy_ns;
+  atomic_size_t worker_bytes_max;
+  char fingerprint[2][64];
+};
+
+/* The tag of the innermost block on this thread. Read by a fault handler, so volatile. */
+static _Thread_local volatile int64_t current_tag = -1;
+
+int64_t mo_compute_current_tag(void)
+{
+  return current_tag;
+}
+
+enum mo_isa mo_compute_isa(const struct mo_compute *compute)
+{
+  return compute->isa;
+}
+
+/* ---- queues, under the mutex ---- */
+
+static void push(struct queue *queue, struct mo_block *block)
+{
+  block->next = NULL;
+  if (queue->first == NULL)
+    queue->first = block;
+  else
+    queue->last->next = block;
+  queue->last = block;
+  atomic_fetch_add(&queue->n, 1);
+}
+
+static struct mo_block *pop(struct queue *queue)
+{
+  struct mo_block *block = queue->first;
+  if (block == NULL)
+    return NULL;
+  queue->first = block->next;
+  block->next = NULL;
+  atomic_fetch_sub(&queue->n, 1);
+  return block;
+}
+
+/* ---- one block ---- */
+
+struct visit {
+  struct worker *worker;
+  struct mo_block *block;
+  int depth;
+};
+
+static void run_block(struct worker *worker, struct mo_block *block, int depth);
+
+static bool is_cancelled(const struct mo_compute *compute, const struct mo_block *block)
+{
+  return atomic_load_explicit(&compute->stopping, memory_order_relaxed) ||
+         (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0);
+}
+
+/* The pause point of a running block. */
+static int look_up(void *context)
+{
+  const struct visit *visit = context;
+  struct mo_compute *compute = visit->worker->compute;
+  struct queue *urgent = &compute->queues[MO_INTERACTIVE];
+  if (visit->depth == 0 && visit->block->urgency == MO_BATCH)
+    while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 && !is_cancelled(compute, visit->block)) {
+      pthread_mutex_lock(&compute->mutex);
+      struct mo_block *block = pop(urgent);
+      pthread_mutex_unlock(&compute->mutex);
+      if (block == NULL)
+        break;
+      atomic_fetch_add(&compute->blocks_preempted, 1);
+      run_block(visit->worker, block, 1);
+    }
+  return is_cancelled(compute, visit->block);
+}
+
+static int simulate(struct worker *worker, struct mo_block *block, int depth)
+{
+  if (is_cancelled(worker->compute, block))
+    return MO_ERR_CANCELLED;
+  const struct mo_pack *pack = NULL;
+  int status = mo_compute_controller_pack(block->controller, block->precision, &pack);
+  struct mo_body *built = NULL;
+  if (status == MO_OK && block->body == NULL)
+    status = mo_body_create(block->lattice, block->genotype, &built);
+  if (status != MO_OK)
+    return status;
+  const struct mo_body *body = built != NULL ? built : block->body;
+  struct visit visit = {worker, block, depth};
+  const struct mo_pause_point pause = {
+      .interval = body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, .reached = look_up, .context = &visit};
+  status = mo_rollout_block(worker->memory[depth], pack, body, block->environments, block->n_environments,
+                            &block->physics, block->recordings, &pause, NULL, block->outcomes);
+  mo_body_free(built);
+  return status;
+}
+
+static void count(struct worker *worker, const struct mo_block *block)
+{
+  struct mo_compute *compute = worker->compute;
+  atomic_fetch_add(&compute->blocks_done, 1);
+  size_t bytes = 0;
+  for (int depth = 0; depth < DEPTHS; depth++)
+    bytes += mo_workspace_memory_bytes(worker->memory[depth]);
+  size_t most = atomic_load(&compute->worker_bytes_max);
+  while (most < bytes && !atomic_compare_exchange_weak(&compute->worker_bytes_max, &most, bytes))
+    ;
+  if (block->status != MO_OK)
+    return;
+  uint32_t diverged = 0;
+  for (uint32_t i = 0; i < block->n_environments; i++)
+    diverged += block->outcomes[i].diverged_step > 0;
+  atomic_fetch_add(&compute->rollouts_done, block->n_environments);
+  atomic_fetch_add(&compute->rollout_steps, (uint64_t)block->n_environments * block->physics.n_steps);
+  atomic_fetch_add(&compute->rollouts_diverged, diverged);
+}
+
+static void run_block(struct worker *worker, struct mo_block *block, int depth)
+{
+  const int64_t outer_tag = current_tag;
+  current_tag = block->tag;
+  block->status = simulate(worker, block, depth);
+  count(worker, block);
+  block->done(block, block->context); /* the block may be gone now */
+  current_tag = outer_tag;
+}
+
+/* ---- workers ---- */
+
+/* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores. Neither is needed for a right
+ * result, so a kernel that refuses is not an error. */
+static void settle(const struct mo_compute *compute)
+{
+  const struct sched_param none = {0};
+  (void)pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
+  if (compute->nice > 0) {
+    const id_t thread = (id_t)gettid();
+    (void)setpriority(PRIO_PROCESS, thread, getpriority(PRIO_PROCESS, thread) + compute->nice);
+  }
+}
+
+static void *work(void *argument)
+{
+  struct worker *worker = argument;
+  struct mo_compute *compute = worker->compute;
+  settle(compute);
+  pthread_mutex_lock(&compute->mutex);
+  for (;;) {
+    struct mo_block *block = pop(&compute->queues[MO_INTERACTIVE]);
+    if (block == NULL)
+      block = pop(&compute->queues[MO_BATCH]);
+    if (block == NULL) {
+      if (atomic_load(&compute->stopping))
+        break;
+      pthread_cond_wait(&compute->wake, &compute->mutex);
+      continue;
+    }
+    atomic_fetch_add(&compute->n_busy, 1);
+    pthread_mutex_unlock(&compute->mutex);
+    const uint64_t start_ns = mo_clock_ns();
+    run_block(worker, block, 0);
+    atomic_fetch_add(&compute->busy_ns, mo_clock_ns() - start_ns);
+    pthread_mutex_lock(&compute->mutex);
+    atomic_fetch_sub(&compute->n_busy, 1);
+  }
+  pthread_mutex_unlock(&compute->mutex);
+  return NULL;
+}
+
+/* Threads take no signals but those of their own faults: the service decides where the others go. */
+static int start_worker(struct mo_compute *compute, struct worker *worker, uint32_t number)
+{
+  worker->compute = compute;
+  for (int depth = 0; depth < DEPTHS; depth++)
+    if (mo_workspace_memory_create(&worker->memory[depth]) != MO_OK)
+      return MO_ERR_NO_MEMORY;
+  static const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
+  sigset_t blocked, before;
+  sigfillset(&blocked);
+  for (size_t i = 0; i < sizeof(faults) / sizeof(faults[0]); i++)
+    sigdelset(&blocked, faults[i]);
+  pthread_sigmask(SIG_SETMASK, &blocked, &before);
+  const int error = pthread_create(&worker->thread, NULL, work, worker);
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  if (error != 0)
+    return MO_ERR_NO_MEMORY;
+  char name[16];
+  snprintf(name, sizeof(name), "mo-worker-%u", number % 10000);
+  (void)pthread_setname_np(worker->thread, name);
+  compute->n_workers++;
+  return MO_OK;
+}
+
+static uint32_t online_processors(void)
+{
+  cpu_set_t set;
+  if (sched_getaffinity(0, sizeof(set), &set) == 0)
+    return (uint32_t)CPU_COUNT(&set);
+  const long n = sysconf(_SC_NPROCESSORS_ONLN);
+  return n > 0 ? (uint32_t)n : 1;
+}
+
+int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
+{
+  if (config->n_workers > WORKERS_MAX || config->nice < 0 || config->nice > 19 || (unsigned)config->isa >= MO_ISA_COUNT)
+    return MO_ERR_RANGE;
+  if (config->isa > mo_isa_best())
+    return MO_ERR_UNSUPPORTED;
+  const uint32_t wanted = config->n_workers > 0 ? config->n_workers : online_processors();
+  struct mo_compute *compute = calloc(1, sizeof(*compute));
+  if (compute == NULL)
+    return MO_ERR_NO_MEMORY;
+  compute->workers = calloc(wanted, sizeof(*compute->workers));
+  if (compute->workers == NULL) {
+    free(compute);
+    return MO_ERR_NO_MEMORY;
+  }
+  compute->isa = config->isa;
+  compute->nice = config->nice;
+  for (int precision = 0; precision < 2; precision++)
+    snprintf(compute->fingerprint[precision], sizeof(compute->fingerprint[precision]), "cpu %s %s kernel-%d",
+             mo_isa_name(config->isa), precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
+  pthread_mutex_init(&compute->mutex, NULL);
+  pthread_cond_init(&compute->wake, NULL);
+  for (uint32_t i = 0; i < wanted; i++)
+    if (start_worker(compute, compute->workers + i, i) != MO_OK) {
+      for (int depth = 0; depth < DEPTHS; depth++)
+        mo_workspace_memory_free(compute->workers[i].memory[depth]);
+      mo_compute_free(compute);
+      return MO_ERR_NO_MEMORY;
+    }
+  *ret = compute;
+  return MO_OK;
+}
+
+void mo_compute_free(struct mo_compute *compute)
+{
+  if (compute == NULL)
+    return;
+  pthread_mutex_lock(&compute->mutex);
+  atomic_store(&compute->stopping, true);
+  pthread_cond_broadcast(&compute->wake);
+  pthread_mutex_unlock(&compute->mutex);
+  for (uint32_t i = 0; i < compute->n_workers; i++) {
+    pthread_join(compute->workers[i].thread, NULL);
+    for (int depth = 0; depth < DEPTHS; depth++)
+      mo_workspace_memory_free(compute->workers[i].memory[depth]);
+  }
+  pthread_cond_destroy(&compute->wake);
+  pthread_mutex_destroy(&compute->mutex);
+  free(compute->workers);
+  free(compute);
+}
+
+/* ---- submitting ---- */
+
+static bool is_valid(const struct mo_block *block)
+{
+  if (block == NULL || block->done == NULL || block->controller == NULL || block->n_environments < 1 ||
+      block->n_environments > MO_BLOCK_LANES ||
+      (block->body == NULL && (block->lattice == NULL || block->genotype == NULL)))
+    return false;
+  if ((block->precision != MO_FLOAT32 && block->precision != MO_FLOAT64) ||
+      (block->urgency != MO_BATCH && block->urgency != MO_INTERACTIVE))
+    return false;
+  for (uint32_t i = 0; i < block->n_environments; i++)
+    if (block->environments[i] == NULL || mo_environment_check(block->environments[i], NULL) != MO_OK)
+      return false;
+  return mo_physics_check(&block->physics, NULL) == MO_OK;
+}
+
+int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
+{
+  if (!is_valid(block))
+    return MO_ERR_INVALID;
+  pthread_mutex_lock(&compute->mutex);
+  const bool stopping = atomic_load(&compute->stopping);
+  if (!stopping) {
+    push(&compute->queues[block->urgency], block);
+    pthread_cond_signal(&compute->wake);
+  }
+  pthread_mutex_unlock(&compute->mutex);
+  return stopping ? MO_ERR_CANCELLED : MO_OK;
+}
+
+struct waiter {
+  pthread_mutex_t mutex;
+  pthread_cond_t all_done;
+  size_t left;
+};
+
+static void one_done(struct mo_block *block, void *context)
+{
+  struct waiter *waiter = context;
+  (void)block;
+  pthread_mutex_lock(&waiter->mutex);
+  if (--waiter->left == 0)
+    pthread_cond_signal(&waiter->all_done);
+  pthread_mutex_unlock(&waiter->mutex);
+}
+
+int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
+{
+  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER, .left = n};
+  for (size_t i = 0; i < n; i++) {
+    blocks[i].done = one_done;
+    blocks[i].context = &waiter;
+    const int status = mo_compute_submit(compute, blocks + i);
+    if (status != MO_OK) {
+      blocks[i].status = status;
+      one_done(blocks + i, &waiter);
+    }
+  }
+  pthread_mutex_lock(&waiter.mutex);
+  while (waiter.left > 0)
+    pthread_cond_wait(&waiter.all_done, &waiter.mutex);
+  pthread_mutex_unlock(&waiter.mutex);
+  pthread_cond_destroy(&waiter.all_done);
+  pthread_mutex_destroy(&waiter.mutex);
+  for (size_t i = 0; i < n; i++)
+    if (blocks[i].status != MO_OK)
+      return blocks[i].status;
+  return MO_OK;
+}
+
+/* ---- facts ---- */
+
+void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
+{
+  *stats = (struct mo_compute_stats){
+      .n_workers = compute->n_workers,
+      .n_busy = (uint32_t)atomic_load(&compute->n_busy),
+      .blocks_done = atomic_load(&compute->blocks_done),
+      .rollouts_done = atomic_load(&compute->rollouts_done),
+      .rollout_steps = atomic_load(&compute->rollout_steps),
+      .rollouts_diverged = atomic_load(&compute->rollouts_diverged),
+      .blocks_preempted = atomic_load(&compute->blocks_preempted),
+      .queued_batch = atomic_load(&compute->queues[MO_BATCH].n),
+      .queued_interactive = atomic_load(&compute->queues[MO_INTERACTIVE].n),
+      .busy_s = 1e-9 * (double)atomic_load(&compute->busy_ns),
+      .worker_bytes_max = atomic_load(&compute->worker_bytes_max),
+  };
+}
+
+const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision)
+{
+  return compute->fingerprint[precision == MO_FLOAT64];
+}

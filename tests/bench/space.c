@@ -1,0 +1,205 @@
+/* space.c: what it costs to draw, recognise, vary and express bodies; `morpho-bench space [bodies]`.
+ *
+ * Each operation runs over the same sample of random bodies of the default workspace, several times; the fastest run counts.
+ * The last table times one body of over a million springs. */
+#include "base/clock.h"
+
+#include <morpho/morphospace.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+int bench_space(int argc, char **argv);
+
+#define RUNS 5
+
+struct sample {
+  struct mo_workspace workspace;
+  uint32_t n;
+  uint64_t (*bodies)[MO_DEFAULT_WORDS];
+  uint64_t (*forms)[MO_DEFAULT_WORDS];
+  const struct mo_lattice *lattice;
+  uint64_t sink; /* keeps results alive */
+};
+
+static void draw(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    struct mo_random random;
+    mo_random_init(&random, 1, MO_PURPOSE_BODY, 0, i);
+    mo_genotype_random(sample->workspace, &random, sample->bodies[i]);
+  }
+}
+
+static void canonicalise(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    mo_genotype_canonical(sample->workspace, sample->bodies[i], sample->forms[i]);
+  }
+}
+
+static void place(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    uint64_t placed[MO_DEFAULT_WORDS];
+    memcpy(placed, sample->bodies[i], sizeof(placed));
+    mo_genotype_place(sample->workspace, placed);
+    sample->sink += placed[0];
+  }
+}
+
+static void keep_largest(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    uint64_t kept[MO_DEFAULT_WORDS];
+    for (int w = 0; w < MO_DEFAULT_WORDS; w++) {
+      kept[w] = sample->bodies[i][w] ^ sample->bodies[(i + 1) % sample->n][w];
+    }
+    mo_genotype_keep_largest(sample->workspace, kept);
+    sample->sink += kept[0];
+  }
+}
+
+static void spell(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    char id[MO_DEFAULT_ID_DIGITS + 1];
+    mo_genotype_id(sample->workspace, sample->bodies[i], id);
+    sample->sink += (unsigned char)id[3];
+  }
+}
+
+static void mutate(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    struct mo_random random;
+    uint64_t child[MO_DEFAULT_WORDS] = {0};
+    mo_random_init(&random, 1, MO_PURPOSE_MUTATION, 0, i);
+    mo_genotype_mutate(sample->workspace, sample->bodies[i], 1.0 / MO_DEFAULT_VOXELS, &random, child);
+    sample->sink += child[0];
+  }
+}
+
+static void cross(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    uint64_t child[MO_DEFAULT_WORDS] = {0};
+    mo_genotype_crossover(sample->workspace, sample->bodies[i], sample->bodies[(i + 1) % sample->n], child);
+    sample->sink += child[0];
+  }
+}
+
+static void insert(struct sample *sample)
+{
+  struct mo_form_set *set = NULL;
+  if (mo_form_set_create(sample->workspace, &set) != MO_OK) {
+    return;
+  }
+  for (uint32_t i = 0; i < sample->n; i++) {
+    sample->sink += (uint64_t)mo_form_set_add(set, sample->forms[i]);
+  }
+  mo_form_set_free(set);
+}
+
+static void express(struct sample *sample)
+{
+  for (uint32_t i = 0; i < sample->n; i++) {
+    struct mo_body *body = NULL;
+    if (mo_body_create(sample->lattice, sample->bodies[i], &body) == MO_OK) {
+      sample->sink += body->n_springs;
+    }
+    mo_body_free(body);
+  }
+}
+
+static void stream(struct sample *sample)
+{
+  struct mo_body_stream *bodies = NULL;
+  if (mo_body_stream_create(sample->workspace, 1, &bodies) != MO_OK) {
+    return;
+  }
+  uint64_t bits[MO_DEFAULT_WORDS];
+  while (mo_body_stream_draws(bodies) < sample->n && mo_body_stream_next(bodies, bits) == MO_OK) {
+    sample->sink += bits[0];
+  }
+  mo_body_stream_free(bodies);
+}
+
+static void measure(struct sample *sample, const char *name, void (*run)(struct sample *))
+{
+  uint64_t best = UINT64_MAX;
+  for (int i = 0; i < RUNS; i++) {
+    uint64_t start = mo_clock_ns();
+    run(sample);
+    uint64_t took = mo_clock_ns() - start;
+    best = took < best ? took : best;
+  }
+  printf("%-46s %10.1f ns\n", name, (double)best / sample->n);
+}
+
+static int large_body(void)
+{
+  const struct mo_workspace workspace = {64, 48, 40};
+  uint64_t start = mo_clock_ns();
+  struct mo_lattice *lattice = NULL;
+  if (mo_lattice_create(workspace, &lattice) != MO_OK) {
+    return EXIT_FAILURE;
+  }
+  double lattice_ms = (double)(mo_clock_ns() - start) * 1e-6;
+  uint32_t words = mo_workspace_words(workspace);
+  uint64_t *bits = malloc(words * sizeof(uint64_t));
+  struct mo_body *body = NULL;
+  int code = MO_ERR_NO_MEMORY;
+  if (bits != NULL) {
+    memset(bits, 0xff, words * sizeof(uint64_t));
+    start = mo_clock_ns();
+    code = mo_body_create(lattice, bits, &body);
+  }
+  if (code == MO_OK) {
+    double body_ms = (double)(mo_clock_ns() - start) * 1e-6;
+    printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n", workspace.nx,
+           workspace.ny, workspace.nz, body->n_masses, body->n_springs, lattice_ms, body_ms);
+  }
+  mo_body_free(body);
+  free(bits);
+  mo_lattice_free(lattice);
+  return code == MO_OK ? EXIT_SUCCESS : EXIT_FAILURE;
+}
+
+int bench_space(int argc, char **argv)
+{
+  long n = argc > 1 ? strtol(argv[1], NULL, 10) : 100000;
+  if (n < 2 || n > 100000000) {
+    fprintf(stderr, "morpho-bench space [bodies]: between 2 and 100000000 bodies, 100000 by default\n");
+    return EXIT_FAILURE;
+  }
+  struct sample sample = {.workspace = MO_DEFAULT_WORKSPACE, .n = (uint32_t)n};
+  struct mo_lattice *lattice = NULL;
+  sample.bodies = calloc(sample.n, sizeof(*sample.bodies));
+  sample.forms = calloc(sample.n, sizeof(*sample.forms));
+  if (sample.bodies == NULL || sample.forms == NULL || mo_lattice_create(sample.workspace, &lattice) != MO_OK) {
+    fprintf(stderr, "morpho-bench space: out of memory\n");
+    free(sample.bodies);
+    free(sample.forms);
+    return EXIT_FAILURE;
+  }
+  sample.lattice = lattice;
+  printf("%u random bodies of 6 x 6 x 4 voxels, one core, best of %d runs, per body:\n", sample.n, RUNS);
+  measure(&sample, "draw (with largest component and placement)", draw);
+  measure(&sample, "canonical form", canonicalise);
+  measure(&sample, "id (with canonical form)", spell);
+  measure(&sample, "largest component of the XOR of two", keep_largest);
+  measure(&sample, "placement", place);
+  measure(&sample, "mutation", mutate);
+  measure(&sample, "crossover", cross);
+  measure(&sample, "insertion into a set of forms", insert);
+  measure(&sample, "distinct stream, per draw", stream);
+  measure(&sample, "body (masses and springs)", express);
+  mo_lattice_free(lattice);
+  free(sample.bodies);
+  free(sample.forms);
+  if (sample.sink == 1) { /* practically never: the results were needed */
+    printf("\n");
+  }
+  return large_body();
+}

@@ -1,0 +1,209 @@
+/* contact.c: one mass against the terrain: impact times against a fine search, the strike against closed forms. */
+#include "../check.h"
+
+#include <morpho/random.h>
+
+#include "rollout/contact.h"
+
+static struct mo_random random_numbers;
+
+static double uniform(double low, double high)
+{
+  return low + (high - low) * mo_random_uniform(&random_numbers);
+}
+
+static void flat(double heights_m[MO_TERRAIN_HEIGHTS], double height_m)
+{
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    heights_m[k] = height_m;
+}
+
+static double gap(const double *heights_m, const double p[3], const double v[3], double t)
+{
+  return p[2] + t * v[2] - mo_terrain_height(heights_m, p[0] + t * v[0], p[1] + t * v[1]);
+}
+
+/* The first time at which the gap turns negative, by walking in small steps, then halving. */
+static double search(const double *heights_m, const double p[3], const double v[3], double dt, int n)
+{
+  for (int i = 1; i <= n; i++) {
+    if (gap(heights_m, p, v, dt * i / n) < 0) {
+      double low = dt * (i - 1) / n, high = dt * i / n;
+      for (int k = 0; k < 60; k++) {
+        const double middle = 0.5 * (low + high);
+        if (gap(heights_m, p, v, middle) < 0)
+          high = middle;
+        else
+          low = middle;
+      }
+      return low;
+    }
+  }
+  return dt;
+}
+
+/* Segments of all lengths, up to many cells, in and out of the map, over rough terrain. The walk may step over a dip that
+ * lasts less than one of its steps; then the gap at the closed form's time must vanish, and what follows must be below. */
+static void exact_against_search(void)
+{
+  mo_random_init(&random_numbers, 5, MO_PURPOSE_CHECK, 0, 0);
+  int tried = 0, crossing = 0, earlier = 0;
+  double worst = 0, worst_gap = 0;
+  while (tried < 3000) {
+    double heights_m[MO_TERRAIN_HEIGHTS];
+    for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+      heights_m[k] = uniform(0, 0.5);
+    const double dt = 0.1, reach = tried % 3 == 0 ? 0.02 : tried % 3 == 1 ? 1.0 : 6.0;
+    const double p[3] = {uniform(-0.5, 5.5), uniform(-0.5, 5.5), uniform(0, 1)};
+    const double v[3] = {uniform(-reach, reach) / dt, uniform(-reach, reach) / dt, uniform(-1, 0.3) / dt};
+    if (gap(heights_m, p, v, 0) < 0 || !(gap(heights_m, p, v, dt) < 0))
+      continue;
+    tried++;
+    const double exact = mo_impact_exact(heights_m, p, v, dt), found = search(heights_m, p, v, dt, 3000);
+    REQUIRE(exact >= 0 && exact <= dt);
+    worst_gap = fmax(worst_gap, fabs(gap(heights_m, p, v, exact)));
+    crossing += hypot(v[0], v[1]) * dt > 1;
+    if (exact < found - 1e-9) {
+      earlier++;
+      CHECK(gap(heights_m, p, v, exact + 1e-9) < 1e-12);
+    } else {
+      worst = fmax(worst, fabs(exact - found));
+    }
+  }
+  printf("# %d segments, %d longer than a metre: largest difference %.1e s, largest gap %.1e m, %d dips that the walk "
+         "missed\n",
+         tried, crossing, worst, worst_gap, earlier);
+  CHECK(worst < 1e-9);
+  CHECK(worst_gap < 1e-12);
+  CHECK(crossing > 500 && earlier < 30);
+}
+
+/* On the ground already, borders, edges, and a start slightly below the terrain by rounding. */
+static void exact_at_limits(void)
+{
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  flat(heights_m, 0.25);
+  const double dt = 0.004;
+  const double resting[3] = {2.5, 2.5, 0.25}, below[3] = {2.5, 2.5, 0.25 - 1e-17}, down[3] = {0.3, -0.2, -1};
+  CHECK_NEAR(mo_impact_exact(heights_m, resting, down, dt), 0, 0);
+  CHECK_NEAR(mo_impact_exact(heights_m, below, down, dt), 0, 0);
+  const double line = 3 * MO_TERRAIN_SIZE_M / 7, on_line[3] = {line, line, 0.252};
+  for (int k = 0; k < 4; k++) {
+    const double v[3] = {k & 1 ? 1.0 : -1.0, k & 2 ? 1.0 : -1.0, -1};
+    CHECK_NEAR(mo_impact_exact(heights_m, on_line, v, dt), 0.002, 1e-15);
+  }
+  const double corners[][2] = {{0, 0}, {5, 5}, {-1, 2}, {6, 2}, {2, -1}, {2, 6}, {5, 0}, {1e6, -1e6}};
+  for (size_t i = 0; i < sizeof(corners) / sizeof(corners[0]); i++)
+    for (int k = 0; k < 4; k++) {
+      const double p[3] = {corners[i][0], corners[i][1], 0.252}, v[3] = {k & 1 ? 500.0 : -500.0, k & 2 ? 1.0 : 0.0, -1};
+      CHECK_NEAR(mo_impact_exact(heights_m, p, v, dt), 0.002, 1e-15);
+    }
+  /* A ridge along x = line: the segment starts and ends on its two sides, and meets the far one. */
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    heights_m[k] = k % 8 >= 4 ? 0.5 : 0.1;
+  const double left[3] = {line - 0.01, 2.2, 0.1 + 0.01}, right[3] = {10, 0, 0};
+  /* Flat up to x = line, then a rise of 0.4 m in 5/7 m: z = 0.11 is met after 0.01 + 0.01 · (5/7)/0.4 m. */
+  CHECK_NEAR(mo_impact_exact(heights_m, left, right, dt), (0.01 + 0.01 * (5.0 / 7) / 0.4) / 10, 1e-15);
+}
+
+static void bisection(void)
+{
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  flat(heights_m, 0.25);
+  const double dt = 0.004, p[3] = {2.5, 2.5, 0.25 + 0.0013}, v[3] = {0, 0, -1};
+  /* The lower end: the last multiple of dt/2^n before the impact. */
+  for (uint32_t n = 1; n <= 30; n++) {
+    const double cell = dt / (double)(1U << n);
+    CHECK_NEAR(mo_impact_bisection(heights_m, p, v, dt, n), floor(0.0013 / cell) * cell, 1e-15);
+  }
+  CHECK_NEAR(mo_impact_bisection(heights_m, p, v, dt, 52), mo_impact_exact(heights_m, p, v, dt), 1e-15);
+}
+
+static void strike_flat(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  flat(heights_m, 0.25);
+  /* The cap: 0.9 · 2 > 0.95 · 1. */
+  double p[3] = {2.5, 2.5, 0.25 + 0.003}, v[3] = {1, 0, -2};
+  mo_contact_move(&physics, heights_m, 0.25, p, v);
+  CHECK_NEAR(v[0], 0.05, 1e-15);
+  CHECK_NEAR(v[1], 0, 0);
+  CHECK_NEAR(v[2], 0, 0);
+  CHECK_NEAR(p[0], 2.5 + 0.0015 + 0.0025 * 0.05, 1e-15);
+  CHECK_NEAR(p[2], 0.25, 0);
+  /* Friction proper: 5 m/s tangential lose 0.9 · 2. */
+  double q[3] = {2.5, 2.5, 0.25 + 0.003}, w[3] = {3, -4, -2};
+  mo_contact_move(&physics, heights_m, 0.25, q, w);
+  CHECK_NEAR(w[0], 3 * (1 - 1.8 / 5), 1e-15);
+  CHECK_NEAR(w[1], -4 * (1 - 1.8 / 5), 1e-15);
+  CHECK_NEAR(q[1], 2.5 - 4 * 0.0015 - 4 * (1 - 1.8 / 5) * 0.0025, 1e-15);
+  /* Straight down: nothing tangential to divide by. */
+  double s[3] = {2.5, 2.5, 0.25}, u[3] = {0, 0, -2};
+  mo_contact_move(&physics, heights_m, 0.25, s, u);
+  CHECK(u[0] == 0 && u[1] == 0 && u[2] == 0 && s[2] == 0.25);
+  /* No friction. */
+  physics.friction = 0;
+  double a[3] = {2.5, 2.5, 0.25}, b[3] = {3, 0, -2};
+  mo_contact_move(&physics, heights_m, 0.25, a, b);
+  CHECK_NEAR(b[0], 3, 0);
+  CHECK_NEAR(a[0], 2.512, 1e-15);
+  /* Above the ground: nothing but motion. */
+  double c[3] = {2.5, 2.5, 0.25}, d[3] = {1, 2, 0};
+  mo_contact_move(&physics, heights_m, 0.25, c, d);
+  CHECK_NEAR(c[1], 2.508, 1e-15);
+  CHECK_NEAR(d[1], 2, 0);
+}
+
+/* On a plane of slope 0.3 along x the velocity after the strike is tangential, and slowed by the right amount. */
+static void strike_slope(void)
+{
+  struct mo_physics physics = mo_default_physics();
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+    heights_m[k] = 0.3 * (k % 8) * MO_TERRAIN_SIZE_M / 7;
+  const double n[3] = {-0.3 / sqrt(1.09), 0, 1 / sqrt(1.09)};
+  double p[3] = {2.5, 2.5, 0.75 + 0.001}, v[3] = {1, 4, -0.5};
+  const double vn = v[0] * n[0] + v[2] * n[2];
+  const double t[3] = {v[0] - vn * n[0], v[1], v[2] - vn * n[2]};
+  const double vt = sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2]);
+  const double scale = 1 - 0.9 * fabs(vn) / vt;
+  mo_contact_move(&physics, heights_m, 2.0, p, v);
+  for (int axis = 0; axis < 3; axis++)
+    CHECK_NEAR(v[axis], scale * t[axis], 1e-15);
+  CHECK_NEAR(v[0] * n[0] + v[2] * n[2], 0, 1e-15);
+  const double impact = 0.001 / (0.5 + 0.3);
+  CHECK_NEAR(p[0], 2.5 + impact + (0.004 - impact) * v[0], 1e-15);
+  CHECK_NEAR(p[2], 0.3 * p[0], 1e-15);
+}
+
+/* Whatever happens, the mass ends on or above the ground, no faster than it came. */
+static void never_below(void)
+{
+  mo_random_init(&random_numbers, 6, MO_PURPOSE_CHECK, 0, 0);
+  struct mo_physics physics = mo_default_physics();
+  int struck = 0;
+  double heights_m[MO_TERRAIN_HEIGHTS];
+  for (int trial = 0; trial < 200000; trial++) {
+    if (trial % 50 == 0)
+      for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+        heights_m[k] = uniform(0, trial % 3 ? 0.5 : 5);
+    physics.impact = trial % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
+    double p[3] = {uniform(-1, 6), uniform(-1, 6), 0}, v[3] = {uniform(-30, 30), uniform(-30, 30), uniform(-30, 5)};
+    p[2] = mo_terrain_height(heights_m, p[0], p[1]) + (trial % 5 ? uniform(0, 0.05) : 0);
+    const double before = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], vz = v[2];
+    mo_contact_move(&physics, heights_m, mo_terrain_highest(heights_m), p, v);
+    REQUIRE(p[2] >= mo_terrain_height(heights_m, p[0], p[1]));
+    REQUIRE(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] <= before * (1 + 1e-14));
+    struck += v[2] != vz;
+  }
+  CHECK(struck > 20000);
+}
+
+static const struct check_case cases[] = {{"exact impact times against a search", exact_against_search},
+                                          {"exact impact times at borders and limits", exact_at_limits},
+                                          {"bisection keeps the lower end", bisection},
+                                          {"a strike on flat ground", strike_flat},
+                                          {"a strike on a slope", strike_slope},
+                                          {"never below the ground, never faster", never_below}};
+CHECK_MAIN(cases)
