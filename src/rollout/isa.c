@@ -1,10 +1,21 @@
 /* isa.c: which of the compiled kernels this processor runs; sin and exp that do not depend on it. */
 #include "rollout/fast.h"
 
+#include <cpuid.h>
 #include <math.h>
+#include <stdbool.h>
 #include <string.h>
 
 static const char *const names[MO_ISA_COUNT] = {"x86-64", "avx2", "avx512"};
+
+/* Three features of x86-64-v3 that not every compiler's builtin knows by name: MOVBE, F16C, LZCNT. None of them has registers
+ * of its own, so the processor's word is enough. */
+static bool has_small_features(void)
+{
+  unsigned a, b, basic, d, extended;
+  return __get_cpuid(1, &a, &b, &basic, &d) && __get_cpuid(0x80000001, &a, &b, &extended, &d) &&
+         (basic & bit_MOVBE) != 0 && (basic & bit_F16C) != 0 && (extended & bit_LZCNT) != 0;
+}
 
 /* The compiler's builtins ask the processor and, for the wide registers, the operating system. The lists are what
  * meson.build compiles for: x86-64-v3 and x86-64-v4. */
@@ -12,8 +23,7 @@ enum mo_isa mo_isa_best(void)
 {
   __builtin_cpu_init();
   if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") || !__builtin_cpu_supports("bmi") ||
-      !__builtin_cpu_supports("bmi2") || !__builtin_cpu_supports("lzcnt") || !__builtin_cpu_supports("movbe") ||
-      !__builtin_cpu_supports("f16c"))
+      !__builtin_cpu_supports("bmi2") || !has_small_features())
     return MO_ISA_BASELINE;
   if (!__builtin_cpu_supports("avx512f") || !__builtin_cpu_supports("avx512bw") ||
       !__builtin_cpu_supports("avx512cd") || !__builtin_cpu_supports("avx512dq") || !__builtin_cpu_supports("avx512vl"))

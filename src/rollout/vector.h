@@ -193,11 +193,18 @@ MO_INLINE REAL v_sum(V v)
 {
 #pragma GCC unroll 4
   for (int half = MO_VL / 2; half > 1; half /= 2) {
+#ifdef __clang__ /* which has no __builtin_shuffle; it compiles the fuzz targets and lints */
+    V moved = v;
+    for (int l = 0; l < MO_VL; l++)
+      moved[l] = v[(l + half) % MO_VL];
+    v += moved;
+#else
     I other;
 #pragma GCC unroll 16
     for (int l = 0; l < MO_VL; l++)
       other[l] = (l + half) % MO_VL;
     v += __builtin_shuffle(v, other);
+#endif
   }
   return v[0] + v[1];
 }
