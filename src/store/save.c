@@ -40,7 +40,7 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   static const char sql[] = "INSERT OR IGNORE INTO recomputed(job,position,environment,loss,diverged_step,stored)"
                             " VALUES(?1,?2,?3,?4,?5,?6)";
   uint8_t stored[8];
-  bool known;
+  bool known = false;
   sqlite3_stmt *statement;
   int error = read_stored(writer, score, stored, &known);
   if (error != MO_OK)

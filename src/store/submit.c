@@ -237,7 +237,7 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
   static const char sql[] = "SELECT sensor,nx,ny,nz FROM controllers WHERE id=?1";
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   sqlite3_stmt *statement;
-  int64_t sensor, n;
+  int64_t sensor, n = 0;
   bool fits;
   int step;
   int error = mo_controller_find(writer, submission->controller, &setting->controller);
