@@ -119,7 +119,7 @@ void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *i
   uint32_t voxels = mo_workspace_voxels(workspace);
   uint32_t n = (voxels + 3) / 4;
   if (voxels <= MO_SCRATCH_WORDS * 64) {
-    uint64_t form[MO_SCRATCH_WORDS];
+    uint64_t form[MO_SCRATCH_WORDS] = {0};
     mo_genotype_canonical(workspace, bits, form);
     for (uint32_t i = 0; i < n; i++) {
       uint64_t nibble = form[i / 16] >> i % 16 * 4;

@@ -77,12 +77,13 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       sigma_m[j] = swapped;
     }
     for (int i = 0; i < RING; i++) {
-      struct mo_environment *environment = &environments[ring * RING + i];
+      int place = ring * RING + i;
+      struct mo_environment *environment = &environments[place];
       int angle = 2 * i + ring; /* in units of 36° */
       environment->light_xy_m[0] = MO_WORLD_CENTRE_M + radius_m[ring] * cosine[angle];
       environment->light_xy_m[1] = MO_WORLD_CENTRE_M + radius_m[ring] * sine[angle];
       struct mo_random random;
-      mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, (uint64_t)(1 + ring * RING + i));
+      mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, UINT64_C(1) + (uint64_t)place);
       draw_terrain(&random, sigma_m[i], environment->terrain_heights_m);
     }
   }

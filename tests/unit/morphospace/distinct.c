@@ -79,9 +79,10 @@ static void million_springs(void)
   double lattice_ms = (double)(mo_clock_ns() - start) * 1e-6;
   CHECK_INT(lattice->n_masses, 65 * 49 * 41);
   uint32_t words = mo_workspace_words(large);
-  uint64_t *bits = malloc(words * sizeof(uint64_t));
-  uint64_t *other = malloc(words * sizeof(uint64_t));
-  REQUIRE(bits != NULL && other != NULL);
+  static uint64_t bits[64 * 48 * 40 / 64];
+  static uint64_t other[64 * 48 * 40 / 64];
+  static char id[64 * 48 * 40 / 4 + 1];
+  static char other_id[64 * 48 * 40 / 4 + 1];
   memset(bits, 0xff, words * sizeof(uint64_t));
   struct mo_body *body = NULL;
   start = mo_clock_ns();
@@ -102,15 +103,10 @@ static void million_springs(void)
     big += mo_genotype_count(large, bits) > 1000;
     for (unsigned k = 0; k < 8; k++) {
       if (mo_genotype_image(large, bits, k, other) == MO_OK) {
-        char *a = malloc(mo_workspace_voxels(large) / 4 + 1);
-        char *b = malloc(mo_workspace_voxels(large) / 4 + 1);
-        REQUIRE(a != NULL && b != NULL);
-        mo_genotype_id(large, bits, a);
-        mo_genotype_id(large, other, b);
-        CHECK(strcmp(a, b) == 0);
-        CHECK_INT(mo_genotype_from_id(large, a, strlen(a), other), MO_OK);
-        free(a);
-        free(b);
+        mo_genotype_id(large, bits, id);
+        mo_genotype_id(large, other, other_id);
+        CHECK(strcmp(id, other_id) == 0);
+        CHECK_INT(mo_genotype_from_id(large, id, strlen(id), other), MO_OK);
       }
     }
     CHECK_INT(mo_genotype_mutate(large, bits, 0.01, &random, other), MO_OK);
@@ -121,8 +117,6 @@ static void million_springs(void)
     mo_body_free(body);
   }
   CHECK(big > 0);
-  free(bits);
-  free(other);
   mo_lattice_free(lattice);
 }
 

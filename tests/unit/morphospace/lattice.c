@@ -150,9 +150,12 @@ static void bodies(void)
     struct mo_workspace w = workspaces[i];
     struct mo_lattice *lattice = NULL;
     REQUIRE(mo_lattice_create(w, &lattice) == MO_OK);
-    uint8_t *mass = calloc(lattice->n_masses, 1);
-    uint8_t *spring = calloc(lattice->n_springs, 1);
-    uint64_t *bits = calloc(mo_workspace_words(w), sizeof(uint64_t));
+    static uint8_t mass[2000];
+    static uint8_t spring[14000];
+    uint64_t bits[20] = {0};
+    REQUIRE(lattice->n_masses <= sizeof(mass) && lattice->n_springs <= sizeof(spring) && lattice->n_voxels <= 1280);
+    memset(mass, 0, sizeof(mass));
+    memset(spring, 0, sizeof(spring));
     struct mo_body *body = NULL;
     CHECK_INT(mo_body_create(lattice, bits, &body), MO_ERR_EMPTY);
     CHECK(body == NULL);
@@ -197,9 +200,6 @@ static void bodies(void)
     CHECK_INT(wrong, 0);
     mo_body_free(body);
     mo_lattice_free(lattice);
-    free(mass);
-    free(spring);
-    free(bits);
   }
 }
 
