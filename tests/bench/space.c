@@ -2,14 +2,14 @@
  *
  * Each operation runs over the same sample of random bodies of the default workspace, several times; the fastest run counts.
  * The last table times one body of over a million springs. */
+#include "bench.h"
+
 #include "base/clock.h"
 
 #include <morpho/morphospace.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-int bench_space(int argc, char **argv);
 
 #define RUNS 5
 

@@ -1,0 +1,220 @@
+/* accuracy.c: run time against error.
+ *
+ * Every combination of precision, impact mode and time step lives the same 4 seconds; the truth for a time step dt is the float64
+ * `exact` life at dt/16. Errors are the distance of the centre of mass from the truth's, the largest up to a time, and the
+ * difference in loss. Contact makes the lives chaotic: a difference of rounding grows by orders of magnitude per second, so
+ * the error of the path is given after 0.2 s and 1 s as well: there it still tells the methods apart. */
+#include "bench.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LIFE_S  4.0
+#define FRAME_S 0.02
+
+enum { DTS = 4, MODES = 5, FRAMES = 201, REFINEMENT = 16, TIMES = 3 };
+
+static const double dts_s[DTS] = {0.004, 0.002, 0.001, 0.0005};
+static const struct {
+  const char *name;
+  enum mo_impact impact;
+  uint32_t bisections;
+} modes[MODES] = {{"exact", MO_IMPACT_EXACT, 8},
+                  {"bisection4", MO_IMPACT_BISECTION, 4},
+                  {"bisection8", MO_IMPACT_BISECTION, 8},
+                  {"bisection12", MO_IMPACT_BISECTION, 12},
+                  {"bisection16", MO_IMPACT_BISECTION, 16}};
+static const char *const precision_names[] = {"float32", "float64"};
+static const int frame_ends[TIMES] = {10, 50, 200}; /* 0.2 s, 1 s, 4 s */
+
+/* The lives of all bodies, each in one environment, in one configuration. */
+struct lives {
+  double (*com_m)[FRAMES][3];
+  double *loss;
+  uint8_t *diverged;
+};
+
+static void lives_create(struct lives *lives, uint32_t n)
+{
+  lives->com_m = calloc(n, sizeof(*lives->com_m));
+  lives->loss = calloc(n, sizeof(*lives->loss));
+  lives->diverged = calloc(n, 1);
+  bench_check(lives->com_m == NULL || lives->loss == NULL || lives->diverged == NULL ? MO_ERR_NO_MEMORY : MO_OK,
+              "paths");
+}
+
+static void lives_free(struct lives *lives)
+{
+  free(lives->com_m);
+  free(lives->loss);
+  free(lives->diverged);
+}
+
+static struct mo_physics physics_at(double dt_s, int mode)
+{
+  struct mo_physics physics = mo_default_physics();
+  physics.dt_s = dt_s;
+  physics.n_steps = (uint32_t)lround(LIFE_S / dt_s);
+  physics.impact = modes[mode].impact;
+  physics.bisections = modes[mode].bisections;
+  return physics;
+}
+
+static void live(struct lives *lives, const struct bench_scene *scene, struct mo_compute *compute,
+                 struct mo_compute_controller *controller, double dt_s, int mode, enum mo_precision precision)
+{
+  const uint32_t n = scene->n_bodies;
+  struct mo_block *blocks = calloc(n, sizeof(*blocks));
+  struct mo_recording *recordings = calloc(n, sizeof(*recordings));
+  bench_check(blocks == NULL || recordings == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
+  for (uint32_t i = 0; i < n; i++) {
+    recordings[i] = (struct mo_recording){.stride = (uint32_t)lround(FRAME_S / dt_s), .com_m = lives->com_m[i][0]};
+    blocks[i] = (struct mo_block){.body = scene->bodies[i],
+                                  .controller = controller,
+                                  .environments = {scene->list[i % MO_PAPER_TEST_COUNT]},
+                                  .n_environments = 1,
+                                  .physics = physics_at(dt_s, mode),
+                                  .precision = precision,
+                                  .recordings = recordings + i};
+  }
+  bench_check(mo_compute_run(compute, blocks, n), "rollouts");
+  for (uint32_t i = 0; i < n; i++) {
+    lives->loss[i] = blocks[i].outcomes[0].loss;
+    lives->diverged[i] = blocks[i].outcomes[0].diverged_step > 0;
+  }
+  free(recordings);
+  free(blocks);
+}
+
+/* Milliseconds per rollout on one core, a body's whole test set at once, as evaluations run them. */
+static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double dt_s, int mode,
+                      enum mo_precision precision)
+{
+  struct mo_pack *pack = NULL;
+  struct mo_workspace_memory *memory = NULL;
+  struct mo_outcome outcomes[MO_BLOCK_LANES];
+  const struct mo_physics physics = physics_at(dt_s, mode);
+  const uint32_t n = scene->n_bodies < 5 ? scene->n_bodies : 5;
+  bench_check(mo_pack_create(scene->controller, isa, precision, &pack), "pack");
+  bench_check(mo_workspace_memory_create(&memory), "scratch");
+  const double start = bench_now_s();
+  for (uint32_t i = 0; i < n; i++)
+    bench_check(mo_rollout_block(memory, pack, scene->bodies[i], scene->list, MO_PAPER_TEST_COUNT, &physics, NULL, NULL,
+                                 NULL, outcomes),
+                "rollout");
+  const double ms = 1e3 * (bench_now_s() - start) / (n * MO_PAPER_TEST_COUNT);
+  mo_workspace_memory_free(memory);
+  mo_pack_free(pack);
+  return ms;
+}
+
+/* Median, 90th percentile and maximum; a life that diverged counts as infinitely wrong. */
+struct spread {
+  double median, p90, most;
+};
+
+static struct spread spread_of(double *errors, uint32_t n)
+{
+  return (struct spread){bench_median(errors, n), bench_quantile(errors, n, 0.9), bench_quantile(errors, n, 1.0)};
+}
+
+struct row {
+  double ms;
+  struct spread path[TIMES], loss;
+  uint32_t diverged;
+};
+
+static struct row compare(const struct lives *lives, const struct lives *truth, uint32_t n, double *errors)
+{
+  struct row row = {0};
+  for (int t = 0; t < TIMES; t++) {
+    for (uint32_t i = 0; i < n; i++) {
+      errors[i] = lives->diverged[i] || truth->diverged[i] ? INFINITY : 0;
+      for (int f = 0; f <= frame_ends[t]; f++) {
+        const double *a = lives->com_m[i][f], *b = truth->com_m[i][f];
+        errors[i] = fmax(errors[i], sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
+                                         (a[2] - b[2]) * (a[2] - b[2])));
+      }
+    }
+    row.path[t] = spread_of(errors, n);
+  }
+  for (uint32_t i = 0; i < n; i++) {
+    errors[i] = lives->diverged[i] || truth->diverged[i] ? INFINITY : fabs(lives->loss[i] - truth->loss[i]);
+    row.diverged += lives->diverged[i];
+  }
+  row.loss = spread_of(errors, n);
+  return row;
+}
+
+static void print_row(FILE *file, const char *precision, const char *mode, double dt_s, uint32_t n,
+                      const struct row *row)
+{
+  fprintf(file, "%s,%s,%g,%u,%.4f", precision, mode, 1e3 * dt_s, n, row->ms);
+  for (int t = 0; t < TIMES; t++)
+    fprintf(file, ",%.3e,%.3e,%.3e", row->path[t].median, row->path[t].p90, row->path[t].most);
+  fprintf(file, ",%.3e,%.3e,%.3e,%u\n", row->loss.median, row->loss.p90, row->loss.most, row->diverged);
+}
+
+int bench_accuracy(const struct bench_options *options)
+{
+  const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 10 : 100;
+  FILE *file = options->csv != NULL ? fopen(options->csv, "w") : stdout;
+  if (file == NULL) {
+    perror(options->csv);
+    return 1;
+  }
+  struct bench_scene scene;
+  struct lives truth, lives;
+  struct mo_compute *compute = NULL;
+  struct mo_compute_controller *controller = NULL;
+  bench_scene_create(&scene, options, n);
+  lives_create(&truth, n);
+  lives_create(&lives, n);
+  double *errors = calloc(n, sizeof(*errors));
+  bench_check(errors == NULL ? MO_ERR_NO_MEMORY : MO_OK, "errors");
+  const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
+  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
+  bench_check(mo_compute_controller_create(compute, scene.controller, &controller), "controller");
+
+  static struct bench_series series[2 * MODES];
+  for (int s = 0; s < 2 * MODES; s++)
+    snprintf(series[s].name, sizeof(series[s].name), "%s %s", precision_names[s / MODES], modes[s % MODES].name);
+  fprintf(file, "precision,impact,dt_ms,bodies,time_ms_per_rollout");
+  for (int t = 0; t < TIMES; t++)
+    for (int k = 0; k < 3; k++)
+      fprintf(file, ",path_error_m_%gs_%s", frame_ends[t] * FRAME_S, k == 0 ? "median" : k == 1 ? "p90" : "max");
+  fprintf(file, ",loss_error_median,loss_error_p90,loss_error_max,diverged\n");
+  for (int d = 0; d < DTS; d++) {
+    live(&truth, &scene, compute, controller, dts_s[d] / REFINEMENT, 0, MO_FLOAT64);
+    for (int s = 0; s < 2 * MODES; s++) {
+      const enum mo_precision precision = s / MODES == 0 ? MO_FLOAT32 : MO_FLOAT64;
+      live(&lives, &scene, compute, controller, dts_s[d], s % MODES, precision);
+      struct row row = compare(&lives, &truth, n, errors);
+      row.ms = time_ms(&scene, options->isa, dts_s[d], s % MODES, precision);
+      print_row(file, precision_names[precision], modes[s % MODES].name, dts_s[d], n, &row);
+      if (isfinite(row.path[1].median) && row.path[1].median > 0) {
+        series[s].x[series[s].n] = row.ms;
+        series[s].y[series[s].n++] = row.path[1].median;
+      }
+    }
+    fprintf(stderr, "dt %g ms done\n", 1e3 * dts_s[d]);
+  }
+  int status = 0;
+  if (options->csv != NULL && fclose(file) != 0)
+    status = 1;
+  if (options->svg != NULL &&
+      bench_chart(options->svg, "Run time against error, time steps of 4, 2, 1 and 0.5 ms",
+                  "milliseconds per rollout of 4 s, one core",
+                  "error of the centre of mass within the first second, median, m", series, 2 * MODES) != 0) {
+    perror(options->svg);
+    status = 1;
+  }
+  free(errors);
+  mo_compute_controller_free(controller);
+  mo_compute_free(compute);
+  lives_free(&lives);
+  lives_free(&truth);
+  bench_scene_free(&scene);
+  return status;
+}

@@ -1,0 +1,53 @@
+/* bench.h: what the benchmarks share. */
+#ifndef MORPHO_BENCH_H
+#define MORPHO_BENCH_H
+
+#include <morpho/compute.h>
+
+#include <stdbool.h>
+#include <stdio.h>
+
+struct bench_options {
+  uint32_t bodies; /* 0: the benchmark's own number */
+  uint64_t seed;
+  uint32_t workers; /* 0: one per processor */
+  enum mo_isa isa;
+  bool quick, json;
+  const char *controller; /* path */
+  const char *csv, *svg;  /* NULL: not written */
+};
+
+int bench_rollout(const struct bench_options *options);
+int bench_accuracy(const struct bench_options *options);
+int bench_space(int argc, char **argv);
+
+/* Everything that rollouts need; ends the program with a message if it cannot be had. */
+struct bench_scene {
+  struct mo_lattice *lattice;
+  struct mo_controller *controller;
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  const struct mo_environment *list[MO_BLOCK_LANES]; /* the paper test set, then from its start again */
+  uint32_t n_bodies;
+  struct mo_body **bodies; /* distinct random bodies of the seed's stream */
+};
+void bench_scene_create(struct bench_scene *scene, const struct bench_options *options, uint32_t n_bodies);
+void bench_scene_free(struct bench_scene *scene);
+/* A box of nx × ny × nz voxels in the middle of the default workspace. */
+struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
+
+double bench_now_s(void);
+double bench_median(double *values, size_t n);             /* sorts */
+double bench_quantile(double *values, size_t n, double q); /* sorts; nearest rank */
+void bench_check(int status, const char *what);            /* ends the program unless MO_OK */
+
+/* One series of points (x, y > 0, logarithmic axes), joined by a line. */
+struct bench_series {
+  char name[48];
+  size_t n;
+  double x[16], y[16];
+};
+/* A chart as an SVG file. 0 or −1 with errno set. */
+int bench_chart(const char *path, const char *title, const char *x_name, const char *y_name,
+                const struct bench_series *series, size_t n_series);
+
+#endif

@@ -1,0 +1,89 @@
+/* common.c: scene, clock, order statistics. */
+#include "bench.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+double bench_now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+void bench_check(int status, const char *what)
+{
+  if (status == MO_OK)
+    return;
+  fprintf(stderr, "morpho-bench: %s: %s\n", what, mo_error_text(status));
+  exit(1);
+}
+
+static int ascending(const void *a, const void *b)
+{
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+double bench_quantile(double *values, size_t n, double q)
+{
+  qsort(values, n, sizeof(*values), ascending);
+  const double rank = ceil(q * (double)n);
+  return values[rank < 1 ? 0 : (size_t)rank - 1];
+}
+
+double bench_median(double *values, size_t n)
+{
+  qsort(values, n, sizeof(*values), ascending);
+  return 0.5 * (values[(n - 1) / 2] + values[n / 2]);
+}
+
+void bench_scene_create(struct bench_scene *scene, const struct bench_options *options, uint32_t n_bodies)
+{
+  *scene = (struct bench_scene){.n_bodies = n_bodies};
+  struct mo_message message = {"cannot be read"};
+  if (mo_controller_read(options->controller, &scene->controller, &message) != MO_OK) {
+    fprintf(stderr, "morpho-bench: %s: %s\n", options->controller, message.text);
+    exit(1);
+  }
+  bench_check(mo_lattice_create(MO_DEFAULT_WORKSPACE, &scene->lattice), "lattice");
+  mo_environment_paper_test(scene->environments);
+  for (int i = 0; i < MO_BLOCK_LANES; i++)
+    scene->list[i] = scene->environments + i % MO_PAPER_TEST_COUNT;
+  struct mo_body_stream *stream = NULL;
+  bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed, &stream), "body stream");
+  scene->bodies = calloc(n_bodies > 0 ? n_bodies : 1, sizeof(*scene->bodies));
+  bench_check(scene->bodies == NULL ? MO_ERR_NO_MEMORY : MO_OK, "bodies");
+  for (uint32_t i = 0; i < n_bodies; i++) {
+    uint64_t bits[MO_DEFAULT_WORDS];
+    bench_check(mo_body_stream_next(stream, bits), "body stream");
+    bench_check(mo_body_create(scene->lattice, bits, &scene->bodies[i]), "body");
+  }
+  mo_body_stream_free(stream);
+}
+
+void bench_scene_free(struct bench_scene *scene)
+{
+  for (uint32_t i = 0; i < scene->n_bodies; i++)
+    mo_body_free(scene->bodies[i]);
+  free(scene->bodies);
+  mo_lattice_free(scene->lattice);
+  mo_controller_free(scene->controller);
+}
+
+struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz)
+{
+  uint64_t bits[MO_DEFAULT_WORDS] = {0};
+  for (int x = 0; x < nx; x++)
+    for (int y = 0; y < ny; y++)
+      for (int z = 0; z < nz; z++) {
+        const int v = (x * MO_DEFAULT_WORKSPACE.ny + y) * MO_DEFAULT_WORKSPACE.nz + z;
+        bits[v >> 6] |= UINT64_C(1) << (v & 63);
+      }
+  mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
+  struct mo_body *body = NULL;
+  bench_check(mo_body_create(scene->lattice, bits, &body), "box");
+  return body;
+}

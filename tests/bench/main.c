@@ -1,0 +1,87 @@
+/* morpho-bench: how fast and how exact the rollouts are on this machine. Called by tools/bench. */
+#include "bench.h"
+
+#include <errno.h>
+#include <getopt.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const char usage[] =
+    "Usage: morpho-bench rollout|accuracy|space [OPTION…]\n"
+    "\n"
+    "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
+    "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
+    "  space     speed of drawing, naming and varying random bodies\n"
+    "\n"
+    "  --bodies N         another number of bodies\n"
+    "  --seed N           seed of the bodies' stream (default 1)\n"
+    "  --workers N        threads of `accuracy` (default: one per processor)\n"
+    "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
+    "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
+    "  --csv PATH         `accuracy`: write the table here (default: standard output)\n"
+    "  --svg PATH         `accuracy`: draw the table here\n"
+    "  --json             `rollout`: machine-readable result\n"
+    "  --quick            a tenth of the bodies\n";
+
+static uint64_t number(const char *text, uint64_t most)
+{
+  char *end = NULL;
+  errno = 0;
+  const unsigned long long value = strtoull(text, &end, 10);
+  if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value > most) {
+    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from 0 to %llu\n", text, (unsigned long long)most);
+    exit(2);
+  }
+  return value;
+}
+
+int main(int argc, char **argv)
+{
+  static const struct option long_options[] = {{"bodies", required_argument, NULL, 'b'},
+                                               {"seed", required_argument, NULL, 's'},
+                                               {"workers", required_argument, NULL, 'w'},
+                                               {"isa", required_argument, NULL, 'i'},
+                                               {"controller", required_argument, NULL, 'c'},
+                                               {"csv", required_argument, NULL, 'C'},
+                                               {"svg", required_argument, NULL, 'S'},
+                                               {"json", no_argument, NULL, 'j'},
+                                               {"quick", no_argument, NULL, 'q'},
+                                               {"help", no_argument, NULL, 'h'},
+                                               {NULL, 0, NULL, 0}};
+  struct bench_options options = {
+      .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
+  int option;
+  while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
+    switch (option) {
+    case 'b': options.bodies = (uint32_t)number(optarg, 100000); break;
+    case 's': options.seed = number(optarg, UINT64_MAX); break;
+    case 'w': options.workers = (uint32_t)number(optarg, 1024); break;
+    case 'i':
+      if (mo_isa_from_name(optarg, &options.isa) != MO_OK) {
+        fprintf(stderr, "morpho-bench: unknown instruction set \"%s\"\n", optarg);
+        return 2;
+      }
+      break;
+    case 'c': options.controller = optarg; break;
+    case 'C': options.csv = optarg; break;
+    case 'S': options.svg = optarg; break;
+    case 'j': options.json = true; break;
+    case 'q': options.quick = true; break;
+    case 'h': fputs(usage, stdout); return 0;
+    default: fputs(usage, stderr); return 2;
+    }
+  if (optind < argc && strcmp(argv[optind], "space") == 0)
+    return bench_space(argc - optind, argv + optind);
+  if (optind + 1 != argc) {
+    fputs(usage, stderr);
+    return 2;
+  }
+  setvbuf(stdout, NULL, _IOLBF, 0);
+  const char *name = argv[optind];
+  if (strcmp(name, "rollout") == 0)
+    return bench_rollout(&options);
+  if (strcmp(name, "accuracy") == 0)
+    return bench_accuracy(&options);
+  fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
+  return 2;
+}

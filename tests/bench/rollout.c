@@ -1,0 +1,345 @@
+/* rollout.c: how fast one core scores bodies, and how that compares with what its matrix products could do.
+ *
+ * The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would need for the arithmetic of
+ * the controller restricted to the body's masses and springs, 2 · [(masses + 5) · 256 + 2 · 256 · 256 + 256 · springs] per
+ * step. Rollouts and products alternate, so that both see the same moods of the machine. */
+#include "bench.h"
+
+#include <cblas.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { ROUNDS = 10, PAPER = MO_PAPER_TEST_COUNT };
+
+static double controller_flop(const struct mo_body *body)
+{
+  return 2.0 * ((body->n_masses + MO_CPG_INPUTS) * (double)MO_HIDDEN + 2.0 * MO_HIDDEN * MO_HIDDEN +
+                (double)MO_HIDDEN * body->n_springs);
+}
+
+/* ---- the yardstick ---- */
+
+struct sgemm {
+  float *a, *b, *c;
+};
+
+enum { SGEMM_MAX = 1024 };
+
+static void sgemm_create(struct sgemm *sgemm)
+{
+  float **matrices[] = {&sgemm->a, &sgemm->b, &sgemm->c};
+  for (int m = 0; m < 3; m++) {
+    *matrices[m] = aligned_alloc(64, sizeof(float) * SGEMM_MAX * SGEMM_MAX);
+    bench_check(*matrices[m] == NULL ? MO_ERR_NO_MEMORY : MO_OK, "matrices");
+    for (size_t i = 0; i < (size_t)SGEMM_MAX * SGEMM_MAX; i++)
+      (*matrices[m])[i] = (float)((i * 2654435761u >> 16) % 17) / 16.0f - 0.5f;
+  }
+  openblas_set_num_threads(1);
+}
+
+static void sgemm_free(struct sgemm *sgemm)
+{
+  free(sgemm->a);
+  free(sgemm->b);
+  free(sgemm->c);
+}
+
+/* Best rate over square sizes from 256 to 1024, FLOP per second. */
+static double sgemm_best(const struct sgemm *sgemm)
+{
+  static const int sizes[] = {256, 384, 512, 768, 1024};
+  double best = 0;
+  for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++) {
+    const int n = sizes[s];
+    for (int repeat = 0; repeat < (n <= 512 ? 8 : 3); repeat++) {
+      const double start = bench_now_s();
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1.0f, sgemm->a, n, sgemm->b, n, 0.0f, sgemm->c,
+                  n);
+      const double rate = 2.0 * n * n * n / (bench_now_s() - start);
+      best = rate > best ? rate : best;
+    }
+  }
+  return best;
+}
+
+/* ---- rollouts ---- */
+
+struct runner {
+  struct mo_pack *pack, *passive;
+  struct mo_workspace_memory *memory;
+};
+
+static void runner_create(struct runner *runner, const struct bench_scene *scene, enum mo_isa isa,
+                          enum mo_precision precision)
+{
+  bench_check(mo_pack_create(scene->controller, isa, precision, &runner->pack), "pack");
+  bench_check(mo_pack_create(NULL, isa, precision, &runner->passive), "pack");
+  bench_check(mo_workspace_memory_create(&runner->memory), "scratch");
+}
+
+static void runner_free(struct runner *runner)
+{
+  mo_workspace_memory_free(runner->memory);
+  mo_pack_free(runner->passive);
+  mo_pack_free(runner->pack);
+}
+
+/* Seconds for one body in the first n environments of the paper test set. */
+static double run_s(const struct runner *runner, const struct mo_pack *pack, const struct bench_scene *scene,
+                    const struct mo_body *body, uint32_t n, const struct mo_physics *physics,
+                    struct mo_rollout_profile *profile)
+{
+  struct mo_outcome outcomes[MO_BLOCK_LANES];
+  const double start = bench_now_s();
+  bench_check(mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL, profile, outcomes),
+              "rollout");
+  return bench_now_s() - start;
+}
+
+static double best_run_s(const struct runner *runner, const struct mo_pack *pack, const struct bench_scene *scene,
+                         const struct mo_body *body, uint32_t n, const struct mo_physics *physics)
+{
+  double best = run_s(runner, pack, scene, body, n, physics, NULL);
+  for (int repeat = 0; repeat < 4; repeat++) {
+    const double again = run_s(runner, pack, scene, body, n, physics, NULL);
+    best = again < best ? again : best;
+  }
+  return best;
+}
+
+/* ---- the report ---- */
+
+struct report {
+  uint32_t n_bodies;
+  double masses, springs, voxels;             /* means */
+  double rollouts_per_s, rollouts_per_s_best; /* median and best round */
+  double sgemm_median, sgemm_best;            /* FLOP/s over the rounds */
+  double ratio, ratio_median, ratio_worst; /* whole sample against the best sgemm; per round against the round's own */
+  struct mo_rollout_profile profile;
+  double profile_s, active_share;
+};
+
+/* The sample in ROUNDS parts, a measurement of sgemm before and after each. */
+static void measure_sample(struct report *report, const struct runner *runner, const struct bench_scene *scene,
+                           const struct mo_physics *physics)
+{
+  struct sgemm sgemm;
+  sgemm_create(&sgemm);
+  (void)sgemm_best(&sgemm); /* warm-up */
+  (void)run_s(runner, runner->pack, scene, scene->bodies[0], PAPER, physics, NULL);
+  const uint32_t rounds = scene->n_bodies < ROUNDS ? scene->n_bodies : ROUNDS;
+  double rate[ROUNDS], sgemm_rate[ROUNDS], ratio[ROUNDS], total_s = 0, total_flop = 0, all_flop = 0;
+  double before = sgemm_best(&sgemm);
+  report->sgemm_best = before;
+  for (uint32_t round = 0; round < rounds; round++) {
+    double round_s = 0, flop = 0;
+    uint32_t n = 0;
+    for (uint32_t i = round; i < scene->n_bodies; i += rounds, n++) {
+      const struct mo_body *body = scene->bodies[i];
+      round_s += run_s(runner, runner->pack, scene, body, PAPER, physics, NULL);
+      flop += controller_flop(body) * PAPER * physics->n_steps;
+      all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->n_steps;
+      report->masses += body->n_masses / (double)scene->n_bodies;
+      report->springs += body->n_springs / (double)scene->n_bodies;
+      report->voxels += body->n_voxels / (double)scene->n_bodies;
+    }
+    const double after = sgemm_best(&sgemm);
+    sgemm_rate[round] = before > after ? before : after;
+    rate[round] = n * PAPER / round_s;
+    ratio[round] = round_s / (flop / sgemm_rate[round]);
+    before = after;
+    report->sgemm_best = sgemm_rate[round] > report->sgemm_best ? sgemm_rate[round] : report->sgemm_best;
+    total_s += round_s;
+    total_flop += flop;
+  }
+  report->n_bodies = scene->n_bodies;
+  report->rollouts_per_s = scene->n_bodies * PAPER / total_s;
+  report->ratio = total_s / (total_flop / report->sgemm_best);
+  report->ratio_median = bench_median(ratio, rounds);
+  report->ratio_worst = bench_quantile(ratio, rounds, 1.0);
+  report->rollouts_per_s_best = bench_quantile(rate, rounds, 1.0);
+  report->sgemm_median = bench_median(sgemm_rate, rounds);
+  report->active_share = total_flop / all_flop;
+  sgemm_free(&sgemm);
+  for (uint32_t i = 0; i < scene->n_bodies; i += 4)
+    report->profile_s += run_s(runner, runner->pack, scene, scene->bodies[i], PAPER, physics, &report->profile);
+}
+
+static void print_sample(const struct report *r, bool json)
+{
+  const struct mo_rollout_profile *p = &r->profile;
+  const double whole = r->profile_s;
+  const double rest = whole - p->pack_s - p->sense_s - p->control_s - p->spring_s - p->contact_s;
+  if (json) {
+    printf(
+        "\"bodies\": %u, \"environments\": %d, \"mean_voxels\": %.2f, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
+        " \"rollouts_per_second_and_core\": %.2f, \"rollouts_per_second_best_round\": %.2f,\n"
+        " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
+        " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, \"active_share_of_arithmetic\": "
+        "%.4f,\n"
+        " \"shares\": {\"pack\": %.4f, \"sensing\": %.4f, \"control\": %.4f, \"springs\": %.4f, \"contact\": %.4f, "
+        "\"rest\": %.4f},\n",
+        r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s, r->rollouts_per_s_best,
+        1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio, r->ratio_median, r->ratio_worst, r->active_share,
+        p->pack_s / whole, p->sense_s / whole, p->control_s / whole, p->spring_s / whole, p->contact_s / whole,
+        rest / whole);
+    return;
+  }
+  printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f voxels, %.1f masses, %.1f "
+         "springs\n",
+         r->n_bodies, PAPER, r->voxels, r->masses, r->springs);
+  printf("rollouts per second and core: %.1f (best round %.1f)\n", r->rollouts_per_s, r->rollouts_per_s_best);
+  printf("best sgemm rate of one core:  %.1f GFLOP/s (median of the rounds %.1f)\n", 1e-9 * r->sgemm_best,
+         1e-9 * r->sgemm_median);
+  printf("ratio of time per rollout to the controller's arithmetic at that rate: %.3f (by round: median %.3f, worst "
+         "%.3f)\n",
+         r->ratio, r->ratio_median, r->ratio_worst);
+  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, springs %.1f %%, motion and contact %.1f %%, rest "
+         "%.1f %%\n",
+         100 * p->pack_s / whole, 100 * p->sense_s / whole, 100 * p->control_s / whole, 100 * p->spring_s / whole,
+         100 * p->contact_s / whole, 100 * rest / whole);
+  printf("controller arithmetic left after dropping absent masses and springs: %.1f %%\n", 100 * r->active_share);
+}
+
+/* Time against the size of the body. Returns largest over smallest. */
+static double print_sizes(const struct runner *runner, const struct bench_scene *scene,
+                          const struct mo_physics *physics, bool json)
+{
+  static const int boxes[][3] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1}, {2, 2, 2}, {3, 3, 2},
+                                 {4, 4, 2}, {4, 4, 4}, {6, 6, 3}, {6, 6, 4}};
+  const int n = (int)(sizeof(boxes) / sizeof(boxes[0]));
+  double first_s = 0, last_s = 0;
+  if (json)
+    printf(" \"sizes\": [");
+  else
+    printf("\n   voxels   masses  springs   µs per rollout step   rollouts/s\n");
+  for (int i = 0; i < n; i++) {
+    struct mo_body *body = bench_box(scene, boxes[i][0], boxes[i][1], boxes[i][2]);
+    last_s = best_run_s(runner, runner->pack, scene, body, PAPER, physics) / PAPER;
+    first_s = i == 0 ? last_s : first_s;
+    printf(json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": %.4f, "
+                  "\"rollouts_per_second\": %.2f}"
+                : "%s%9u %8u %8u %21.3f %12.1f\n",
+           json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs, 1e6 * last_s / physics->n_steps,
+           1 / last_s);
+    mo_body_free(body);
+  }
+  printf(json ? "],\n \"full_over_one_voxel\": %.2f,\n" : "144 voxels cost %.1f times as much as one\n",
+         last_s / first_s);
+  return last_s / first_s;
+}
+
+/* What the same body costs when parts of the scene are missing. */
+static void print_skipping(const struct runner *runner, const struct bench_scene *scene,
+                           const struct mo_physics *physics, bool json)
+{
+  struct mo_body *body = bench_box(scene, 4, 4, 4);
+  struct mo_physics air = *physics;
+  air.drop_height_m = 1000;
+  struct mo_rollout_profile standing = {0}, falling = {0};
+  (void)run_s(runner, runner->pack, scene, body, PAPER, physics, &standing);
+  (void)run_s(runner, runner->pack, scene, body, PAPER, &air, &falling);
+  const double with = best_run_s(runner, runner->pack, scene, body, PAPER, physics);
+  const double without = best_run_s(runner, runner->passive, scene, body, PAPER, physics);
+  const double alone = best_run_s(runner, runner->pack, scene, body, 1, physics);
+  const double scale = 1e6 / (PAPER * (double)physics->n_steps);
+  printf(
+      json
+          ? " \"contact_us_per_step\": {\"on_the_ground\": %.4f, \"in_the_air\": %.4f},\n"
+            " \"step_us\": {\"controlled\": %.4f, \"passive\": %.4f, \"one_environment\": %.4f},\n"
+          : "\n64 voxels, µs per rollout step: contact on the ground %.3f, in the air %.3f; whole step %.3f, without a "
+            "controller %.3f, in one environment instead of ten %.3f\n",
+      scale * standing.contact_s, scale * falling.contact_s, scale * with, scale * without, scale * PAPER * alone);
+  mo_body_free(body);
+}
+
+/* Rollouts per second of the whole back end with n workers. */
+static double back_end_rate(const struct bench_scene *scene, const struct bench_options *options, uint32_t workers,
+                            uint32_t n_bodies, const struct mo_physics *physics, size_t *worker_bytes)
+{
+  struct mo_compute *compute = NULL;
+  struct mo_compute_controller *controller = NULL;
+  const struct mo_compute_config config = {.n_workers = workers, .isa = options->isa};
+  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
+  bench_check(mo_compute_controller_create(compute, scene->controller, &controller), "controller");
+  struct mo_block *blocks = calloc(n_bodies, sizeof(*blocks));
+  bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
+  for (uint32_t i = 0; i < n_bodies; i++) {
+    blocks[i] = (struct mo_block){
+        .body = scene->bodies[i], .controller = controller, .n_environments = PAPER, .physics = *physics};
+    memcpy(blocks[i].environments, scene->list, sizeof(blocks[i].environments));
+  }
+  const double start = bench_now_s();
+  bench_check(mo_compute_run(compute, blocks, n_bodies), "blocks");
+  const double rate = n_bodies * PAPER / (bench_now_s() - start);
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  *worker_bytes = stats.worker_bytes_max;
+  mo_compute_controller_free(controller);
+  mo_compute_free(compute);
+  free(blocks);
+  return rate;
+}
+
+/* The most that a worker can hold: the full lattice in float64, once as a batch block and once overtaking it. */
+static double worker_mib(const struct bench_scene *scene, enum mo_isa isa, enum mo_precision precision)
+{
+  struct runner runner;
+  runner_create(&runner, scene, isa, precision);
+  struct mo_body *body = bench_box(scene, 6, 6, 4);
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = 1;
+  (void)run_s(&runner, runner.pack, scene, body, MO_BLOCK_LANES, &physics, NULL);
+  const double mib = 2.0 * (double)mo_workspace_memory_bytes(runner.memory) / (1 << 20);
+  mo_body_free(body);
+  runner_free(&runner);
+  return mib;
+}
+
+int bench_rollout(const struct bench_options *options)
+{
+  const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 20 : 200;
+  const bool json = options->json;
+  const struct mo_physics physics = mo_default_physics();
+  struct bench_scene scene;
+  struct runner runner, runner64;
+  struct report report = {0};
+  bench_scene_create(&scene, options, n);
+  runner_create(&runner, &scene, options->isa, MO_FLOAT32);
+  runner_create(&runner64, &scene, options->isa, MO_FLOAT64);
+
+  printf(json ? "{\"isa\": \"%s\", " : "instruction set: %s\n", mo_isa_name(options->isa));
+  measure_sample(&report, &runner, &scene, &physics);
+  print_sample(&report, json);
+  const double growth = print_sizes(&runner, &scene, &physics, json);
+  print_skipping(&runner, &scene, &physics, json);
+
+  const uint32_t few = n < 40 ? n : 40;
+  double time64 = 0, time32 = 0;
+  for (uint32_t i = 0; i < few; i += 2) {
+    time64 += run_s(&runner64, runner64.pack, &scene, scene.bodies[i], PAPER, &physics, NULL);
+    time32 += run_s(&runner, runner.pack, &scene, scene.bodies[i], PAPER, &physics, NULL);
+  }
+  size_t bytes = 0;
+  const double one = back_end_rate(&scene, options, 1, few, &physics, &bytes);
+  const double two = back_end_rate(&scene, options, 2, few, &physics, &bytes);
+  const double mib32 = worker_mib(&scene, options->isa, MO_FLOAT32),
+               mib64 = worker_mib(&scene, options->isa, MO_FLOAT64);
+  printf(
+      json ? " \"float64_over_float32_time\": %.3f, \"rollouts_per_second_1_worker\": %.2f, "
+             "\"rollouts_per_second_2_workers\": %.2f,\n \"worker_mib_float32\": %.2f, \"worker_mib_float64\": %.2f}\n"
+           : "float64 takes %.2f times as long as float32\n"
+             "back end: %.1f rollouts/s with one worker, %.1f with two\n"
+             "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB (float32), %.2f MiB "
+             "(float64)\n",
+      time64 / time32, one, two, mib32, mib64);
+  if (!json)
+    printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 %s\n", report.ratio,
+           report.ratio <= 1.6 ? "ok" : "MISSED", growth, growth >= 3 ? "ok" : "MISSED", mib64,
+           mib64 <= 16 ? "ok" : "MISSED");
+  const bool kept = report.ratio <= 1.6 && growth >= 3 && mib64 <= 16;
+  runner_free(&runner64);
+  runner_free(&runner);
+  bench_scene_free(&scene);
+  return kept ? 0 : 1;
+}

@@ -1,0 +1,92 @@
+/* svg.c: a line chart with logarithmic axes. */
+#include "bench.h"
+
+#include <math.h>
+
+enum { WIDTH = 860, HEIGHT = 560, LEFT = 80, RIGHT = 230, TOP = 50, BOTTOM = 60 };
+
+struct axis {
+  double low, high; /* decades */
+  double from, to;  /* pixels */
+};
+
+static double at(const struct axis *axis, double value)
+{
+  return axis->from + (log10(value) - axis->low) / (axis->high - axis->low) * (axis->to - axis->from);
+}
+
+static void extend(double *low, double *high, double value)
+{
+  *low = fmin(*low, floor(log10(value)));
+  *high = fmax(*high, ceil(log10(value)));
+}
+
+/* Decades get a label; on an axis of few decades, 2 and 5 do as well. */
+static void ticks(FILE *file, const struct axis *axis, bool horizontal)
+{
+  const bool fine = axis->high - axis->low < 3;
+  for (int decade = (int)axis->low; decade <= (int)axis->high; decade++)
+    for (int digit = 1; digit < 10; digit++) {
+      const double value = digit * pow(10.0, decade);
+      if (log10(value) > axis->high + 1e-9 || (digit != 1 && !(fine && (digit == 2 || digit == 5))))
+        continue;
+      const double p = at(axis, value);
+      if (horizontal)
+        fprintf(file,
+                "<line x1=\"%.1f\" y1=\"%d\" x2=\"%.1f\" y2=\"%d\" class=\"grid\"/><text x=\"%.1f\" y=\"%d\" "
+                "text-anchor=\"middle\">%g</text>\n",
+                p, TOP, p, HEIGHT - BOTTOM, p, HEIGHT - BOTTOM + 18, value);
+      else
+        fprintf(file,
+                "<line x1=\"%d\" y1=\"%.1f\" x2=\"%d\" y2=\"%.1f\" class=\"grid\"/><text x=\"%d\" y=\"%.1f\" "
+                "text-anchor=\"end\">%g</text>\n",
+                LEFT, p, WIDTH - RIGHT, p, LEFT - 8, p + 4, value);
+    }
+}
+
+int bench_chart(const char *path, const char *title, const char *x_name, const char *y_name,
+                const struct bench_series *series, size_t n_series)
+{
+  static const char *const colours[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",
+                                        "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5"};
+  FILE *file = fopen(path, "w");
+  if (file == NULL)
+    return -1;
+  double x_low = INFINITY, x_high = -INFINITY, y_low = INFINITY, y_high = -INFINITY;
+  for (size_t s = 0; s < n_series; s++)
+    for (size_t i = 0; i < series[s].n; i++) {
+      extend(&x_low, &x_high, series[s].x[i]);
+      extend(&y_low, &y_high, series[s].y[i]);
+    }
+  const struct axis x = {x_low, x_high, LEFT, WIDTH - RIGHT}, y = {y_low, y_high, HEIGHT - BOTTOM, TOP};
+  fprintf(
+      file,
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %d\" font-family=\"sans-serif\" font-size=\"12\">\n"
+      "<style>.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}</style>\n"
+      "<rect width=\"%d\" height=\"%d\" fill=\"white\"/>\n"
+      "<text x=\"%d\" y=\"26\" font-size=\"15\">%s</text>\n",
+      WIDTH, HEIGHT, WIDTH, HEIGHT, LEFT, title);
+  ticks(file, &x, true);
+  ticks(file, &y, false);
+  fprintf(file,
+          "<text x=\"%d\" y=\"%d\" text-anchor=\"middle\">%s</text>\n"
+          "<text transform=\"translate(18 %d) rotate(-90)\" text-anchor=\"middle\">%s</text>\n",
+          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 16, x_name, (TOP + HEIGHT - BOTTOM) / 2, y_name);
+  for (size_t s = 0; s < n_series; s++) {
+    const char *colour = colours[s % (sizeof(colours) / sizeof(colours[0]))];
+    fprintf(file, "<polyline class=\"line\" stroke=\"%s\" points=\"", colour);
+    for (size_t i = 0; i < series[s].n; i++)
+      fprintf(file, "%.1f,%.1f ", at(&x, series[s].x[i]), at(&y, series[s].y[i]));
+    fprintf(file, "\"/>\n");
+    for (size_t i = 0; i < series[s].n; i++)
+      fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(&x, series[s].x[i]),
+              at(&y, series[s].y[i]), colour);
+    const int row = TOP + 12 + 20 * (int)s;
+    fprintf(file,
+            "<line x1=\"%d\" y1=\"%d\" x2=\"%d\" y2=\"%d\" stroke=\"%s\" stroke-width=\"3\"/><text x=\"%d\" "
+            "y=\"%d\">%s</text>\n",
+            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4, series[s].name);
+  }
+  fprintf(file, "</svg>\n");
+  return fclose(file) == 0 ? 0 : -1;
+}
