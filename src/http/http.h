@@ -36,23 +36,24 @@ struct mo_http_log_entry {
 
 /* The kind of a listening socket is taken from the socket itself: TCP on a loopback address, TCP elsewhere, or unix. */
 struct mo_http_config {
-  const int *listeners; /* listening sockets; taken over by mo_http_start, which closes them at the end even if it fails */
+  const int
+      *listeners; /* listening sockets; taken over by mo_http_start, which closes them at the end even if it fails */
   size_t n_listeners;
   const char *const *allowed_hosts; /* further names (with or without port) for Host and Origin; loopback names, and the
                                        addresses of the listeners, always count. "*": any Host */
   size_t n_allowed_hosts;
   const char *const *tokens; /* bearer tokens (16 to 512 printable characters); see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback; /* ask for a token on loopback even if no listener is beyond it */
+  bool token_on_loopback;   /* ask for a token on loopback even if no listener is beyond it */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the service's own user */
   size_t n_unix_groups;
-  uint32_t n_io_threads;      /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t n_api_threads;     /* 0: 4 */
-  uint32_t max_connections;   /* 0: 1024; beyond: 503 with Retry-After */
-  uint32_t max_streams;       /* 0: 256 event streams */
-  uint32_t max_in_flight;     /* requests of one client handled at a time; 0: 64; beyond: 429 */
-  uint32_t max_queued;        /* requests waiting for an API thread; 0: 256; beyond: 503 */
-  uint32_t client_rate_per_s; /* submissions per second and client; 0: no limit; beyond: 429 */
+  uint32_t n_io_threads;         /* libmicrohttpd's pool; 0: one per processor, at most 4 */
+  uint32_t n_api_threads;        /* 0: 4 */
+  uint32_t max_connections;      /* 0: 1024; beyond: 503 with Retry-After */
+  uint32_t max_streams;          /* 0: 256 event streams */
+  uint32_t max_in_flight;        /* requests of one client handled at a time; 0: 64; beyond: 429 */
+  uint32_t max_queued;           /* requests waiting for an API thread; 0: 256; beyond: 503 */
+  uint32_t client_rate_per_s;    /* submissions per second and client; 0: no limit; beyond: 429 */
   uint64_t max_body_bytes;       /* JSON body of an evaluation; 0: 32 MiB */
   uint64_t max_controller_bytes; /* controller file; 0: 16 MiB */
   uint64_t max_body_memory;      /* all bodies being received or handled; 0: 8 of the larger of the two above */

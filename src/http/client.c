@@ -1,0 +1,106 @@
+/* client.c: how much one client has under way. Clients are kept while they have requests, and a few seconds longer for their
+ * rate. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/server.h"
+
+#define KEEP_US 10000000
+
+struct mo_client {
+  struct mo_client *next;
+  unsigned char key[16];
+  uint32_t in_flight;
+  double allowance;     /* submissions that may be made at once */
+  int64_t allowance_us; /* when it was reckoned; 0: full */
+  int64_t left_us;
+};
+
+int mo_clients_init(struct mo_clients *clients)
+{
+  *clients = (struct mo_clients){0};
+  return pthread_mutex_init(&clients->lock, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+void mo_clients_free(struct mo_clients *clients)
+{
+  for (size_t b = 0; b < 256; b++)
+    while (clients->buckets[b] != NULL) {
+      struct mo_client *client = clients->buckets[b];
+      clients->buckets[b] = client->next;
+      free(client);
+    }
+  pthread_mutex_destroy(&clients->lock);
+}
+
+static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned char key[16])
+{
+  unsigned hash = 2166136261U;
+  for (int i = 0; i < 16; i++)
+    hash = (hash ^ key[i]) * 16777619U;
+  return &clients->buckets[(hash ^ hash >> 16) & 255];
+}
+
+struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16], uint32_t max, bool *refused)
+{
+  *refused = false;
+  pthread_mutex_lock(&clients->lock);
+  struct mo_client **bucket = bucket_of(clients, key), *client = *bucket;
+  while (client != NULL && memcmp(client->key, key, 16) != 0)
+    client = client->next;
+  if (client == NULL && (client = calloc(1, sizeof(*client))) != NULL) {
+    memcpy(client->key, key, 16);
+    client->next = *bucket;
+    *bucket = client;
+  }
+  if (client != NULL && client->in_flight >= max) {
+    *refused = true;
+    client = NULL;
+  }
+  if (client != NULL)
+    client->in_flight++;
+  pthread_mutex_unlock(&clients->lock);
+  return client;
+}
+
+void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64_t now_us)
+{
+  pthread_mutex_lock(&clients->lock);
+  client->in_flight--;
+  client->left_us = now_us;
+  pthread_mutex_unlock(&clients->lock);
+}
+
+bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint32_t rate_per_s, int64_t now_us)
+{
+  if (rate_per_s == 0)
+    return true;
+  pthread_mutex_lock(&clients->lock);
+  double most = rate_per_s;
+  client->allowance =
+      client->allowance_us == 0 ? most : client->allowance + (double)(now_us - client->allowance_us) * 1e-6 * most;
+  if (client->allowance > most)
+    client->allowance = most;
+  client->allowance_us = now_us;
+  bool allowed = client->allowance >= 1;
+  if (allowed)
+    client->allowance -= 1;
+  pthread_mutex_unlock(&clients->lock);
+  return allowed;
+}
+
+void mo_clients_sweep(struct mo_clients *clients, int64_t now_us)
+{
+  pthread_mutex_lock(&clients->lock);
+  for (size_t b = 0; b < 256; b++)
+    for (struct mo_client **at = &clients->buckets[b]; *at != NULL;) {
+      struct mo_client *client = *at;
+      if (client->in_flight == 0 && now_us - client->left_us > KEEP_US) {
+        *at = client->next;
+        free(client);
+      } else {
+        at = &client->next;
+      }
+    }
+  pthread_mutex_unlock(&clients->lock);
+}

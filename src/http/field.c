@@ -1,0 +1,285 @@
+/* field.c: see field.h. */
+#include "http/field.h"
+
+#include <arpa/inet.h>
+#include <ctype.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+static int hex_digit(char c)
+{
+  return c >= '0' && c <= '9'   ? c - '0'
+         : c >= 'a' && c <= 'f' ? c - 'a' + 10
+         : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                : -1;
+}
+
+bool mo_percent_decode(const char *text, size_t n, bool plus, char *out, size_t capacity)
+{
+  size_t at = 0;
+  for (size_t i = 0; i < n; i++) {
+    unsigned char c = (unsigned char)text[i];
+    if (c == '%') {
+      if (n - i < 3 || hex_digit(text[i + 1]) < 0 || hex_digit(text[i + 2]) < 0)
+        return false;
+      c = (unsigned char)(hex_digit(text[i + 1]) << 4 | hex_digit(text[i + 2]));
+      i += 2;
+    } else if (c == '+' && plus) {
+      c = ' ';
+    }
+    if (c < 0x20 || c == 0x7F || at + 1 >= capacity)
+      return false;
+    out[at++] = (char)c;
+  }
+  for (size_t i = 0; i < at;) {
+    unsigned length = mo_utf8_sequence((const unsigned char *)out + i, at - i);
+    if (length == 0)
+      return false;
+    i += length;
+  }
+  out[at] = '\0';
+  return true;
+}
+
+bool mo_query_next(const char **query, struct mo_query_item *item)
+{
+  const char *at = *query;
+  while (*at == '&')
+    at++;
+  if (*at == '\0')
+    return false;
+  size_t n = strcspn(at, "&");
+  const char *equals = memchr(at, '=', n);
+  item->name = at;
+  item->name_size = equals != NULL ? (size_t)(equals - at) : n;
+  item->value = equals != NULL ? equals + 1 : at + n;
+  item->value_size = equals != NULL ? n - item->name_size - 1 : 0;
+  *query = at + n;
+  return true;
+}
+
+bool mo_decimal(const char *text, size_t n, int64_t min, int64_t max, int64_t *value)
+{
+  int64_t number = 0;
+  if (n == 0 || n > 18)
+    return false;
+  for (size_t i = 0; i < n; i++) {
+    if (text[i] < '0' || text[i] > '9')
+      return false;
+    number = number * 10 + (text[i] - '0');
+  }
+  if (number < min || number > max)
+    return false;
+  *value = number;
+  return true;
+}
+
+static const char *skip_blank(const char *at)
+{
+  while (*at == ' ' || *at == '\t')
+    at++;
+  return at;
+}
+
+/* Length of a text without the blanks at its end. */
+static size_t trimmed(const char *at, size_t n)
+{
+  while (n > 0 && (at[n - 1] == ' ' || at[n - 1] == '\t'))
+    n--;
+  return n;
+}
+
+int mo_prefer_wait(const char *field, int max)
+{
+  if (field == NULL)
+    return -1;
+  for (const char *at = field; *at != '\0';) {
+    at = skip_blank(at);
+    size_t n = strcspn(at, ",");
+    size_t name = strcspn(at, ",;=");
+    if (trimmed(at, name) == 4 && strncasecmp(at, "wait", 4) == 0) {
+      if (name >= n || at[name] != '=')
+        return -2;
+      const char *value = skip_blank(at + name + 1);
+      size_t size = trimmed(value, strcspn(value, ",;"));
+      if (size >= 2 && value[0] == '"' && value[size - 1] == '"')
+        value++, size -= 2;
+      int64_t seconds;
+      if (!mo_decimal(value, size, 0, INT64_MAX, &seconds))
+        return -2;
+      return seconds > max ? max : (int)seconds;
+    }
+    at += n;
+    if (*at == ',')
+      at++;
+  }
+  return -1;
+}
+
+/* Quality of one element of Accept: its parameter q in thousandths; −1 if malformed. */
+static int quality(const char *at, size_t n)
+{
+  const char *end = at + n;
+  while ((at = memchr(at, ';', (size_t)(end - at))) != NULL) {
+    at = skip_blank(at + 1);
+    if (end - at >= 2 && (at[0] == 'q' || at[0] == 'Q') && at[1] == '=') {
+      const char *digits = at + 2;
+      if (digits >= end || (*digits != '0' && *digits != '1'))
+        return -1;
+      int q = (*digits++ - '0') * 1000;
+      if (digits < end && *digits == '.') {
+        digits++;
+        for (int unit = 100; unit > 0 && digits < end && isdigit((unsigned char)*digits); unit /= 10)
+          q += (*digits++ - '0') * unit;
+      }
+      return q > 1000 ? -1 : q;
+    }
+  }
+  return 1000;
+}
+
+int mo_accept_choose(const char *field, const char *const *types, size_t n)
+{
+  if (field == NULL || *skip_blank(field) == '\0')
+    return 0;
+  int best = -1, best_q = 0;
+  for (size_t t = 0; t < n; t++) {
+    const char *type = types[t];
+    size_t major = strcspn(type, "/");
+    int q = 0, specific = -1; /* of the most specific element that names this type */
+    for (const char *at = field; *at != '\0';) {
+      at = skip_blank(at);
+      size_t size = strcspn(at, ",");
+      size_t name = trimmed(at, strcspn(at, ",;"));
+      int rank = name == strlen(type) && strncasecmp(at, type, name) == 0                             ? 2
+                 : name == major + 2 && strncasecmp(at, type, major + 1) == 0 && at[major + 1] == '*' ? 1
+                 : name == 3 && strncmp(at, "*/*", 3) == 0                                            ? 0
+                                                                                                      : -1;
+      if (rank > specific) {
+        specific = rank;
+        q = quality(at, size);
+      }
+      at += size;
+      if (*at == ',')
+        at++;
+    }
+    if (q > best_q) {
+      best_q = q;
+      best = (int)t;
+    }
+  }
+  return best;
+}
+
+bool mo_etag_matches(const char *field, const char *etag)
+{
+  if (field == NULL)
+    return false;
+  for (const char *at = skip_blank(field); *at != '\0';) {
+    if (*at == '*')
+      return true;
+    if (at[0] == 'W' && at[1] == '/')
+      at += 2;
+    if (*at == '"') {
+      size_t n = strcspn(at + 1, "\"") + 2;
+      if (n == strlen(etag) && memcmp(at, etag, n) == 0)
+        return true;
+      if (strlen(at) < n)
+        return false;
+      at += n;
+    }
+    at += strcspn(at, ",");
+    at = *at == ',' ? skip_blank(at + 1) : at;
+  }
+  return false;
+}
+
+bool mo_content_type(const char *field, char type[64], char charset[32])
+{
+  charset[0] = '\0';
+  const char *at = skip_blank(field);
+  size_t n = trimmed(at, strcspn(at, ";"));
+  if (n == 0 || n >= 64 || memchr(at, '/', n) == NULL)
+    return false;
+  for (size_t i = 0; i < n; i++)
+    type[i] = (char)tolower((unsigned char)at[i]);
+  type[n] = '\0';
+  at += strcspn(at, ";");
+  while (*at == ';') {
+    at = skip_blank(at + 1);
+    size_t size = trimmed(at, strcspn(at, ";"));
+    if (size > 8 && strncasecmp(at, "charset=", 8) == 0) {
+      const char *value = at + 8;
+      size -= 8;
+      if (size >= 2 && value[0] == '"' && value[size - 1] == '"')
+        value++, size -= 2;
+      if (size >= 32)
+        return false;
+      for (size_t i = 0; i < size; i++)
+        charset[i] = (char)tolower((unsigned char)value[i]);
+      charset[size] = '\0';
+    }
+    at += strcspn(at, ";");
+  }
+  return true;
+}
+
+bool mo_idempotency_key(const char *field, char out[256])
+{
+  const char *at = skip_blank(field);
+  size_t n = trimmed(at, strlen(at)), size = 0;
+  bool quoted = n >= 2 && at[0] == '"' && at[n - 1] == '"';
+  for (size_t i = quoted; i < n - quoted; i++) {
+    char c = at[i];
+    if (quoted && c == '\\' && i + 1 < n - 1 && (at[i + 1] == '"' || at[i + 1] == '\\'))
+      c = at[++i];
+    else if (quoted && (c == '\\' || c == '"'))
+      return false;
+    if (c < 0x20 || c > 0x7E || size == 255)
+      return false;
+    out[size++] = c;
+  }
+  out[size] = '\0';
+  return size > 0;
+}
+
+bool mo_authority_split(const char *text, size_t n, char host[256], unsigned *port, bool *literal)
+{
+  size_t size;
+  *port = 0;
+  if (n > 0 && text[0] == '[') {
+    const char *end = memchr(text, ']', n);
+    if (end == NULL)
+      return false;
+    size = (size_t)(end - text) + 1;
+    if (size - 2 >= 256)
+      return false;
+    memcpy(host, text + 1, size - 2);
+    host[size - 2] = '\0';
+    struct in6_addr address;
+    if (inet_pton(AF_INET6, host, &address) != 1)
+      return false;
+    *literal = true;
+  } else {
+    const char *colon = memchr(text, ':', n);
+    size = colon != NULL ? (size_t)(colon - text) : n;
+    if (size == 0 || size >= 256)
+      return false;
+    for (size_t i = 0; i < size; i++) {
+      if (!isalnum((unsigned char)text[i]) && strchr("-._", text[i]) == NULL)
+        return false;
+      host[i] = (char)tolower((unsigned char)text[i]);
+    }
+    host[size] = '\0';
+    struct in_addr address;
+    *literal = inet_pton(AF_INET, host, &address) == 1;
+  }
+  if (size < n) {
+    int64_t number;
+    if (text[size] != ':' || !mo_decimal(text + size + 1, n - size - 1, 1, 65535, &number))
+      return false;
+    *port = (unsigned)number;
+  }
+  return true;
+}

@@ -1,0 +1,272 @@
+/* guard.c: see guard.h. */
+#include "http/guard.h"
+
+#include <ctype.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "http/field.h"
+
+static bool refuse(struct mo_refusal *refusal, unsigned status, bool close, const char *header, const char *detail)
+{
+  *refusal = (struct mo_refusal){status, close, header, detail};
+  return false;
+}
+
+static bool is_token(const char *text, size_t n)
+{
+  for (size_t i = 0; i < n; i++)
+    if (!isalnum((unsigned char)text[i]) && (text[i] == '\0' || strchr("!#$%&'*+-.^_`|~", text[i]) == NULL))
+      return false;
+  return n > 0;
+}
+
+bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, struct mo_framing *framing,
+                      struct mo_refusal *refusal)
+{
+  *framing = (struct mo_framing){0};
+  const char *length = NULL, *coding = NULL, *expect = NULL;
+  /* Fields of which a second one is a contradiction, whatever it says. */
+  const struct {
+    const char *name;
+    const char **value;
+  } single[] = {
+      {"Content-Length", &length},
+      {"Transfer-Encoding", &coding},
+      {"Expect", &expect},
+      {"Host", &framing->host},
+      {"Origin", &framing->origin},
+      {"Authorization", &framing->authorization},
+      {"Content-Type", &framing->content_type},
+      {"Content-Encoding", &framing->content_encoding},
+      {"Idempotency-Key", &framing->idempotency_key},
+      {"Last-Event-ID", &framing->last_event_id},
+      {"Prefer", &framing->prefer},
+      {"Accept", &framing->accept},
+      {"If-None-Match", &framing->if_none_match},
+  };
+  if (n > MO_HEADERS_MAX)
+    return refuse(refusal, 431, true, NULL, "more than 100 header fields; at most 100 are allowed");
+  for (size_t i = 0; i < n; i++) {
+    const struct mo_header *header = &headers[i];
+    if (!is_token(header->name, header->name_size))
+      return refuse(refusal, 400, true, NULL, "a field name has characters that are not allowed in it");
+    for (size_t k = 0; k < header->value_size; k++) {
+      unsigned char c = (unsigned char)header->value[k];
+      if ((c < 0x20 && c != '\t') || c == 0x7F)
+        return refuse(refusal, 400, true, NULL, "a field value has control characters");
+    }
+    for (size_t k = 0; k < sizeof(single) / sizeof(single[0]); k++)
+      if (strcasecmp(header->name, single[k].name) == 0) {
+        if (*single[k].value != NULL)
+          return refuse(refusal, 400, true, single[k].name, "the field is given more than once");
+        *single[k].value = header->value;
+      }
+  }
+  if (length != NULL && coding != NULL)
+    return refuse(refusal, 400, true, "Content-Length",
+                  "Content-Length and Transfer-Encoding must not be given together");
+  if (coding != NULL) {
+    if (http10)
+      return refuse(refusal, 400, true, "Transfer-Encoding", "HTTP/1.0 has no transfer codings");
+    if (strcasecmp(coding, "chunked") != 0)
+      return refuse(refusal, 501, true, "Transfer-Encoding", "the only transfer coding that is understood is chunked");
+    framing->chunked = true;
+  }
+  if (length != NULL) {
+    int64_t number;
+    if (!mo_decimal(length, strlen(length), 0, INT64_MAX, &number))
+      return refuse(refusal, 400, true, "Content-Length", "the length must be decimal digits");
+    framing->has_length = true;
+    framing->length = (uint64_t)number;
+  }
+  if (expect != NULL) {
+    if (strcasecmp(expect, "100-continue") != 0)
+      return refuse(refusal, 417, true, "Expect", "the only expectation that is understood is 100-continue");
+    framing->expects_continue = !http10;
+  }
+  if (framing->host == NULL && !http10)
+    return refuse(refusal, 400, true, "Host", "the Host field is missing");
+  return true;
+}
+
+bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refusal *refusal)
+{
+  *parts = (struct mo_target){0};
+  for (const char *c = target; *c != '\0'; c++)
+    if ((unsigned char)*c <= 0x20 || *c == 0x7F || (unsigned char)*c >= 0x80 || *c == '#' || *c == '\\')
+      return refuse(refusal, 400, true, NULL, "the request target has characters that must be escaped");
+  if (strstr(target, "%00") != NULL)
+    return refuse(refusal, 400, true, NULL, "the request target has an escaped NUL");
+  const char *path = target;
+  if (strncasecmp(target, "http://", 7) == 0) {
+    parts->authority = target + 7;
+    parts->authority_size = strcspn(parts->authority, "/?");
+    path = parts->authority + parts->authority_size;
+  } else if (strcmp(target, "*") != 0 && *target != '/') {
+    return refuse(refusal, 400, true, NULL, "the request target must be a path");
+  }
+  parts->path = path;
+  parts->path_size = strcspn(path, "?");
+  if (parts->path_size == 0) {
+    parts->path = "/";
+    parts->path_size = 1;
+  }
+  path += strcspn(path, "?");
+  parts->query = *path == '?' ? path + 1 : path;
+  return true;
+}
+
+int mo_names_copy(struct mo_names *names, const char *const *items, size_t n)
+{
+  struct mo_names copy = {.items = calloc(n > 0 ? n : 1, sizeof(char *))};
+  if (copy.items == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (size_t i = 0; i < n; i++) {
+    if (strcmp(items[i], "*") == 0) {
+      copy.any = true;
+      continue;
+    }
+    char *name = strdup(items[i]);
+    if (name == NULL) {
+      mo_names_free(&copy);
+      return MO_ERR_NO_MEMORY;
+    }
+    for (char *c = name; *c != '\0'; c++)
+      *c = (char)tolower((unsigned char)*c);
+    copy.items[copy.n++] = name;
+  }
+  *names = copy;
+  return MO_OK;
+}
+
+void mo_names_free(struct mo_names *names)
+{
+  for (size_t i = 0; i < names->n; i++)
+    free(names->items[i]);
+  free(names->items);
+  *names = (struct mo_names){0};
+}
+
+/* Is the authority (host, port) one of the configured names? A name without a port stands for every port. */
+static bool is_named(const char *host, unsigned port, const struct mo_names *names)
+{
+  for (size_t i = 0; i < names->n; i++) {
+    char name[256];
+    unsigned name_port;
+    bool literal;
+    if (mo_authority_split(names->items[i], strlen(names->items[i]), name, &name_port, &literal) &&
+        strcmp(name, host) == 0 && (name_port == 0 || name_port == port))
+      return true;
+  }
+  return false;
+}
+
+bool mo_guard_host(const char *host, size_t n, const struct mo_names *names)
+{
+  char name[256];
+  unsigned port;
+  bool literal;
+  if (!mo_authority_split(host, n, name, &port, &literal))
+    return false;
+  /* An address in digits cannot be rebound: the browser would have to be at that address already. */
+  return names->any || literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
+}
+
+bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names)
+{
+  size_t scheme = strncasecmp(origin, "http://", 7) == 0 ? 7 : strncasecmp(origin, "https://", 8) == 0 ? 8 : 0;
+  char name[256], own[256];
+  unsigned port, own_port;
+  bool literal;
+  if (scheme == 0 || !mo_authority_split(origin + scheme, strlen(origin + scheme), name, &port, &literal))
+    return false;
+  if (is_named(name, port, names))
+    return true;
+  if (host == NULL || !mo_authority_split(host, strlen(host), own, &own_port, &literal))
+    return false;
+  unsigned usual = scheme == 7 ? 80 : 443;
+  return strcmp(name, own) == 0 && (port == 0 ? usual : port) == (own_port == 0 ? usual : own_port);
+}
+
+/* ---- tokens ---- */
+
+int mo_tokens_init(struct mo_tokens *tokens)
+{
+  *tokens = (struct mo_tokens){0};
+  return pthread_rwlock_init(&tokens->lock, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+static void free_items(char **items, size_t n)
+{
+  for (size_t i = 0; i < n; i++) {
+    explicit_bzero(items[i], strlen(items[i]));
+    free(items[i]);
+  }
+  free(items);
+}
+
+void mo_tokens_free(struct mo_tokens *tokens)
+{
+  free_items(tokens->items, tokens->n);
+  pthread_rwlock_destroy(&tokens->lock);
+  *tokens = (struct mo_tokens){0};
+}
+
+int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n, struct mo_message *message)
+{
+  for (size_t i = 0; i < n; i++) {
+    size_t size = strlen(items[i]);
+    if (size < 16 || size > 512)
+      return mo_fail(message, MO_ERR_INVALID, "token %zu has %zu characters; 16 to 512 are expected", i + 1, size);
+    for (size_t k = 0; k < size; k++)
+      if (items[i][k] <= 0x20 || items[i][k] > 0x7E)
+        return mo_fail(message, MO_ERR_INVALID, "token %zu has characters other than printable ASCII", i + 1);
+  }
+  char **copy = calloc(n > 0 ? n : 1, sizeof(char *));
+  size_t copied = 0;
+  while (copy != NULL && copied < n && (copy[copied] = strdup(items[copied])) != NULL)
+    copied++;
+  if (copy == NULL || copied < n) {
+    if (copy != NULL)
+      free_items(copy, copied);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the tokens");
+  }
+  pthread_rwlock_wrlock(&tokens->lock);
+  char **old = tokens->items;
+  size_t old_n = tokens->n;
+  tokens->items = copy;
+  tokens->n = n;
+  pthread_rwlock_unlock(&tokens->lock);
+  free_items(old, old_n);
+  return MO_OK;
+}
+
+/* Equality that looks at every byte of `given`, whatever it finds. */
+static unsigned equals(const char *secret, const char *given, size_t given_size)
+{
+  size_t secret_size = strlen(secret);
+  unsigned difference = secret_size != given_size;
+  for (size_t i = 0; i < given_size; i++)
+    difference |= (unsigned)((unsigned char)secret[secret_size == 0 ? 0 : i % secret_size] ^ (unsigned char)given[i]);
+  return difference == 0;
+}
+
+int mo_tokens_check(struct mo_tokens *tokens, const char *authorization)
+{
+  const char *given = "";
+  if (authorization != NULL && strncasecmp(authorization, "Bearer ", 7) == 0) {
+    given = authorization + 7;
+    while (*given == ' ')
+      given++;
+  }
+  size_t size = strlen(given);
+  unsigned right = 0;
+  pthread_rwlock_rdlock(&tokens->lock);
+  size_t n = tokens->n;
+  for (size_t i = 0; i < n; i++)
+    right |= equals(tokens->items[i], given, size);
+  pthread_rwlock_unlock(&tokens->lock);
+  return n == 0 ? -1 : (int)right;
+}

@@ -1,0 +1,78 @@
+/* guard.h: what a request must satisfy before any route sees it.
+ *
+ * libmicrohttpd 0.9.75 lets through framing that two parsers may read differently (repeated or spaced Content-Length, unknown
+ * transfer codings, control bytes in names): such requests are refused and their connection is closed. Host and Origin are
+ * checked so that no web page can reach the service by rebinding a name. Tokens are compared in constant time. */
+#ifndef MORPHO_HTTP_GUARD_H
+#define MORPHO_HTTP_GUARD_H
+
+#include <pthread.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/error.h>
+
+#define MO_HEADERS_MAX 100
+
+struct mo_header {
+  const char *name, *value; /* NUL-terminated */
+  size_t name_size, value_size;
+};
+
+struct mo_refusal {
+  unsigned status;
+  bool close;         /* the framing is in doubt: nothing more may be read from the connection */
+  const char *header; /* the field at fault, or NULL */
+  const char *detail;
+};
+
+/* What the header says about the body, and the fields that the routes use (NULL: absent). */
+struct mo_framing {
+  bool has_length, chunked;
+  uint64_t length;
+  bool expects_continue;
+  const char *host, *origin, *authorization, *accept, *content_type, *content_encoding, *prefer, *idempotency_key,
+      *if_none_match, *last_event_id;
+};
+
+/* False: *refusal is filled in. http10: the request's version is 1.0. */
+bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, struct mo_framing *framing,
+                      struct mo_refusal *refusal);
+
+/* Request target in origin or absolute form: *path_size bytes of path from *path, query behind (not NULL, "" if none; NUL-terminated),
+ * *authority: of the absolute form, else NULL. `target` is as it came. */
+struct mo_target {
+  const char *path, *query, *authority;
+  size_t path_size, authority_size;
+};
+bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refusal *refusal);
+
+struct mo_names {
+  char **items; /* lower case, "host" or "host:port" */
+  size_t n;
+  bool any;
+};
+int mo_names_copy(struct mo_names *names, const char *const *items, size_t n);
+void mo_names_free(struct mo_names *names);
+
+/* Host must be an address in digits, a loopback name, or one of `names`. */
+bool mo_guard_host(const char *host, size_t n, const struct mo_names *names);
+/* Origin must be the same host and port as `host`, or name one of `names`. */
+bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names);
+
+/* ---- tokens ---- */
+
+struct mo_tokens {
+  pthread_rwlock_t lock;
+  char **items;
+  size_t n;
+};
+int mo_tokens_init(struct mo_tokens *tokens);
+void mo_tokens_free(struct mo_tokens *tokens);
+/* MO_ERR_INVALID: fewer than 16 or more than 512 characters, or others than printable ASCII; the old ones stay. */
+int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n, struct mo_message *message);
+/* "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time does not tell which token, nor how much of it, was right. */
+int mo_tokens_check(struct mo_tokens *tokens, const char *authorization);
+
+#endif

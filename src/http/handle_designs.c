@@ -1,0 +1,193 @@
+/* handle_designs.c: designs and their scores. */
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/field.h"
+#include "http/job_json.h"
+#include "http/server.h"
+
+/* Opens the object: what every representation of a design has. False: no memory. */
+static bool write_head(struct mo_http *http, struct mo_text *text, const struct mo_bits *form, int64_t first_seen_us)
+{
+  struct mo_body *body;
+  if (mo_body_create(http->lattice, form->words, &body) != MO_OK)
+    return false;
+  mo_text_add(text, "{\"id\":");
+  mo_bits_write_id(text, form);
+  mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels, body->n_masses,
+                 body->n_springs);
+  mo_bits_write(text, form);
+  mo_text_add(text, ",\"first_seen_at\":");
+  mo_text_json_time(text, first_seen_us);
+  mo_body_free(body);
+  return true;
+}
+
+static void write_score(struct mo_text *text, const struct mo_design_score *score)
+{
+  mo_text_add(text, "{\"controller\":");
+  mo_hash_write(text, &score->controller_sha256);
+  mo_text_add(text, ",\"environments\":");
+  if (score->environment_set[0] != '\0') {
+    mo_text_json_string(text, score->environment_set, strlen(score->environment_set));
+  } else {
+    mo_text_add(text, "[");
+    mo_hash_write(text, &score->environment_sha256);
+    mo_text_add(text, "]");
+  }
+  mo_text_add(text, ",\"physics\":");
+  mo_hash_write(text, &score->physics_sha256);
+  mo_text_format(text, ",\"precision\":\"%s\",\"score\":", score->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_loss_write(text, score->score);
+  mo_text_add(text, ",\"losses\":[");
+  for (uint32_t k = 0; k < score->n_losses; k++) {
+    if (k > 0)
+      mo_text_bytes(text, ",", 1);
+    mo_loss_write(text, score->losses[k]);
+  }
+  mo_text_add(text, "],\"computed_at\":");
+  mo_text_json_time(text, score->computed_us);
+  mo_text_add(text, ",\"fingerprint\":");
+  mo_text_json_string(text, score->fingerprint, strlen(score->fingerprint));
+  mo_text_add(text, "}");
+}
+
+void mo_handle_design(struct mo_request *request)
+{
+  struct mo_http *http = request->http;
+  const char *id = request->parameters[0];
+  struct mo_query_value none;
+  struct mo_bits form;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request))
+    return;
+  if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: an id has %d hexadecimal digits of a canonical form.",
+                     MO_DEFAULT_ID_DIGITS);
+    return;
+  }
+  struct mo_design *design = NULL;
+  int code = mo_store_design(http->services.store, &form, &design);
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "design");
+    return;
+  }
+  struct mo_text text = {0};
+  bool good = write_head(http, &text, &design->form, design->first_seen_us);
+  mo_text_add(&text, ",\"orientations\":[");
+  for (uint32_t i = 0; i < design->n_orientations; i++) {
+    const struct mo_design_orientation *orientation = &design->orientations[i];
+    mo_text_add(&text, i > 0 ? ",{\"genotype\":" : "{\"genotype\":");
+    mo_bits_write(&text, &orientation->genotype);
+    mo_text_add(&text, ",\"scores\":[");
+    for (uint32_t k = 0; k < orientation->n_scores; k++) {
+      if (k > 0)
+        mo_text_bytes(&text, ",", 1);
+      write_score(&text, &orientation->scores[k]);
+    }
+    mo_text_add(&text, "]}");
+  }
+  /* Lineage comes from evolution; an evaluated design has neither parents nor children. */
+  mo_text_format(&text, "],\"truncated\":%s,\"parents\":[],\"children\":[]}", design->truncated ? "true" : "false");
+  mo_design_free(design);
+  text.failed |= !good;
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+/* The cursor: of sort=id a row, of sort=score the bits of the score and a row. */
+static bool read_cursor(const char *text, struct mo_design_query *query)
+{
+  if (query->sort == MO_DESIGNS_BY_ID)
+    return mo_decimal(text, strlen(text), 1, INT64_MAX, &query->after_row);
+  uint64_t bits = 0;
+  size_t n = strspn(text, "0123456789abcdef");
+  if (n != 16 || text[16] != '-' || !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row) ||
+      sscanf(text, "%16" SCNx64, &bits) != 1)
+    return false;
+  memcpy(&query->after_score, &bits, sizeof(bits));
+  return !isnan(query->after_score);
+}
+
+static void write_page(struct mo_request *request, const struct mo_design_query *query,
+                       const struct mo_design_row *rows, size_t n, size_t limit)
+{
+  struct mo_text text = {0};
+  bool good = true;
+  mo_text_add(&text, "{\"items\":[");
+  for (size_t i = 0; i < n && good; i++) {
+    if (i > 0)
+      mo_text_bytes(&text, ",", 1);
+    good = write_head(request->http, &text, &rows[i].form, rows[i].first_seen_us);
+    if (query->sort == MO_DESIGNS_BY_SCORE) {
+      mo_text_add(&text, ",\"score\":");
+      mo_loss_write(&text, rows[i].score);
+      mo_text_add(&text, ",\"scored_genotype\":");
+      mo_bits_write(&text, &rows[i].genotype);
+    }
+    mo_text_add(&text, "}");
+  }
+  if (n < limit || n == 0) {
+    mo_text_add(&text, "],\"next_cursor\":null}");
+  } else if (query->sort == MO_DESIGNS_BY_ID) {
+    mo_text_format(&text, "],\"next_cursor\":\"%" PRId64 "\"}", rows[n - 1].row);
+  } else {
+    uint64_t bits;
+    memcpy(&bits, &rows[n - 1].score, sizeof(bits));
+    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"}", bits, rows[n - 1].genotype_row);
+  }
+  text.failed |= !good;
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+void mo_handle_designs(struct mo_request *request)
+{
+  static const char *const names[] = {"sort", "controller", "environments", "limit", "cursor"};
+  struct mo_store *store = request->http->services.store;
+  struct mo_query_value values[5];
+  struct mo_design_query query = {.sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
+  size_t limit;
+  if (!mo_query_read(request, names, values, 5) || !mo_accepts_json(request) ||
+      !mo_query_limit(request, &values[3], &limit))
+    return;
+  if (strcmp(values[0].text, "score") == 0)
+    query.sort = MO_DESIGNS_BY_SCORE;
+  else if (values[0].present && strcmp(values[0].text, "id") != 0) {
+    mo_reply_bad_parameter(request, "sort", "id or score is expected");
+    return;
+  }
+  for (size_t i = 1; i < 3; i++)
+    if (values[i].present && query.sort != MO_DESIGNS_BY_SCORE) {
+      mo_reply_bad_parameter(request, names[i], "this parameter is for sort=score");
+      return;
+    }
+  if (values[2].present && strcmp(values[2].text, "paper-test") != 0) {
+    mo_reply_bad_parameter(request, "environments", "paper-test is expected");
+    return;
+  }
+  if (values[4].present && !read_cursor(values[4].text, &query)) {
+    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page with the same sort is expected");
+    return;
+  }
+  if (query.sort == MO_DESIGNS_BY_SCORE) {
+    struct mo_controller_record controller;
+    int code = mo_store_controller(store, values[1].present ? values[1].text : "default", &controller);
+    if (code != MO_OK) {
+      mo_reply_error(request, code, "controller");
+      return;
+    }
+    query.controller_sha256 = controller.sha256;
+    snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+  }
+  struct mo_design_row *rows = malloc(limit * sizeof(*rows));
+  int64_t n = rows != NULL ? mo_store_designs(store, &query, rows, limit) : MO_ERR_NO_MEMORY;
+  if (n < 0)
+    mo_reply_error(request, (int)n, "page");
+  else
+    write_page(request, &query, rows, (size_t)n, limit);
+  free(rows);
+}

@@ -1,0 +1,454 @@
+/* handle_jobs.c: evaluations and jobs: submission, state, results, waiting, control. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/evaluation_request.h"
+#include "http/field.h"
+#include "http/job_json.h"
+#include "http/server.h"
+
+#define WAIT_MAX_S 60
+
+/* Prefer: wait=N; false: the 400 is made. */
+static bool read_wait(struct mo_request *request)
+{
+  request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
+  if (request->wait_s != -2)
+    return true;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  if (faults != NULL)
+    mo_faults_add(faults, MO_FAULT_HEADER, "Prefer", "wait must be a number of seconds, as in wait=30");
+  mo_reply_problem(request, 400, faults, NULL);
+  free(faults);
+  return false;
+}
+
+/* The tag of a job's representation: results come with the state, so the row's version tells all. */
+static void tag(struct mo_request *request, const char *what, const struct mo_job *job)
+{
+  mo_reply_etag(request, "%s-%lld-%lld", what, (long long)job->id, (long long)job->version);
+}
+
+/* Writes the evaluation (with results if there are any) or the job, as `status`. */
+static void reply_job(struct mo_request *request, unsigned status, const struct mo_job *job, bool with_results)
+{
+  struct mo_evaluation_results *results = NULL;
+  if (with_results && job->state == MO_JOB_SUCCEEDED) {
+    int code = mo_store_results(request->http->services.store, job->id, &results);
+    if (code != MO_OK) {
+      mo_reply_error(request, code, "evaluation");
+      return;
+    }
+  }
+  struct mo_text text = {0};
+  mo_job_write(&text, job, results);
+  mo_evaluation_results_free(results);
+  mo_reply_json(request, status, &text);
+  if (request->reply.status != status)
+    return;
+  tag(request, with_results ? "evaluation" : "job", job);
+  if (request->wait_s >= 0)
+    snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
+  if (!mo_job_state_is_final(job->state))
+    request->reply.retry_after_s = 1;
+}
+
+/* Reads the job; parks the request while the job is not final and there is time. *job is filled in unless parked. */
+static enum mo_handled await(struct mo_request *request, int64_t id, struct mo_job *job, int *code)
+{
+  struct mo_store *store = request->http->services.store;
+  bool may_wait = request->wait_s > 0 && !request->wait_over;
+  if (!may_wait) {
+    *code = mo_store_job(store, id, job);
+    return MO_HANDLED;
+  }
+  mo_wait_begin(request, id, mo_http_clock_us() + (int64_t)request->wait_s * 1000000);
+  *code = mo_store_job(store, id, job);
+  if (*code != MO_OK || mo_job_state_is_final(job->state)) {
+    mo_wait_end(request);
+    return MO_HANDLED;
+  }
+  if (mo_wait_park(request))
+    return MO_PARKED;
+  *code = mo_store_job(store, id, job);
+  return MO_HANDLED;
+}
+
+/* ---- POST /v1/evaluations ---- */
+
+static void submission_error(struct mo_request *request, int code, const struct mo_message *message)
+{
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  const char *pointer = NULL;
+  switch (code) {
+  case MO_ERR_NOT_FOUND: pointer = "/controller"; break;
+  case MO_ERR_UNSUPPORTED: pointer = "/controller"; break;
+  case MO_ERR_LIMIT: pointer = "/record"; break;
+  case MO_ERR_INVALID:
+  case MO_ERR_RANGE: pointer = ""; break;
+  case MO_ERR_CONFLICT:
+    if (faults != NULL)
+      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
+    mo_reply_problem(request, 422, faults,
+                     "The Idempotency-Key was used with another body; use a new key for a new request.");
+    break;
+  case MO_ERR_BUSY:
+    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
+    request->reply.retry_after_s = 10;
+    break;
+  default: mo_reply_error(request, code, "evaluation"); break;
+  }
+  if (pointer != NULL) {
+    if (faults != NULL)
+      mo_faults_add(faults, MO_FAULT_BODY, pointer, "%s",
+                    message->text[0] != '\0' ? message->text : mo_error_text(code));
+    mo_reply_problem(request, 422, faults, NULL);
+  }
+  free(faults);
+}
+
+static bool check_content(struct mo_request *request, const char *expected, const char *also)
+{
+  char type[64], charset[32];
+  const char *field = request->framing.content_type;
+  const char *coding = request->framing.content_encoding;
+  if (coding != NULL && strcasecmp(coding, "identity") != 0)
+    mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
+  else if (field == NULL || !mo_content_type(field, type, charset) ||
+           (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
+    mo_reply_problem(request, 415, NULL, "The Content-Type must be %s.", expected);
+  else if (charset[0] != '\0' && strcmp(charset, "utf-8") != 0)
+    mo_reply_problem(request, 415, NULL, "The charset must be UTF-8.");
+  else
+    return true;
+  return false;
+}
+
+bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
+{
+  return check_content(request, expected, also);
+}
+
+/* Parses and stores; false: a reply is made. */
+static bool submit(struct mo_request *request, struct mo_faults *faults)
+{
+  struct mo_http *http = request->http;
+  char key[256];
+  if (request->framing.idempotency_key != NULL && !mo_idempotency_key(request->framing.idempotency_key, key)) {
+    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
+    mo_reply_problem(request, 400, faults, NULL);
+    return false;
+  }
+  struct mo_parsed_evaluation parsed;
+  int code = mo_evaluation_parse(request->body, request->body_size, &parsed, faults);
+  if (code == MO_OK) {
+    struct mo_message message = {""};
+    bool replayed;
+    if (request->framing.idempotency_key != NULL) {
+      parsed.request.idempotency_key = key;
+      mo_sha256_of(request->body, request->body_size, &parsed.request.body_sha256);
+    }
+    code = mo_jobs_submit_evaluation(http->services.jobs, &parsed.request, &request->submitted, &replayed, &message);
+    if (code != MO_OK)
+      submission_error(request, code, &message);
+  } else if (code == MO_ERR_FORMAT) {
+    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
+  } else if (code == MO_ERR_INVALID) {
+    mo_reply_problem(request, 422, faults, NULL);
+  } else {
+    mo_reply_error(request, code, "evaluation");
+  }
+  mo_evaluation_parsed_free(&parsed);
+  return code == MO_OK;
+}
+
+enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
+{
+  struct mo_query_value none;
+  if (request->submitted == 0) {
+    if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !read_wait(request) ||
+        !check_content(request, "application/json", NULL))
+      return MO_HANDLED;
+    if (!atomic_load(&request->http->ready)) {
+      mo_reply_error(request, MO_ERR_CANCELLED, "evaluation");
+      return MO_HANDLED;
+    }
+    struct mo_faults *faults = calloc(1, sizeof(*faults));
+    if (faults == NULL) {
+      mo_reply_error(request, MO_ERR_NO_MEMORY, "evaluation");
+      return MO_HANDLED;
+    }
+    bool stored = submit(request, faults);
+    free(faults);
+    if (!stored)
+      return MO_HANDLED;
+  }
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = MO_ERR_NO_MEMORY;
+  if (job != NULL && await(request, request->submitted, job, &code) == MO_PARKED) {
+    free(job);
+    return MO_PARKED;
+  }
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "evaluation");
+  } else {
+    bool done = request->wait_s >= 0 && mo_job_state_is_final(job->state);
+    reply_job(request, done ? 200 : 202, job, true);
+    snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld", (long long)job->id);
+    if (!done) {
+      request->reply.applied[0] = '\0';
+      request->reply.retry_after_s = 1;
+    }
+  }
+  free(job);
+  return MO_HANDLED;
+}
+
+/* ---- reading ---- */
+
+static enum mo_handled get_job(struct mo_request *request, bool with_results)
+{
+  struct mo_query_value none;
+  int64_t id;
+  if (!request->wait_over &&
+      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !read_wait(request)))
+    return MO_HANDLED;
+  if (!mo_path_id(request, 0, &id))
+    return MO_HANDLED;
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = MO_ERR_NO_MEMORY;
+  if (job != NULL && await(request, id, job, &code) == MO_PARKED) {
+    free(job);
+    return MO_PARKED;
+  }
+  if (code == MO_OK && with_results && job->kind != MO_JOB_EVALUATION)
+    code = MO_ERR_NOT_FOUND;
+  if (code != MO_OK)
+    mo_reply_error(request, code, with_results ? "evaluation" : "job");
+  else
+    reply_job(request, 200, job, with_results);
+  free(job);
+  return MO_HANDLED;
+}
+
+enum mo_handled mo_handle_evaluation_get(struct mo_request *request)
+{
+  return get_job(request, true);
+}
+
+enum mo_handled mo_handle_job_get(struct mo_request *request)
+{
+  return get_job(request, false);
+}
+
+void mo_handle_jobs(struct mo_request *request)
+{
+  static const char *const names[] = {"state", "kind", "limit", "cursor"};
+  struct mo_query_value values[4];
+  struct mo_job_query query = {0, -1, -1};
+  size_t limit;
+  if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
+      !mo_query_limit(request, &values[2], &limit))
+    return;
+  enum mo_job_state state;
+  enum mo_job_kind kind;
+  if (values[0].present && mo_job_state_from_name(values[0].text, &state) != MO_OK) {
+    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
+    return;
+  }
+  if (values[1].present && mo_job_kind_from_name(values[1].text, &kind) != MO_OK) {
+    mo_reply_bad_parameter(request, "kind", "evaluation is expected");
+    return;
+  }
+  if (values[3].present && !mo_decimal(values[3].text, strlen(values[3].text), 1, INT64_MAX, &query.before)) {
+    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    return;
+  }
+  if (values[0].present)
+    query.state = (int)state;
+  if (values[1].present)
+    query.kind = (int)kind;
+  struct mo_job *jobs = malloc((limit + 1) * sizeof(*jobs));
+  int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit) : MO_ERR_NO_MEMORY;
+  if (n < 0) {
+    mo_reply_error(request, (int)n, "page");
+    free(jobs);
+    return;
+  }
+  struct mo_text text = {0};
+  mo_text_add(&text, "{\"items\":[");
+  uint64_t hash = UINT64_C(14695981039346656037); /* of ids and versions: the page's tag */
+  for (int64_t i = 0; i < n; i++) {
+    if (i > 0)
+      mo_text_bytes(&text, ",", 1);
+    mo_job_write(&text, &jobs[i], NULL);
+    hash =
+        ((hash ^ (uint64_t)jobs[i].id) * UINT64_C(1099511628211) ^ (uint64_t)jobs[i].version) * UINT64_C(1099511628211);
+  }
+  if ((size_t)n == limit)
+    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)jobs[n - 1].id);
+  else
+    mo_text_add(&text, "],\"next_cursor\":null}");
+  free(jobs);
+  mo_reply_json(request, 200, &text);
+  if (request->reply.status == 200)
+    mo_reply_etag(request, "jobs-%lld-%016llx", (long long)n, (unsigned long long)hash);
+}
+
+/* ---- control ---- */
+
+void mo_handle_job_change(struct mo_request *request)
+{
+  struct mo_jobs *jobs = request->http->services.jobs;
+  struct mo_query_value none;
+  int64_t id;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id))
+    return;
+  struct mo_job *job = malloc(sizeof(*job));
+  if (job == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "job");
+    return;
+  }
+  const char *verb = request->route == MO_ROUTE_JOB_PAUSE    ? "paused"
+                     : request->route == MO_ROUTE_JOB_RESUME ? "resumed"
+                                                             : "cancelled";
+  int code = request->route == MO_ROUTE_JOB_PAUSE    ? mo_jobs_pause(jobs, id)
+             : request->route == MO_ROUTE_JOB_RESUME ? mo_jobs_resume(jobs, id)
+                                                     : mo_jobs_cancel(jobs, id);
+  bool conflict = code == MO_ERR_CONFLICT;
+  if (code == MO_OK || conflict) {
+    int read = mo_store_job(request->http->services.store, id, job);
+    if (read != MO_OK)
+      code = read;
+  }
+  if (conflict && code == MO_ERR_CONFLICT)
+    mo_reply_problem(request, 409, NULL, "The job cannot be %s: it is %s.", verb, mo_job_state_name(job->state));
+  else if (code != MO_OK)
+    mo_reply_error(request, code, "job");
+  else
+    reply_job(request, 200, job, false);
+  request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
+  free(job);
+}
+
+/* ---- trajectories ---- */
+
+static void write_frames(struct mo_text *text, const struct mo_trajectory *t)
+{
+  if (t->com_m != NULL) {
+    mo_text_add(text, ",\"com_m\":[");
+    for (uint32_t f = 0; f < t->n_frames; f++)
+      for (int axis = 0; axis < 3; axis++) {
+        mo_text_add(text, axis > 0 ? "," : f > 0 ? "],[" : "[");
+        mo_text_json_number(text, t->com_m[(size_t)f * 3 + (size_t)axis]);
+      }
+    mo_text_add(text, "]]");
+  }
+  if (t->mass_m != NULL) {
+    mo_text_add(text, ",\"masses_m\":[");
+    for (uint32_t f = 0; f < t->n_frames; f++) {
+      mo_text_add(text, f > 0 ? "],[" : "[");
+      const float *frame = &t->mass_m[(size_t)f * t->n_masses * 3];
+      for (size_t i = 0; i < (size_t)t->n_masses * 3; i++) {
+        mo_text_add(text, i % 3 > 0 ? "," : i > 0 ? "],[" : "[");
+        mo_text_json_float(text, frame[i]);
+      }
+      mo_text_add(text, "]");
+    }
+    mo_text_add(text, "]]");
+  }
+}
+
+/* The numbers of one array as float32, little-endian (as this machine has them: the build refuses others). */
+static void reply_binary(struct mo_request *request, const struct mo_trajectory *t, bool masses)
+{
+  size_t n = masses ? (size_t)t->n_frames * t->n_masses * 3 : (size_t)t->n_frames * 3;
+  float *numbers = malloc(n * sizeof(float));
+  if (numbers == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "trajectory");
+    return;
+  }
+  for (size_t i = 0; i < n; i++)
+    numbers[i] = masses ? t->mass_m[i] : (float)t->com_m[i];
+  mo_reply_bytes(request, 200, "application/octet-stream", (char *)numbers, n * sizeof(float));
+  mo_reply_extra(request, "Morphod-Array", "%s", masses ? "masses" : "com");
+  if (masses)
+    mo_reply_extra(request, "Morphod-Shape", "%u,%u,3", t->n_frames, t->n_masses);
+  else
+    mo_reply_extra(request, "Morphod-Shape", "%u,3", t->n_frames);
+  mo_reply_extra(request, "Morphod-Type", "float32-le");
+  mo_reply_extra(request, "Morphod-Stride", "%u", t->stride);
+  mo_reply_extra(request, "Morphod-Dt-S", "%.17g", t->dt_s);
+}
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the binary form is little-endian");
+
+void mo_handle_trajectory(struct mo_request *request)
+{
+  static const char *const names[] = {"environment", "array"};
+  static const char *const types[] = {"application/json", "application/octet-stream"};
+  struct mo_store *store = request->http->services.store;
+  struct mo_query_value values[2];
+  int64_t id, n, k = 0;
+  if (!mo_query_read(request, names, values, 2) || !mo_path_id(request, 0, &id))
+    return;
+  int form = mo_accept_choose(request->framing.accept, types, 2);
+  if (form < 0) {
+    mo_reply_problem(
+        request, 406, NULL,
+        "This path gives application/json or application/octet-stream, which the Accept field does not allow.");
+    return;
+  }
+  const char *design = request->parameters[1];
+  if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &n)) {
+    mo_reply_problem(request, 404, NULL, "There is no such design: its place in the request, from 0, is expected.");
+    return;
+  }
+  if (values[0].present && !mo_decimal(values[0].text, strlen(values[0].text), 0, MO_ENVIRONMENTS_MAX - 1, &k)) {
+    mo_reply_bad_parameter(request, "environment", "an integer from 0 to 63 is expected");
+    return;
+  }
+  bool com = strcmp(values[1].text, "com") == 0, masses = strcmp(values[1].text, "masses") == 0;
+  if (values[1].present && !com && !masses) {
+    mo_reply_bad_parameter(request, "array", "com or masses is expected");
+    return;
+  }
+  struct mo_job *job = malloc(sizeof(*job));
+  struct mo_trajectory *trajectory = NULL;
+  int code = job != NULL ? mo_store_job(store, id, job) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "evaluation");
+  } else if ((uint32_t)n >= job->n_designs || (uint32_t)k >= job->n_environments) {
+    mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.", job->n_designs,
+                     job->n_environments);
+  } else if (!job->record_com && !job->record_masses) {
+    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
+  } else if ((masses && !job->record_masses) || (com && !job->record_com)) {
+    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording of this array.");
+  } else if ((code = mo_store_trajectory(store, id, (uint32_t)n, (uint32_t)k, &trajectory)) == MO_ERR_NOT_FOUND) {
+    if (mo_job_state_is_final(job->state))
+      mo_reply_problem(request, 404, NULL, "This rollout was not recorded: the evaluation has %s.",
+                       mo_job_state_name(job->state));
+    else
+      mo_reply_problem(request, 409, NULL, "This rollout is not done yet: the evaluation is %s.",
+                       mo_job_state_name(job->state));
+  } else if (code != MO_OK) {
+    mo_reply_error(request, code, "trajectory");
+  } else if (form == 1) {
+    reply_binary(request, trajectory, masses || (!com && trajectory->mass_m != NULL));
+  } else {
+    struct mo_text text = {0};
+    mo_text_format(
+        &text, "{\"evaluation\":\"%lld\",\"design\":%lld,\"environment\":%lld,\"stride\":%u,\"frames\":%u,\"dt_s\":",
+        (long long)id, (long long)n, (long long)k, trajectory->stride, trajectory->n_frames);
+    mo_text_json_number(&text, trajectory->dt_s);
+    write_frames(&text, trajectory);
+    mo_text_add(&text, "}");
+    mo_reply_json(request, 200, &text);
+  }
+  if (request->reply.status == 200)
+    mo_reply_etag(request, "trajectory-%lld-%lld-%lld-%d%s", (long long)id, (long long)n, (long long)k, form,
+                  values[1].text);
+  mo_trajectory_free(trajectory);
+  free(job);
+}

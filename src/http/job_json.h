@@ -1,0 +1,16 @@
+/* job_json.h: jobs and evaluations as the contract writes them. */
+#ifndef MORPHO_HTTP_JOB_JSON_H
+#define MORPHO_HTTP_JOB_JSON_H
+
+#include "http/text.h"
+#include "store/store.h"
+
+void mo_bits_write(struct mo_text *text, const struct mo_bits *bits);    /* the genotype in quotes */
+void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form); /* the id in quotes */
+void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash);  /* in quotes */
+/* The object; results nullable: then without them. */
+void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct mo_evaluation_results *results);
+/* A loss or score: null when it is not finite. */
+void mo_loss_write(struct mo_text *text, double loss);
+
+#endif

@@ -1,0 +1,29 @@
+/* metrics.h: counters of the HTTP room and the page of /metrics (Prometheus text format). Atomics only; nothing waits. */
+#ifndef MORPHO_HTTP_METRICS_H
+#define MORPHO_HTTP_METRICS_H
+
+#include <stdatomic.h>
+#include <stdint.h>
+
+#include "http/route.h"
+#include "http/text.h"
+
+#define MO_METRIC_STATUSES 25
+#define MO_METRIC_BUCKETS  15
+
+struct mo_metrics {
+  _Atomic uint64_t requests[MO_ROUTES][MO_METRIC_STATUSES];
+  _Atomic uint64_t latency[MO_METRIC_BUCKETS + 1]; /* not cumulative; the last: above all bounds */
+  _Atomic uint64_t latency_us;
+  _Atomic uint64_t body_in, body_out;
+  _Atomic uint64_t accepted, refused, timed_out, unauthorized, events_sent, streams_dropped;
+};
+
+struct mo_http;
+
+/* Streams count as requests, but not in the histogram. */
+void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status, int64_t duration_us,
+                        bool stream);
+void mo_metrics_write(struct mo_http *http, struct mo_text *text);
+
+#endif

@@ -1,0 +1,198 @@
+/* pool.c: the API threads, and the requests that wait for a job to end. See server.h for who owns a request when. */
+#include <stdlib.h>
+
+#include "http/server.h"
+
+static void push(struct mo_pool *pool, struct mo_request *request)
+{
+  request->next_queued = NULL;
+  if (pool->last != NULL)
+    pool->last->next_queued = request;
+  else
+    pool->first = request;
+  pool->last = request;
+  pool->n_queued++;
+  pthread_cond_signal(&pool->work);
+}
+
+static void unlink_waiting(struct mo_pool *pool, struct mo_request *request)
+{
+  if (request->previous_waiting != NULL)
+    request->previous_waiting->next_waiting = request->next_waiting;
+  else
+    pool->waiting = request->next_waiting;
+  if (request->next_waiting != NULL)
+    request->next_waiting->previous_waiting = request->previous_waiting;
+  request->next_waiting = request->previous_waiting = NULL;
+  request->wait_job = 0;
+}
+
+static void *worker(void *context)
+{
+  struct mo_http *http = context;
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  for (;;) {
+    while (pool->first == NULL && !pool->quit)
+      pthread_cond_wait(&pool->work, &pool->lock);
+    if (pool->first == NULL)
+      break;
+    struct mo_request *request = pool->first;
+    pool->first = request->next_queued;
+    if (pool->first == NULL)
+      pool->last = NULL;
+    pool->n_queued--;
+    pool->n_running++;
+    pthread_mutex_unlock(&pool->lock);
+    atomic_store(&pool->heartbeat_us, mo_http_clock_us());
+    struct MHD_Connection *mhd = request->mhd;
+    bool back = true;
+    if (request->stage == MO_STAGE_REPLY && request->stream != NULL) {
+      mo_stream_refill(request); /* resumes by itself */
+      back = false;
+    } else {
+      back = mo_handle(request) != MO_PARKED;
+      if (back)
+        request->stage = MO_STAGE_REPLY;
+    }
+    if (back)
+      MHD_resume_connection(mhd);
+    pthread_mutex_lock(&pool->lock);
+    pool->n_running--;
+    if (back)
+      pool->n_outside--;
+    pthread_cond_broadcast(&pool->idle);
+  }
+  pthread_mutex_unlock(&pool->lock);
+  return NULL;
+}
+
+int mo_pool_start(struct mo_http *http)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_init(&pool->lock, NULL);
+  pthread_cond_init(&pool->work, NULL);
+  pthread_cond_init(&pool->idle, NULL);
+  atomic_store(&pool->heartbeat_us, mo_http_clock_us());
+  pool->threads = calloc(http->config.n_api_threads, sizeof(pthread_t));
+  if (pool->threads == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (; pool->n_threads < http->config.n_api_threads; pool->n_threads++)
+    if (pthread_create(&pool->threads[pool->n_threads], NULL, worker, http) != 0)
+      return MO_ERR_NO_MEMORY;
+  return MO_OK;
+}
+
+bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  bool refill = request->stage == MO_STAGE_REPLY;
+  *closed = pool->closed;
+  bool taken = !pool->closed && (refill || pool->n_queued < http->config.max_queued);
+  if (taken) {
+    if (!refill) {
+      request->stage = MO_STAGE_HANDLING;
+      pool->n_outside++;
+      MHD_suspend_connection(request->mhd); /* before a worker can resume it */
+    }
+    push(pool, request);
+  }
+  pthread_mutex_unlock(&pool->lock);
+  return taken;
+}
+
+void mo_wait_begin(struct mo_request *request, int64_t job, int64_t deadline_us)
+{
+  struct mo_pool *pool = &request->http->pool;
+  request->wait_job = job;
+  request->wait_deadline_us = deadline_us;
+  request->wait_fired = request->wait_parked = false;
+  pthread_mutex_lock(&pool->lock);
+  request->previous_waiting = NULL;
+  request->next_waiting = pool->waiting;
+  if (pool->waiting != NULL)
+    pool->waiting->previous_waiting = request;
+  pool->waiting = request;
+  pthread_mutex_unlock(&pool->lock);
+}
+
+bool mo_wait_park(struct mo_request *request)
+{
+  struct mo_pool *pool = &request->http->pool;
+  pthread_mutex_lock(&pool->lock);
+  bool park = !request->wait_fired && !pool->closed;
+  if (park)
+    request->wait_parked = true;
+  else
+    unlink_waiting(pool, request);
+  pthread_mutex_unlock(&pool->lock);
+  return park;
+}
+
+void mo_wait_end(struct mo_request *request)
+{
+  struct mo_pool *pool = &request->http->pool;
+  pthread_mutex_lock(&pool->lock);
+  unlink_waiting(pool, request);
+  pthread_mutex_unlock(&pool->lock);
+}
+
+/* Lets go of those for which `over` holds: a parked request is handled once more. */
+static void fire(struct mo_http *http, int64_t job, int64_t now_us)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  for (struct mo_request *request = pool->waiting, *next; request != NULL; request = next) {
+    next = request->next_waiting;
+    if (request->wait_job != job && request->wait_deadline_us > now_us && now_us != MO_NEVER)
+      continue;
+    request->wait_fired = true;
+    if (request->wait_parked) {
+      unlink_waiting(pool, request);
+      request->wait_over = true;
+      push(pool, request);
+    }
+  }
+  pthread_mutex_unlock(&pool->lock);
+}
+
+void mo_waits_job_ended(struct mo_http *http, int64_t job)
+{
+  fire(http, job, INT64_MIN);
+}
+
+void mo_waits_expire(struct mo_http *http, int64_t now_us)
+{
+  fire(http, -1, now_us);
+}
+
+void mo_pool_close(struct mo_http *http)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  pool->closed = true;
+  pthread_mutex_unlock(&pool->lock);
+  mo_waits_expire(http, MO_NEVER);
+  pthread_mutex_lock(&pool->lock);
+  while (pool->n_outside > 0 || pool->n_queued > 0 || pool->n_running > 0)
+    pthread_cond_wait(&pool->idle, &pool->lock);
+  pthread_mutex_unlock(&pool->lock);
+}
+
+void mo_pool_stop(struct mo_http *http)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  pool->quit = true;
+  pthread_cond_broadcast(&pool->work);
+  pthread_mutex_unlock(&pool->lock);
+  for (uint32_t i = 0; i < pool->n_threads; i++)
+    pthread_join(pool->threads[i], NULL);
+  free(pool->threads);
+  pool->threads = NULL;
+  pool->n_threads = 0;
+  pthread_cond_destroy(&pool->work);
+  pthread_cond_destroy(&pool->idle);
+  pthread_mutex_destroy(&pool->lock);
+}

@@ -1,0 +1,208 @@
+/* reply.c: replies and problems, and how they are handed to libmicrohttpd. */
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/field.h"
+#include "http/server.h"
+
+void mo_reply_clear(struct mo_reply *reply)
+{
+  if (!reply->body_is_static)
+    free(reply->body);
+  *reply = (struct mo_reply){0};
+}
+
+void mo_reply_bytes(struct mo_request *request, unsigned status, const char *type, char *body, size_t size)
+{
+  mo_reply_clear(&request->reply);
+  request->reply.status = status;
+  request->reply.type = type;
+  request->reply.body = body;
+  request->reply.size = size;
+}
+
+void mo_reply_static(struct mo_request *request, unsigned status, const char *type, const char *body, size_t size)
+{
+  mo_reply_bytes(request, status, type, (char *)(uintptr_t)body, size);
+  request->reply.body_is_static = true;
+}
+
+void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *text)
+{
+  if (text->failed) {
+    mo_text_free(text);
+    mo_reply_problem(request, 503, NULL, "There is no memory for the reply; try again later.");
+    request->reply.retry_after_s = 5;
+    return;
+  }
+  mo_text_bytes(text, "\n", 1);
+  mo_reply_bytes(request, status, "application/json", text->data, text->size);
+  *text = (struct mo_text){0};
+}
+
+/* The kind of a problem, for programs: what its status does not tell. */
+static const char *problem_type(unsigned status, const struct mo_faults *faults)
+{
+  switch (status) {
+  case 400: return faults != NULL && faults->malformed ? "/problems/malformed-json" : "about:blank";
+  case 422: return "/problems/invalid-request";
+  case 507: return "/problems/no-space";
+  default: return "about:blank";
+  }
+}
+
+void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults, const char *detail,
+                      ...)
+{
+  char words[640];
+  if (detail != NULL) {
+    va_list arguments;
+    va_start(arguments, detail);
+    vsnprintf(words, sizeof(words), detail, arguments);
+    va_end(arguments);
+  } else if (faults != NULL && faults->n > 0) {
+    snprintf(words, sizeof(words), "%s%s%s", faults->items[0].where, faults->items[0].where[0] != '\0' ? ": " : "",
+             faults->items[0].detail);
+  } else {
+    snprintf(words, sizeof(words), "%s.", mo_status_title(status));
+  }
+  struct mo_text text = {0};
+  mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id, faults);
+  mo_text_bytes(&text, "\n", 1);
+  static const char bare[] =
+      "{\"type\":\"about:blank\",\"title\":\"Service Unavailable\",\"status\":503,\"detail\":\"Out of "
+      "memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
+  if (text.failed) {
+    mo_text_free(&text);
+    mo_reply_static(request, 503, "application/problem+json", bare, sizeof(bare) - 1);
+  } else {
+    mo_reply_bytes(request, status, "application/problem+json", text.data, text.size);
+  }
+  if (request->reply.status == 503 || status == 507)
+    request->reply.retry_after_s = status == 507 ? 30 : 1;
+  request->reply.authenticate = status == 401;
+}
+
+void mo_reply_error(struct mo_request *request, int code, const char *what)
+{
+  switch (code) {
+  case MO_ERR_NOT_FOUND: mo_reply_problem(request, 404, NULL, "There is no such %s.", what); break;
+  case MO_ERR_CONFLICT: mo_reply_problem(request, 409, NULL, "The state of the %s does not allow this.", what); break;
+  case MO_ERR_NO_SPACE:
+    mo_reply_problem(request, 507, NULL,
+                     "The disk of the service is full. Nothing was stored; try again when there is room.");
+    break;
+  case MO_ERR_BUSY:
+  case MO_ERR_NO_MEMORY:
+    mo_reply_problem(request, 503, NULL, "The service is too busy; try again later.");
+    request->reply.retry_after_s = 5;
+    break;
+  case MO_ERR_CANCELLED:
+    mo_reply_problem(request, 503, NULL, "The service is stopping; try again when it is back.");
+    request->reply.retry_after_s = 10;
+    break;
+  case MO_ERR_IO:
+    mo_reply_problem(request, 503, NULL, "The service cannot read or write its store; its operator has been told.");
+    request->reply.retry_after_s = 30;
+    break;
+  default:
+    mo_reply_problem(request, 500, NULL, "The service failed to handle the %s: %s. Its log has the request's id.", what,
+                     mo_error_text(code));
+    break;
+  }
+}
+
+void mo_reply_etag(struct mo_request *request, const char *format, ...)
+{
+  struct mo_reply *reply = &request->reply;
+  va_list arguments;
+  va_start(arguments, format);
+  char tag[sizeof(reply->etag) - 2];
+  vsnprintf(tag, sizeof(tag), format, arguments);
+  va_end(arguments);
+  snprintf(reply->etag, sizeof(reply->etag), "\"%s\"", tag);
+  if (reply->status == 200 && (request->method == MO_GET || request->method == MO_HEAD) &&
+      mo_etag_matches(request->framing.if_none_match, reply->etag))
+    reply->status = 304;
+}
+
+void mo_reply_etag_of_body(struct mo_request *request)
+{
+  struct mo_sha256 hash;
+  char digits[MO_SHA256_DIGITS + 1];
+  if (request->reply.status != 200 && request->reply.status != 201)
+    return;
+  mo_sha256_of(request->reply.body, request->reply.size, &hash);
+  mo_sha256_to_hex(&hash, digits);
+  mo_reply_etag(request, "%.32s", digits);
+}
+
+void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
+{
+  struct mo_reply *reply = &request->reply;
+  if (reply->n_extra == sizeof(reply->extra) / sizeof(reply->extra[0]))
+    return;
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(reply->extra[reply->n_extra].value, sizeof(reply->extra[0].value), format, arguments);
+  va_end(arguments);
+  reply->extra[reply->n_extra++].name = name;
+}
+
+static bool add(struct MHD_Response *response, const char *name, const char *value)
+{
+  return value[0] == '\0' || MHD_add_response_header(response, name, value) == MHD_YES;
+}
+
+static bool add_headers(struct mo_request *request, struct MHD_Response *response)
+{
+  const struct mo_reply *reply = &request->reply;
+  char retry[16] = "";
+  if (reply->retry_after_s > 0)
+    snprintf(retry, sizeof(retry), "%u", reply->retry_after_s);
+  bool has_type = reply->status != 204 && reply->status != 304;
+  bool good = add(response, "X-Request-Id", request->id) && add(response, "X-Content-Type-Options", "nosniff") &&
+              add(response, "Content-Type", has_type && reply->type != NULL ? reply->type : "") &&
+              add(response, "Cache-Control", reply->etag[0] != '\0' ? "no-cache" : "no-store") &&
+              add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
+              add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
+              add(response, "Preference-Applied", reply->applied) &&
+              add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
+              add(response, "Connection", reply->close ? "close" : "");
+  if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY)
+    good = good && add(response, "Vary", "Accept");
+  if (request->route == MO_ROUTE_INDEX)
+    good = good && add(response, "Content-Security-Policy",
+                       "default-src 'none'; style-src 'unsafe-inline'; frame-ancestors 'none'");
+  for (unsigned i = 0; i < reply->n_extra; i++)
+    good = good && add(response, reply->extra[i].name, reply->extra[i].value);
+  return good;
+}
+
+enum MHD_Result mo_reply_send(struct mo_request *request)
+{
+  struct mo_reply *reply = &request->reply;
+  struct MHD_Response *response;
+  bool empty = reply->status == 304 || reply->status == 204; /* a 304 tells of the body, but has none */
+  if (empty)
+    response = MHD_create_response_from_buffer(0, (void *)"", MHD_RESPMEM_PERSISTENT);
+  else
+    response = MHD_create_response_from_buffer(reply->size, reply->body,
+                                               reply->body_is_static ? MHD_RESPMEM_PERSISTENT : MHD_RESPMEM_MUST_FREE);
+  if (response == NULL)
+    return MHD_NO;
+  if (!empty)
+    reply->body_is_static = true; /* the response has it now */
+  request->sent = request->method == MO_HEAD || empty ? 0 : reply->size;
+  /* A reader that does not read is cut off: a minute, and a second more for every 64 KiB. */
+  atomic_store(&request->connection->deadline_us,
+               mo_http_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
+  if (atomic_load(&request->http->stopping))
+    reply->close = true;
+  enum MHD_Result result =
+      add_headers(request, response) ? MHD_queue_response(request->mhd, reply->status, response) : MHD_NO;
+  MHD_destroy_response(response);
+  return result;
+}

@@ -1,0 +1,630 @@
+/* server.c: libmicrohttpd's callbacks, and start and stop. See http.h for the threads and server.h for the life of a request. */
+#include "http/server.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/random.h>
+#include <time.h>
+#include <unistd.h>
+
+#define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that take none */
+#define DRAIN_BYTES        (UINT64_C(64) << 20) /* of a refused body, read so that the refusal reaches the client */
+
+int64_t mo_http_clock_us(void)
+{
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
+}
+
+/* ---- a request's beginning ---- */
+
+static void *on_target(void *context, const char *target, struct MHD_Connection *mhd)
+{
+  struct mo_http *http = context;
+  struct mo_request *request = calloc(1, sizeof(*request));
+  if (request == NULL)
+    return NULL;
+  const union MHD_ConnectionInfo *info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
+  request->http = http;
+  request->mhd = mhd;
+  request->connection = info != NULL ? info->socket_context : NULL;
+  request->raw_target = strdup(target);
+  request->wait_s = -1;
+  request->started_us = mo_http_clock_us();
+  uint64_t number = http->id_key ^ atomic_fetch_add(&http->next_id, 1);
+  snprintf(request->id, sizeof(request->id), "%016" PRIx64, number);
+  size_t n = 0;
+  for (; target[n] != '\0' && target[n] != '?' && n < sizeof(request->path) - 1; n++)
+    request->path[n] = (unsigned char)target[n] > 0x20 && (unsigned char)target[n] < 0x7F ? target[n] : '?';
+  if (request->connection != NULL) /* the request line is here: the rest of the header must follow */
+    atomic_store(&request->connection->deadline_us,
+                 request->started_us + (int64_t)http->config.header_timeout_ms * 1000);
+  atomic_fetch_add(&http->n_in_flight, 1);
+  return request;
+}
+
+struct header_list {
+  struct mo_header items[MO_HEADERS_MAX + 1];
+  size_t n;
+};
+
+static enum MHD_Result collect(void *context, enum MHD_ValueKind kind, const char *name, size_t name_size,
+                               const char *value, size_t value_size)
+{
+  (void)kind;
+  struct header_list *list = context;
+  if (list->n <= MO_HEADERS_MAX)
+    list->items[list->n++] =
+        (struct mo_header){name, value != NULL ? value : "", name_size, value != NULL ? value_size : 0};
+  return MHD_YES;
+}
+
+static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
+{
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  if (faults != NULL && refusal->header != NULL)
+    mo_faults_add(faults, MO_FAULT_HEADER, refusal->header, "%s", refusal->detail);
+  mo_reply_problem(request, refusal->status, faults, "The request is not acceptable: %s.", refusal->detail);
+  request->reply.close = refusal->close;
+  free(faults);
+}
+
+static uint64_t body_limit(const struct mo_request *request)
+{
+  const struct mo_http_config *config = &request->http->config;
+  if (request->route == MO_ROUTE_EVALUATIONS && request->method == MO_POST)
+    return config->max_body_bytes;
+  if (request->route == MO_ROUTE_CONTROLLER && request->method == MO_PUT)
+    return config->max_controller_bytes;
+  return DEFAULT_BODY_BYTES;
+}
+
+/* Tokens and origins: who may ask. */
+static bool admitted(struct mo_request *request)
+{
+  struct mo_http *http = request->http;
+  const struct mo_framing *framing = &request->framing;
+  bool is_unix = request->connection->transport == MO_TRANSPORT_UNIX;
+  const char *host = request->target.authority != NULL ? request->target.authority : framing->host;
+  size_t host_size = request->target.authority != NULL ? request->target.authority_size
+                     : host != NULL                    ? strlen(host)
+                                                       : 0;
+  struct mo_refusal refusal = {403, false, NULL, NULL};
+  if (!is_unix && (request->target.authority != NULL || host != NULL) &&
+      !mo_guard_host(host, host_size, &http->names)) {
+    refusal.header = "Host";
+    refusal.detail = "the Host field names a host that this service does not serve";
+  } else if (framing->origin != NULL && !mo_guard_origin(framing->origin, framing->host, &http->names)) {
+    refusal.header = "Origin";
+    refusal.detail = "pages of this origin may not use the service";
+  }
+  if (refusal.detail != NULL) {
+    refuse(request, &refusal);
+    return false;
+  }
+  bool open = mo_routes[request->route].open || request->method == MO_OPTIONS;
+  if (is_unix || (request->route != MO_ROUTE_NONE && open))
+    return true;
+  bool needed = request->connection->transport == MO_TRANSPORT_TCP || http->config.token_on_loopback;
+  int token = needed || framing->authorization != NULL ? mo_tokens_check(&http->tokens, framing->authorization) : -1;
+  if (token == 1 || (token == -1 && !needed))
+    return true;
+  atomic_fetch_add(&http->metrics.unauthorized, 1);
+  mo_reply_problem(request, 401, NULL,
+                   framing->authorization == NULL ? "A bearer token is needed: Authorization: Bearer <token>."
+                                                  : "The Authorization field has no valid bearer token.");
+  return false;
+}
+
+/* The header is complete: everything that can be decided from it. A refusal is in request->reply. */
+static void begin(struct mo_request *request, struct MHD_Connection *mhd, const char *method, const char *version)
+{
+  struct mo_refusal refusal;
+  struct header_list *list = malloc(sizeof(*list));
+  size_t n = 0;
+  for (; method[n] != '\0' && n < sizeof(request->method_text) - 1; n++)
+    request->method_text[n] = (unsigned char)method[n] > 0x20 && (unsigned char)method[n] < 0x7F ? method[n] : '?';
+  request->method = mo_method_of(method);
+  if (list == NULL || request->raw_target == NULL) {
+    free(list);
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
+    request->reply.close = true;
+    return;
+  }
+  list->n = 0;
+  MHD_get_connection_values_n(mhd, MHD_HEADER_KIND, collect, list);
+  bool good = mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0, &request->framing, &refusal) &&
+              mo_guard_target(request->raw_target, &request->target, &refusal);
+  free(list);
+  if (!good) {
+    refuse(request, &refusal);
+    return;
+  }
+  request->route = mo_route_find(request->target.path, request->target.path_size, request->parameters);
+  if (!admitted(request))
+    return;
+  bool star = request->method == MO_OPTIONS && strcmp(request->raw_target, "*") == 0;
+  if (request->route == MO_ROUTE_NONE && !star) {
+    mo_reply_problem(request, 404, NULL, "There is nothing at this path; /openapi.json lists what there is.");
+    return;
+  }
+  unsigned allowed = mo_routes[request->route].methods;
+  if (request->method == MO_OPTIONS) {
+    mo_reply_static(request, 204, NULL, "", 0);
+    if (!star)
+      mo_route_allow(request->route, request->reply.allow);
+    return;
+  }
+  if (!(allowed & (unsigned)(request->method == MO_HEAD ? MO_GET : request->method))) {
+    mo_reply_problem(request, 405, NULL, "The method %s is not for this path.", request->method_text);
+    mo_route_allow(request->route, request->reply.allow);
+    return;
+  }
+  request->body_limit = body_limit(request);
+  bool takes_body = request->method == MO_POST || request->method == MO_PUT;
+  if (takes_body && request->body_limit > DEFAULT_BODY_BYTES && !request->framing.has_length &&
+      !request->framing.chunked)
+    mo_reply_problem(request, 411, NULL,
+                     "The length of the body is missing: Content-Length or chunked coding is expected.");
+  else if (request->framing.has_length && request->framing.length > request->body_limit)
+    mo_reply_problem(request, 413, NULL, "The body has %llu bytes; this path takes at most %llu.",
+                     (unsigned long long)request->framing.length, (unsigned long long)request->body_limit);
+}
+
+/* ---- the body ---- */
+
+static bool reserve_body(struct mo_request *request, size_t n)
+{
+  if (request->body_size + n + 1 <= request->body_capacity)
+    return true;
+  size_t capacity = request->body_capacity > 0 ? request->body_capacity : 16384;
+  while (capacity < request->body_size + n + 1)
+    capacity *= 2;
+  if (capacity > request->body_limit + 1)
+    capacity = (size_t)request->body_limit + 1;
+  struct mo_http *http = request->http;
+  uint64_t more = capacity - request->body_capacity;
+  uint64_t total = atomic_fetch_add(&http->body_memory, more) + more;
+  char *body = total <= http->config.max_body_memory ? realloc(request->body, capacity) : NULL;
+  if (body == NULL) {
+    atomic_fetch_sub(&http->body_memory, more);
+    return false;
+  }
+  request->body_reserved += more;
+  request->body = body;
+  request->body_capacity = capacity;
+  return true;
+}
+
+static enum MHD_Result receive(struct mo_request *request, const char *bytes, size_t n)
+{
+  request->body_seen += n;
+  atomic_fetch_add(&request->http->metrics.body_in, n);
+  if (request->reply.status == 0) {
+    if (request->body_size + n > request->body_limit)
+      mo_reply_problem(request, 413, NULL, "The body has more bytes than this path takes, which is %llu.",
+                       (unsigned long long)request->body_limit);
+    else if (!reserve_body(request, n))
+      mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
+    else {
+      memcpy(request->body + request->body_size, bytes, n);
+      request->body_size += n;
+      request->body[request->body_size] = '\0';
+    }
+  }
+  return request->body_seen > request->body_limit + DRAIN_BYTES ? MHD_NO : MHD_YES;
+}
+
+/* ---- handing over ---- */
+
+/* The request is complete: a place for its client, then the API pool. */
+static enum MHD_Result dispatch(struct mo_request *request)
+{
+  struct mo_http *http = request->http;
+  bool refused = false, closed = false;
+  if (mo_routes[request->route].direct) {
+    mo_handle_direct(request);
+    return mo_reply_send(request);
+  }
+  if (request->body == NULL && !reserve_body(request, 0)) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
+    return mo_reply_send(request);
+  }
+  request->body[request->body_size] = '\0';
+  request->client =
+      mo_client_enter(&http->clients, request->connection->client_key, http->config.max_in_flight, &refused);
+  if (request->client == NULL) {
+    if (refused)
+      mo_reply_problem(request, 429, NULL, "This client has %u requests under way, which is as many as are allowed.",
+                       http->config.max_in_flight);
+    else
+      mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
+    request->reply.retry_after_s = 1;
+    return mo_reply_send(request);
+  }
+  if (request->route == MO_ROUTE_EVALUATIONS &&
+      !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s, mo_http_clock_us())) {
+    mo_reply_problem(request, 429, NULL, "This client has submitted more than %u evaluations in a second.",
+                     http->config.client_rate_per_s);
+    request->reply.retry_after_s = 1;
+    return mo_reply_send(request);
+  }
+  if (mo_pool_give(http, request, &closed))
+    return MHD_YES;
+  mo_reply_error(request, closed ? MO_ERR_CANCELLED : MO_ERR_BUSY, "request");
+  return mo_reply_send(request);
+}
+
+static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, const char *url, const char *method,
+                                  const char *version, const char *bytes, size_t *size, void **state)
+{
+  (void)context;
+  (void)url;
+  struct mo_request *request = *state;
+  if (request == NULL || request->connection == NULL)
+    return MHD_NO; /* no memory when it began */
+  switch (request->stage) {
+  case MO_STAGE_TARGET:
+    request->started_us = mo_http_clock_us();
+    atomic_store(&request->connection->deadline_us,
+                 request->started_us + (int64_t)request->http->config.body_timeout_ms * 1000);
+    begin(request, mhd, method, version);
+    request->stage = MO_STAGE_BODY;
+    if (request->reply.status != 0) {
+      /* Answer before the body only where it may not be read, will not come, or is too long to be read for nothing. */
+      if (request->reply.close || request->framing.expects_continue || request->framing.length > DRAIN_BYTES) {
+        request->reply.close = true;
+        request->stage = MO_STAGE_REPLY;
+        return mo_reply_send(request);
+      }
+    }
+    return MHD_YES;
+  case MO_STAGE_BODY:
+    if (*size > 0) {
+      enum MHD_Result result = receive(request, bytes, *size);
+      *size = 0;
+      return result;
+    }
+    atomic_store(&request->connection->deadline_us, MO_NEVER);
+    if (request->reply.status != 0) {
+      request->stage = MO_STAGE_REPLY;
+      return mo_reply_send(request);
+    }
+    return dispatch(request);
+  case MO_STAGE_HANDLING: return MHD_YES; /* not called while suspended */
+  case MO_STAGE_REPLY:
+    if (*size > 0) {
+      *size = 0;
+      return MHD_YES;
+    }
+    return request->stream != NULL ? mo_stream_send(request) : mo_reply_send(request);
+  }
+  return MHD_NO;
+}
+
+/* ---- a request's end ---- */
+
+static void on_completed(void *context, struct MHD_Connection *mhd, void **state, enum MHD_RequestTerminationCode why)
+{
+  (void)mhd;
+  struct mo_http *http = context;
+  struct mo_request *request = *state;
+  if (request == NULL)
+    return;
+  *state = NULL;
+  bool stream = request->stream != NULL;
+  if (stream)
+    mo_stream_free(request);
+  int64_t now_us = mo_http_clock_us();
+  bool replied = request->reply.status != 0 && (why == MHD_REQUEST_TERMINATED_COMPLETED_OK || stream);
+  unsigned status = replied ? request->reply.status : 0;
+  mo_metrics_request(&http->metrics, request->route, status, now_us - request->started_us, stream);
+  atomic_fetch_add(&http->metrics.body_out, request->sent);
+  if (http->config.log != NULL && request->connection != NULL) {
+    struct mo_http_log_entry entry = {.client = request->connection->client,
+                                      .method = request->method_text,
+                                      .path = request->path,
+                                      .status = status,
+                                      .body_in = request->body_seen,
+                                      .body_out = request->sent,
+                                      .duration_s = (double)(now_us - request->started_us) * 1e-6};
+    memcpy(entry.request_id, request->id, sizeof(entry.request_id));
+    http->config.log(http->config.log_context, &entry);
+  }
+  if (request->connection != NULL)
+    atomic_store(&request->connection->deadline_us, now_us + (int64_t)http->config.idle_timeout_ms * 1000);
+  if (request->client != NULL)
+    mo_client_leave(&http->clients, request->client, now_us);
+  atomic_fetch_sub(&http->body_memory, request->body_reserved);
+  mo_reply_clear(&request->reply);
+  free(request->body);
+  free(request->raw_target);
+  free(request);
+  atomic_fetch_sub(&http->n_in_flight, 1);
+}
+
+static void on_connection(void *context, struct MHD_Connection *mhd, void **socket_context,
+                          enum MHD_ConnectionNotificationCode what)
+{
+  struct mo_http *http = context;
+  if (what == MHD_CONNECTION_NOTIFY_STARTED) {
+    const union MHD_ConnectionInfo *info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
+    *socket_context = info != NULL ? mo_connection_find(http, info->connect_fd) : NULL;
+  } else if (*socket_context != NULL) {
+    mo_connection_forget(http, *socket_context); /* before the library closes the descriptor */
+    *socket_context = NULL;
+  }
+}
+
+/* The library's own messages tell nothing that its replies do not. */
+static void on_log(void *context, const char *format, va_list arguments)
+{
+  (void)context;
+  (void)format;
+  (void)arguments;
+}
+
+/* Percent escapes are resolved by us, per segment: here they stay. */
+static size_t on_unescape(void *context, struct MHD_Connection *mhd, char *text)
+{
+  (void)context;
+  (void)mhd;
+  return strlen(text);
+}
+
+/* ---- the clock ---- */
+
+static void count_jobs(struct mo_http *http)
+{
+  uint64_t counts[MO_JOB_STATES];
+  if (atomic_exchange(&http->jobs_changed, false) && mo_store_job_counts(http->services.store, counts) == MO_OK)
+    for (int state = 0; state < MO_JOB_STATES; state++)
+      atomic_store(&http->jobs_by_state[state], counts[state]);
+}
+
+static void *clock_thread(void *context)
+{
+  struct mo_http *http = context;
+  int64_t second_us = 0;
+  while (!atomic_load(&http->clock_stop)) {
+    struct timespec pause = {.tv_nsec = 100000000};
+    nanosleep(&pause, NULL);
+    int64_t now_us = mo_http_clock_us();
+    mo_connections_expire(http, now_us);
+    mo_waits_expire(http, now_us);
+    if (now_us - second_us >= 1000000) {
+      second_us = now_us;
+      mo_streams_tick(http, now_us);
+      mo_clients_sweep(&http->clients, now_us);
+      count_jobs(http);
+    }
+    atomic_store(&http->clock_us, now_us);
+  }
+  return NULL;
+}
+
+/* ---- start and stop ---- */
+
+static uint32_t or_default(uint32_t value, uint32_t usual)
+{
+  return value != 0 ? value : usual;
+}
+
+static void fill_defaults(struct mo_http_config *config)
+{
+  long processors = sysconf(_SC_NPROCESSORS_ONLN);
+  config->n_io_threads = or_default(config->n_io_threads, processors >= 4   ? 4
+                                                          : processors >= 2 ? (uint32_t)processors
+                                                                            : 2);
+  config->n_api_threads = or_default(config->n_api_threads, 4);
+  config->max_connections = or_default(config->max_connections, 1024);
+  config->max_streams = or_default(config->max_streams, 256);
+  config->max_in_flight = or_default(config->max_in_flight, 64);
+  config->max_queued = or_default(config->max_queued, 256);
+  config->header_timeout_ms = or_default(config->header_timeout_ms, 10000);
+  config->body_timeout_ms = or_default(config->body_timeout_ms, 60000);
+  config->idle_timeout_ms = or_default(config->idle_timeout_ms, 60000);
+  config->heartbeat_ms = or_default(config->heartbeat_ms, 15000);
+  if (config->max_body_bytes == 0)
+    config->max_body_bytes = UINT64_C(32) << 20;
+  if (config->max_controller_bytes == 0)
+    config->max_controller_bytes = UINT64_C(16) << 20;
+  uint64_t larger =
+      config->max_body_bytes > config->max_controller_bytes ? config->max_body_bytes : config->max_controller_bytes;
+  if (config->max_body_memory == 0)
+    config->max_body_memory = 8 * larger;
+}
+
+/* Listening sockets: takes them over, and tells whether tokens are needed. */
+static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config, struct mo_message *message)
+{
+  http->listeners = calloc(config->n_listeners + 1, sizeof(int));
+  http->listener_transports = calloc(config->n_listeners + 1, sizeof(enum mo_transport));
+  if (http->listeners == NULL || http->listener_transports == NULL) {
+    for (size_t i = 0; i < config->n_listeners; i++)
+      close(config->listeners[i]);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+  }
+  int code = MO_OK;
+  for (size_t i = 0; i < config->n_listeners; i++) {
+    char address[128] = "";
+    bool beyond = false;
+    int described = mo_http_describe(config->listeners[i], address, &beyond, code == MO_OK ? message : NULL);
+    if (code == MO_OK)
+      code = described;
+    http->beyond_loopback |= beyond;
+    http->listeners[i] = config->listeners[i];
+    http->listener_transports[i] = strncmp(address, "unix:", 5) == 0 ? MO_TRANSPORT_UNIX
+                                   : beyond                          ? MO_TRANSPORT_TCP
+                                                                     : MO_TRANSPORT_LOOPBACK;
+    http->n_listeners = i + 1;
+  }
+  if (code == MO_OK && config->n_listeners == 0)
+    code = mo_fail(message, MO_ERR_INVALID, "there is no address to serve");
+  return code;
+}
+
+static int start_daemon(struct mo_http *http, struct mo_message *message)
+{
+  /* The library's limit on connections is out of reach: ours, in the acceptor, answers. */
+  http->daemon = MHD_start_daemon(
+      MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME | MHD_USE_NO_LISTEN_SOCKET | MHD_USE_ERROR_LOG, 0, NULL,
+      NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, NULL, MHD_OPTION_THREAD_POOL_SIZE,
+      (unsigned)http->config.n_io_threads, MHD_OPTION_CONNECTION_LIMIT,
+      (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads, MHD_OPTION_CONNECTION_TIMEOUT,
+      (unsigned)(http->config.idle_timeout_ms / 1000 + 60), MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768,
+      MHD_OPTION_URI_LOG_CALLBACK, on_target, http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL,
+      MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http,
+      MHD_OPTION_STRICT_FOR_CLIENT, 1, MHD_OPTION_END);
+  return http->daemon != NULL ? MO_OK : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
+}
+
+static void destroy(struct mo_http *http)
+{
+  mo_tokens_free(&http->tokens);
+  mo_names_free(&http->names);
+  mo_clients_free(&http->clients);
+  pthread_mutex_destroy(&http->connections_lock);
+  if (http->stop_fd >= 0)
+    close(http->stop_fd);
+  mo_lattice_free(http->lattice);
+  free(http->connections);
+  free(http->listeners);
+  free(http->listener_transports);
+  free(http->unix_groups);
+  free(http);
+}
+
+static int prepare(struct mo_http *http, const struct mo_http_config *config, struct mo_message *message)
+{
+  http->stop_fd = -1;
+  pthread_mutex_init(&http->connections_lock, NULL);
+  if (mo_tokens_init(&http->tokens) != MO_OK || mo_clients_init(&http->clients) != MO_OK)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+  http->config = *config;
+  fill_defaults(&http->config);
+  snprintf(http->version, sizeof(http->version), "%s", config->version != NULL ? config->version : "");
+  if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
+    http->id_key = (uint64_t)mo_http_clock_us() << 20;
+  http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up below a random prefix */
+  int code = adopt_listeners(http, config, message);
+  if (code == MO_OK && (code = mo_lattice_create(MO_DEFAULT_WORKSPACE, &http->lattice)) != MO_OK)
+    mo_fail(message, code, "no memory for the server");
+  if (code == MO_OK)
+    code = mo_connections_init(http, message);
+  if (code == MO_OK && (code = mo_names_copy(&http->names, config->allowed_hosts, config->n_allowed_hosts)) != MO_OK)
+    mo_fail(message, code, "no memory for the server");
+  if (code == MO_OK)
+    code = mo_tokens_set(&http->tokens, config->tokens, config->n_tokens, message);
+  if (code == MO_OK && config->n_tokens == 0 && (http->beyond_loopback || config->token_on_loopback))
+    code =
+        mo_fail(message, MO_ERR_INVALID, "an address beyond loopback is served: at least one bearer token is needed");
+  if (code == MO_OK && config->n_unix_groups > 0) {
+    http->unix_groups = calloc(config->n_unix_groups, sizeof(gid_t));
+    if (http->unix_groups == NULL)
+      return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+    memcpy(http->unix_groups, config->unix_groups, config->n_unix_groups * sizeof(gid_t));
+    http->n_unix_groups = config->n_unix_groups;
+  }
+  return code;
+}
+
+int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services, struct mo_http **ret,
+                  struct mo_message *message)
+{
+  struct mo_http *http = calloc(1, sizeof(*http));
+  if (http == NULL) {
+    for (size_t i = 0; i < config->n_listeners; i++)
+      close(config->listeners[i]);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
+  }
+  http->services = *services;
+  int code = prepare(http, config, message);
+  if (code != MO_OK) {
+    mo_acceptor_stop(http);
+    destroy(http);
+    return code;
+  }
+  atomic_store(&http->jobs_changed, true);
+  count_jobs(http);
+  code = mo_streams_start(http);
+  if (code != MO_OK)
+    mo_fail(message, code, "cannot follow the store's events: %s", mo_error_text(code));
+  int pool = mo_pool_start(http);
+  if (code == MO_OK && (code = pool) != MO_OK)
+    mo_fail(message, code, "cannot start the API threads");
+  if (code == MO_OK)
+    code = start_daemon(http, message);
+  atomic_store(&http->clock_us, mo_http_clock_us());
+  if (code == MO_OK && pthread_create(&http->clock, NULL, clock_thread, http) != 0)
+    code = mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the clock's thread");
+  else
+    http->clock_started = code == MO_OK;
+  if (code == MO_OK)
+    code = mo_acceptor_start(http, message);
+  if (code != MO_OK) {
+    mo_http_stop(http, 0);
+    return code;
+  }
+  *ret = http;
+  return MO_OK;
+}
+
+void mo_http_set_ready(struct mo_http *http, bool ready)
+{
+  atomic_store(&http->ready, ready);
+}
+
+int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n, struct mo_message *message)
+{
+  if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback))
+    return mo_fail(message, MO_ERR_INVALID, "at least one bearer token is needed; the old ones stay");
+  return mo_tokens_set(&http->tokens, tokens, n, message);
+}
+
+void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
+{
+  if (http == NULL)
+    return;
+  atomic_store(&http->ready, false);
+  atomic_store(&http->stopping, true); /* replies from now on end their connections */
+  mo_acceptor_stop(http);
+  mo_streams_close(http);
+  mo_pool_close(http); /* no connection is suspended from here on: the library could not stop otherwise */
+  int64_t until_us = mo_http_clock_us() + (int64_t)grace_ms * 1000;
+  while (atomic_load(&http->n_in_flight) > 0 && mo_http_clock_us() < until_us) {
+    struct timespec pause = {.tv_nsec = 5000000};
+    nanosleep(&pause, NULL);
+  }
+  /* Never MHD_quiesce_daemon: with several threads it can abort the process. */
+  if (http->daemon != NULL)
+    MHD_stop_daemon(http->daemon);
+  if (http->clock_started) {
+    atomic_store(&http->clock_stop, true);
+    pthread_join(http->clock, NULL);
+  }
+  mo_pool_stop(http);
+  mo_streams_stop(http);
+  destroy(http);
+}
+
+void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats)
+{
+  *stats = (struct mo_http_stats){
+      .connections = atomic_load(&http->n_connections),
+      .in_flight = atomic_load(&http->n_in_flight),
+      .connections_accepted = atomic_load(&http->metrics.accepted),
+      .connections_refused = atomic_load(&http->metrics.refused),
+      .connections_timed_out = atomic_load(&http->metrics.timed_out),
+  };
+  for (size_t r = 0; r < MO_ROUTES; r++)
+    for (size_t s = 0; s < MO_METRIC_STATUSES; s++)
+      stats->requests += atomic_load_explicit(&http->metrics.requests[r][s], memory_order_relaxed);
+  stats->streams = http->streams.n;
+  stats->queued = http->pool.n_queued;
+  int64_t beats[] = {atomic_load(&http->acceptor_us), atomic_load(&http->clock_us)};
+  stats->heartbeat_us = beats[0] < beats[1] ? beats[0] : beats[1];
+}

@@ -1,0 +1,186 @@
+/* text.c: see text.h. */
+#include "http/text.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+void mo_text_free(struct mo_text *text)
+{
+  if (text == NULL)
+    return;
+  free(text->data);
+  *text = (struct mo_text){0};
+}
+
+/* Room for n more bytes and a NUL. */
+static bool reserve(struct mo_text *text, size_t n)
+{
+  if (text->failed)
+    return false;
+  if (n < text->capacity - text->size)
+    return true;
+  size_t capacity = text->capacity < 256 ? 256 : text->capacity;
+  while (capacity - text->size <= n) {
+    if (capacity > SIZE_MAX / 2) {
+      text->failed = true;
+      return false;
+    }
+    capacity *= 2;
+  }
+  char *data = realloc(text->data, capacity);
+  if (data == NULL) {
+    text->failed = true;
+    return false;
+  }
+  text->data = data;
+  text->capacity = capacity;
+  return true;
+}
+
+void mo_text_bytes(struct mo_text *text, const void *bytes, size_t n)
+{
+  if (!reserve(text, n))
+    return;
+  if (n > 0)
+    memcpy(text->data + text->size, bytes, n);
+  text->size += n;
+  text->data[text->size] = '\0';
+}
+
+void mo_text_add(struct mo_text *text, const char *words)
+{
+  mo_text_bytes(text, words, strlen(words));
+}
+
+void mo_text_format(struct mo_text *text, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  va_list again;
+  va_copy(again, arguments);
+  char small[256];
+  int n = vsnprintf(small, sizeof(small), format, arguments);
+  va_end(arguments);
+  if (n < 0) {
+    text->failed = true;
+  } else if ((size_t)n < sizeof(small)) {
+    mo_text_bytes(text, small, (size_t)n);
+  } else if (reserve(text, (size_t)n)) {
+    vsnprintf(text->data + text->size, (size_t)n + 1, format, again);
+    text->size += (size_t)n;
+  }
+  va_end(again);
+}
+
+unsigned mo_utf8_sequence(const unsigned char *words, size_t n)
+{
+  unsigned char first = words[0];
+  if (first < 0x80)
+    return 1;
+  unsigned length = first >= 0xC2 && first <= 0xDF   ? 2
+                    : first >= 0xE0 && first <= 0xEF ? 3
+                    : first >= 0xF0 && first <= 0xF4 ? 4
+                                                     : 0;
+  if (length == 0 || n < length)
+    return 0;
+  unsigned char second_min = first == 0xE0 ? 0xA0 : first == 0xF0 ? 0x90 : 0x80; /* no overlong forms */
+  unsigned char second_max = first == 0xED ? 0x9F : first == 0xF4 ? 0x8F : 0xBF; /* no surrogates, none past U+10FFFF */
+  if (words[1] < second_min || words[1] > second_max)
+    return 0;
+  for (unsigned i = 2; i < length; i++)
+    if ((words[i] & 0xC0) != 0x80)
+      return 0;
+  return length;
+}
+
+void mo_text_json_string(struct mo_text *text, const char *words, size_t n)
+{
+  const unsigned char *bytes = (const unsigned char *)words;
+  mo_text_bytes(text, "\"", 1);
+  size_t plain = 0; /* start of the run that needs no escape */
+  for (size_t i = 0; i < n;) {
+    unsigned length = mo_utf8_sequence(bytes + i, n - i);
+    if (length > 0 && bytes[i] >= 0x20 && bytes[i] != '"' && bytes[i] != '\\' && bytes[i] != 0x7F) {
+      i += length;
+      continue;
+    }
+    mo_text_bytes(text, words + plain, i - plain);
+    if (length == 0)
+      mo_text_add(text, "\xEF\xBF\xBD");
+    else if (bytes[i] == '"' || bytes[i] == '\\')
+      mo_text_format(text, "\\%c", bytes[i]);
+    else if (bytes[i] == '\n')
+      mo_text_add(text, "\\n");
+    else
+      mo_text_format(text, "\\u%04x", bytes[i]);
+    plain = ++i;
+  }
+  mo_text_bytes(text, words + plain, n - plain);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_text_json_number(struct mo_text *text, double value)
+{
+  if (!isfinite(value)) {
+    mo_text_add(text, "null");
+    return;
+  }
+  char digits[32];
+  int n = 0;
+  for (int precision = 15; precision <= 17; precision++) {
+    n = snprintf(digits, sizeof(digits), "%.*g", precision, value);
+    if (precision == 17 || strtod(digits, NULL) == value)
+      break;
+  }
+  mo_text_bytes(text, digits, (size_t)n);
+}
+
+void mo_text_json_float(struct mo_text *text, float value)
+{
+  if (!isfinite(value)) {
+    mo_text_add(text, "null");
+    return;
+  }
+  char digits[32];
+  int n = 0;
+  for (int precision = 6; precision <= 9; precision++) {
+    n = snprintf(digits, sizeof(digits), "%.*g", precision, (double)value);
+    if (precision == 9 || strtof(digits, NULL) == value)
+      break;
+  }
+  mo_text_bytes(text, digits, (size_t)n);
+}
+
+void mo_text_json_integer(struct mo_text *text, int64_t value)
+{
+  mo_text_format(text, "%lld", (long long)value);
+}
+
+void mo_text_json_time(struct mo_text *text, int64_t time_us)
+{
+  if (time_us == 0) {
+    mo_text_add(text, "null");
+    return;
+  }
+  time_t seconds = (time_t)(time_us / 1000000);
+  struct tm parts;
+  if (time_us < 0 || gmtime_r(&seconds, &parts) == NULL) {
+    mo_text_add(text, "null");
+    return;
+  }
+  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900, parts.tm_mon + 1, parts.tm_mday,
+                 parts.tm_hour, parts.tm_min, parts.tm_sec, (int)(time_us / 1000 % 1000));
+}
+
+void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n)
+{
+  static const char digits[] = "0123456789abcdef";
+  for (size_t i = 0; i < n; i++) {
+    char pair[2] = {digits[bytes[i] >> 4], digits[bytes[i] & 15]};
+    mo_text_bytes(text, pair, 2);
+  }
+}

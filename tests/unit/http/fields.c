@@ -1,0 +1,339 @@
+/* Header fields, paths, queries, routes, guards, tokens, problem documents. */
+#include "unit/check.h"
+
+#include <jansson.h>
+
+#include "http/fault.h"
+#include "http/field.h"
+#include "http/guard.h"
+#include "http/route.h"
+
+static void percent(void)
+{
+  char out[16];
+  CHECK(mo_percent_decode("a%20b+c", 7, false, out, sizeof(out)) && strcmp(out, "a b+c") == 0);
+  CHECK(mo_percent_decode("a%20b+c", 7, true, out, sizeof(out)) && strcmp(out, "a b c") == 0);
+  CHECK(mo_percent_decode("%c3%A9", 6, false, out, sizeof(out)) && strcmp(out, "é") == 0);
+  CHECK(!mo_percent_decode("%00", 3, false, out, sizeof(out)));
+  CHECK(!mo_percent_decode("%0a", 3, false, out, sizeof(out)));
+  CHECK(!mo_percent_decode("%4", 2, false, out, sizeof(out)));
+  CHECK(!mo_percent_decode("%zz", 3, false, out, sizeof(out)));
+  CHECK(!mo_percent_decode("%ff", 3, false, out, sizeof(out)));
+  CHECK(!mo_percent_decode("0123456789abcdef", 16, false, out, sizeof(out)));
+}
+
+static void queries(void)
+{
+  const char *query = "&a=1&&b&c=x=y&=z";
+  struct mo_query_item item;
+  REQUIRE(mo_query_next(&query, &item));
+  CHECK(item.name_size == 1 && item.value_size == 1 && *item.value == '1');
+  REQUIRE(mo_query_next(&query, &item));
+  CHECK(item.name_size == 1 && *item.name == 'b' && item.value_size == 0);
+  REQUIRE(mo_query_next(&query, &item));
+  CHECK(item.value_size == 3);
+  REQUIRE(mo_query_next(&query, &item));
+  CHECK(item.name_size == 0 && item.value_size == 1);
+  CHECK(!mo_query_next(&query, &item));
+  int64_t n;
+  CHECK(mo_decimal("12", 2, 0, 99, &n) && n == 12);
+  CHECK(!mo_decimal("", 0, 0, 99, &n));
+  CHECK(!mo_decimal("-1", 2, 0, 99, &n));
+  CHECK(!mo_decimal("100", 3, 0, 99, &n));
+  CHECK(!mo_decimal("9999999999999999999", 19, 0, INT64_MAX, &n));
+}
+
+static void prefer(void)
+{
+  CHECK_INT(mo_prefer_wait(NULL, 60), -1);
+  CHECK_INT(mo_prefer_wait("wait=30", 60), 30);
+  CHECK_INT(mo_prefer_wait("respond-async, wait=5", 60), 5);
+  CHECK_INT(mo_prefer_wait("Wait = \"7\"", 60), 7);
+  CHECK_INT(mo_prefer_wait("wait=100", 60), 60);
+  CHECK_INT(mo_prefer_wait("return=minimal", 60), -1);
+  CHECK_INT(mo_prefer_wait("wait", 60), -2);
+  CHECK_INT(mo_prefer_wait("wait=-1", 60), -2);
+  CHECK_INT(mo_prefer_wait("wait=1.5", 60), -2);
+  CHECK_INT(mo_prefer_wait("wait=99999999999999999999999", 60), -2);
+}
+
+static void accept(void)
+{
+  static const char *const types[] = {"application/octet-stream", "application/json"};
+  CHECK_INT(mo_accept_choose(NULL, types, 2), 0);
+  CHECK_INT(mo_accept_choose("*/*", types, 2), 0);
+  CHECK_INT(mo_accept_choose("application/json", types, 2), 1);
+  CHECK_INT(mo_accept_choose("application/*", types, 2), 0);
+  CHECK_INT(mo_accept_choose("application/json;q=0.9, */*;q=0.1", types, 2), 1);
+  CHECK_INT(mo_accept_choose("application/octet-stream;q=0, */*", types, 2), 1);
+  CHECK_INT(mo_accept_choose("text/html", types, 2), -1);
+  CHECK_INT(mo_accept_choose("application/json;q=0", types, 2), -1);
+  CHECK_INT(mo_accept_choose("text/html, APPLICATION/JSON ; charset=utf-8", types, 2), 1);
+}
+
+static void etags(void)
+{
+  CHECK(mo_etag_matches("\"a\"", "\"a\""));
+  CHECK(mo_etag_matches("\"b\", W/\"a\"", "\"a\""));
+  CHECK(mo_etag_matches("*", "\"a\""));
+  CHECK(!mo_etag_matches("\"ab\"", "\"a\""));
+  CHECK(!mo_etag_matches("a", "\"a\""));
+  CHECK(!mo_etag_matches("\"a", "\"a\""));
+  CHECK(!mo_etag_matches(NULL, "\"a\""));
+  CHECK(mo_etag_matches("\"x,y\" , \"a\"", "\"a\""));
+}
+
+static void content_types(void)
+{
+  char type[64], charset[32];
+  CHECK(mo_content_type("Application/JSON; Charset=\"UTF-8\"", type, charset));
+  CHECK_TEXT(type, "application/json");
+  CHECK_TEXT(charset, "utf-8");
+  CHECK(!mo_content_type("", type, charset));
+  CHECK(!mo_content_type("json", type, charset));
+}
+
+static void keys(void)
+{
+  char key[256], longest[300];
+  CHECK(mo_idempotency_key("\"a \\\" b\"", key) && strcmp(key, "a \" b") == 0);
+  CHECK(mo_idempotency_key(" abc ", key) && strcmp(key, "abc") == 0);
+  CHECK(!mo_idempotency_key("\"\"", key));
+  CHECK(!mo_idempotency_key("", key));
+  CHECK(!mo_idempotency_key("é", key));
+  memset(longest, 'k', sizeof(longest));
+  longest[255] = '\0';
+  CHECK(mo_idempotency_key(longest, key));
+  longest[255] = 'k';
+  longest[256] = '\0';
+  CHECK(!mo_idempotency_key(longest, key));
+}
+
+static void routes(void)
+{
+  char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES], allow[64];
+  CHECK_INT(mo_route_find("/", 1, parameters), MO_ROUTE_INDEX);
+  CHECK_INT(mo_route_find("/v1/jobs", 8, parameters), MO_ROUTE_JOBS);
+  CHECK_INT(mo_route_find("/v1/jobs/", 9, parameters), MO_ROUTE_NONE);
+  CHECK_INT(mo_route_find("/v1/jobs/17", 11, parameters), MO_ROUTE_JOB);
+  CHECK_TEXT(parameters[0], "17");
+  CHECK_INT(mo_route_find("/v1/jobs/17/pause", 17, parameters), MO_ROUTE_JOB_PAUSE);
+  CHECK_INT(mo_route_find("/v1/jobs//pause", 15, parameters), MO_ROUTE_NONE);
+  CHECK_INT(mo_route_find("//v1/jobs", 9, parameters), MO_ROUTE_NONE);
+  CHECK_INT(mo_route_find("/v1/../v1/jobs", 14, parameters), MO_ROUTE_NONE);
+  CHECK_INT(mo_route_find("/v1/evaluations/3/trajectories/9", 32, parameters), MO_ROUTE_TRAJECTORY);
+  CHECK_TEXT(parameters[1], "9");
+  CHECK_INT(mo_route_find("/v1/controllers/sha256%3Aab", 27, parameters), MO_ROUTE_CONTROLLER);
+  CHECK_TEXT(parameters[0], "sha256:ab");
+  CHECK_INT(mo_route_find("/v1/controllers/a%00b", 21, parameters), MO_ROUTE_NONE);
+  CHECK_INT(mo_route_find("*", 1, parameters), MO_ROUTE_NONE);
+  mo_route_allow(MO_ROUTE_JOB, allow);
+  CHECK_TEXT(allow, "GET, HEAD, DELETE, OPTIONS");
+  CHECK_INT(mo_method_of("get"), MO_OTHER_METHOD);
+}
+
+struct
+try {
+  unsigned status;
+  bool close;
+};
+
+/* Guards a header given as name, value, name, value, …, NULL. */
+static struct try guard(const char *const *pairs, bool http10)
+{
+  struct mo_header headers[8];
+  size_t n = 0;
+  for (; pairs[2 * n] != NULL; n++)
+    headers[n] = (struct mo_header){pairs[2 * n], pairs[2 * n + 1], strlen(pairs[2 * n]), strlen(pairs[2 * n + 1])};
+  struct mo_framing framing;
+  struct mo_refusal refusal = {0};
+  bool good = mo_guard_headers(headers, n, http10, &framing, &refusal);
+  return good ? (struct try){200, false} : (struct try){refusal.status, refusal.close};
+}
+
+static void framing(void)
+{
+  const struct {
+    const char *pairs[9];
+    bool http10;
+    unsigned status;
+  } tries[] = {
+      {{"Host", "a", NULL}, false, 200},
+      {{"Host", "a", "Content-Length", "5", NULL}, false, 200},
+      {{"Host", "a", "Transfer-Encoding", "Chunked", NULL}, false, 200},
+      {{NULL}, true, 200},
+      {{NULL}, false, 400},
+      {{"Host", "a", "Host", "a", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "5", "content-length", "5", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "5", "Content-Length", "6", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "5", "Transfer-Encoding", "chunked", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "5, 5", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "+5", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "0x5", NULL}, false, 400},
+      {{"Host", "a", "Content-Length", "", NULL}, false, 400},
+      {{"Host", "a", "Content-Length ", "5", NULL}, false, 400},
+      {{"Host", "a", "Content\tLength", "5", NULL}, false, 400},
+      {{"Host", "a", "X\x01", "5", NULL}, false, 400},
+      {{"Host", "a", "X", "a\x01", NULL}, false, 400},
+      {{"Host", "a", "X", "a\rb", NULL}, false, 400},
+      {{"Host", "a", "", "x", NULL}, false, 400},
+      {{"Host", "a", "Transfer-Encoding", "gzip", NULL}, false, 501},
+      {{"Host", "a", "Transfer-Encoding", "gzip, chunked", NULL}, false, 501},
+      {{"Host", "a", "Transfer-Encoding", "xchunked", NULL}, false, 501},
+      {{"Host", "a", "Transfer-Encoding", "identity", NULL}, false, 501},
+      {{"Host", "a", "Transfer-Encoding", "chunked", "Transfer-Encoding", "chunked", NULL}, false, 400},
+      {{"Host", "a", "Transfer-Encoding", "chunked", NULL}, true, 400},
+      {{"Host", "a", "Expect", "100-continue", NULL}, false, 200},
+      {{"Host", "a", "Expect", "magic", NULL}, false, 417},
+      {{"Host", "a", "Authorization", "x", "Authorization", "y", NULL}, false, 400},
+      {{"Host", "a", "X", "tab\tis fine", NULL}, false, 200},
+  };
+  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
+    struct try result = guard(tries[i].pairs, tries[i].http10);
+    CHECK_INT(result.status, tries[i].status);
+    CHECK(result.status == 200 || result.close);
+    if (result.status != tries[i].status)
+      printf("# try %zu\n", i);
+  }
+}
+
+static void targets(void)
+{
+  struct mo_target parts;
+  struct mo_refusal refusal;
+  CHECK(mo_guard_target("/a?b=c", &parts, &refusal) && parts.path_size == 2 && strcmp(parts.query, "b=c") == 0);
+  CHECK(mo_guard_target("http://h:1/a", &parts, &refusal) && parts.authority_size == 3 && parts.path_size == 2);
+  CHECK(mo_guard_target("http://h", &parts, &refusal) && parts.path_size == 1 && parts.query[0] == '\0');
+  CHECK(mo_guard_target("*", &parts, &refusal));
+  static const char *const bad[] = {"a", "", "/a%00b", "/a\x01", "/a b", "/\x7f", "/é", "/a#b", "/a\\b", "ftp://x/"};
+  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+    CHECK(!mo_guard_target(bad[i], &parts, &refusal) && refusal.status == 400 && refusal.close);
+}
+
+static void hosts(void)
+{
+  static const char *const configured[] = {"Robots.example", "lab.example:9000"};
+  struct mo_names names;
+  REQUIRE(mo_names_copy(&names, configured, 2) == MO_OK);
+  const struct {
+    const char *host;
+    bool good;
+  } tries[] = {{"localhost", true},
+               {"LOCALHOST:8765", true},
+               {"127.0.0.1:1", true},
+               {"[::1]:8765", true},
+               {"192.168.1.7", true},
+               {"robots.example", true},
+               {"ROBOTS.example:77", true},
+               {"lab.example:9000", true},
+               {"lab.example", false},
+               {"evil.example", false},
+               {"", false},
+               {"localhost.evil.example", false},
+               {"localhost:0", false},
+               {"localhost:99999", false},
+               {"local host", false},
+               {"localhost:8765:1", false},
+               {"[::1", false},
+               {"user@localhost", false},
+               {"127.0.0.1.nip.io", false}};
+  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
+    CHECK(mo_guard_host(tries[i].host, strlen(tries[i].host), &names) == tries[i].good);
+    if (mo_guard_host(tries[i].host, strlen(tries[i].host), &names) != tries[i].good)
+      printf("# %s\n", tries[i].host);
+  }
+  CHECK(mo_guard_origin("http://127.0.0.1:8765", "127.0.0.1:8765", &names));
+  CHECK(mo_guard_origin("http://localhost", "localhost:80", &names));
+  CHECK(mo_guard_origin("https://robots.example", "127.0.0.1:8765", &names));
+  CHECK(!mo_guard_origin("http://localhost:3000", "localhost:8765", &names));
+  CHECK(!mo_guard_origin("http://localhost:8765", "127.0.0.1:8765", &names));
+  CHECK(!mo_guard_origin("null", "127.0.0.1:8765", &names));
+  CHECK(!mo_guard_origin("http://evil.example", "127.0.0.1:8765", &names));
+  CHECK(!mo_guard_origin("file://", "127.0.0.1:8765", &names));
+  mo_names_free(&names);
+}
+
+static void tokens(void)
+{
+  struct mo_tokens set;
+  struct mo_message message;
+  static const char *const two[] = {"0123456789abcdef", "another-token-of-24-bytes"};
+  static const char *const brief[] = {"0123456789abcde"}, *const spaced[] = {"0123456789 abcdef"};
+  REQUIRE(mo_tokens_init(&set) == MO_OK);
+  CHECK_INT(mo_tokens_check(&set, "Bearer x"), -1);
+  REQUIRE(mo_tokens_set(&set, two, 2, &message) == MO_OK);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 1);
+  CHECK_INT(mo_tokens_check(&set, "bearer  another-token-of-24-bytes"), 1);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdeg"), 0);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcde"), 0);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef0123456789abcdef"), 0);
+  CHECK_INT(mo_tokens_check(&set, "Bearer "), 0);
+  CHECK_INT(mo_tokens_check(&set, "Basic 0123456789abcdef"), 0);
+  CHECK_INT(mo_tokens_check(&set, NULL), 0);
+  CHECK_INT(mo_tokens_set(&set, brief, 1, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_tokens_set(&set, spaced, 1, &message), MO_ERR_INVALID);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 1); /* the old ones stay */
+  REQUIRE(mo_tokens_set(&set, two + 1, 1, &message) == MO_OK);
+  CHECK_INT(mo_tokens_check(&set, "Bearer 0123456789abcdef"), 0);
+  mo_tokens_free(&set);
+}
+
+static void problems(void)
+{
+  struct mo_text text = {0};
+  struct mo_faults faults = {0};
+  char longest[600];
+  for (size_t i = 0; i < sizeof(longest) - 1; i += 2)
+    memcpy(longest + i, "é", 2);
+  longest[sizeof(longest) - 1] = '\0';
+  mo_faults_add(&faults, MO_FAULT_BODY, "/designs/3", "a \"quoted\" \x01 word");
+  mo_faults_add(&faults, MO_FAULT_PARAMETER, "limit", "%s", longest);
+  for (int i = 0; i < 40; i++)
+    mo_faults_add(&faults, MO_FAULT_HEADER, longest, "again");
+  mo_problem_write(&text, 422, "about:blank", "detail \xff", "/v1/\"x", "0123456789abcdef", &faults);
+  json_error_t error;
+  json_t *tree = json_loads(text.data, JSON_REJECT_DUPLICATES, &error);
+  REQUIRE(tree != NULL);
+  CHECK_INT(json_integer_value(json_object_get(tree, "status")), 422);
+  CHECK_TEXT(json_string_value(json_object_get(tree, "detail")), "detail \xEF\xBF\xBD");
+  CHECK_INT(json_array_size(json_object_get(tree, "errors")), MO_FAULTS_MAX);
+  json_decref(tree);
+  mo_text_free(&text);
+}
+
+static void texts(void)
+{
+  struct mo_text text = {0};
+  static const double numbers[] = {
+      0, -0.0, 0.1, 1.0 / 3, 1e-320, 1.7976931348623157e308, 123456789012345680.0, 0.30000000000000004};
+  for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++) {
+    mo_text_json_number(&text, numbers[i]);
+    double back = strtod(text.data, NULL);
+    CHECK(memcmp(&back, &numbers[i], sizeof(back)) == 0);
+    text.size = 0;
+    mo_text_json_float(&text, (float)numbers[i]);
+    if (isfinite((float)numbers[i]))
+      CHECK(strtof(text.data, NULL) == (float)numbers[i]);
+    text.size = 0;
+  }
+  mo_text_json_number(&text, INFINITY);
+  CHECK_TEXT(text.data, "null");
+  text.size = 0;
+  mo_text_json_number(&text, 0.1);
+  CHECK_TEXT(text.data, "0.1");
+  text.size = 0;
+  mo_text_json_time(&text, INT64_C(1763724844123456));
+  CHECK_TEXT(text.data, "\"2025-11-21T11:34:04.123Z\"");
+  mo_text_free(&text);
+}
+
+static const struct check_case cases[] = {
+    {"percent escapes", percent}, {"queries and numbers", queries},
+    {"Prefer", prefer},           {"Accept", accept},
+    {"entity tags", etags},       {"content types", content_types},
+    {"idempotency keys", keys},   {"routes", routes},
+    {"framing", framing},         {"request targets", targets},
+    {"Host and Origin", hosts},   {"tokens", tokens},
+    {"problems", problems},       {"texts", texts},
+};
+CHECK_MAIN(cases)
