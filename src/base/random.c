@@ -6,6 +6,10 @@
 
 #include "base/normal.h"
 
+#ifdef __SSE2__
+#include <emmintrin.h>
+#endif
+
 #define MULTIPLIER_0 UINT32_C(0xD2511F53)
 #define MULTIPLIER_1 UINT32_C(0xCD9E8D57)
 #define WEYL_0       UINT32_C(0x9E3779B9)
@@ -38,40 +42,57 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
 }
 
 /* LANES blocks whose first counter words follow one another, written one after the other. */
+#ifdef __SSE2__
+/* Two lanes in each vector, as the low halves of its 64-bit words: the product instruction reads only those, so what is in
+ * the high halves does not matter. */
 static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
 {
-  /* Each lane is a 64-bit word of which the low half counts: the compiler turns the products into vector ones. */
-  uint64_t c0[LANES];
-  uint64_t c1[LANES];
-  uint64_t c2[LANES];
-  uint64_t c3[LANES];
-  for (uint32_t i = 0; i < LANES; i++) {
-    c0[i] = (uint32_t)(counter[0] + i);
-    c1[i] = counter[1];
-    c2[i] = counter[2];
-    c3[i] = counter[3];
+  const __m128i multiplier_0 = _mm_set1_epi64x(MULTIPLIER_0);
+  const __m128i multiplier_1 = _mm_set1_epi64x(MULTIPLIER_1);
+  __m128i c0[LANES / 2];
+  __m128i c1[LANES / 2];
+  __m128i c2[LANES / 2];
+  __m128i c3[LANES / 2];
+  for (int i = 0; i < LANES / 2; i++) {
+    c0[i] = _mm_set_epi64x((uint32_t)(counter[0] + 2 * (uint32_t)i + 1), (uint32_t)(counter[0] + 2 * (uint32_t)i));
+    c1[i] = _mm_set1_epi64x(counter[1]);
+    c2[i] = _mm_set1_epi64x(counter[2]);
+    c3[i] = _mm_set1_epi64x(counter[3]);
   }
   uint32_t k0 = key[0];
   uint32_t k1 = key[1];
   for (int round = 0; round < ROUNDS; round++) {
-    for (int i = 0; i < LANES; i++) {
-      uint64_t p0 = (c0[i] & UINT32_MAX) * MULTIPLIER_0;
-      uint64_t p1 = (c2[i] & UINT32_MAX) * MULTIPLIER_1;
-      c0[i] = (p1 >> 32) ^ c1[i] ^ k0;
+    const __m128i key_0 = _mm_set1_epi64x(k0);
+    const __m128i key_1 = _mm_set1_epi64x(k1);
+    for (int i = 0; i < LANES / 2; i++) {
+      __m128i p0 = _mm_mul_epu32(c0[i], multiplier_0);
+      __m128i p1 = _mm_mul_epu32(c2[i], multiplier_1);
+      c0[i] = _mm_xor_si128(_mm_xor_si128(_mm_srli_epi64(p1, 32), c1[i]), key_0);
       c1[i] = p1;
-      c2[i] = (p0 >> 32) ^ c3[i] ^ k1;
+      c2[i] = _mm_xor_si128(_mm_xor_si128(_mm_srli_epi64(p0, 32), c3[i]), key_1);
       c3[i] = p0;
     }
     k0 += WEYL_0;
     k1 += WEYL_1;
   }
-  for (int i = 0; i < LANES; i++) {
-    out[4 * i] = (uint32_t)c0[i];
-    out[4 * i + 1] = (uint32_t)c1[i];
-    out[4 * i + 2] = (uint32_t)c2[i];
-    out[4 * i + 3] = (uint32_t)c3[i];
+  for (int i = 0; i < LANES / 2; i++) {
+    /* Words 0 and 1 of a lane into one 64-bit word, 2 and 3 into another, then lane by lane. */
+    const __m128i low = _mm_set1_epi64x(UINT32_MAX);
+    __m128i first = _mm_or_si128(_mm_and_si128(c0[i], low), _mm_slli_epi64(c1[i], 32));
+    __m128i second = _mm_or_si128(_mm_and_si128(c2[i], low), _mm_slli_epi64(c3[i], 32));
+    _mm_storeu_si128((__m128i *)(void *)(out + 8 * i), _mm_unpacklo_epi64(first, second));
+    _mm_storeu_si128((__m128i *)(void *)(out + 8 * i + 4), _mm_unpackhi_epi64(first, second));
   }
 }
+#else
+static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
+{
+  for (uint32_t i = 0; i < LANES; i++) {
+    const uint32_t next[4] = {counter[0] + i, counter[1], counter[2], counter[3]};
+    mo_philox4x32_10(next, key, out + 4 * i);
+  }
+}
+#endif
 
 void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index)
 {
