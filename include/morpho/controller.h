@@ -60,7 +60,8 @@ void mo_controller_free(struct mo_controller *controller); /* NULL-safe */
 /* Xavier-uniform weights, zero biases, LayerNorm gain 1 shift 0; layer l from stream (seed, WEIGHTS, l, 0). */
 void mo_controller_randomize(struct mo_controller *controller, uint64_t seed);
 
-/* Sets or replaces a metadata entry. MO_ERR_NO_MEMORY, MO_ERR_LIMIT (1024 entries, 64 KiB each). */
+/* Sets or replaces a metadata entry. MO_ERR_INVALID (not UTF-8), MO_ERR_CONFLICT ("sensor", "workspace" and the orders describe
+ * the weights: only their present values are accepted), MO_ERR_NO_MEMORY, MO_ERR_LIMIT (1024 entries, 64 KiB each). */
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value);
 const char *mo_controller_get_metadata(const struct mo_controller *controller, const char *key); /* NULL: none */
 
@@ -72,7 +73,8 @@ int mo_controller_read(const char *path, struct mo_controller **controller, stru
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,
                          struct mo_message *message);
 
-/* The file's bytes (malloc; caller frees). The same controller always gives the same bytes. */
+/* The file's bytes (malloc; caller frees). The same controller always gives the same bytes. MO_ERR_NO_MEMORY; MO_ERR_LIMIT: the
+ * metadata exceeds MO_SAFETENSORS_HEADER_MAX. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
 /* Writes path by way of a temporary file beside it, fsync and rename. MO_ERR_IO, MO_ERR_NO_SPACE. */
 int mo_controller_write(const struct mo_controller *controller, const char *path, struct mo_message *message);

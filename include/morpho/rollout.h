@@ -1,7 +1,7 @@
 /* rollout.h: one simulated life of one body in one environment (paper, section 2.2; design constants in mo_default_physics).
  *
- * A step: sense → control → springs → velocity → position → contact; see docs/architecture.md. Loss: distance in x, y from the
- * centre of mass to the light at the end, divided by the same at the start; lower is better, 1 is standing still.
+ * A step: sense → control → springs → velocity → position → contact; docs/model.md has the equations. Loss: distance in x, y from
+ * the centre of mass to the light at the end, over the same at the start + 1e-8 m; lower is better, 1 is standing still.
  *
  * Two implementations of the same mathematics:
  *   mo_rollout_reference  plain float64 C, one rollout, the yardstick of every test;

@@ -292,7 +292,9 @@ static void many_metadata(void)
   char *header = header_text(&good), *text = malloc(200000);
   REQUIRE(text != NULL);
   int n = sprintf(text, "{\"__metadata__\":{\"workspace\":\"1x1x1\"");
-  const char *rest = strstr(header, "},") + 1;
+  const char *rest = strstr(header, "},");
+  REQUIRE(rest != NULL);
+  rest++;
   const int start = n;
   for (int i = 0; i < 1019; i++)
     n += sprintf(text + n, ",\"%d\":\"\"", i);
