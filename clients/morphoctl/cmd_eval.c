@@ -57,7 +57,8 @@ static size_t npy_head(const char *shape, char head[256])
   char text[200];
   int n = snprintf(text, sizeof(text), "{'descr': '<f4', 'fortran_order': False, 'shape': (%s), }", shape);
   size_t padded = ((size_t)n + 1 + 10 + 63) / 64 * 64 - 10;
-  memcpy(head, "\x93NUMPY\x01\x00", 8);
+  static const char magic[8] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0};
+  memcpy(head, magic, sizeof(magic));
   head[8] = (char)(padded & 0xff);
   head[9] = (char)(padded >> 8);
   memset(head + 10, ' ', padded);

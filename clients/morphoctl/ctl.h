@@ -27,7 +27,7 @@ struct option_spec {
 };
 
 struct given {
-  const struct option_spec *spec;
+  const char *name;
   const char *value;
 };
 

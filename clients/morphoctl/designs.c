@@ -41,7 +41,7 @@ int read_input(const char *path, size_t limit, char **text, size_t *length)
   }
   if (!standard)
     fclose(file);
-  if (status != STATUS_OK) {
+  if (status != STATUS_OK || bytes == NULL) {
     free(bytes);
     return status;
   }
@@ -212,13 +212,14 @@ int designs_add_operand(struct designs *designs, const char *operand)
   if (strcmp(operand, "-") != 0 && access(operand, F_OK) != 0 &&
       (is_id(operand, length) || is_voxels(operand, length) || *operand == '{' || *operand == '['))
     return designs_add_text(designs, "operand", operand, length);
-  char *text;
+  char *text = NULL;
   int status = read_input(operand, INPUT_BYTES_MAX, &text, &length);
   if (status != STATUS_OK)
     return status;
   size_t before = designs->n;
   const char *source = strcmp(operand, "-") == 0 ? "standard input" : operand;
-  status = designs_add_text(designs, source, text, length);
+  if (text != NULL)
+    status = designs_add_text(designs, source, text, length);
   free(text);
   if (status == STATUS_OK && designs->n == before)
     return complain(STATUS_USAGE, "%s holds no design", source);
@@ -245,9 +246,9 @@ static uint64_t next_random(uint64_t *state)
   return z ^ (z >> 31);
 }
 
-static size_t voxel_index(int x, int y, int z)
+static int voxel_index(int x, int y, int z)
 {
-  return (size_t)((x * WORKSPACE_Y + y) * WORKSPACE_Z + z);
+  return (x * WORKSPACE_Y + y) * WORKSPACE_Z + z;
 }
 
 /* Grown from one voxel: again and again a random free neighbour of the body is filled, until it has its size. */
@@ -259,7 +260,8 @@ static void grow(uint64_t *state, char voxels[VOXELS + 1])
   voxels[next_random(state) % VOXELS] = '1';
   size_t size = 1 + next_random(state) % 60;
   for (size_t n = 1; n < size; n++) {
-    size_t border[VOXELS], n_border = 0;
+    int border[VOXELS];
+    size_t n_border = 0;
     for (int x = 0; x < WORKSPACE_X; x++)
       for (int y = 0; y < WORKSPACE_Y; y++)
         for (int z = 0; z < WORKSPACE_Z; z++) {

@@ -337,7 +337,7 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
       else
         return complain(STATUS_USAGE, "--%s needs a value: %s", spec->name, spec->value);
     }
-    ctl->given[ctl->n_given++] = (struct given){spec, value};
+    ctl->given[ctl->n_given++] = (struct given){spec->name, value};
   }
   if (option_is_set(ctl, "help")) {
     options_print_help(stdout, command);
@@ -357,7 +357,7 @@ void options_free(struct ctl *ctl)
 bool option_is_set(const struct ctl *ctl, const char *name)
 {
   for (size_t i = 0; i < ctl->n_given; i++)
-    if (strcmp(ctl->given[i].spec->name, name) == 0)
+    if (ctl->given[i].name != NULL && strcmp(ctl->given[i].name, name) == 0)
       return true;
   return false;
 }
@@ -365,7 +365,7 @@ bool option_is_set(const struct ctl *ctl, const char *name)
 const char *option_text(const struct ctl *ctl, const char *name, const char *otherwise)
 {
   for (size_t i = ctl->n_given; i-- > 0;)
-    if (strcmp(ctl->given[i].spec->name, name) == 0)
+    if (ctl->given[i].name != NULL && strcmp(ctl->given[i].name, name) == 0)
       return ctl->given[i].value;
   return otherwise;
 }

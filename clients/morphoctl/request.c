@@ -94,7 +94,7 @@ int request_fill(const struct ctl *ctl, json_t *request)
   json_t *physics = json_object();
   int status = STATUS_OK;
   for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
-    if (strcmp(ctl->given[i].spec->name, "physics") == 0)
+    if (strcmp(ctl->given[i].name, "physics") == 0)
       status = request_physics(physics, ctl->given[i].value);
   if (json_object_size(physics) > 0)
     json_object_set(request, "physics", physics);

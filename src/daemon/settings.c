@@ -19,19 +19,19 @@
 
 #define PATH_ROW(n, field, initial, words, reloads, help)                                                              \
   {                                                                                                                    \
-    n, SETTING_PATH, offsetof(struct settings, field), 0, 0, initial, words, NULL, reloads, help                       \
+    n, SETTING_PATH, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help                       \
   }
 #define LIST_ROW(n, field, initial, words, reloads, help)                                                              \
   {                                                                                                                    \
-    n, SETTING_LIST, offsetof(struct settings, field), 0, 0, initial, words, NULL, reloads, help                       \
+    n, SETTING_LIST, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help                       \
   }
 #define VALUE_ROW(n, type, field, min, max, initial, words, help)                                                      \
   {                                                                                                                    \
-    n, type, offsetof(struct settings, field), min, max, initial, words, NULL, false, help                             \
+    n, type, false, offsetof(struct settings, field), min, max, initial, words, NULL, help                             \
   }
 #define CHOICE_ROW(n, field, choices, initial, reloads, help)                                                          \
   {                                                                                                                    \
-    n, SETTING_CHOICE, offsetof(struct settings, field), 0, 0, initial, NULL, choices, reloads, help                   \
+    n, SETTING_CHOICE, reloads, offsetof(struct settings, field), 0, 0, initial, NULL, choices, help                   \
   }
 
 const struct setting settings_table[] = {

@@ -66,12 +66,12 @@ struct settings {
 struct setting {
   const char *name;
   enum setting_type type;
+  bool reloads;              /* SIGHUP applies a new value */
   size_t offset;             /* of the value in struct settings */
   uint64_t min, max;         /* numbers, sizes, durations (milliseconds) */
   const char *initial;       /* default, as it would be written in the file */
   const char *initial_words; /* default in words where `initial` does not tell; else NULL */
   const char *choices;       /* SETTING_CHOICE: names separated by '|' */
-  bool reloads;              /* SIGHUP applies a new value */
   const char *help;          /* one or two sentences for people */
 };
 

@@ -36,7 +36,7 @@ int settings_parse_address(const char *text, struct listen_address *address, str
       return mo_fail(message, MO_ERR_RANGE, "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
                      sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
     result.is_unix = result.is_loopback = true;
-    strcpy(result.host, path); /* fits: checked above */
+    snprintf(result.host, sizeof(result.host), "%s", path);
     *address = result;
     return MO_OK;
   }
@@ -145,7 +145,7 @@ static void check_listen(const struct settings *settings, struct settings_faults
   if (settings->listen.n == 0)
     settings_fault(faults, true, "listen: no address");
   for (size_t i = 0; i < settings->listen.n; i++) {
-    struct listen_address address;
+    struct listen_address address = {0};
     struct mo_message message = {{0}};
     const char *text = settings->listen.items[i];
     if (settings_parse_address(text, &address, &message) != MO_OK) {
