@@ -98,7 +98,7 @@ struct mo_saved_design {
   int64_t genotype, controller, physics, environment_set;
 };
 enum mo_job_step {
-  MO_STEP_START,    /* queued → running under this epoch */
+  MO_STEP_START,    /* queued → running under this epoch (and again, if it is so already) */
   MO_STEP_PROGRESS, /* counts */
   MO_STEP_SUCCEED,  /* running → succeeded, with counts */
   MO_STEP_RETRY,    /* running → queued, one attempt more; at max_attempts → failed */
@@ -111,6 +111,7 @@ struct mo_job_update {
   int error; /* retry */
   char error_text[256];
   uint32_t max_attempts;
+  bool quiet;              /* no event */
   bool applied;            /* result: false when the job was no longer in the state that the step starts from */
   enum mo_job_state state; /* result, when applied: the state it is in now */
 };

@@ -3,8 +3,8 @@
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store (its epoch), so that a job
  * which a person has cancelled or paused meanwhile keeps that state. Scores are kept all the same: they are true. */
 #include <math.h>
-#include <stdlib.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"
@@ -180,7 +180,7 @@ static int save_set_score(struct mo_connection *writer, const struct mo_saved_de
 
 static const char start_sql[] =
     "UPDATE jobs SET state=1,epoch=?2,version=version+1,started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
-    " WHERE id=?1 AND state=0";
+    " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
 static const char progress_sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND state=1 AND epoch=?2";
 static const char succeed_sql[] = "UPDATE jobs SET state=3,version=version+1,finished_us=?3,error=0,error_text=NULL"
                                   " WHERE id=?1 AND state=1 AND epoch=?2";
@@ -262,7 +262,7 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
   error = apply_counts(writer, update);
   if (error == MO_OK)
     error = read_state(writer, update);
-  return error == MO_OK ? announce(store, update) : error;
+  return error == MO_OK && !update->quiet ? announce(store, update) : error;
 }
 
 static int save(struct mo_store *store, void *arguments)

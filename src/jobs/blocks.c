@@ -1,0 +1,480 @@
+/* blocks.c: from the cells of a job to blocks in the back end, and back.
+ *
+ * A cell that is to do is looked up in this order: among the rollouts that are being computed or wait for their commit (the cell
+ * waits with them), in the store (the cell is done), else it becomes part of a new block. Only the scheduler adds and removes
+ * rollouts, and removes one only after its commit, so a score is in one of the two places at any time and is never
+ * computed twice. Verify and recording jobs run every cell in blocks of their own. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/internal.h"
+
+/* ---- the table of rollouts ---- */
+
+static size_t bucket_of(int64_t genotype, int64_t controller, int64_t physics, int64_t environment)
+{
+  uint64_t h = (uint64_t)genotype * UINT64_C(0x9E3779B97F4A7C15);
+  h = (h ^ (uint64_t)environment) * UINT64_C(0xBF58476D1CE4E5B9);
+  h = (h ^ (uint64_t)controller ^ ((uint64_t)physics << 20)) * UINT64_C(0x94D049BB133111EB);
+  return (size_t)(h >> 40) % MO_ROLLOUT_BUCKETS;
+}
+
+static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_work *work, int64_t genotype,
+                                       int64_t environment)
+{
+  struct mo_rollout *rollout = jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  while (rollout != NULL && (rollout->genotype != genotype || rollout->environment != environment ||
+                             rollout->controller != work->controller || rollout->physics != work->physics))
+    rollout = rollout->next;
+  return rollout;
+}
+
+static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work, int64_t genotype,
+                                      int64_t environment)
+{
+  struct mo_rollout *rollout = calloc(1, sizeof(*rollout));
+  struct mo_rollout **bucket = &jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  if (rollout == NULL)
+    return NULL;
+  rollout->genotype = genotype;
+  rollout->controller = work->controller;
+  rollout->physics = work->physics;
+  rollout->environment = environment;
+  rollout->next = *bucket;
+  *bucket = rollout;
+  return rollout;
+}
+
+void mo_rollout_forget(struct mo_jobs *jobs, struct mo_rollout *rollout)
+{
+  struct mo_rollout **link =
+      &jobs->buckets[bucket_of(rollout->genotype, rollout->controller, rollout->physics, rollout->environment)];
+  while (*link != NULL && *link != rollout)
+    link = &(*link)->next;
+  if (*link == rollout)
+    *link = rollout->next;
+  free(rollout);
+}
+
+static bool wait_at(struct mo_rollout *rollout, struct mo_active *active, size_t cell, bool owner)
+{
+  struct mo_waiter *waiter = malloc(sizeof(*waiter));
+  if (waiter == NULL)
+    return false;
+  *waiter = (struct mo_waiter){active, cell, owner, rollout->waiters};
+  rollout->waiters = waiter;
+  active->references++;
+  active->cells[cell] = MO_CELL_UNDER_WAY;
+  return true;
+}
+
+/* ---- cells ---- */
+
+enum origin { COMPUTED, SHARED, STORED };
+
+static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t cell, int32_t diverged_step,
+                        enum origin origin)
+{
+  uint32_t design = (uint32_t)(cell / active->work->n_environments);
+  active->cells[cell] = MO_CELL_DONE;
+  active->left[design]--;
+  active->done++;
+  active->changed = true;
+  mo_pending_touch(jobs);
+  if (diverged_step != 0)
+    active->diverged++;
+  if (origin == STORED && active->own_before > 0)
+    active->own_before--;
+  else if (origin != COMPUTED)
+    active->cached++;
+  if (origin == STORED)
+    atomic_fetch_add(&jobs->cached, 1);
+  if (origin == SHARED)
+    atomic_fetch_add(&jobs->shared, 1);
+  if (active->left[design] == 0 && active->work->environment_set != 0) {
+    struct mo_saved_design saved = {active->work->genotype_rows[design], active->work->controller,
+                                    active->work->physics, active->work->environment_set};
+    if (mo_pending_design(jobs, &saved) != MO_OK)
+      mo_active_fail(jobs, active, MO_ERR_NO_MEMORY, "out of memory");
+  }
+}
+
+static void return_cell(struct mo_active *active, size_t cell)
+{
+  uint32_t design = (uint32_t)(cell / active->work->n_environments);
+  active->cells[cell] = MO_CELL_TO_DO;
+  if (design < active->cursor)
+    active->cursor = design;
+}
+
+/* ---- making blocks ---- */
+
+static void free_flight(struct mo_flight *flight)
+{
+  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+    free(flight->recordings[i].com_m);
+    free(flight->recordings[i].mass_m);
+  }
+  mo_body_free(flight->body);
+  free(flight);
+}
+
+static void flight_done(struct mo_block *block, void *context)
+{
+  struct mo_flight *flight = context;
+  struct mo_jobs *jobs = flight->jobs;
+  (void)block;
+  pthread_mutex_lock(&jobs->mutex);
+  flight->next_inbox = jobs->finished;
+  jobs->finished = flight;
+  pthread_cond_signal(&jobs->news);
+  pthread_mutex_unlock(&jobs->mutex);
+}
+
+static struct mo_flight *new_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+{
+  const struct mo_work *work = active->work;
+  struct mo_flight *flight = calloc(1, sizeof(*flight));
+  if (flight == NULL)
+    return NULL;
+  flight->jobs = jobs;
+  flight->genotype = work->genotypes[design];
+  flight->block = (struct mo_block){.lattice = jobs->lattice,
+                                    .genotype = flight->genotype.words,
+                                    .controller = active->controller->ready,
+                                    .physics = work->job.physics,
+                                    .precision = work->job.precision,
+                                    .urgency = work->job.priority,
+                                    .cancel = &flight->cancel,
+                                    .tag = active->id,
+                                    .done = flight_done,
+                                    .context = flight};
+  return flight;
+}
+
+/* Hands the block over. The job must outlive it: it uses the job's environments and controller. */
+static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_flight *flight)
+{
+  double cost = (double)flight->block.n_environments * flight->block.physics.n_steps;
+  int error;
+  active->pass += cost;
+  active->references++;
+  flight->owner = active;
+  flight->serial = ++jobs->serial;
+  flight->next = jobs->flights;
+  jobs->flights = flight;
+  if (flight->block.urgency == MO_INTERACTIVE)
+    jobs->flights_interactive++;
+  else
+    jobs->flights_batch++;
+  atomic_fetch_add(&jobs->blocks_in_flight, 1);
+  error = mo_compute_submit(jobs->compute, &flight->block);
+  if (error != MO_OK) {
+    flight->block.status = error;
+    flight_done(&flight->block, flight);
+  }
+}
+
+static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job, struct mo_flight *flight)
+{
+  uint32_t frames = mo_recording_frames(&job->physics, job->record_stride);
+  int error = mo_body_create(jobs->lattice, flight->genotype.words, &flight->body);
+  if (error != MO_OK)
+    return error;
+  flight->frames = frames;
+  flight->block.body = flight->body;
+  flight->block.recordings = flight->recordings;
+  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+    struct mo_recording *recording = &flight->recordings[i];
+    recording->stride = job->record_stride;
+    if (job->record_com)
+      recording->com_m = calloc((size_t)frames * 3, sizeof(double));
+    if (job->record_masses)
+      recording->mass_m = calloc((size_t)frames * flight->body->n_masses * 3, sizeof(float));
+    if ((job->record_com && recording->com_m == NULL) || (job->record_masses && recording->mass_m == NULL))
+      return MO_ERR_NO_MEMORY;
+  }
+  return MO_OK;
+}
+
+/* A verify or recording job: the next cells of the design as they are. */
+static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+{
+  const struct mo_work *work = active->work;
+  struct mo_flight *flight = new_flight(jobs, active, design);
+  int error = flight == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  if (error == MO_OK)
+    for (uint32_t k = 0; k < work->n_environments && flight->block.n_environments < MO_BLOCK_LANES; k++) {
+      size_t cell = (size_t)design * work->n_environments + k;
+      if (active->cells[cell] != MO_CELL_TO_DO)
+        continue;
+      flight->block.environments[flight->block.n_environments] = &work->environments[k];
+      flight->cells[flight->block.n_environments++] = cell;
+    }
+  if (error == MO_OK && (work->job.record_com || work->job.record_masses))
+    error = prepare_recording(jobs, &work->job, flight);
+  if (error != MO_OK) {
+    if (flight != NULL)
+      free_flight(flight);
+    mo_active_fail(jobs, active, error, mo_error_text(error));
+    return -1;
+  }
+  for (uint32_t i = 0; i < flight->block.n_environments; i++)
+    active->cells[flight->cells[i]] = MO_CELL_UNDER_WAY;
+  launch(jobs, active, flight);
+  return 1;
+}
+
+/* A cell that neither the table nor the store knows joins the block. false: out of memory. */
+static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t design, uint32_t k,
+                        struct mo_flight **flight)
+{
+  const struct mo_work *work = active->work;
+  size_t cell = (size_t)design * work->n_environments + k;
+  struct mo_rollout *rollout;
+  if (*flight == NULL)
+    *flight = new_flight(jobs, active, design);
+  if (*flight == NULL)
+    return false;
+  rollout = add_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
+  if (rollout == NULL)
+    return false;
+  rollout->flight = *flight;
+  if (!wait_at(rollout, active, cell, true)) {
+    mo_rollout_forget(jobs, rollout);
+    return false;
+  }
+  (*flight)->block.environments[(*flight)->block.n_environments] = &work->environments[k];
+  (*flight)->rollouts[(*flight)->block.n_environments++] = rollout;
+  return true;
+}
+
+/* Answers what can be answered of one design and launches at most one block. 1: launched; 0: not; −1: the job failed. */
+static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+{
+  const struct mo_work *work = active->work;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  struct mo_flight *flight = NULL;
+  bool whole = true;
+  int error = mo_store_scores(jobs->store, work->genotype_rows[design], work->controller, work->physics,
+                              work->environment_rows, work->n_environments, scores);
+  if (error != MO_OK) {
+    mo_active_fail(jobs, active, error, mo_error_text(error));
+    return -1;
+  }
+  for (uint32_t k = 0; k < work->n_environments && whole; k++) {
+    size_t cell = (size_t)design * work->n_environments + k;
+    struct mo_rollout *rollout;
+    if (active->cells[cell] != MO_CELL_TO_DO)
+      continue;
+    if (scores[k].known) {
+      finish_cell(jobs, active, cell, scores[k].diverged_step, STORED);
+      continue;
+    }
+    rollout = find_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
+    if (rollout != NULL && rollout->flight == NULL)
+      finish_cell(jobs, active, cell, rollout->diverged_step, SHARED);
+    else if (rollout != NULL)
+      whole = wait_at(rollout, active, cell, false);
+    else if (flight == NULL || flight->block.n_environments < MO_BLOCK_LANES)
+      whole = join_flight(jobs, active, design, k, &flight);
+  }
+  if (flight != NULL && flight->block.n_environments > 0)
+    launch(jobs, active, flight);
+  else if (flight != NULL)
+    free_flight(flight);
+  if (!whole) {
+    mo_active_fail(jobs, active, MO_ERR_NO_MEMORY, mo_error_text(MO_ERR_NO_MEMORY));
+    return -1;
+  }
+  return flight != NULL ? 1 : 0;
+}
+
+static bool has_cell_to_do(const struct mo_active *active, uint32_t design)
+{
+  const uint8_t *cells = active->cells + (size_t)design * active->work->n_environments;
+  return active->left[design] > 0 && memchr(cells, MO_CELL_TO_DO, active->work->n_environments) != NULL;
+}
+
+int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *budget)
+{
+  while (active->cursor < active->work->n_designs) {
+    int result;
+    if (!has_cell_to_do(active, active->cursor)) {
+      active->cursor++;
+      continue;
+    }
+    if (*budget == 0)
+      return 0;
+    (*budget)--;
+    result = active->private_runs ? launch_private(jobs, active, active->cursor)
+                                  : advance_design(jobs, active, active->cursor);
+    if (result != 0)
+      return result;
+  }
+  return -1;
+}
+
+/* ---- taking blocks back ---- */
+
+static void drop_flight(struct mo_jobs *jobs, struct mo_flight *flight)
+{
+  struct mo_flight **link = &jobs->flights;
+  while (*link != flight)
+    link = &(*link)->next;
+  *link = flight->next;
+  if (flight->block.urgency == MO_INTERACTIVE)
+    jobs->flights_interactive--;
+  else
+    jobs->flights_batch--;
+  atomic_fetch_sub(&jobs->blocks_in_flight, 1);
+}
+
+static void describe(int status, char text[128])
+{
+  snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(status));
+}
+
+/* The waiting cells of a rollout learn its fate, and the list ends. */
+static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int status)
+{
+  char text[128];
+  while (rollout->waiters != NULL) {
+    struct mo_waiter *waiter = rollout->waiters;
+    struct mo_active *active = waiter->active;
+    rollout->waiters = waiter->next;
+    if (!active->detached) {
+      if (status == MO_OK) {
+        finish_cell(jobs, active, waiter->cell, rollout->diverged_step, waiter->owner ? COMPUTED : SHARED);
+      } else {
+        return_cell(active, waiter->cell);
+        if (status != MO_ERR_CANCELLED) {
+          describe(status, text);
+          mo_active_fail(jobs, active, status, text);
+        }
+      }
+    }
+    free(waiter);
+    mo_active_release(jobs, active);
+  }
+}
+
+static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
+{
+  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+    struct mo_rollout *rollout = flight->rollouts[i];
+    const struct mo_outcome *outcome = &flight->block.outcomes[i];
+    struct mo_saved_score score = {.genotype = rollout->genotype,
+                                   .controller = rollout->controller,
+                                   .physics = rollout->physics,
+                                   .environment = rollout->environment,
+                                   .fingerprint = jobs->fingerprints[flight->block.precision],
+                                   .loss = outcome->loss,
+                                   .diverged_step = outcome->diverged_step};
+    int status = flight->block.status;
+    if (status == MO_OK)
+      status = mo_pending_score(jobs, &score);
+    if (status == MO_OK) {
+      rollout->flight = NULL;
+      rollout->loss = outcome->loss;
+      rollout->diverged_step = outcome->diverged_step;
+      rollout->next_save = jobs->pending.rollouts;
+      jobs->pending.rollouts = rollout;
+      atomic_fetch_add(&jobs->computed, 1);
+      atomic_fetch_add(&jobs->diverged, outcome->diverged_step != 0);
+      tell_waiters(jobs, rollout, MO_OK);
+    } else {
+      tell_waiters(jobs, rollout, status);
+      mo_rollout_forget(jobs, rollout);
+    }
+  }
+}
+
+static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uint32_t i)
+{
+  struct mo_active *active = flight->owner;
+  const struct mo_work *work = active->work;
+  uint32_t design = (uint32_t)(flight->cells[i] / work->n_environments);
+  uint32_t k = (uint32_t)(flight->cells[i] % work->n_environments);
+  const struct mo_outcome *outcome = &flight->block.outcomes[i];
+  struct mo_saved_score score = {.genotype = work->genotype_rows[design],
+                                 .controller = work->controller,
+                                 .physics = work->physics,
+                                 .environment = work->environment_rows[k],
+                                 .fingerprint = jobs->fingerprints[flight->block.precision],
+                                 .loss = outcome->loss,
+                                 .diverged_step = outcome->diverged_step,
+                                 .verify_job = work->job.verify ? active->id : 0,
+                                 .design_position = design,
+                                 .environment_position = k};
+  int error = MO_OK;
+  if (flight->block.recordings != NULL) {
+    struct mo_saved_trajectory saved = {.job = active->id,
+                                        .design_position = design,
+                                        .environment_position = k,
+                                        .stride = flight->recordings[i].stride,
+                                        .frames = flight->frames,
+                                        .n_masses = flight->body->n_masses,
+                                        .com_m = flight->recordings[i].com_m,
+                                        .mass_m = flight->recordings[i].mass_m};
+    error = mo_pending_trajectory(jobs, &saved);
+    if (error == MO_OK) { /* the arrays are the save's now */
+      flight->recordings[i].com_m = NULL;
+      flight->recordings[i].mass_m = NULL;
+    }
+  }
+  if (error == MO_OK)
+    error = mo_pending_score(jobs, &score);
+  if (error != MO_OK)
+    return error;
+  atomic_fetch_add(&jobs->computed, 1);
+  atomic_fetch_add(&jobs->diverged, outcome->diverged_step != 0);
+  if (!active->detached)
+    finish_cell(jobs, active, flight->cells[i], outcome->diverged_step, COMPUTED);
+  return MO_OK;
+}
+
+static void land_private(struct mo_jobs *jobs, struct mo_flight *flight)
+{
+  struct mo_active *active = flight->owner;
+  char text[128];
+  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+    int status = flight->block.status;
+    if (status == MO_OK)
+      status = land_private_cell(jobs, flight, i);
+    if (status == MO_OK || active->detached)
+      continue;
+    return_cell(active, flight->cells[i]);
+    if (status != MO_ERR_CANCELLED) {
+      describe(status, text);
+      mo_active_fail(jobs, active, status, text);
+    }
+  }
+}
+
+void mo_flight_land(struct mo_jobs *jobs, struct mo_flight *flight)
+{
+  struct mo_active *owner = flight->owner;
+  drop_flight(jobs, flight);
+  if (flight->rollouts[0] != NULL)
+    land_shared(jobs, flight);
+  else
+    land_private(jobs, flight);
+  if (flight->block.urgency == MO_INTERACTIVE)
+    jobs->pending.urgent = true;
+  free_flight(flight);
+  mo_active_release(jobs, owner);
+}
+
+void mo_flights_cancel(struct mo_jobs *jobs, bool all)
+{
+  for (struct mo_flight *flight = jobs->flights; flight != NULL; flight = flight->next) {
+    bool wanted = flight->rollouts[0] == NULL && !flight->owner->detached;
+    for (uint32_t i = 0; i < MO_BLOCK_LANES && flight->rollouts[i] != NULL; i++)
+      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL; waiter = waiter->next)
+        wanted = wanted || !waiter->active->detached;
+    if (all || !wanted)
+      __atomic_store_n(&flight->cancel, 1, __ATOMIC_RELAXED);
+  }
+}

@@ -1,0 +1,204 @@
+/* internal.h: how the scheduler keeps what is running. For this room alone.
+ *
+ * Everything below `scheduler's own` in mo_jobs, and every structure here, belongs to the scheduler's thread. Other threads
+ * reach it through the inbox: finished blocks, wishes to stop a job, results of saves.
+ *
+ *   active    one job that runs: its cells (design × environment) are to do, under way, or done
+ *   rollout   one (genotype, controller, physics, environment) that is being computed, or computed and not yet committed;
+ *             every cell of every job that wants it waits at it, so it is computed once
+ *   flight    one block in the back end: up to MO_BLOCK_LANES rollouts of one genotype
+ *   pending   what the next save will write; one save is under way at a time */
+#ifndef MORPHO_JOBS_INTERNAL_H
+#define MORPHO_JOBS_INTERNAL_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdio.h>
+
+#include "jobs/jobs.h"
+#include "store/runner.h"
+
+#define MO_ROLLOUT_BUCKETS 4096
+#define MO_DELAYED_MAX     64
+
+enum mo_cell { MO_CELL_TO_DO = 0, MO_CELL_UNDER_WAY = 1, MO_CELL_DONE = 2 };
+
+/* A controller loaded into the back end. */
+struct mo_loaded {
+  struct mo_sha256 sha256;
+  struct mo_controller *controller;
+  struct mo_compute_controller *ready;
+  uint32_t users;
+  uint64_t last_used;
+  struct mo_loaded *next;
+};
+
+struct mo_active {
+  struct mo_work *work; /* NULL: could not be loaded */
+  int64_t id;
+  enum mo_urgency priority;
+  struct mo_loaded *controller;
+  uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
+  uint8_t *left;   /* (n_designs) cells that are not done */
+  uint32_t cursor; /* no design before it has a cell to do */
+  uint64_t total, done, cached, diverged;
+  uint64_t
+      own_before; /* rollouts that this job computed in earlier lives: found in the store, but not counted as cached */
+  double pass;    /* virtual time: the job with the least goes next */
+  bool private_runs; /* verify or recording: shares nothing, looks nothing up */
+  bool detached;     /* cancelled, paused, failed: makes no more blocks, what comes back is not its own */
+  bool failing;      /* detached, and the note of it is not committed yet */
+  bool finishing;    /* its end is in a save */
+  bool changed;      /* counts differ from the last save's */
+  int64_t last_event_us;
+  uint32_t references; /* waiting cells and saves that name it */
+  struct mo_active *next;
+};
+
+struct mo_waiter {
+  struct mo_active *active;
+  size_t cell;
+  bool owner; /* the block was made for this cell */
+  struct mo_waiter *next;
+};
+
+struct mo_rollout {
+  int64_t genotype, controller, physics, environment;
+  struct mo_flight *flight; /* NULL: computed, waits for its commit */
+  double loss;
+  int32_t diverged_step;
+  struct mo_waiter *waiters;
+  struct mo_rollout *next;      /* in its bucket */
+  struct mo_rollout *next_save; /* in pending or in the save under way */
+};
+
+struct mo_flight {
+  struct mo_block block;
+  struct mo_jobs *jobs;
+  struct mo_rollout *rollouts[MO_BLOCK_LANES];
+  struct mo_bits genotype;
+  volatile int cancel;
+  uint64_t serial;
+  /* Private runs: whose, which cells, and what they record. */
+  struct mo_active *owner;
+  size_t cells[MO_BLOCK_LANES];
+  struct mo_body *body;
+  struct mo_recording recordings[MO_BLOCK_LANES];
+  uint32_t frames;
+  struct mo_flight *next;       /* among all flights */
+  struct mo_flight *next_inbox; /* among the finished */
+};
+
+/* Growing arrays of one save. */
+struct mo_pending {
+  struct mo_save save;
+  size_t scores_room, trajectories_room, designs_room, updates_room, owners_room;
+  struct mo_active **owners;   /* (save.n_updates) whose updates they are; each holds a reference */
+  struct mo_rollout *rollouts; /* that end with the commit */
+  int64_t since_us;            /* when the first thing came in; 0: empty */
+  bool urgent;
+};
+
+struct mo_wish {
+  int64_t id;
+  bool cancel; /* blocks that nobody else waits for are broken off */
+  struct mo_wish *next;
+};
+
+struct mo_jobs {
+  struct mo_store *store;
+  struct mo_compute *compute;
+  struct mo_jobs_config config;
+  struct mo_lattice *lattice;
+  int64_t fingerprints[2]; /* by precision */
+  int listener;
+
+  /* Admission. */
+  pthread_mutex_t admission_mutex;
+  atomic_uint_fast64_t open_jobs, open_rollouts; /* changed under the mutex */
+
+  /* Waiting threads. */
+  pthread_mutex_t wait_mutex;
+  pthread_cond_t ended;
+  uint64_t endings;
+
+  /* Inbox. */
+  pthread_mutex_t mutex;
+  pthread_cond_t news;
+  struct mo_flight *finished;
+  struct mo_wish *wishes;
+  bool look; /* there may be queued jobs */
+  bool saved;
+  int save_status;
+  bool stopping, stopped;
+  bool abandon; /* stop waiting for saves that do not succeed */
+  pthread_cond_t stop_done;
+
+  /* The scheduler's own. */
+  pthread_t thread;
+  bool thread_started;
+  struct mo_active *actives;
+  struct mo_flight *flights;
+  uint32_t flights_batch, flights_interactive;
+  uint64_t serial, use_clock;
+  struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
+  struct mo_loaded *controllers;
+  struct mo_pending pending, saving;
+  double pass[2]; /* virtual time of each priority */
+  bool save_under_way;
+  int64_t retry_save_us; /* when to try again after want of space */
+  bool broken;           /* the store is lost: nothing more is done */
+  bool look_again;       /* as `look`, from the scheduler itself */
+  struct {
+    int64_t id, until_us;
+  } delayed[MO_DELAYED_MAX];
+  unsigned n_delayed;
+
+  atomic_uint_fast64_t active_batch, active_interactive, blocks_in_flight;
+  atomic_uint_fast64_t computed, cached, shared, diverged, submitted, succeeded, failed, cancelled;
+  atomic_int_fast64_t heartbeat_us;
+  atomic_bool no_space, is_stopping;
+};
+
+int64_t mo_jobs_clock_us(void); /* monotonic */
+
+/* ---- scheduler.c ---- */
+void *mo_scheduler_loop(void *jobs);
+void mo_jobs_wake(struct mo_jobs *jobs);
+void mo_jobs_closed(struct mo_jobs *jobs, uint64_t rollouts); /* a job is no longer open */
+int mo_jobs_recount(struct mo_jobs *jobs);                    /* open jobs and rollouts, from the store */
+void mo_active_release(struct mo_jobs *jobs, struct mo_active *active);
+/* The job goes back to the queue, with one attempt more. */
+void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, const char *text);
+void mo_actives_free_all(struct mo_jobs *jobs);
+struct mo_active *mo_active_find(struct mo_jobs *jobs, int64_t id);
+
+/* ---- blocks.c ---- */
+/* Looks at designs of `active` until a block is submitted (1), `budget` designs were answered from the store (0), or none is to
+ * do (−1). */
+int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *budget);
+/* Takes in a finished block and frees it. */
+void mo_flight_land(struct mo_jobs *jobs, struct mo_flight *flight);
+/* Breaks off the flights that only detached jobs wait for; all: every flight. */
+void mo_flights_cancel(struct mo_jobs *jobs, bool all);
+void mo_rollout_forget(struct mo_jobs *jobs, struct mo_rollout *rollout);
+
+/* ---- saver.c ---- */
+int mo_pending_score(struct mo_jobs *jobs, const struct mo_saved_score *score);
+int mo_pending_design(struct mo_jobs *jobs, const struct mo_saved_design *design);
+int mo_pending_trajectory(struct mo_jobs *jobs, const struct mo_saved_trajectory *trajectory);
+int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_job_step step, int error,
+                      const char *text);
+void mo_pending_touch(struct mo_jobs *jobs); /* something is to be saved */
+/* Starts a save when one is due, or at once. Returns the clock time at which one will be due, INT64_MAX for none. */
+int64_t mo_saver_run(struct mo_jobs *jobs, bool at_once);
+bool mo_saver_idle(const struct mo_jobs *jobs); /* nothing pending, nothing under way */
+void mo_saver_finished(struct mo_jobs *jobs, int status);
+void mo_pending_free(struct mo_pending *pending);
+
+/* ---- controllers.c ---- */
+int mo_loaded_acquire(struct mo_jobs *jobs, const struct mo_sha256 *sha256, struct mo_loaded **loaded);
+void mo_loaded_release(struct mo_jobs *jobs, struct mo_loaded *loaded);
+void mo_loaded_free_all(struct mo_jobs *jobs);
+
+#endif

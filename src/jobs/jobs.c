@@ -1,0 +1,343 @@
+/* jobs.c: the room's door: start, stop, control, waiting, figures. */
+#include "jobs/jobs.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "jobs/internal.h"
+
+#define MARKER_BYTES_MAX 4096
+
+static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
+{
+  if (config->max_open_jobs == 0)
+    config->max_open_jobs = 10000;
+  if (config->max_open_rollouts == 0)
+    config->max_open_rollouts = 20000000;
+  if (config->max_recorded_bytes == 0)
+    config->max_recorded_bytes = UINT64_C(64) << 20;
+  if (config->max_active_batch == 0)
+    config->max_active_batch = 8;
+  if (config->max_active_interactive == 0)
+    config->max_active_interactive = 64;
+  if (config->window_batch == 0)
+    config->window_batch = 2 * n_workers;
+  if (config->window_interactive == 0)
+    config->window_interactive = 4 * n_workers;
+  if (config->controllers_kept == 0)
+    config->controllers_kept = 8;
+  if (config->max_attempts == 0)
+    config->max_attempts = 3;
+  if (config->save_interval_ms == 0)
+    config->save_interval_ms = 100;
+  config->crash_marker = NULL; /* read by now; the caller's text is not kept */
+}
+
+/* ---- the marker ---- */
+
+/* The last line "<job> <signal>" of the marker; job 0: none. */
+static void read_marker(const char *path, int64_t *job, int *signal_number)
+{
+  char text[MARKER_BYTES_MAX + 1];
+  ssize_t n;
+  char *line, *end;
+  int fd;
+  *job = 0;
+  *signal_number = 0;
+  fd = path != NULL ? open(path, O_RDONLY | O_CLOEXEC) : -1;
+  if (fd < 0)
+    return;
+  n = read(fd, text, MARKER_BYTES_MAX);
+  close(fd);
+  if (n <= 0)
+    return;
+  text[n] = '\0';
+  end = strrchr(text, '\n');
+  if (end == NULL)
+    return; /* not written to its end */
+  *end = '\0';
+  line = strrchr(text, '\n');
+  line = line != NULL ? line + 1 : text;
+  *job = strtoll(line, &end, 10);
+  *signal_number = (int)strtol(end, NULL, 10);
+  if (*job < 0)
+    *job = 0;
+}
+
+static int recover(struct mo_jobs *jobs, const char *marker)
+{
+  char text[128];
+  int64_t crashed;
+  int signal_number;
+  int error;
+  read_marker(marker, &crashed, &signal_number);
+  snprintf(text, sizeof(text), "the process was ended by signal %d (%s) while it ran this job", signal_number,
+           sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
+  error = mo_store_requeue(jobs->store, crashed, jobs->config.max_attempts, text);
+  if (error == MO_OK && marker != NULL && truncate(marker, 0) != 0 && errno != ENOENT)
+    error = MO_ERR_IO;
+  return error;
+}
+
+/* ---- start and stop ---- */
+
+/* Wakes those who wait for the end of a job. */
+static void hear(void *context, const struct mo_event *events, size_t n)
+{
+  struct mo_jobs *jobs = context;
+  for (size_t i = 0; i < n; i++)
+    if (strcmp(events[i].type, "job.finished") == 0) {
+      pthread_mutex_lock(&jobs->wait_mutex);
+      jobs->endings++;
+      pthread_cond_broadcast(&jobs->ended);
+      pthread_mutex_unlock(&jobs->wait_mutex);
+      return;
+    }
+}
+
+int mo_jobs_recount(struct mo_jobs *jobs)
+{
+  uint64_t open_jobs = 0, open_rollouts = 0;
+  int error = mo_store_open_work(jobs->store, &open_jobs, &open_rollouts);
+  if (error != MO_OK)
+    return error;
+  pthread_mutex_lock(&jobs->admission_mutex);
+  jobs->open_jobs = open_jobs;
+  jobs->open_rollouts = open_rollouts;
+  pthread_mutex_unlock(&jobs->admission_mutex);
+  return MO_OK;
+}
+
+static int prepare(struct mo_jobs *jobs, const char *marker)
+{
+  int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &jobs->lattice);
+  for (int precision = 0; precision < 2 && error == MO_OK; precision++)
+    error = mo_store_fingerprint(jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
+                                 &jobs->fingerprints[precision]);
+  if (error == MO_OK)
+    error = recover(jobs, marker);
+  if (error == MO_OK)
+    error = mo_jobs_recount(jobs);
+  if (error == MO_OK)
+    error = mo_store_subscribe(jobs->store, hear, jobs, &jobs->listener);
+  return error;
+}
+
+static void init_locks(struct mo_jobs *jobs)
+{
+  pthread_condattr_t monotonic;
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+  pthread_mutex_init(&jobs->admission_mutex, NULL);
+  pthread_mutex_init(&jobs->wait_mutex, NULL);
+  pthread_mutex_init(&jobs->mutex, NULL);
+  pthread_cond_init(&jobs->ended, &monotonic);
+  pthread_cond_init(&jobs->news, &monotonic);
+  pthread_cond_init(&jobs->stop_done, &monotonic);
+  pthread_condattr_destroy(&monotonic);
+}
+
+static void free_jobs(struct mo_jobs *jobs)
+{
+  if (jobs->listener != 0)
+    mo_store_unsubscribe(jobs->store, jobs->listener);
+  while (jobs->saving.rollouts != NULL) {
+    struct mo_rollout *rollout = jobs->saving.rollouts;
+    jobs->saving.rollouts = rollout->next_save;
+    free(rollout);
+  }
+  while (jobs->pending.rollouts != NULL) {
+    struct mo_rollout *rollout = jobs->pending.rollouts;
+    jobs->pending.rollouts = rollout->next_save;
+    free(rollout);
+  }
+  mo_pending_free(&jobs->pending);
+  mo_pending_free(&jobs->saving);
+  while (jobs->wishes != NULL) {
+    struct mo_wish *wish = jobs->wishes;
+    jobs->wishes = wish->next;
+    free(wish);
+  }
+  mo_actives_free_all(jobs);
+  mo_loaded_free_all(jobs);
+  mo_lattice_free(jobs->lattice);
+  pthread_mutex_destroy(&jobs->admission_mutex);
+  pthread_mutex_destroy(&jobs->wait_mutex);
+  pthread_mutex_destroy(&jobs->mutex);
+  pthread_cond_destroy(&jobs->ended);
+  pthread_cond_destroy(&jobs->news);
+  pthread_cond_destroy(&jobs->stop_done);
+  free(jobs);
+}
+
+int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const struct mo_jobs_config *config,
+                   struct mo_jobs **ret, struct mo_message *message)
+{
+  struct mo_jobs *jobs = calloc(1, sizeof(*jobs));
+  struct mo_compute_stats stats;
+  int error;
+  if (jobs == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  jobs->store = store;
+  jobs->compute = compute;
+  jobs->config = *config;
+  mo_compute_get_stats(compute, &stats);
+  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1);
+  init_locks(jobs);
+  jobs->look = true;
+  atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
+  error = prepare(jobs, config->crash_marker);
+  if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
+    error = MO_ERR_NO_MEMORY;
+  if (error != MO_OK) {
+    free_jobs(jobs);
+    return mo_fail(message, error, "the scheduler cannot start: %s", mo_error_text(error));
+  }
+  jobs->thread_started = true;
+  *ret = jobs;
+  return MO_OK;
+}
+
+static struct timespec after_ms(uint32_t ms)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  time.tv_sec += ms / 1000;
+  time.tv_nsec += (long)(ms % 1000) * 1000000;
+  if (time.tv_nsec >= 1000000000) {
+    time.tv_sec++;
+    time.tv_nsec -= 1000000000;
+  }
+  return time;
+}
+
+int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
+{
+  struct timespec deadline = after_ms(deadline_ms);
+  bool stopped;
+  atomic_store(&jobs->is_stopping, true);
+  pthread_mutex_lock(&jobs->mutex);
+  jobs->stopping = true;
+  jobs->look = true;
+  pthread_cond_signal(&jobs->news);
+  while (!jobs->stopped)
+    if (pthread_cond_timedwait(&jobs->stop_done, &jobs->mutex, &deadline) == ETIMEDOUT)
+      break;
+  stopped = jobs->stopped;
+  pthread_mutex_unlock(&jobs->mutex);
+  return stopped && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;
+}
+
+void mo_jobs_free(struct mo_jobs *jobs)
+{
+  if (jobs == NULL)
+    return;
+  atomic_store(&jobs->is_stopping, true);
+  pthread_mutex_lock(&jobs->mutex);
+  jobs->abandon = jobs->stopping; /* a stop was tried: it had its time */
+  jobs->stopping = true;
+  jobs->look = true;
+  pthread_cond_signal(&jobs->news);
+  pthread_mutex_unlock(&jobs->mutex);
+  pthread_join(jobs->thread, NULL);
+  free_jobs(jobs);
+}
+
+/* ---- control ---- */
+
+static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
+{
+  struct mo_wish *wish = calloc(1, sizeof(*wish));
+  struct mo_job job;
+  enum mo_job_state before;
+  int error;
+  if (wish == NULL)
+    return MO_ERR_NO_MEMORY;
+  error = mo_store_job(jobs->store, id, &job);
+  if (error == MO_OK)
+    error = mo_store_change_job(jobs->store, id, change_to, &before);
+  if (error != MO_OK) {
+    free(wish);
+    return error;
+  }
+  if (change_to == MO_CHANGE_CANCEL) {
+    atomic_fetch_add(&jobs->cancelled, 1);
+    mo_jobs_closed(jobs, job.rollouts_total);
+  }
+  if (change_to == MO_CHANGE_RESUME) {
+    free(wish);
+    mo_jobs_wake(jobs);
+    return MO_OK;
+  }
+  wish->id = id;
+  wish->cancel = change_to == MO_CHANGE_CANCEL;
+  pthread_mutex_lock(&jobs->mutex);
+  wish->next = jobs->wishes;
+  jobs->wishes = wish;
+  pthread_cond_signal(&jobs->news);
+  pthread_mutex_unlock(&jobs->mutex);
+  return MO_OK;
+}
+
+int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id)
+{
+  return change(jobs, id, MO_CHANGE_CANCEL);
+}
+
+int mo_jobs_pause(struct mo_jobs *jobs, int64_t id)
+{
+  return change(jobs, id, MO_CHANGE_PAUSE);
+}
+
+int mo_jobs_resume(struct mo_jobs *jobs, int64_t id)
+{
+  return change(jobs, id, MO_CHANGE_RESUME);
+}
+
+/* ---- waiting and figures ---- */
+
+int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job)
+{
+  struct timespec deadline = after_ms(timeout_ms);
+  bool late = false;
+  for (;;) {
+    uint64_t endings;
+    int error;
+    pthread_mutex_lock(&jobs->wait_mutex);
+    endings = jobs->endings;
+    pthread_mutex_unlock(&jobs->wait_mutex);
+    error = mo_store_job(jobs->store, id, job);
+    if (error != MO_OK || late || mo_job_state_is_final(job->state))
+      return error;
+    pthread_mutex_lock(&jobs->wait_mutex);
+    while (jobs->endings == endings && !late)
+      late = pthread_cond_timedwait(&jobs->ended, &jobs->wait_mutex, &deadline) == ETIMEDOUT;
+    pthread_mutex_unlock(&jobs->wait_mutex);
+  }
+}
+
+void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
+{
+  *stats = (struct mo_jobs_stats){
+      .open_jobs = atomic_load(&jobs->open_jobs),
+      .open_rollouts = atomic_load(&jobs->open_rollouts),
+      .active_batch = atomic_load(&jobs->active_batch),
+      .active_interactive = atomic_load(&jobs->active_interactive),
+      .blocks_in_flight = atomic_load(&jobs->blocks_in_flight),
+      .rollouts_computed = atomic_load(&jobs->computed),
+      .rollouts_cached = atomic_load(&jobs->cached),
+      .rollouts_shared = atomic_load(&jobs->shared),
+      .rollouts_diverged = atomic_load(&jobs->diverged),
+      .jobs_submitted = atomic_load(&jobs->submitted),
+      .jobs_succeeded = atomic_load(&jobs->succeeded),
+      .jobs_failed = atomic_load(&jobs->failed),
+      .jobs_cancelled = atomic_load(&jobs->cancelled),
+      .heartbeat_us = atomic_load(&jobs->heartbeat_us),
+      .no_space = atomic_load(&jobs->no_space),
+      .stopping = atomic_load(&jobs->is_stopping),
+  };
+}

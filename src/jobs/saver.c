@@ -1,0 +1,296 @@
+/* saver.c: what came in since the last save, and the one save that is under way.
+ *
+ * Losses wait at most save_interval_ms, those of interactive jobs not at all. A save holds the losses of that time, the counts of
+ * the jobs that they belong to, and the ends of jobs whose last loss is among them: one transaction. When the disk is
+ * full the save is kept and tried again every second; nothing new is computed meanwhile. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/internal.h"
+
+#define EVENT_EVERY_US 1000000
+#define RETRY_US       1000000
+#define SCORES_AT_ONCE 4096
+
+/* Room for one more in an array. */
+static bool grow(void **array, size_t n, size_t *room, size_t size)
+{
+  size_t more;
+  void *grown;
+  if (n < *room)
+    return true;
+  more = *room > 0 ? *room * 2 : 64;
+  grown = realloc(*array, more * size);
+  if (grown == NULL)
+    return false;
+  *array = grown;
+  *room = more;
+  return true;
+}
+
+void mo_pending_touch(struct mo_jobs *jobs)
+{
+  if (jobs->pending.since_us == 0)
+    jobs->pending.since_us = mo_jobs_clock_us();
+}
+
+int mo_pending_score(struct mo_jobs *jobs, const struct mo_saved_score *score)
+{
+  struct mo_pending *pending = &jobs->pending;
+  void *array = pending->save.scores;
+  bool grown = grow(&array, pending->save.n_scores, &pending->scores_room, sizeof(*score));
+  pending->save.scores = array;
+  if (!grown)
+    return MO_ERR_NO_MEMORY;
+  pending->save.scores[pending->save.n_scores++] = *score;
+  mo_pending_touch(jobs);
+  return MO_OK;
+}
+
+int mo_pending_design(struct mo_jobs *jobs, const struct mo_saved_design *design)
+{
+  struct mo_pending *pending = &jobs->pending;
+  void *array = pending->save.designs;
+  bool grown = grow(&array, pending->save.n_designs, &pending->designs_room, sizeof(*design));
+  pending->save.designs = array;
+  if (!grown)
+    return MO_ERR_NO_MEMORY;
+  pending->save.designs[pending->save.n_designs++] = *design;
+  mo_pending_touch(jobs);
+  return MO_OK;
+}
+
+int mo_pending_trajectory(struct mo_jobs *jobs, const struct mo_saved_trajectory *trajectory)
+{
+  struct mo_pending *pending = &jobs->pending;
+  void *array = pending->save.trajectories;
+  bool grown = grow(&array, pending->save.n_trajectories, &pending->trajectories_room, sizeof(*trajectory));
+  pending->save.trajectories = array;
+  if (!grown)
+    return MO_ERR_NO_MEMORY;
+  pending->save.trajectories[pending->save.n_trajectories++] = *trajectory;
+  mo_pending_touch(jobs);
+  return MO_OK;
+}
+
+int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_job_step step, int error,
+                      const char *text)
+{
+  struct mo_pending *pending = &jobs->pending;
+  size_t n = pending->save.n_updates;
+  void *updates = pending->save.updates, *owners = pending->owners;
+  struct mo_job_update *update;
+  bool grown = grow(&updates, n, &pending->updates_room, sizeof(*update));
+  pending->save.updates = updates;
+  if (grown)
+    grown = grow(&owners, n, &pending->owners_room, sizeof(struct mo_active *));
+  pending->owners = owners;
+  if (!grown)
+    return MO_ERR_NO_MEMORY;
+  update = &pending->save.updates[n];
+  *update = (struct mo_job_update){.job = active->id,
+                                   .step = step,
+                                   .total = active->total,
+                                   .done = active->done,
+                                   .cached = active->cached,
+                                   .diverged = active->diverged,
+                                   .error = error,
+                                   .max_attempts = jobs->config.max_attempts};
+  if (text != NULL)
+    snprintf(update->error_text, sizeof(update->error_text), "%s", text);
+  pending->owners[n] = active;
+  pending->save.n_updates++;
+  active->references++;
+  mo_pending_touch(jobs);
+  return MO_OK;
+}
+
+/* Empties, keeping the arrays. */
+static void clear(struct mo_pending *pending)
+{
+  for (size_t i = 0; i < pending->save.n_trajectories; i++) {
+    free((void *)pending->save.trajectories[i].com_m);
+    free((void *)pending->save.trajectories[i].mass_m);
+  }
+  pending->save.n_scores = pending->save.n_trajectories = pending->save.n_designs = pending->save.n_updates = 0;
+  pending->rollouts = NULL;
+  pending->since_us = 0;
+  pending->urgent = false;
+}
+
+void mo_pending_free(struct mo_pending *pending)
+{
+  clear(pending);
+  free(pending->save.scores);
+  free(pending->save.trajectories);
+  free(pending->save.designs);
+  free(pending->save.updates);
+  free(pending->owners);
+  memset(pending, 0, sizeof(*pending));
+}
+
+bool mo_saver_idle(const struct mo_jobs *jobs)
+{
+  return !jobs->save_under_way && jobs->saving.since_us == 0 && jobs->pending.since_us == 0;
+}
+
+static void save_done(struct mo_save *save, int status)
+{
+  struct mo_jobs *jobs = save->context;
+  pthread_mutex_lock(&jobs->mutex);
+  jobs->saved = true;
+  jobs->save_status = status;
+  pthread_cond_signal(&jobs->news);
+  pthread_mutex_unlock(&jobs->mutex);
+}
+
+static void start(struct mo_jobs *jobs)
+{
+  int error;
+  jobs->save_under_way = true;
+  jobs->saving.save.done = save_done;
+  jobs->saving.save.context = jobs;
+  error = mo_store_save(jobs->store, &jobs->saving.save);
+  if (error != MO_OK)
+    save_done(&jobs->saving.save, error);
+}
+
+/* The counts and ends of the jobs whose losses are pending. */
+static void add_counts(struct mo_jobs *jobs)
+{
+  int64_t now = mo_jobs_clock_us();
+  for (struct mo_active *active = jobs->actives; active != NULL; active = active->next) {
+    bool ended = active->done == active->total;
+    int error;
+    if (active->detached || active->finishing || !(active->changed || ended))
+      continue;
+    error = mo_pending_update(jobs, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
+    if (error != MO_OK)
+      continue; /* comes with the next save */
+    active->changed = false;
+    active->finishing = ended;
+    if (!ended) {
+      bool loud = now - active->last_event_us >= EVENT_EVERY_US;
+      jobs->pending.save.updates[jobs->pending.save.n_updates - 1].quiet = !loud;
+      if (loud)
+        active->last_event_us = now;
+    }
+  }
+}
+
+static bool interactive_ended(const struct mo_jobs *jobs)
+{
+  for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
+    if (!active->detached && !active->finishing && active->priority == MO_INTERACTIVE && active->done == active->total)
+      return true;
+  return false;
+}
+
+int64_t mo_saver_run(struct mo_jobs *jobs, bool at_once)
+{
+  int64_t now = mo_jobs_clock_us();
+  int64_t due;
+  struct mo_pending swap;
+  if (jobs->save_under_way || jobs->broken)
+    return INT64_MAX;
+  if (jobs->saving.since_us != 0) { /* one that failed for want of space */
+    if (now < jobs->retry_save_us)
+      return jobs->retry_save_us;
+    start(jobs);
+    return INT64_MAX;
+  }
+  if (jobs->pending.since_us == 0)
+    return INT64_MAX;
+  due = jobs->pending.since_us + (int64_t)jobs->config.save_interval_ms * 1000;
+  if (!at_once && now < due && !jobs->pending.urgent && jobs->pending.save.n_scores < SCORES_AT_ONCE &&
+      !interactive_ended(jobs))
+    return due;
+  add_counts(jobs);
+  swap = jobs->saving;
+  jobs->saving = jobs->pending;
+  jobs->pending = swap;
+  start(jobs);
+  return INT64_MAX;
+}
+
+/* ---- afterwards ---- */
+
+static void delay(struct mo_jobs *jobs, int64_t id)
+{
+  if (jobs->n_delayed == MO_DELAYED_MAX)
+    return; /* tried again at once */
+  jobs->delayed[jobs->n_delayed].id = id;
+  jobs->delayed[jobs->n_delayed].until_us = mo_jobs_clock_us() + RETRY_US;
+  jobs->n_delayed++;
+}
+
+static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const struct mo_job_update *update)
+{
+  switch (update->step) {
+  case MO_STEP_START:
+  case MO_STEP_PROGRESS:
+    if (!update->applied)
+      active->detached = true; /* a person stopped it */
+    break;
+  case MO_STEP_SUCCEED:
+    active->detached = true;
+    if (update->applied) {
+      atomic_fetch_add(&jobs->succeeded, 1);
+      mo_jobs_closed(jobs, active->total);
+    }
+    break;
+  case MO_STEP_RETRY:
+    active->failing = false;
+    if (update->applied && update->state == MO_JOB_FAILED) {
+      atomic_fetch_add(&jobs->failed, 1);
+      if (active->work != NULL)
+        mo_jobs_closed(jobs, active->total);
+      else
+        mo_jobs_recount(jobs);
+    } else if (update->applied) {
+      delay(jobs, active->id);
+    }
+    break;
+  case MO_STEP_PARK: break;
+  }
+}
+
+static void settle(struct mo_jobs *jobs, int status)
+{
+  struct mo_pending *saving = &jobs->saving;
+  while (saving->rollouts != NULL) {
+    struct mo_rollout *rollout = saving->rollouts;
+    saving->rollouts = rollout->next_save;
+    mo_rollout_forget(jobs, rollout);
+  }
+  if (status != MO_OK)
+    for (struct mo_active *active = jobs->actives; active != NULL; active = active->next)
+      if (!active->detached)
+        mo_active_fail(jobs, active, status, "its losses could not be saved");
+  for (size_t i = 0; i < saving->save.n_updates; i++) {
+    struct mo_active *active = saving->owners[i];
+    if (status == MO_OK) {
+      settle_update(jobs, active, &saving->save.updates[i]);
+    } else if (saving->save.updates[i].step == MO_STEP_RETRY) {
+      active->failing = false;
+      delay(jobs, active->id);
+    }
+    mo_active_release(jobs, active);
+  }
+  clear(saving);
+  jobs->look_again = true;
+}
+
+void mo_saver_finished(struct mo_jobs *jobs, int status)
+{
+  jobs->save_under_way = false;
+  atomic_store(&jobs->no_space, status == MO_ERR_NO_SPACE);
+  switch (status) {
+  case MO_ERR_NO_SPACE:
+  case MO_ERR_BUSY:
+  case MO_ERR_NO_MEMORY: jobs->retry_save_us = mo_jobs_clock_us() + RETRY_US; break;
+  case MO_ERR_IO:
+  case MO_ERR_CANCELLED: jobs->broken = true; break;
+  default: settle(jobs, status); break;
+  }
+}

@@ -1,0 +1,242 @@
+/* fake_compute.c: see fake_compute.h. */
+#include "fake_compute.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#define HISTORY_MAX 100000
+
+struct fake_plan fake_plan;
+
+static pthread_mutex_t history_mutex = PTHREAD_MUTEX_INITIALIZER;
+static int64_t history[HISTORY_MAX];
+static size_t n_history;
+static _Thread_local volatile int64_t current_tag = -1;
+
+struct mo_compute_controller {
+  const struct mo_controller *controller;
+};
+
+struct mo_compute {
+  uint32_t n_workers;
+  pthread_t threads[64];
+  pthread_mutex_t mutex;
+  pthread_cond_t wake;
+  struct mo_block *first[2], *last[2];
+  bool ending;
+  atomic_uint_fast64_t blocks, rollouts;
+  atomic_uint busy;
+};
+
+static uint64_t mix(uint64_t h, const void *data, size_t size)
+{
+  const uint8_t *bytes = data;
+  for (size_t i = 0; i < size; i++)
+    h = (h ^ bytes[i]) * UINT64_C(0x100000001B3);
+  return h ^ (h >> 29);
+}
+
+struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_controller *controller,
+                               const struct mo_environment *environment, const struct mo_physics *physics,
+                               enum mo_precision precision)
+{
+  struct mo_outcome outcome = {.loss = 0};
+  uint64_t h = UINT64_C(0xCBF29CE484222325);
+  int kind = precision;
+  h = mix(h, genotype, MO_DEFAULT_WORDS * sizeof(*genotype));
+  h = mix(h, environment, sizeof(*environment));
+  h = mix(h, &physics->dt_s, sizeof(physics->dt_s));
+  h = mix(h, &physics->n_steps, sizeof(physics->n_steps));
+  h = mix(h, &kind, sizeof(kind));
+  if (controller != NULL)
+    h = mix(h, controller->parameters, 64 * sizeof(float));
+  if (h % 31 == 0) {
+    outcome.loss = INFINITY;
+    outcome.diverged_step = (int32_t)(1 + (h >> 20) % physics->n_steps);
+  } else {
+    outcome.loss = (double)(h >> 11) * 0x1p-53 + atomic_load(&fake_plan.skew);
+  }
+  return outcome;
+}
+
+size_t fake_history(int64_t *tags, size_t room)
+{
+  size_t n;
+  pthread_mutex_lock(&history_mutex);
+  n = n_history < room ? n_history : room;
+  memcpy(tags, history, n * sizeof(*tags));
+  pthread_mutex_unlock(&history_mutex);
+  return n;
+}
+
+void fake_forget(void)
+{
+  pthread_mutex_lock(&history_mutex);
+  n_history = 0;
+  pthread_mutex_unlock(&history_mutex);
+}
+
+static bool is_cancelled(const struct mo_block *block)
+{
+  return block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0;
+}
+
+static int run_block(struct mo_block *block)
+{
+  int delay_us = atomic_load(&fake_plan.delay_us);
+  for (int waited = 0; waited < delay_us; waited += 200) {
+    if (is_cancelled(block))
+      return MO_ERR_CANCELLED;
+    usleep(200);
+  }
+  if (is_cancelled(block))
+    return MO_ERR_CANCELLED;
+  if (atomic_load(&fake_plan.fail_status) != 0 && block->genotype[0] == atomic_load(&fake_plan.fail_word) &&
+      atomic_fetch_sub(&fake_plan.fail_times, 1) > 0)
+    return atomic_load(&fake_plan.fail_status);
+  for (uint32_t i = 0; i < block->n_environments; i++) {
+    block->outcomes[i] = fake_outcome(block->genotype, block->controller->controller, block->environments[i],
+                                      &block->physics, block->precision);
+    if (block->recordings != NULL) {
+      uint32_t frames = mo_recording_frames(&block->physics, block->recordings[i].stride);
+      if (block->recordings[i].com_m != NULL)
+        for (uint32_t f = 0; f < frames * 3; f++)
+          block->recordings[i].com_m[f] = block->outcomes[i].loss + f;
+      if (block->recordings[i].mass_m != NULL)
+        for (uint32_t f = 0; f < frames * block->body->n_masses * 3; f++)
+          block->recordings[i].mass_m[f] = (float)f;
+    }
+  }
+  return MO_OK;
+}
+
+static struct mo_block *take(struct mo_compute *compute)
+{
+  struct mo_block *block = NULL;
+  pthread_mutex_lock(&compute->mutex);
+  while (block == NULL) {
+    for (int u = MO_INTERACTIVE; u >= MO_BATCH && block == NULL; u--)
+      if (compute->first[u] != NULL) {
+        block = compute->first[u];
+        compute->first[u] = block->next;
+      }
+    if (block == NULL && compute->ending)
+      break;
+    if (block == NULL)
+      pthread_cond_wait(&compute->wake, &compute->mutex);
+  }
+  pthread_mutex_unlock(&compute->mutex);
+  return block;
+}
+
+static void *work(void *context)
+{
+  struct mo_compute *compute = context;
+  struct mo_block *block;
+  while ((block = take(compute)) != NULL) {
+    pthread_mutex_lock(&history_mutex);
+    if (n_history < HISTORY_MAX)
+      history[n_history++] = block->tag;
+    pthread_mutex_unlock(&history_mutex);
+    current_tag = block->tag;
+    atomic_fetch_add(&compute->busy, 1);
+    block->status = run_block(block);
+    atomic_fetch_sub(&compute->busy, 1);
+    current_tag = -1;
+    atomic_fetch_add(&compute->blocks, 1);
+    if (block->status == MO_OK)
+      atomic_fetch_add(&compute->rollouts, block->n_environments);
+    block->done(block, block->context);
+  }
+  return NULL;
+}
+
+int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
+{
+  struct mo_compute *compute = calloc(1, sizeof(*compute));
+  if (compute == NULL)
+    return MO_ERR_NO_MEMORY;
+  compute->n_workers = config->n_workers > 0 ? config->n_workers : 2;
+  pthread_mutex_init(&compute->mutex, NULL);
+  pthread_cond_init(&compute->wake, NULL);
+  for (uint32_t i = 0; i < compute->n_workers; i++)
+    pthread_create(&compute->threads[i], NULL, work, compute);
+  *ret = compute;
+  return MO_OK;
+}
+
+void mo_compute_free(struct mo_compute *compute)
+{
+  if (compute == NULL)
+    return;
+  pthread_mutex_lock(&compute->mutex);
+  compute->ending = true;
+  pthread_cond_broadcast(&compute->wake);
+  pthread_mutex_unlock(&compute->mutex);
+  for (uint32_t i = 0; i < compute->n_workers; i++)
+    pthread_join(compute->threads[i], NULL);
+  pthread_mutex_destroy(&compute->mutex);
+  pthread_cond_destroy(&compute->wake);
+  free(compute);
+}
+
+int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
+                                 struct mo_compute_controller **ret)
+{
+  struct mo_compute_controller *made = calloc(1, sizeof(*made));
+  (void)compute;
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  made->controller = controller;
+  *ret = made;
+  return MO_OK;
+}
+
+void mo_compute_controller_free(struct mo_compute_controller *controller)
+{
+  free(controller);
+}
+
+int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
+{
+  pthread_mutex_lock(&compute->mutex);
+  block->next = NULL;
+  if (compute->first[block->urgency] != NULL)
+    compute->last[block->urgency]->next = block;
+  else
+    compute->first[block->urgency] = block;
+  compute->last[block->urgency] = block;
+  pthread_cond_signal(&compute->wake);
+  pthread_mutex_unlock(&compute->mutex);
+  return MO_OK;
+}
+
+int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
+{
+  (void)compute;
+  for (size_t i = 0; i < n; i++)
+    blocks[i].status = run_block(&blocks[i]);
+  return n > 0 ? blocks[0].status : MO_OK;
+}
+
+void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
+{
+  *stats = (struct mo_compute_stats){.n_workers = compute->n_workers,
+                                     .n_busy = atomic_load(&compute->busy),
+                                     .blocks_done = atomic_load(&compute->blocks),
+                                     .rollouts_done = atomic_load(&compute->rollouts)};
+}
+
+int64_t mo_compute_current_tag(void)
+{
+  return current_tag;
+}
+
+const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision)
+{
+  (void)compute;
+  return precision == MO_FLOAT64 ? "fake float64" : "fake float32";
+}

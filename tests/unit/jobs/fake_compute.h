@@ -1,0 +1,29 @@
+/* fake_compute.h: a back end for tests: made-up losses, at once or slowly, wrong on demand.
+ *
+ * Linked in place of the real one. A loss depends on genotype, environment, physics, precision and the controller's first
+ * weights alone, like a real one; one in about 30 "diverges". */
+#ifndef MORPHO_TESTS_FAKE_COMPUTE_H
+#define MORPHO_TESTS_FAKE_COMPUTE_H
+
+#include <morpho/compute.h>
+#include <stdatomic.h>
+
+struct fake_plan {
+  atomic_int delay_us;            /* of one block; it looks at its cancel flag every 200 µs */
+  atomic_int fail_status;         /* 0, or what blocks of the genotype below end with */
+  atomic_uint_fast64_t fail_word; /* first word of that genotype */
+  atomic_int fail_times;          /* blocks left to fail */
+  atomic_int skew;                /* added to losses: as if the code had changed */
+};
+extern struct fake_plan fake_plan;
+
+/* What a block with these inputs gives. */
+struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_controller *controller,
+                               const struct mo_environment *environment, const struct mo_physics *physics,
+                               enum mo_precision precision);
+
+/* Order in which blocks were started: their tags. */
+size_t fake_history(int64_t *tags, size_t room);
+void fake_forget(void);
+
+#endif
