@@ -8,8 +8,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include <jansson.h>
-
 #include <morpho/random.h>
 
 static const char *const sensor_names[] = {"inverse_sqrt", "inverse_square"};
@@ -204,18 +202,10 @@ int mo_controller_put_metadata(struct mo_controller *controller, const char *key
   return MO_OK;
 }
 
-/* Only UTF-8 can be written into a JSON header. */
-static bool is_utf8(const char *text)
-{
-  json_t *string = json_string(text);
-  const bool valid = string != NULL;
-  json_decref(string);
-  return valid;
-}
-
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value)
 {
-  if (key == NULL || value == NULL || !is_utf8(key) || !is_utf8(value))
+  if (key == NULL || value == NULL || /* only UTF-8 can be written into a JSON header */
+      !mo_text_is_utf8(key) || !mo_text_is_utf8(value))
     return MO_ERR_INVALID;
   /* These describe the parameters; another value would make the file lie. */
   static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "workspace"};

@@ -49,7 +49,9 @@ int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size
                          struct mo_message *message);
 /* MO_ERR_FORMAT at the first value that is not finite. */
 int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_message *message);
-/* The first bytes of the file, up to the data: 8 bytes and the padded header (malloc). */
+/* header.c: the first bytes of the file, up to the data: 8 bytes and the padded header (malloc). MO_ERR_LIMIT,
+ * MO_ERR_NO_MEMORY. */
 int mo_safetensors_format(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
+bool mo_text_is_utf8(const char *text);
 
 #endif

@@ -1,4 +1,4 @@
-/* safetensors.c: the header of a safetensors file, read with distrust and written canonically.
+/* safetensors.c: the header of a safetensors file, read with distrust.
  *
  *   8 bytes   length of the header, little-endian
  *   header    JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape", "data_offsets": [begin, end]}, …},
@@ -84,9 +84,7 @@ static int parse_json(const char *header, uint32_t header_size, json_t **ret, st
     return mo_fail(message, MO_ERR_FORMAT, "the header nests deeper than %d levels", DEPTH_MAX);
   json_error_t error;
   json_t *root = json_loadb(header, header_size, JSON_REJECT_DUPLICATES, &error);
-  if (root == NULL) {
-    if (json_error_code(&error) == json_error_out_of_memory)
-      return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  if (root == NULL) { /* the parser does not tell a lack of memory from a bad text */
     return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s", printable(error.text).text);
   }
   *ret = root;
@@ -356,53 +354,4 @@ int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_mes
                        file->tensors[i].name, k, isnan(values[k]) ? "NaN" : "infinite");
   }
   return MO_OK;
-}
-
-static json_t *build_header(const struct mo_controller *controller)
-{
-  json_t *root = json_object(), *metadata = json_object();
-  bool ok = root != NULL && metadata != NULL;
-  for (size_t i = 0; ok && i < controller->n_metadata; i++)
-    ok = json_object_set_new(metadata, controller->metadata[i].key, json_string(controller->metadata[i].value)) == 0;
-  ok = ok && json_object_set(root, "__metadata__", metadata) == 0;
-  json_decref(metadata);
-  struct mo_tensor tensors[MO_CONTROLLER_TENSORS];
-  mo_controller_tensors(controller->workspace, tensors);
-  for (int i = 0; ok && i < MO_CONTROLLER_TENSORS; i++) {
-    const struct mo_tensor *t = &tensors[i];
-    const json_int_t begin = (json_int_t)t->offset * (json_int_t)sizeof(float);
-    const json_int_t end = begin + (json_int_t)t->count * (json_int_t)sizeof(float);
-    json_t *shape = t->n_dims == 1 ? json_pack("[I]", (json_int_t)t->shape[0])
-                                   : json_pack("[I, I]", (json_int_t)t->shape[0], (json_int_t)t->shape[1]);
-    json_t *entry = json_pack("{s:s, s:o, s:[I, I]}", "dtype", "F32", "shape", shape, "data_offsets", begin, end);
-    ok = json_object_set_new(root, t->name, entry) == 0; /* fails for NULL */
-  }
-  if (!ok) {
-    json_decref(root);
-    return NULL;
-  }
-  return root;
-}
-
-int mo_safetensors_format(const struct mo_controller *controller, uint8_t **bytes, size_t *size)
-{
-  json_t *root = build_header(controller);
-  char *text = root != NULL ? json_dumps(root, JSON_COMPACT) : NULL;
-  json_decref(root);
-  if (text == NULL)
-    return MO_ERR_NO_MEMORY;
-  const size_t length = strlen(text);
-  const uint64_t padded = (length + 7) / 8 * 8;
-  uint8_t *out = padded <= MO_SAFETENSORS_HEADER_MAX ? malloc(8 + padded) : NULL;
-  if (out != NULL) {
-    memcpy(out, &padded, 8);
-    memcpy(out + 8, text, length); /* NOLINT(bugprone-not-null-terminated-result): bytes of a file, not a string */
-    memset(out + 8 + length, ' ', padded - length);
-    *bytes = out;
-    *size = 8 + padded;
-  }
-  free(text);
-  if (padded > MO_SAFETENSORS_HEADER_MAX)
-    return MO_ERR_LIMIT;
-  return out != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }

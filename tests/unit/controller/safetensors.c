@@ -381,7 +381,7 @@ static void round_trip(void)
   struct mo_message message = {""};
   REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE, &a) == MO_OK);
   mo_controller_randomize(a, 9);
-  CHECK_INT(mo_controller_set_metadata(a, "note", "\"quotes\" \\ \n \x01 \xc2\xb5"), MO_OK);
+  CHECK_INT(mo_controller_set_metadata(a, "note", "\"quotes\" \\ \b\f\n\r\t \x01\x1f\x7f / \xc2\xb5"), MO_OK);
   struct blob first, second;
   REQUIRE(mo_controller_encode(a, &first.bytes, &first.size) == MO_OK);
   REQUIRE(mo_controller_decode(first.bytes, first.size, &b, &message) == MO_OK);

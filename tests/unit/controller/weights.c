@@ -95,7 +95,31 @@ static void metadata(void)
   CHECK_INT(mo_controller_set_metadata(c, "sensor", "inverse_square"), MO_OK);
   CHECK_INT(mo_controller_set_metadata(c, "workspace", "2x1x1"), MO_ERR_CONFLICT);
   CHECK_INT(mo_controller_set_metadata(c, "mass_order", "z-major"), MO_ERR_CONFLICT);
-  CHECK_INT(mo_controller_set_metadata(c, "note", "\xff"), MO_ERR_INVALID);
+  const char *const good[] = {"",
+                              "\x7f",
+                              "\xc2\x80",
+                              "\xdf\xbf",
+                              "\xe0\xa0\x80",
+                              "\xed\x9f\xbf",
+                              "\xee\x80\x80",
+                              "\xf0\x90\x80\x80",
+                              "\xf4\x8f\xbf\xbf"};
+  for (size_t i = 0; i < sizeof(good) / sizeof(good[0]); i++)
+    CHECK_INT(mo_controller_set_metadata(c, "note", good[i]), MO_OK);
+  const char *const bad[] = {"\xff",
+                             "\x80",
+                             "a\xc2",
+                             "\xc0\x80",
+                             "\xc1\xbf",
+                             "\xe0\x9f\xbf",
+                             "\xed\xa0\x80",
+                             "\xed\xbf\xbf",
+                             "\xf0\x8f\xbf\xbf",
+                             "\xf4\x90\x80\x80",
+                             "\xe2\x82",
+                             "\xf8\x88\x80\x80\x80"};
+  for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+    CHECK_INT(mo_controller_set_metadata(c, "note", bad[i]), MO_ERR_INVALID);
   CHECK_INT(mo_controller_set_metadata(c, "\xc3", "x"), MO_ERR_INVALID);
   CHECK_INT(mo_controller_set_metadata(c, "note", NULL), MO_ERR_INVALID);
   char *longest = calloc(1, 65538);
