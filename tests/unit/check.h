@@ -62,7 +62,7 @@ static int check_failures;
     if (check_a == NULL || strcmp(check_a, check_e) != 0) {                                                            \
       check_failures++;                                                                                                \
       printf("# %s:%d: %s = \"%s\", expected \"%s\"\n", __FILE__, __LINE__, #actual, check_a ? check_a : "(null)",     \
-             check_e);                                                                                                 \
+             check_e ? check_e : "(null)");                                                                            \
     }                                                                                                                  \
   } while (0)
 

@@ -84,7 +84,7 @@ static int decode(void)
     CHECK(memcmp(c->parameters, shared->parameters, c->n_parameters * sizeof(float)) == 0);
     CHECK_INT(c->n_metadata, shared->n_metadata);
     for (size_t i = 0; i < c->n_metadata && i < shared->n_metadata; i++)
-      CHECK_TEXT(c->metadata[i].value, shared->metadata[i].value);
+      CHECK(strcmp(c->metadata[i].value, shared->metadata[i].value) == 0);
   }
   mo_controller_free(c);
   return r == MO_ERR_FORMAT ? MO_ERR_NO_MEMORY : r; /* the JSON parser cannot tell */
