@@ -1,0 +1,105 @@
+"""The contract (schema/openapi.yaml) as a checker: every reply that a test receives goes through Contract.check."""
+
+import json
+import os
+import pathlib
+import re
+
+import jsonschema
+import yaml
+
+SOURCE = pathlib.Path(os.environ.get("MORPHO_SOURCE_DIR", pathlib.Path(__file__).resolve().parents[2]))
+COMMON_PROBLEMS = {404, 405, 408, 417, 431, 501}  # of paths and methods that the contract does not list
+
+
+class Contract:
+    def __init__(self):
+        with open(SOURCE / "schema" / "openapi.yaml", encoding="utf-8") as file:
+            self.document = yaml.safe_load(file)
+        self.resolver = jsonschema.RefResolver("", self.document)
+        self.templates = []
+        for path, item in self.document["paths"].items():
+            pattern = re.sub(r"\\\{[a-z]+\\\}", "[^/]+", re.escape(path).replace("\\{", "\\{").replace("\\}", "\\}"))
+            self.templates.append((re.compile(pattern + r"\Z"), path, item))
+        self.validators = {}
+        self.seen = set()
+
+    def resolve(self, node):
+        while "$ref" in node:
+            node = self.resolver.resolve(node["$ref"])[1]
+        return node
+
+    def validate(self, schema, value, where):
+        key = json.dumps(schema, sort_keys=True)
+        if key not in self.validators:
+            self.validators[key] = jsonschema.Draft202012Validator(schema, resolver=self.resolver)
+        faults = sorted(self.validators[key].iter_errors(value), key=str)
+        assert not faults, f"{where}: {faults[0].message} at {list(faults[0].absolute_path)}"
+
+    def find(self, path):
+        for pattern, template, item in self.templates:
+            if pattern.match(path):
+                return template, item
+        return None, None
+
+    def check(self, method, path, status, headers, body):
+        """headers: a mapping that ignores case. body: bytes."""
+        where = f"{method} {path} -> {status}"
+        path = path.split("?")[0]
+        template, item = self.find(path)
+        operation = item.get("get" if method == "HEAD" else method.lower()) if item else None
+        assert re.fullmatch("[0-9a-f]{16}", headers.get("X-Request-Id", "")), f"{where}: no X-Request-Id"
+        assert headers.get("X-Content-Type-Options") == "nosniff" or headers.get("Connection") == "close", where
+        if status in (429, 503, 507):
+            assert headers.get("Retry-After", "").isdigit(), f"{where}: no Retry-After"
+        if status == 405:
+            assert headers.get("Allow"), f"{where}: no Allow"
+        if status == 401:
+            assert headers.get("WWW-Authenticate", "").startswith("Bearer"), f"{where}: no WWW-Authenticate"
+        if status >= 400:
+            self.check_problem(where, status, headers, body, method)
+        if operation is None:
+            if method == "OPTIONS" and status == 204:
+                assert headers.get("Allow") or path == "*", where
+            else:
+                assert status in COMMON_PROBLEMS | {400, 401, 403}, f"{where}: not in the contract"
+            return
+        self.seen.add((method, template, status))
+        if str(status) not in operation["responses"]:
+            assert status in COMMON_PROBLEMS, f"{where}: the contract does not list this status"
+            return
+        response = self.resolve(operation["responses"][str(status)])
+        for name, header in response.get("headers", {}).items():
+            header = self.resolve(header)
+            if name in headers:
+                self.validate(header.get("schema", {}), headers[name], f"{where}, {name}")
+        if "Location" in response.get("headers", {}):
+            assert "Location" in headers, f"{where}: no Location"
+        if "ETag" in response.get("headers", {}):
+            assert "ETag" in headers, f"{where}: no ETag"
+        self.check_body(where, response.get("content", {}), headers, body, method)
+
+    def check_problem(self, where, status, headers, body, method):
+        assert headers.get("Content-Type") == "application/problem+json", f"{where}: not a problem document"
+        if method == "HEAD":
+            return
+        problem = json.loads(body)
+        self.validate({"$ref": "#/components/schemas/Problem"}, problem, where)
+        assert problem["status"] == status, where
+        assert problem["request_id"] == headers["X-Request-Id"], where
+
+    def check_body(self, where, content, headers, body, method):
+        if not content:
+            assert body == b"", f"{where}: a body is not in the contract"
+            return
+        media = headers.get("Content-Type", "").split(";")[0]
+        assert media in content, f"{where}: Content-Type {media!r} is not in the contract"
+        if method == "HEAD":
+            assert body == b"", where
+            return
+        if media.endswith("json"):
+            self.validate(content[media].get("schema", {}), json.loads(body, parse_constant=refuse), where)
+
+
+def refuse(name):
+    raise AssertionError(f"{name} is not JSON")

@@ -1,0 +1,284 @@
+"""Health, metrics, the contract itself, tokens, Host and Origin, the unix socket, methods and headers that every path shares."""
+
+import json
+import os
+import re
+import signal
+import socket
+import stat
+import subprocess
+import threading
+import time
+
+import pytest
+
+from service import BINARY, CONTRACT, Service
+
+TOKEN = "a-token-of-more-than-16-characters"
+
+
+def test_health(service):
+    reply = service.request("GET", "/healthz")
+    assert reply.status == 200 and reply.json()["status"] == "ok"
+    assert service.request("GET", "/readyz").json()["status"] == "ready"
+
+
+def test_index_and_contract(service):
+    assert b"openapi.json" in service.request("GET", "/").body
+    reply = service.request("GET", "/openapi.json")
+    assert reply.json() == json.loads(json.dumps(CONTRACT.document))
+    again = service.request("GET", "/openapi.json", headers={"If-None-Match": reply.headers["ETag"]})
+    assert again.status == 304 and again.body == b""
+
+
+def test_contract_lists_every_operation(service):
+    """What the contract lists is there with exactly these methods; Allow says so."""
+    examples = {"id": "1", "n": "0", "name": "default"}
+    for path, item in CONTRACT.document["paths"].items():
+        concrete = re.sub(r"\{(\w+)\}", lambda match: examples[match.group(1)], path)
+        allow = service.request("OPTIONS", concrete).headers["Allow"].split(", ")
+        listed = {method.upper() for method in item if method in ("get", "put", "post", "delete")}
+        if "GET" in listed:
+            listed.add("HEAD")
+        assert set(allow) == listed | {"OPTIONS"}, path
+        for method in {"GET", "PUT", "POST", "DELETE", "PATCH"} - listed:
+            assert service.request(method, concrete).status == 405, (method, path)
+
+
+def test_head(service):
+    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers", "/v1/controllers/default", "/v1/events"):
+        reply = service.request("HEAD", path)
+        assert reply.status == 200 and reply.body == b""
+        if path == "/v1/controllers/default":
+            assert int(reply.headers["Content-Length"]) > 2_000_000
+
+
+def test_not_found(service):
+    for path in ("/nothing", "/v1", "/v2/jobs", "/v1/jobs/0", "/v1/jobs/x", "/v1/jobs/99999999", "/v1/evaluations/01", "/v1/jobs/1e3",
+                 "/v1/designs/" + "0" * 36, "/v1/designs/xyz", "/v1/controllers/nobody", "/v1/controllers/sha256:" + "0" * 64,
+                 "/v1/controllers/UPPER", "/v1/evaluations/99999999/trajectories/0", "/v1/jobs/" + "9" * 40):
+        assert service.request("GET", path).status == 404, path
+
+
+@pytest.mark.parametrize("query", ["/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001", "/v1/jobs?limit=ten",
+                                   "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?colour=red", "/v1/jobs?state=%zz",
+                                   "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age", "/v1/designs?controller=default",
+                                   "/v1/designs?sort=score&cursor=7", "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
+                                   "/v1/events?format=json&after=-1", "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
+                                   "/healthz?x=1", "/v1/workers?full=1"])
+def test_bad_parameters(service, query):
+    reply = service.request("GET", query)
+    assert reply.status == 400
+    assert all("parameter" in fault for fault in reply.json()["errors"])
+
+
+def test_accept(service):
+    assert service.request("GET", "/v1/jobs", headers={"Accept": "text/html"}).status == 406
+    assert service.request("GET", "/v1/jobs", headers={"Accept": "text/html, */*;q=0.1"}).status == 200
+    assert service.request("GET", "/v1/events", headers={"Accept": "application/json"}).status == 406
+    assert service.request("GET", "/v1/controllers/default", headers={"Accept": "image/png"}).status == 406
+
+
+def metrics(service):
+    text = service.request("GET", "/metrics").body.decode()
+    values, kinds, helped = {}, {}, set()
+    for line in text.splitlines():
+        if line.startswith("# HELP "):
+            helped.add(line.split(" ")[2])
+        elif line.startswith("# TYPE "):
+            name, kind = line.split(" ")[2:]
+            assert name not in kinds and kind in ("counter", "gauge", "histogram")
+            kinds[name] = kind
+        else:
+            match = re.fullmatch(r'([a-z_]+)(\{[a-z]+="[^"]*"(,[a-z]+="[^"]*")*\})? (\S+)', line)
+            assert match, line
+            name = match.group(1)
+            family = re.sub("_(bucket|sum|count)$", "", name) if name not in kinds else name
+            assert family in kinds and family in helped, line
+            assert name.startswith("morphod_") and (kinds[family] != "counter" or name.endswith("_total")), line
+            assert (name, match.group(2)) not in values, line
+            values[name, match.group(2)] = float(match.group(4))
+    return values, kinds
+
+
+def test_metrics(service):
+    before, kinds = metrics(service)
+    for _ in range(5):
+        service.request("GET", "/v1/jobs/123456789")
+    after, _ = metrics(service)
+    key = ("morphod_http_requests_total", '{route="/v1/jobs/{id}",code="404"}')
+    assert after[key] - before.get(key, 0) == 5
+    for (name, labels), value in before.items():
+        if kinds.get(name) == "counter" or name.endswith(("_bucket", "_count")):
+            assert after[name, labels] >= value, name
+    assert not any("123456789" in str(labels) for _, labels in after)
+    buckets = [value for (name, _), value in after.items() if name.endswith("seconds_bucket")]
+    assert buckets == sorted(buckets) and buckets[-1] == after["morphod_http_request_duration_seconds_count", None]
+
+
+def test_workers(service):
+    reply = service.request("GET", "/v1/workers").json()
+    assert reply["n_workers"] == 1 and "float32" in reply["fingerprints"]["float32"]
+
+
+@pytest.mark.parametrize("host, status", [("localhost", 200), ("LocalHost:9", 200), ("[::1]:80", 200), ("10.1.2.3", 200), ("robots.example", 403),
+                                          ("localhost.robots.example", 403), ("127.0.0.1.nip.io", 403), ("", 403)])
+def test_host(service, host, status):
+    assert service.request("GET", "/healthz", headers={"Host": host}).status == status
+
+
+def test_origin(service):
+    own = f"http://{service.host}:{service.port}"
+    assert service.request("GET", "/v1/jobs", headers={"Origin": own}).status == 200
+    for origin in ("http://robots.example", "null", f"http://localhost:{service.port}", f"http://{service.host}:1"):
+        assert service.request("GET", "/v1/jobs", headers={"Origin": origin}).status == 403, origin
+
+
+def test_allowed_hosts(start):
+    running = start("--allowed-hosts=lab.example")
+    assert running.request("GET", "/healthz", headers={"Host": "lab.example:8765"}).status == 200
+    assert running.request("GET", "/healthz", headers={"Host": "localhost", "Origin": "https://lab.example"}).status == 200
+    assert running.request("GET", "/healthz", headers={"Host": "other.example"}).status == 403
+
+
+def token_file(tmp_path, *tokens):
+    path = tmp_path / "token"
+    path.write_text("\n".join(tokens) + "\n")
+    path.chmod(0o600)
+    return path
+
+
+def test_token_is_needed_beyond_loopback(start, tmp_path):
+    with pytest.raises(RuntimeError):
+        start(listen=("0.0.0.0:0",))
+    path = token_file(tmp_path, TOKEN)
+    running = start(f"--token-file={path}", listen=("0.0.0.0:0",), token=TOKEN)
+    running.host = "127.0.0.1"
+    assert running.request("GET", "/v1/jobs").status == 200
+    running.token = None
+    for path_ in ("/v1/jobs", "/metrics", "/v1/events", "/nothing"):
+        assert running.request("GET", path_).status == 401, path_
+    for authorization in ("Bearer x", "Bearer " + TOKEN + "x", "Bearer " + TOKEN[:-1], "Basic " + TOKEN, TOKEN, ""):
+        assert running.request("GET", "/v1/jobs", headers={"Authorization": authorization}).status == 401, authorization
+    for path_ in ("/healthz", "/readyz", "/openapi.json", "/"):
+        assert running.request("GET", path_).status == 200, path_
+
+
+def test_tokens_are_replaced_at_run_time(start, tmp_path):
+    path = token_file(tmp_path, TOKEN)
+    running = start(f"--token-file={path}", listen=("0.0.0.0:0",), token=TOKEN)
+    running.host = "127.0.0.1"
+    new = "another-token-of-more-than-16-characters"
+    path.write_text(new + "\n")
+    running.process.send_signal(signal.SIGHUP)
+    deadline = time.monotonic() + 10
+    while running.request("GET", "/v1/jobs").status == 200:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    running.token = new
+    assert running.request("GET", "/v1/jobs").status == 200
+
+
+def test_unix_socket(start, tmp_path):
+    path = tmp_path / "socket"
+    running = start(listen=("127.0.0.1:0", f"unix:{path}"))
+    assert stat.S_ISSOCK(os.stat(path).st_mode)
+    assert running.request("GET", "/v1/jobs", unix=True).status == 200
+    assert running.request("GET", "/v1/jobs", unix=True, headers={"Host": "whatever.example"}).status == 200
+    if os.geteuid() == 0:  # another user is refused
+        script = ("import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
+                  "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); print(s.recv(4096).decode())")
+        for folder in (tmp_path, *tmp_path.parents[:3]):
+            if str(folder).startswith("/tmp/"):
+                folder.chmod(0o755)
+        done = subprocess.run(["/usr/bin/python3", "-c", script, str(path)], capture_output=True, text=True, check=False)
+        assert done.stdout.startswith("HTTP/1.1 403 "), (done.stdout, done.stderr)
+        assert "application/problem+json" in done.stdout
+
+
+def test_connections_are_limited(start):
+    running = start("--max-connections=8")
+    held = [socket.create_connection((running.host, running.port)) for _ in range(8)]
+    time.sleep(0.3)
+    received, ended = running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert received.startswith(b"HTTP/1.1 503 ") and b"Retry-After: 1" in received and ended, received
+    CONTRACT.validate({"$ref": "#/components/schemas/Problem"}, json.loads(received.split(b"\r\n\r\n")[1]), "503")
+    for sock in held:
+        sock.close()
+    deadline = time.monotonic() + 5
+    while True:
+        received, _ = running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        if received.startswith(b"HTTP/1.1 200 "):
+            break
+        assert time.monotonic() < deadline
+
+
+def test_slow_clients_are_cut_off(start):
+    """A byte now and then keeps no connection: the limits count from the beginning."""
+    running = start("--header-timeout=1s", "--body-timeout=2s", "--idle-timeout=2s")
+    beginnings = {"header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1), "line": (b"GET /heal", 1),
+                  "body": (b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{", 2),
+                  "idle": (b"", 1)}
+    ended = {}
+
+    def drip(name, beginning):
+        with socket.create_connection((running.host, running.port)) as sock:
+            begun = time.monotonic()
+            sock.settimeout(0.2)
+            try:
+                sock.sendall(beginning)
+                while time.monotonic() - begun < 8:
+                    if name != "idle":
+                        sock.sendall(b"a")
+                    try:
+                        if sock.recv(4096) == b"":
+                            break
+                    except socket.timeout:
+                        pass
+            except (ConnectionResetError, BrokenPipeError):
+                pass
+            ended[name] = time.monotonic() - begun
+
+    threads = [threading.Thread(target=drip, args=(name, beginning)) for name, (beginning, _) in beginnings.items()]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for name, (_, limit) in beginnings.items():
+        assert limit * 0.8 < ended[name] < limit + 1.5, ended
+    # Between requests of one connection too.
+    with socket.create_connection((running.host, running.port)) as sock:
+        sock.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        sock.settimeout(6)
+        begun = time.monotonic()
+        while sock.recv(4096):
+            pass
+        assert 1.5 < time.monotonic() - begun < 5
+    assert running.request("GET", "/healthz").status == 200
+    values, _ = metrics(running)
+    assert values["morphod_http_connections_timed_out_total", None] >= 4
+
+
+def test_many_stops_and_starts(start):
+    """An orderly end under churn: no hang, no abort."""
+    for _ in range(3):
+        running = start()
+        going = True
+
+        def churn():
+            while going:
+                try:
+                    running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n", timeout=0.5)
+                except OSError:
+                    pass
+
+        threads = [threading.Thread(target=churn) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        time.sleep(0.3)
+        begun = time.monotonic()
+        assert running.stop() == 0, running.log_text()
+        assert time.monotonic() - begun < 10
+        going = False
+        for thread in threads:
+            thread.join()
