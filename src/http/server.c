@@ -477,7 +477,8 @@ static int start_daemon(struct mo_http *http, struct mo_message *message)
       (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads, MHD_OPTION_CONNECTION_TIMEOUT,
       (unsigned)(http->config.idle_timeout_ms / 1000 + 60), MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768,
       MHD_OPTION_URI_LOG_CALLBACK, on_target, http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL,
-      MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http, MHD_OPTION_END);
+      MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http,
+      MHD_OPTION_END);
   return http->daemon != NULL ? MO_OK : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
 }
 

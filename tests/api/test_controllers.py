@@ -1,0 +1,129 @@
+"""Controllers: in, out, by name and by hash; files that are not what they say."""
+
+import hashlib
+import json
+import struct
+
+import pytest
+
+from service import BOOTSTRAP, DESIGN, SHORT
+
+BYTES = BOOTSTRAP.read_bytes()
+HEADER_SIZE = struct.unpack("<Q", BYTES[:8])[0]
+HEADER = json.loads(BYTES[8:8 + HEADER_SIZE])
+DATA = BYTES[8 + HEADER_SIZE:]
+FILE = {"Content-Type": "application/octet-stream"}
+
+
+def pack(header, data=DATA):
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + data
+
+
+def changed(name, **fields):
+    return pack({**HEADER, name: {**HEADER[name], **fields}})
+
+
+def test_round_trip(service):
+    put = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers=FILE)
+    digest = hashlib.sha256(BYTES).hexdigest()
+    assert put.status == 201 and put.headers["Location"] == "/v1/controllers/round-trip"
+    assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912 and put.json()["workspace"] == [6, 6, 4]
+    got = service.request("GET", "/v1/controllers/round-trip")
+    assert got.body == BYTES and got.headers["Content-Type"] == "application/octet-stream"
+    assert service.request("GET", "/v1/controllers/round-trip", headers={"If-None-Match": got.headers["ETag"]}).status == 304
+    by_hash = service.request("GET", f"/v1/controllers/sha256:{digest}", headers={"Accept": "application/json"}).json()
+    assert by_hash["name"] is None and by_hash["sha256"] == digest
+    again = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers={"Content-Type": "application/vnd.safetensors"})
+    assert again.status == 200
+    assert service.request("DELETE", "/v1/controllers/round-trip").status == 204
+    assert service.request("GET", "/v1/controllers/round-trip").status == 404
+    assert service.request("DELETE", "/v1/controllers/round-trip").status == 404
+    assert service.request("DELETE", "/v1/controllers/default").status == 409
+
+
+def test_repointing_changes_what_is_computed(service):
+    data = bytearray(DATA)
+    data[-4:] = struct.pack("<f", 0.5)
+    other = pack(HEADER, bytes(data))
+    request = {"designs": [DESIGN], "physics": SHORT, "controller": "moving"}
+    service.request("PUT", "/v1/controllers/moving", body=BYTES, headers=FILE)
+    first = service.evaluate(request).json()
+    assert service.request("PUT", "/v1/controllers/moving", body=other, headers=FILE).status == 200
+    second = service.evaluate(request).json()
+    assert first["controller"]["name"] == second["controller"]["name"] == "moving"
+    assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(other).hexdigest()
+    by_hash = service.evaluate(dict(request, controller="sha256:" + first["controller"]["sha256"])).json()
+    assert by_hash["results"] == first["results"] and by_hash["rollouts_cached"] == 10 and by_hash["controller"]["name"] is None
+
+
+def test_list(service):
+    for name in ("list-a", "list-b", "list-c"):
+        service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE)
+    names, cursor = [], ""
+    while cursor is not None:
+        page = service.request("GET", "/v1/controllers?limit=2" + (f"&cursor={cursor}" if cursor else "")).json()
+        names += [item["name"] for item in page["items"]]
+        cursor = page["next_cursor"]
+    assert names == sorted(names) and {"default", "bootstrap", "list-a", "list-b", "list-c"} <= set(names)
+
+
+@pytest.mark.parametrize("name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
+def test_names(service, name):
+    assert service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE).status == 422
+
+
+FIRST = "net.0.weight"
+SECOND = "net.0.bias"
+HOSTILE = {
+    "empty": b"",
+    "seven bytes": BYTES[:7],
+    "header only": BYTES[:8 + HEADER_SIZE],
+    "cut in the header": BYTES[:100],
+    "cut in the data": BYTES[:-4],
+    "a byte more": BYTES + b"\0",
+    "header of 2^63 bytes": struct.pack("<Q", 1 << 63) + BYTES[8:],
+    "header of 2^64 - 1 bytes": b"\xff" * 8 + BYTES[8:],
+    "header larger than the file": struct.pack("<Q", len(BYTES)) + BYTES[8:],
+    "huge header": pack(b"{" + b" " * (2 << 20) + b"}"),
+    "header not JSON": pack(b"{nonsense}"),
+    "header an array": pack([]),
+    "header not UTF-8": pack(b'{"\xff":1}'),
+    "deep header": pack(b"[" * 100000),
+    "no tensors": pack({}),
+    "tensor missing": pack({name: value for name, value in HEADER.items() if name != SECOND}),
+    "tensor too many": pack({**HEADER, "net.99.weight": HEADER[SECOND]}),
+    "repeated tensor": pack(json.dumps(HEADER).encode()[:-1] + b',"net.0.bias":' + json.dumps(HEADER[SECOND]).encode() + b"}"),
+    "wrong type": changed(SECOND, dtype="F16"),
+    "wrong shape": changed(FIRST, shape=[1, 2]),
+    "turned shape": changed(FIRST, shape=HEADER[FIRST]["shape"][::-1]),
+    "shape overflow": changed(FIRST, shape=[1 << 40, 1 << 40]),
+    "negative shape": changed(FIRST, shape=[-256, -250]),
+    "overlapping offsets": changed(SECOND, data_offsets=[0, 1024]),
+    "offsets beyond the end": changed(SECOND, data_offsets=[len(DATA), len(DATA) + 1024]),
+    "offsets reversed": changed(SECOND, data_offsets=HEADER[SECOND]["data_offsets"][::-1]),
+    "offsets of text": changed(SECOND, data_offsets=["0", "4"]),
+    "offsets negative": changed(SECOND, data_offsets=[-4, 1020]),
+    "unknown sensor": pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "sensor": "nose"}}),
+    "metadata not text": pack({**HEADER, "__metadata__": {"a": 1}}),
+    "workspace that does not fit": pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "workspace": "9x9x9"}}),
+    "not a number inside": pack(HEADER, struct.pack("<f", float("nan")) + DATA[4:]),
+    "infinity inside": pack(HEADER, DATA[:-4] + struct.pack("<f", float("inf"))),
+    "JSON": b'{"designs":[]}',
+    "zeros": bytes(100000),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile(service, name):
+    reply = service.request("PUT", "/v1/controllers/hostile", body=HOSTILE[name], headers=FILE)
+    assert reply.status == 422, reply.body
+    assert reply.pointers() == [""] and reply.json()["errors"][0]["detail"]
+    assert service.request("GET", "/v1/controllers/hostile").status == 404
+
+
+def test_upload_limits(start):
+    running = start("--max-controller=3M")
+    assert running.request("PUT", "/v1/controllers/big", body=bytes(4 << 20), headers=FILE).status == 413
+    assert running.request("PUT", "/v1/controllers/fits", body=BYTES, headers=FILE).status == 201
+    assert running.request("PUT", "/v1/controllers/x", body=BYTES, headers={"Content-Type": "application/json"}).status == 415

@@ -1,0 +1,212 @@
+"""The event stream: order, resumption, filters, heartbeats, limits, slow readers, the end of the service."""
+
+import json
+import re
+import socket
+import threading
+import time
+
+import pytest
+
+from service import CONTRACT, DESIGN, SHORT
+
+
+class Stream:
+    """A reader of /v1/events on a socket of its own."""
+
+    def __init__(self, service, query="", headers="", timeout=20):
+        self.sock = socket.create_connection((service.host, service.port), timeout=timeout)
+        self.sock.sendall(f"GET /v1/events{query} HTTP/1.0\r\nHost: localhost\r\n{headers}\r\n".encode())
+        self.file = self.sock.makefile("rb")
+        self.status = int(self.file.readline().split(b" ")[1])
+        self.headers = {}
+        while (line := self.file.readline().strip()):
+            name, _, value = line.decode().partition(": ")
+            self.headers[name.lower()] = value
+
+    def __iter__(self):
+        event = {}
+        while (line := self.file.readline()):
+            line = line.decode().rstrip("\n")
+            if line:
+                name, _, value = line.partition(":")
+                event[name or "comment"] = value.strip()
+            elif event:
+                yield event
+                event = {}
+
+    def events(self, n):
+        found = []
+        for event in self:
+            if "data" in event:
+                if event["event"] != "reset":
+                    CONTRACT.validate({"$ref": "#/components/schemas/Event"}, json.loads(event["data"]), "event")
+                    assert json.loads(event["data"])["id"] == event["id"]
+                found.append(event)
+                if len(found) == n:
+                    break
+        return found
+
+    def close(self):
+        self.file.close()
+        self.sock.close()
+
+
+def page(service, query=""):
+    return service.request("GET", "/v1/events?format=json" + query).json()
+
+
+def test_a_job_in_order(service):
+    stream = Stream(service)
+    assert stream.status == 200 and stream.headers["content-type"] == "text/event-stream"
+    time.sleep(0.2)
+    job = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 61}}).json()["id"]
+    events = []
+    for event in stream:
+        if "data" in event and json.loads(event["data"])["job"] == job:
+            events.append(event)
+            if event["event"] == "job.finished":
+                break
+    assert [event["event"] for event in events if event["event"] != "job.progress"] == ["job.created", "job.started", "job.finished"]
+    numbers = [int(event["id"]) for event in events]
+    assert numbers == sorted(numbers)
+    stored = [event["id"] for event in page(service, f"&job={job}&limit=1000")["items"]]
+    assert stored == [event["id"] for event in events]
+    stream.close()
+
+
+def test_resumption_loses_nothing(service):
+    service.evaluate({"designs": [DESIGN], "physics": SHORT})
+    whole, after = [], "0"
+    while True:
+        part = page(service, f"&after={after}&limit=7")
+        whole += [event["id"] for event in part["items"]]
+        if not part["items"]:
+            break
+        after = part["next_after"]
+    assert whole == [event["id"] for event in page(service, "&after=0&limit=1000")["items"]][:len(whole)]
+    middle = len(whole) // 2
+    for query, headers in ((f"?after={whole[middle]}", ""), ("?after=0", f"Last-Event-ID: {whole[middle]}\r\n")):
+        stream = Stream(service, query, headers)
+        rest = stream.events(len(whole) - middle - 1)
+        assert [event["id"] for event in rest] == whole[middle + 1:]
+        stream.close()
+
+
+def test_filter(service):
+    stream_job = service.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 62}}).json()["id"]
+    service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 63}})
+    service.request("GET", f"/v1/jobs/{stream_job}", headers={"Prefer": "wait=20"})
+    stream = Stream(service, f"?after=0&job={stream_job}")
+    seen = []
+    for event in stream:
+        if "data" in event:
+            seen.append(json.loads(event["data"]))
+            if event["event"] == "job.finished":
+                break
+    assert {event["job"] for event in seen} == {stream_job} and seen[0]["type"] == "job.created"
+    stream.close()
+
+
+def test_reset(service):
+    stream = Stream(service, "?after=999999999")
+    event = stream.events(1)[0]
+    assert event["event"] == "reset" and int(event["id"]) == int(json.loads(event["data"])["newest"])
+    job = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 64}}).json()["id"]
+    assert json.loads(stream.events(1)[0]["data"])["job"] == job
+    stream.close()
+    assert page(service, "&after=999999999")["reset"] is True
+
+
+def test_bad_place(service):
+    stream = Stream(service, "", "Last-Event-ID: yesterday\r\n")
+    assert stream.status == 400
+    stream.close()
+
+
+def test_many_streams_see_the_same(service):
+    streams = [Stream(service) for _ in range(40)]
+    time.sleep(0.3)
+    jobs = [service.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 70 + i}}).json()["id"] for i in range(5)]
+    for job in jobs:
+        service.request("GET", f"/v1/jobs/{job}", headers={"Prefer": "wait=20"})
+    newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]
+    seen = []
+    for stream in streams:
+        ids = []
+        for event in stream:
+            if "data" in event:
+                ids.append(event["id"])
+                if event["id"] == newest:
+                    break
+        seen.append(ids)
+        stream.close()
+    assert all(ids == seen[0] for ids in seen) and len(seen[0]) >= 15
+    assert seen[0] == [str(i) for i in range(int(seen[0][0]), int(seen[0][-1]) + 1)]
+
+
+def streams_open(service):
+    text = service.request("GET", "/metrics").body.decode()
+    return int(re.search(r"^morphod_event_streams (\d+)$", text, re.M).group(1))
+
+
+def test_vanished_readers_are_noticed(service):
+    before = streams_open(service)
+    streams = [Stream(service) for _ in range(10)]
+    assert streams_open(service) == before + 10
+    for stream in streams:
+        stream.close()
+    deadline = time.monotonic() + 6
+    while streams_open(service) > before:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_streams_are_limited(start):
+    running = start("--max-streams=3")
+    streams = [Stream(running) for _ in range(3)]
+    refused = running.request("GET", "/v1/events")
+    assert refused.status == 503
+    streams[0].close()
+    deadline = time.monotonic() + 6
+    while True:
+        again = Stream(running)
+        if again.status == 200:
+            break
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def test_streams_end_with_the_service(start):
+    running = start()
+    stream = Stream(running)
+    ended = []
+    thread = threading.Thread(target=lambda: ended.extend(stream))
+    thread.start()
+    time.sleep(0.3)
+    begun = time.monotonic()
+    assert running.stop() == 0
+    thread.join(timeout=10)
+    assert not thread.is_alive() and time.monotonic() - begun < 10
+
+
+def test_slow_reader_gets_everything_later(service):
+    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the service do not notice."""
+    sock = socket.socket()
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    sock.connect((service.host, service.port))
+    sock.sendall(b"GET /v1/events?after=0 HTTP/1.0\r\nHost: localhost\r\n\r\n")
+    for i in range(60):
+        service.request("PUT", f"/v1/controllers/slow-{i % 3}", body=b"", headers={"Content-Type": "application/octet-stream"})
+        assert service.request("GET", "/healthz").status == 200
+    service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 65}})
+    newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]
+    sock.settimeout(10)
+    data = b""
+    while f"id: {newest}\n".encode() not in data:
+        piece = sock.recv(65536)
+        assert piece
+        data += piece
+    ids = [int(number) for number in re.findall(rb"^id: (\d+)$", data, re.M)]
+    assert ids == list(range(ids[0], int(newest) + 1))
+    sock.close()
