@@ -135,7 +135,7 @@ def test_answered(service, name):
 @pytest.mark.parametrize("ending", [b"\n", b"\r"])
 def test_bare_line_ends_do_not_hang_or_split(service, ending):
     data = (GET + b"X: 1" + ending + b"Content-Length: 50\r\n\r\n" + SMUGGLED)
-    received, _ = service.raw(data)
+    received, _ = service.raw(data, timeout=1)
     assert len(split_replies(received)) <= 1, received
     alive(service)
 
