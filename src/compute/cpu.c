@@ -135,11 +135,13 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth)
   const struct mo_pack *pack = NULL;
   int status = mo_compute_controller_pack(block->controller, block->precision, &pack);
   struct mo_body *built = NULL;
-  if (status == MO_OK && block->body == NULL)
+  const struct mo_body *body = block->body;
+  if (status == MO_OK && body == NULL) {
     status = mo_body_create(block->lattice, block->genotype, &built);
-  if (status != MO_OK)
+    body = built;
+  }
+  if (status != MO_OK || body == NULL)
     return status;
-  const struct mo_body *body = built != NULL ? built : block->body;
   struct visit visit = {worker, block, depth};
   const struct mo_pause_point pause = {
       .interval = body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, .reached = look_up, .context = &visit};

@@ -188,25 +188,35 @@ MO_INLINE void v_transpose(V square[MO_VL])
   }
 }
 
-/* Sum of the lanes as a fixed binary tree: lane l with lane l + half. */
+/* Sum of the lanes as a fixed binary tree: lane l with lane l + half, down to one. */
 MO_INLINE REAL v_sum(V v)
 {
-#pragma GCC unroll 4
-  for (int half = MO_VL / 2; half > 1; half /= 2) {
-#ifdef __clang__ /* which has no __builtin_shuffle; it compiles the fuzz targets and lints */
-    V moved = v;
-    for (int l = 0; l < MO_VL; l++)
-      moved[l] = v[(l + half) % MO_VL];
-    v += moved;
-#else
-    I other;
-#pragma GCC unroll 16
-    for (int l = 0; l < MO_VL; l++)
-      other[l] = (l + half) % MO_VL;
-    v += __builtin_shuffle(v, other);
+#if MO_VBYTES >= 32
+  typedef REAL H __attribute__((vector_size(MO_VBYTES / 2)));
 #endif
-  }
+#if MO_VBYTES == 64
+  typedef REAL Q __attribute__((vector_size(MO_VBYTES / 4)));
+#if MO_FAST_DOUBLE
+  const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+  const Q q = __builtin_shufflevector(half, half, 0, 1) + __builtin_shufflevector(half, half, 2, 3);
+  return q[0] + q[1];
+#else
+  const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
+                 __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
+  const Q q = __builtin_shufflevector(half, half, 0, 1, 2, 3) + __builtin_shufflevector(half, half, 4, 5, 6, 7);
+  return (q[0] + q[2]) + (q[1] + q[3]);
+#endif
+#elif MO_VBYTES == 32 && MO_FAST_DOUBLE
+  const H half = __builtin_shufflevector(v, v, 0, 1) + __builtin_shufflevector(v, v, 2, 3);
+  return half[0] + half[1];
+#elif MO_VBYTES == 32
+  const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+  return (half[0] + half[2]) + (half[1] + half[3]);
+#elif MO_FAST_DOUBLE
   return v[0] + v[1];
+#else
+  return (v[0] + v[2]) + (v[1] + v[3]);
+#endif
 }
 
 MO_INLINE V v_abs(V v)

@@ -211,8 +211,8 @@ static void lanes_keep_to_themselves(void)
 {
   REQUIRE(setup());
   struct mo_physics physics = mo_default_physics();
-  physics.n_steps = 300;
-  enum { STRIDE = 50, FRAMES = 7 };
+  physics.n_steps = 150;
+  enum { STRIDE = 25, FRAMES = 7 };
   EACH_KERNEL(isa, precision)
   for (int impact = MO_IMPACT_EXACT; impact <= MO_IMPACT_BISECTION; impact++) {
     physics.impact = (enum mo_impact)impact;
