@@ -1,0 +1,333 @@
+/* faults.c: full disks, failing disks, many writers at once. */
+#include <fcntl.h>
+#include <pthread.h>
+#include <signal.h>
+#include <sys/mount.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <time.h>
+
+#include "../check.h"
+#include "fault_vfs.h"
+#include "fixture.h"
+
+static atomic_int fatal_calls;
+
+static void on_fatal(void *context, const char *what)
+{
+  (void)context;
+  (void)what;
+  atomic_fetch_add(&fatal_calls, 1);
+}
+
+/* A store on the failing file system. */
+static int start_failing(struct fixture *fixture)
+{
+  struct mo_store_config config = {.vfs = "faults", .fatal = on_fatal};
+  struct mo_controller_record record;
+  int error;
+  atomic_store(&fault_plan.write_error, 0);
+  atomic_store(&fault_plan.sync_error, 0);
+  atomic_store(&fatal_calls, 0);
+  if (fault_vfs_register() != SQLITE_OK || fixture_folder(fixture) != 0)
+    return -1;
+  config.path = fixture->path;
+  error = mo_store_open(&config, &fixture->store, &fixture->message);
+  return error == MO_OK ? fixture_controller(fixture->store, "default", 1, &record) : error;
+}
+
+static void survives_a_full_disk(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_store_stats stats;
+  struct mo_job job;
+  int64_t id = 0;
+  uint64_t n_designs = 0;
+  int failures = 0;
+  bool replayed;
+  REQUIRE(start_failing(&fixture) == MO_OK);
+  REQUIRE(fixture_bodies(1, 300, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 300);
+  /* Full at the first write, the second, …: at every point of a transaction, until it fits. */
+  for (long writes = 0; writes < 400; writes++) {
+    int error;
+    atomic_store(&fault_plan.writes_left, writes);
+    atomic_store(&fault_plan.write_error, SQLITE_FULL);
+    error = mo_store_submit(fixture.store, &submission, &id, &replayed);
+    mo_store_get_stats(fixture.store, &stats);
+    atomic_store(&fault_plan.write_error, 0);
+    if (error == MO_OK) { /* all its writes came before the fault */
+      CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+      break;
+    }
+    failures++;
+    CHECK_INT(error, MO_ERR_NO_SPACE);
+    CHECK(stats.no_space);
+    CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, -1}, &job, 1), 0);
+    CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);
+    CHECK_INT(n_designs, 0);
+  }
+  CHECK(failures >= 10);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  mo_store_get_stats(fixture.store, &stats);
+  CHECK(!stats.no_space && !stats.fatal);
+  CHECK_INT(atomic_load(&fatal_calls), 0);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void dies_of_a_failing_disk(void)
+{
+  static const struct {
+    int write, sync;
+  } faults[] = {{SQLITE_IOERR_WRITE, 0}, {0, SQLITE_IOERR_FSYNC}};
+  for (size_t i = 0; i < 2; i++) {
+    struct fixture fixture;
+    struct mo_bits *forms, *genotypes;
+    struct mo_submission submission;
+    struct mo_store_stats stats;
+    struct mo_job job;
+    int64_t first = 0, id = 0;
+    bool replayed;
+    REQUIRE(start_failing(&fixture) == MO_OK);
+    REQUIRE(fixture_bodies(1, 3, &forms, &genotypes) == MO_OK);
+    submission = fixture_submission(forms, genotypes, 3);
+    CHECK_INT(mo_store_submit(fixture.store, &submission, &first, &replayed), MO_OK);
+    atomic_store(&fault_plan.writes_left, 0);
+    atomic_store(&fault_plan.write_error, faults[i].write);
+    atomic_store(&fault_plan.sync_error, faults[i].sync);
+    CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_IO);
+    CHECK_INT(atomic_load(&fatal_calls), 1);
+    atomic_store(&fault_plan.write_error, 0);
+    atomic_store(&fault_plan.sync_error, 0);
+    /* It does not come back to life: the process has to. */
+    CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_IO);
+    CHECK_INT(atomic_load(&fatal_calls), 1);
+    mo_store_get_stats(fixture.store, &stats);
+    CHECK(stats.fatal);
+    REQUIRE(fixture_reopen(&fixture) == MO_OK);
+    CHECK_INT(mo_store_job(fixture.store, first, &job), MO_OK);
+    CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+    CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+    free(forms);
+    free(genotypes);
+    fixture_end(&fixture);
+  }
+}
+
+/* ---- group commit ---- */
+
+struct submitter {
+  struct mo_store *store;
+  const struct mo_submission *submission;
+  int64_t ids[64];
+  int failures;
+};
+
+static void *submit_many(void *context)
+{
+  struct submitter *submitter = context;
+  for (int i = 0; i < 64; i++) {
+    bool replayed;
+    if (mo_store_submit(submitter->store, submitter->submission, &submitter->ids[i], &replayed) != MO_OK)
+      submitter->failures++;
+  }
+  return NULL;
+}
+
+static void *submit_nonsense(void *context)
+{
+  struct submitter *submitter = context;
+  struct mo_submission bad = *submitter->submission;
+  bad.controller = "nobody";
+  for (int i = 0; i < 64; i++) {
+    bool replayed;
+    if (mo_store_submit(submitter->store, &bad, &submitter->ids[i], &replayed) != MO_ERR_NOT_FOUND)
+      submitter->failures++;
+  }
+  return NULL;
+}
+
+static void *read_many(void *context)
+{
+  struct submitter *submitter = context;
+  struct mo_job *jobs = calloc(100, sizeof(*jobs));
+  for (int i = 0; i < 200; i++) {
+    struct mo_job_query query = {0, -1, -1};
+    int64_t n = mo_store_jobs(submitter->store, &query, jobs, 100);
+    for (int64_t k = 1; k < n; k++)
+      submitter->failures += jobs[k].id >= jobs[k - 1].id;
+    submitter->failures += n < 0;
+  }
+  free(jobs);
+  return NULL;
+}
+
+struct listened {
+  int64_t last;
+  int64_t n;
+  int failures;
+};
+
+static void listen_in_order(void *context, const struct mo_event *events, size_t n)
+{
+  struct listened *listened = context;
+  for (size_t i = 0; i < n; i++) {
+    listened->failures += events[i].sequence <= listened->last;
+    listened->last = events[i].sequence;
+    listened->n++;
+  }
+}
+
+static void shares_commits(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_store_stats before, after;
+  struct submitter submitters[10];
+  struct listened listened = {0};
+  pthread_t threads[10];
+  uint64_t counts[MO_JOB_STATES];
+  bool *seen = calloc(8 * 64 + 1, sizeof(*seen));
+  int handle;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(2, 2, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 2);
+  REQUIRE(mo_store_subscribe(fixture.store, listen_in_order, &listened, &handle) == MO_OK);
+  mo_store_get_stats(fixture.store, &before);
+  for (int i = 0; i < 10; i++) {
+    submitters[i] = (struct submitter){.store = fixture.store, .submission = &submission};
+    REQUIRE(pthread_create(&threads[i], NULL,
+                           i < 8    ? submit_many
+                           : i == 8 ? submit_nonsense
+                                    : read_many,
+                           &submitters[i]) == 0);
+  }
+  for (int i = 0; i < 10; i++) {
+    pthread_join(threads[i], NULL);
+    CHECK_INT(submitters[i].failures, 0);
+  }
+  mo_store_get_stats(fixture.store, &after);
+  CHECK_INT(after.operations - before.operations, 9 * 64);
+  CHECK_INT(after.operations_failed - before.operations_failed, 64);
+  CHECK(after.commits - before.commits < 9 * 64);
+  printf("# %llu operations in %llu commits\n", (unsigned long long)(after.operations - before.operations),
+         (unsigned long long)(after.commits - before.commits));
+  for (int i = 0; i < 8; i++)
+    for (int k = 0; k < 64; k++) {
+      int64_t id = submitters[i].ids[k];
+      REQUIRE(id >= 1 && id <= 8 * 64);
+      CHECK(!seen[id]);
+      seen[id] = true;
+    }
+  mo_store_unsubscribe(fixture.store, handle);
+  CHECK_INT(listened.n, 8 * 64);
+  CHECK_INT(listened.failures, 0);
+  CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
+  CHECK_INT(counts[MO_JOB_QUEUED], 8 * 64);
+  free(seen);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+/* ---- real disks ---- */
+
+static void refuses_an_unwritable_folder(void)
+{
+  struct fixture fixture;
+  struct mo_store_config config;
+  pid_t child;
+  int status = -1;
+  REQUIRE(fixture_folder(&fixture) == 0);
+  chmod(fixture.path, 0500);
+  child = fork();
+  if (child == 0) {
+    struct mo_store *store = NULL;
+    struct mo_message message;
+    int error;
+    if (getuid() == 0 && setuid(65534) != 0)
+      _exit(2);
+    config = (struct mo_store_config){.path = fixture.path};
+    error = mo_store_open(&config, &store, &message);
+    _exit(error == MO_ERR_IO && strstr(message.text, "cannot write") != NULL ? 0 : 1);
+  }
+  REQUIRE(waitpid(child, &status, 0) == child);
+  chmod(fixture.path, 0700);
+  /* As another user the folder of the test is perhaps not even found: then there is nothing to see. */
+  CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+  fixture_end(&fixture);
+}
+
+/* On a file system of 1 MiB of its own; only root can make one. */
+static void survives_a_small_file_system(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_controller *controller = NULL;
+  struct mo_controller_record record;
+  struct mo_job job;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  char filler[512];
+  int64_t id = 0, last = 0;
+  bool replayed, created;
+  int error = MO_OK, fd;
+  REQUIRE(fixture_folder(&fixture) == 0);
+  if (mount("none", fixture.path, "tmpfs", 0, "size=8m,mode=0700") != 0) {
+    printf("# no right to mount: only the simulated full disk was tested\n");
+    fixture_end(&fixture);
+    return;
+  }
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  CHECK_INT(fixture_controller(fixture.store, "default", 1, &record), MO_OK);
+  REQUIRE(fixture_bodies(3, 100, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 100);
+  snprintf(filler, sizeof(filler), "%s/filler", fixture.path);
+  fd = open(filler, O_WRONLY | O_CREAT, 0600);
+  REQUIRE(fd >= 0);
+  while (write(fd, filler, sizeof(filler)) > 0)
+    ;
+  close(fd);
+  for (int i = 0; i < 2000 && error == MO_OK; i++) { /* what is left inside the log's last pages */
+    error = mo_store_submit(fixture.store, &submission, &id, &replayed);
+    if (error == MO_OK)
+      last = id;
+  }
+  CHECK_INT(error, MO_ERR_NO_SPACE);
+  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+  REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
+  CHECK_INT(mo_store_controller_put(fixture.store, "big", bytes, size, controller, &record, &created), MO_ERR_NO_SPACE);
+  free(bytes);
+  mo_controller_free(controller);
+  CHECK_INT(mo_store_job(fixture.store, last + 1, &job), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  unlink(filler);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  CHECK(id > last);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  umount(fixture.path);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"survives a disk that is full at any write", survives_a_full_disk},
+    {"dies of a disk that fails, and recovers", dies_of_a_failing_disk},
+    {"shares commits among writers", shares_commits},
+    {"refuses an unwritable folder", refuses_an_unwritable_folder},
+    {"survives a small file system", survives_a_small_file_system},
+};
+CHECK_MAIN(cases)
