@@ -285,17 +285,20 @@ int main(int argc, char **argv)
   load(&process, &process.settings, &process.request, &faults);
   enum settings_action action = process.request.action;
   int status = EXIT_OK;
-  if (action == ACTION_HELP) {
+  if (process.request.usage_fault) {
+    print_faults(&faults);
+    status = EXIT_USAGE;
+  } else if (action == ACTION_HELP) {
     settings_print_help(stdout);
   } else if (action == ACTION_VERSION) {
     printf("morphod %s\n", MORPHOD_VERSION);
   } else if (action == ACTION_TABLE) {
     settings_print_table(stdout);
   } else {
-    if (!process.request.usage_fault && faults.n_fatal == 0 && action != ACTION_PRINT)
+    if (faults.n_fatal == 0 && action != ACTION_PRINT)
       settings_check(&process.settings, action == ACTION_CHECK, &faults);
     if (faults.n_fatal > 0)
-      status = process.request.usage_fault ? EXIT_USAGE : EXIT_CONFIG;
+      status = EXIT_CONFIG;
     print_faults(&faults);
     if (action == ACTION_CHECK && status == EXIT_OK)
       printf("morphod: the configuration is sound (%s)\n",

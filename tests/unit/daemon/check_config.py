@@ -1,0 +1,150 @@
+"""morphod's command line as a process: help, --check-config, --print-config, exit statuses. Speaks TAP.
+
+Usage: check_config.py MORPHOD CONTROLLER"""
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+MORPHOD, CONTROLLER = sys.argv[1:3]
+
+
+def run(*arguments, file=None, **variables):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")}
+    environment.update({"HOME": folder, **variables})
+    for gone in ("XDG_STATE_HOME", "STATE_DIRECTORY", "CREDENTIALS_DIRECTORY"):
+        if gone not in variables:
+            environment.pop(gone, None)
+    path = pathlib.Path(folder, "morphod.conf")
+    if file is not None:
+        path.write_text(file)
+        arguments = (*arguments, f"--config={path}")
+    done = subprocess.run([MORPHOD, *arguments], capture_output=True, text=True, timeout=30, env=environment)
+    return done.returncode, done.stdout, done.stderr
+
+
+def check(*arguments, file=None, **variables):
+    return run("--check-config", *arguments, file=file, **variables)
+
+
+def says(result, status, *parts):
+    assert result[0] == status, result
+    for part in parts:
+        assert part in result[2], (part, result)
+
+
+def test_help_names_every_setting():
+    status, out, err = run("--help")
+    assert status == 0 and err == ""
+    table = run("--print-settings")[1]
+    names = re.findall(r"^\| `(\w+)` ", table, re.M)
+    assert len(names) > 20
+    for name in names:
+        assert f"--{name.replace('_', '-')} " in out, name
+    assert max(map(len, out.splitlines())) <= 120
+
+
+def test_defaults_are_sound():
+    says(check(), 0)
+    assert os.listdir(folder) == [], "a check must not write"
+
+
+def test_state_dir():
+    pathlib.Path(folder, "file").write_text("")
+    says(check(f"--state-dir={folder}/file"), 78, "is not a folder")
+    says(check("--state-dir=relative"), 78, "not an absolute path")
+    says(check(f"--state-dir={folder}/file/below"), 78, "state_dir")
+    says(check(f"--state-dir={folder}/a/b/c"), 0)
+    os.unlink(f"{folder}/file")
+
+
+def test_listen():
+    says(check("--listen=127.0.0.1"), 78, "not host:port")
+    says(check("--listen=127.0.0.1:99999"), 78, "at most 65535")
+    says(check("--listen=::1:80"), 78, "brackets")
+    says(check("--listen=unix:relative"), 78, "starts with /")
+    says(check(f"--listen=unix:/{'x' * 200}"), 78, "at most 107 bytes")
+    says(check("--listen=unix:/nonexistent/socket"), 78, "/nonexistent")
+    says(check("--listen="), 78, "no address")
+    says(check("--listen=127.0.0.1:1", "--listen=127.0.0.1:1"), 78, "named twice")
+    says(check("--listen=[::1]:8765", f"--listen=unix:{folder}/s"), 0)
+
+
+def test_tokens():
+    token = pathlib.Path(folder, "token")
+    says(check("--listen=0.0.0.0:8765"), 78, "needs a token_file")
+    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 78, "No such file")
+    token.write_text("  \n")
+    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 78, "holds no token")
+    token.write_text("0123456789abcdef0123456789\n")
+    token.chmod(0o644)
+    says(check("--listen=0.0.0.0:8765", f"--token-file={token}"), 0, "can be read by everybody")
+    token.chmod(0o600)
+    says(check("--listen=0.0.0.0:8765", CREDENTIALS_DIRECTORY=folder), 0)
+    token.unlink()
+
+
+def test_controller():
+    says(check(f"--default-controller={CONTROLLER}"), 0)
+    says(check("--default-controller=/nonexistent"), 78, "default_controller")
+    broken = pathlib.Path(folder, "broken.safetensors")
+    broken.write_bytes(pathlib.Path(CONTROLLER).read_bytes()[:100000])
+    says(check(f"--default-controller={broken}"), 78, "default_controller", "broken.safetensors")
+    broken.unlink()
+
+
+def test_file_mistakes():
+    says(check(file="workerz = 3\n"), 78, "morphod.conf:1", 'did you mean "workers"?')
+    says(check(file="\nworkers = 5000\n"), 78, "morphod.conf:2", "not between 0 and 1024")
+    says(check(file="log_level = loud\nisa = sse\n"), 78, ":1: log_level", ":2: isa")
+    says(check("--config=/nonexistent.conf"), 78, "/nonexistent.conf")
+
+
+def test_command_line_mistakes():
+    says(run("--wrokers=3"), 64, "did you mean --workers?")
+    says(run("stray"), 64, "stray")
+    says(run("--workers"), 64, "needs a value")
+    says(run("--workers=many"), 78, "not a whole number")
+    says(run("--help=1"), 64, "takes no value")
+
+
+def test_print_config_reads_back():
+    status, out, _ = run("--print-config", "--workers=3", file="max_body = 5M\n", MORPHOD_ISA="avx2")
+    assert status == 0
+    assert re.search(r"^workers = 3 +# flag$", out, re.M), out
+    assert re.search(r"^max_body = 5M +# file$", out, re.M), out
+    assert re.search(r"^isa = avx2 +# environment$", out, re.M), out
+    assert re.search(r"^max_connections = 1024 +# default$", out, re.M), out
+    again = run("--print-config", file=out)[1]
+    strip = lambda text: [l.split("  #")[0] for l in text.splitlines() if not l.startswith("#")]
+    assert strip(again) == strip(out)
+
+
+def test_no_start_with_faults():
+    says(run("--listen=0.0.0.0:0"), 78, "needs a token_file")
+    says(run(f"--state-dir={folder}/s", "--listen=127.0.0.1:0", "--default-controller=/nonexistent"), 78, "default_controller")
+    assert not os.path.exists(f"{folder}/s")
+
+
+def test_address_in_use():
+    import socket
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        says(run(f"--state-dir={folder}/s", f"--listen=127.0.0.1:{server.getsockname()[1]}", f"--default-controller={CONTROLLER}"), 69,
+             "127.0.0.1")
+
+
+tests = [(name, value) for name, value in sorted(globals().items()) if name.startswith("test_")]
+print(f"1..{len(tests)}")
+failed = 0
+for number, (name, test) in enumerate(tests, 1):
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            test()
+            print(f"ok {number} - {name[5:].replace('_', ' ')}")
+        except Exception as error:  # a failed test must not hide the others
+            failed += 1
+            print(f"# {type(error).__name__}: {str(error)[:2000]!r}")
+            print(f"not ok {number} - {name[5:].replace('_', ' ')}")
+sys.exit(1 if failed else 0)
