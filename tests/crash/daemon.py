@@ -1,0 +1,178 @@
+"""A morphod of one's own: started on a free port in a folder of its own, asked over HTTP, stopped or killed."""
+import os
+import pathlib
+import random
+import signal
+import sqlite3
+import subprocess
+import time
+
+import requests
+
+REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
+BUILD = pathlib.Path(os.environ.get("MORPHOD_BUILD", REPOSITORY / "build"))
+MORPHOD = BUILD / "src" / "daemon" / "morphod"
+MORPHOCTL = BUILD / "clients" / "morphoctl" / "morphoctl"
+CONTROLLER = REPOSITORY / "data" / "controllers" / "bootstrap.safetensors"
+
+
+def grow(generator):
+    """A random contiguous body as a text of 144 digits."""
+    cells = {(generator.randrange(6), generator.randrange(6), generator.randrange(4))}
+    size = generator.randint(1, 40)
+    while len(cells) < size:
+        x, y, z = generator.choice(sorted(cells))
+        dx, dy, dz = generator.choice(((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)))
+        cell = (x + dx, y + dy, z + dz)
+        if 0 <= cell[0] < 6 and 0 <= cell[1] < 6 and 0 <= cell[2] < 4:
+            cells.add(cell)
+    return "".join("1" if (x, y, z) in cells else "0" for x in range(6) for y in range(6) for z in range(4))
+
+
+def bodies(seed, n):
+    generator = random.Random(seed)
+    return [{"voxels": grow(generator)} for _ in range(n)]
+
+
+class Daemon:
+    def __init__(self, folder, **settings):
+        self.folder = pathlib.Path(folder)
+        self.state = self.folder / "state"
+        self.log = self.folder / "log"
+        self.port_file = self.folder / "address"
+        self.settings = {"worker_nice": 0, "log_level": "info", **settings}
+        self.process = None
+        self.address = None
+        self.session = requests.Session()
+
+    def command(self, *more):
+        flags = [f"--{k.replace('_', '-')}={v}" for k, v in self.settings.items()]
+        return [str(MORPHOD), f"--state-dir={self.state}", "--listen=127.0.0.1:0", f"--port-file={self.port_file}",
+                f"--default-controller={CONTROLLER}", *flags, *more]
+
+    def spawn(self):
+        """Starts the process without waiting for it."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.port_file.unlink(missing_ok=True)
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")}
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(self.command(), stdout=log, stderr=log, env=environment)
+        return self
+
+    def start(self, timeout_s=60):
+        self.spawn()
+        until = time.monotonic() + timeout_s
+        while not self.port_file.exists():
+            if self.process.poll() is not None:
+                raise RuntimeError(f"morphod ended with {self.process.returncode}:\n{self.tail()}")
+            if time.monotonic() > until:
+                raise RuntimeError(f"morphod does not serve after {timeout_s} s:\n{self.tail()}")
+            time.sleep(0.005)
+        self.address = self.port_file.read_text().split()[0]
+        self.session.close()
+        self.session = requests.Session()
+        return self
+
+    def tail(self, n=30):
+        return "\n".join(self.log.read_text(errors="replace").splitlines()[-n:]) if self.log.exists() else ""
+
+    def kill(self):
+        """kill -9: what a crash of the machine's power does to the process, minus the disk's cache."""
+        self.process.send_signal(signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self, timeout_s=20):
+        """SIGTERM; returns (exit status, seconds)."""
+        begin = time.monotonic()
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            status = self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            raise RuntimeError(f"morphod did not stop within {timeout_s} s:\n{self.tail()}") from None
+        return status, time.monotonic() - begin
+
+    def close(self):
+        self.session.close()
+        if self.process is not None and self.process.poll() is None:
+            self.kill()
+
+    def __enter__(self):
+        return self.start()
+
+    def __exit__(self, *_):
+        self.close()
+
+    # ---- requests ----
+
+    def get(self, path, **options):
+        return self.session.get(self.address + path, timeout=60, **options)
+
+    def post(self, request, key=None, wait_s=0, timeout_s=90):
+        headers = {}
+        if key is not None:
+            headers["Idempotency-Key"] = key
+        if wait_s:
+            headers["Prefer"] = f"wait={wait_s}"
+        return self.session.post(self.address + "/v1/evaluations", json=request, headers=headers, timeout=timeout_s)
+
+    def submit(self, request, **options):
+        reply = self.post(request, **options)
+        assert reply.status_code in (200, 202), reply.text
+        return reply.json()["id"]
+
+    def finish(self, job, timeout_s=120):
+        """Waits for the end of an evaluation and returns it."""
+        until = time.monotonic() + timeout_s
+        while True:
+            reply = self.get(f"/v1/jobs/{job}", headers={"Prefer": "wait=5"})
+            assert reply.status_code == 200, reply.text
+            if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
+                return self.get(f"/v1/evaluations/{job}").json()
+            assert time.monotonic() < until, f"job {job} is not done after {timeout_s} s: {reply.text}\n{self.tail()}"
+
+    def score(self, request, timeout_s=120):
+        evaluation = self.finish(self.submit(request), timeout_s)
+        assert evaluation["state"] == "succeeded", evaluation
+        return evaluation
+
+
+# ---- the database, read while no process uses it ----
+
+SCORES = """
+SELECT g.bits, c.sha256, p.sha256, e.sha256, s.loss, s.diverged_step
+FROM scores s JOIN genotypes g ON g.id = s.genotype JOIN controllers c ON c.id = s.controller
+JOIN physics p ON p.id = s.physics JOIN environments e ON e.id = s.environment
+"""
+
+
+def open_database(state):
+    return sqlite3.connect(f"file:{pathlib.Path(state) / 'morphod.db'}?mode=rw", uri=True)
+
+
+def stored_scores(state):
+    """{key: (loss bytes, diverged step)}; fails on a key that is there twice."""
+    database = open_database(state)
+    scores = {}
+    for *key, loss, step in database.execute(SCORES):
+        assert tuple(key) not in scores, "a score is stored twice"
+        scores[tuple(key)] = (loss, step)
+    database.close()
+    return scores
+
+
+def check_database(state):
+    """What must hold of every database that no process uses."""
+    database = open_database(state)
+    assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    assert database.execute("PRAGMA foreign_key_check").fetchall() == []
+    for table, key in (("designs", "form"), ("genotypes", "bits"), ("environments", "sha256"), ("controllers", "sha256")):
+        total, distinct = database.execute(f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
+        assert total == distinct, f"{table}: {total - distinct} rows are there twice"
+    total, keys = database.execute("SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, environment)) "
+                                   "FROM scores").fetchone()
+    assert total == keys
+    for (row,) in database.execute("SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND e.done <> "
+                                   "e.n_designs * e.n_environments"):
+        raise AssertionError(f"job {row} has succeeded without all its rollouts")
+    database.close()

@@ -1,0 +1,170 @@
+"""A disk that is full, a folder that cannot be written: clear refusals, nothing broken, and on it goes when there is room."""
+import os
+import pathlib
+import shutil
+import subprocess
+import time
+
+import pytest
+from daemon import MORPHOD, Daemon, bodies, check_database, stored_scores
+
+PHYSICS = {"n_steps": 100}
+
+
+def fill(path):
+    """Takes all room but nothing of what is there; returns the file that does."""
+    filler = pathlib.Path(path) / "filler"
+    with open(filler, "wb", buffering=0) as file:
+        try:
+            while True:
+                file.write(b"\0" * 65536)
+        except OSError:
+            pass
+        try:
+            while True:
+                file.write(b"\0" * 512)
+        except OSError:
+            pass
+    return filler
+
+
+def test_full_disk(small_disk, seed):
+    one = Daemon(small_disk + "/d")
+    one.log = pathlib.Path(small_disk).parent / "log"
+    one.port_file = pathlib.Path(small_disk).parent / "address"
+    try:
+        one.start()
+        before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+        filler = fill(small_disk)
+        refusals = 0
+        accepted = []
+        for k in range(8):
+            reply = one.post({"designs": bodies(seed + 100 + k, 200), "physics": PHYSICS}, key=f"full {k}")
+            if reply.status_code in (200, 202):
+                accepted.append(reply.json()["id"])  # the write-ahead log had a few pages of its own left
+                continue
+            assert reply.status_code in (503, 507), reply.text
+            assert reply.headers["Content-Type"].startswith("application/problem+json")
+            assert "Retry-After" in reply.headers
+            assert "space" in reply.text or "full" in reply.text or "room" in reply.text, reply.text
+            refusals += 1
+        assert refusals > 0
+        assert one.process.poll() is None, one.tail()
+        assert one.get("/healthz").status_code == 200
+        # What is stored can be read all the while.
+        assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
+        filler.unlink()
+        until = time.monotonic() + 20
+        while True:
+            reply = one.post({"designs": bodies(seed + 7, 5), "physics": PHYSICS}, key="after")
+            if reply.status_code in (200, 202):
+                break
+            assert reply.status_code in (503, 507) and time.monotonic() < until, reply.text
+            time.sleep(0.2)
+        assert one.finish(reply.json()["id"])["state"] == "succeeded"
+        for job in accepted:
+            assert one.finish(job)["state"] == "succeeded"
+        again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+        assert again["results"] == before["results"]
+        assert one.stop()[0] == 0
+        check_database(one.state)
+    finally:
+        one.close()
+
+
+def test_full_disk_while_it_computes(small_disk, seed):
+    """Room runs out while scores are being saved: the job waits, and ends when there is room."""
+    one = Daemon(small_disk + "/d")
+    one.log = pathlib.Path(small_disk).parent / "log"
+    one.port_file = pathlib.Path(small_disk).parent / "address"
+    try:
+        one.start()
+        job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
+        filler = fill(small_disk)
+        time.sleep(2)
+        assert one.process.poll() is None, one.tail()
+        assert one.get("/healthz").status_code == 200
+        filler.unlink()
+        evaluation = one.finish(job)
+        assert evaluation["state"] == "succeeded", evaluation
+        assert one.stop()[0] == 0
+        check_database(one.state)
+        full = stored_scores(one.state)
+    finally:
+        one.close()
+    quiet = Daemon(pathlib.Path(small_disk).parent / "quiet")
+    with quiet:
+        quiet.score({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
+        assert quiet.stop()[0] == 0
+    assert stored_scores(quiet.state) == full
+
+
+def test_start_on_a_full_disk(small_disk, seed):
+    one = Daemon(small_disk + "/d")
+    one.log = pathlib.Path(small_disk).parent / "log"
+    one.port_file = pathlib.Path(small_disk).parent / "address"
+    filler = fill(small_disk)
+    try:
+        one.folder.mkdir(exist_ok=True)
+    except OSError:
+        pass
+    if one.folder.exists():
+        one.spawn()
+        assert one.process.wait(20) == 74, one.tail()
+        assert "space" in one.tail().lower(), one.tail()
+    filler.unlink()
+    with one:
+        one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
+        assert one.stop()[0] == 0
+    check_database(one.state)
+
+
+def run_check(*flags, user=None):
+    command = [str(MORPHOD), "--check-config", *flags]
+    if user is not None:
+        command = ["setpriv", f"--reuid={user}", "--regid=65534", "--clear-groups", *command]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30,
+                          env={k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")})
+
+
+def test_unwritable_state_folder(folder):
+    if os.geteuid() == 0 and shutil.which("setpriv") is None:
+        pytest.skip("as root everything can be written, and there is no setpriv to become somebody else")
+    user = 65534 if os.geteuid() == 0 else None
+    os.chmod(folder, 0o755)
+    state = pathlib.Path(folder) / "state"
+    state.mkdir()
+    state.chmod(0o555)
+    check = run_check(f"--state-dir={state}", user=user)
+    assert check.returncode == 78 and "cannot be written" in check.stderr, check.stderr
+    command = [str(MORPHOD), f"--state-dir={state}", "--listen=127.0.0.1:0"]
+    if user is not None:
+        command = ["setpriv", f"--reuid={user}", "--regid=65534", "--clear-groups", *command]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert run.returncode == 74, run.stderr
+    assert str(state) in run.stderr and "ermission denied" in run.stderr, run.stderr
+    assert list(state.iterdir()) == []
+
+
+def test_state_folder_is_a_file(folder):
+    file = pathlib.Path(folder) / "file"
+    file.write_text("x")
+    assert run_check(f"--state-dir={file}").returncode == 78
+    run = subprocess.run([str(MORPHOD), f"--state-dir={file}", "--listen=127.0.0.1:0"], capture_output=True, text=True, timeout=30)
+    assert run.returncode == 74, run.stderr
+    assert file.read_text() == "x"
+
+
+def test_newer_database_is_refused(daemon):
+    one = daemon("newer")
+    with one:
+        assert one.stop()[0] == 0
+    import sqlite3
+    database = sqlite3.connect(one.state / "morphod.db")
+    database.execute("PRAGMA user_version = 9999")
+    database.commit()
+    database.close()
+    one.spawn()
+    assert one.process.wait(20) == 78
+    assert "newer" in one.tail(), one.tail()
+

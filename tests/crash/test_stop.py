@@ -1,0 +1,204 @@
+"""Orderly ends and reloads."""
+import ctypes
+import os
+import signal
+import socket
+import subprocess
+import time
+
+import pytest
+from daemon import MORPHOCTL, bodies, check_database
+
+LONG = {"n_steps": 1000}
+
+
+def saturate(daemon, seed, n=600):
+    job = daemon.submit({"designs": bodies(seed, n), "physics": LONG})
+    until = time.monotonic() + 10
+    while daemon.get(f"/v1/jobs/{job}").json()["rollouts_done"] == 0:
+        assert time.monotonic() < until, daemon.tail()
+        time.sleep(0.05)
+    return job
+
+
+def test_sigterm_while_saturated(daemon, seed):
+    """Exit status 0 within 10 s; the work goes on at the next start and loses nothing that was saved."""
+    print(f"seed {seed}")
+    one = daemon("stop").start()
+    job = saturate(one, seed)
+    status, seconds = one.stop()
+    assert status == 0, one.tail()
+    assert seconds < 10, f"{seconds:.1f} s"
+    print(f"stopped after {seconds:.2f} s")
+    check_database(one.state)
+    one.start()
+    before = one.get(f"/v1/jobs/{job}").json()
+    assert before["state"] in ("queued", "running")
+    assert before["rollouts_done"] > 0
+    assert before["attempts"] == 0
+    reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+    assert reply.status_code in (200, 202)
+    assert one.finish(job)["state"] == "cancelled"
+    assert one.stop()[0] == 0
+
+
+def test_second_sigterm_is_quick(daemon, seed):
+    one = daemon("quick", drain_timeout="30s").start()
+    saturate(one, seed)
+    begin = time.monotonic()
+    one.process.send_signal(signal.SIGTERM)
+    time.sleep(0.5)
+    reply = one.get("/readyz")
+    assert reply.status_code == 503 and "Retry-After" in reply.headers
+    refused = one.post({"designs": bodies(seed, 1)})
+    assert refused.status_code == 503 and "Retry-After" in refused.headers
+    one.process.send_signal(signal.SIGTERM)
+    assert one.process.wait(10) == 0
+    assert time.monotonic() - begin < 8
+
+
+def test_idle_stop_is_immediate(daemon):
+    one = daemon("idle").start()
+    status, seconds = one.stop()
+    assert status == 0 and seconds < 3
+    assert not one.port_file.exists()
+    assert not (one.state / "crash-marker").exists()
+
+
+def test_sigint_stops(daemon):
+    one = daemon("int").start()
+    one.process.send_signal(signal.SIGINT)
+    assert one.process.wait(10) == 0
+
+
+def test_sighup_reloads_tokens_and_level(daemon):
+    one = daemon("hup", token_on_loopback="yes", config="")
+    one.folder.mkdir(parents=True)
+    tokens, config = one.folder / "tokens", one.folder / "morphod.conf"
+    tokens.write_text("first-token-0123456789\n")
+    tokens.chmod(0o600)
+    config.write_text(f"token_file = {tokens}\nworkers = 1\n")
+    one.settings["config"] = config
+    one.settings.pop("log_level")
+    one.start()
+
+    def status(token):
+        return one.get("/v1/jobs", headers={"Authorization": f"Bearer {token}"}).status_code
+
+    def reload(word):
+        seen = one.log.read_text().count(word)
+        one.process.send_signal(signal.SIGHUP)
+        until = time.monotonic() + 5
+        while one.log.read_text().count(word) == seen:
+            assert time.monotonic() < until, one.tail()
+            time.sleep(0.02)
+
+    assert one.get("/v1/jobs").status_code == 401
+    assert status("first-token-0123456789") == 200
+    tokens.write_text("# changed\nsecond-token-0123456789\n")
+    config.write_text(f"token_file = {tokens}\nworkers = 2\nlog_level = debug\n")
+    reload("reloaded")
+    assert status("first-token-0123456789") == 401
+    assert status("second-token-0123456789") == 200
+    log = one.log.read_text()
+    assert "setting=log_level" in log
+    assert "needs a restart" in log and "setting=workers" in log
+    # A fault keeps everything as it was.
+    config.write_text(f"token_file = {tokens}\nlog_level = loud\n")
+    reload("reload refused")
+    assert status("second-token-0123456789") == 200
+    assert one.stop()[0] == 0
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="the number of a system call")
+def test_crash_counts_against_its_job(daemon, seed):
+    """A fault inside a block parks its job after three attempts, and no other job is touched."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    one = daemon("crash", workers=1)
+    one.start()
+    innocent = one.submit({"designs": bodies(seed + 1, 1), "physics": {"n_steps": 100}})
+    assert one.finish(innocent)["state"] == "succeeded"
+    guilty = one.submit({"designs": bodies(seed, 400), "physics": LONG})
+    for attempt in range(3):
+        until = time.monotonic() + 10
+        while one.get(f"/v1/jobs/{guilty}").json()["state"] != "running":
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        time.sleep(0.2)
+        # The thread that computes is the one that has used the most processor time.
+        tasks = os.listdir(f"/proc/{one.process.pid}/task")
+
+        def ticks(task):
+            with open(f"/proc/{one.process.pid}/task/{task}/stat", encoding="ascii") as file:
+                fields = file.read().rsplit(")", 1)[1].split()
+            return int(fields[11]) + int(fields[12])
+
+        busiest = max(tasks, key=ticks)
+        assert libc.syscall(234, one.process.pid, int(busiest), int(signal.SIGSEGV)) == 0  # tgkill
+        assert one.process.wait(10) == -signal.SIGSEGV
+        marker = (one.state / "crash-marker").read_text()
+        assert marker.split()[0] == guilty, marker
+        one.start()
+        job = one.get(f"/v1/jobs/{guilty}").json()
+        assert job["attempts"] == attempt + 1
+    assert job["state"] == "failed" and job["error"] is not None
+    assert one.finish(innocent)["state"] == "succeeded"
+    assert one.score({"designs": bodies(seed + 2, 1), "physics": {"n_steps": 100}})["state"] == "succeeded"
+    assert one.stop()[0] == 0
+    check_database(one.state)
+
+
+def test_watchdog_and_readiness(daemon):
+    """What the process tells the service manager: ready, alive, reloading, stopping."""
+    one = daemon("notify")
+    one.folder.mkdir(parents=True)
+    path = str(one.folder / "notify.sock")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server:
+        server.bind(path)
+        server.settimeout(10)
+        environment = {**os.environ, "NOTIFY_SOCKET": path, "WATCHDOG_USEC": "1000000"}
+        with open(one.log, "ab") as log:
+            one.process = subprocess.Popen(one.command(), stdout=log, stderr=log, env=environment)
+
+        def wait_for(word):
+            until = time.monotonic() + 15
+            while time.monotonic() < until:
+                message = server.recv(4096).decode()
+                if word in message:
+                    return message
+            raise AssertionError(f"no {word}")
+
+        wait_for("READY=1")
+        for _ in range(3):
+            wait_for("WATCHDOG=1")
+        one.process.send_signal(signal.SIGHUP)
+        assert "MONOTONIC_USEC=" in wait_for("RELOADING=1")
+        wait_for("READY=1")
+        one.process.send_signal(signal.SIGTERM)
+        wait_for("STOPPING=1")
+    assert one.process.wait(10) == 0
+
+
+def test_passed_socket(daemon):
+    """A listening socket from the service manager is served in place of the default address."""
+    one = daemon("passed")
+    one.folder.mkdir(parents=True)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        command = [c for c in one.command() if not c.startswith("--listen")]
+        script = f"import os, sys; os.dup2({server.fileno()}, 3); os.set_inheritable(3, True); " \
+                 "os.environ.update(LISTEN_FDS='1', LISTEN_FDNAMES='http', LISTEN_PID=str(os.getpid())); os.execv(sys.argv[1], sys.argv[1:])"
+        with open(one.log, "ab") as log:
+            one.process = subprocess.Popen(["/usr/bin/python3", "-c", script, *command], stdout=log, stderr=log,
+                                           pass_fds=[server.fileno()])
+        until = time.monotonic() + 15
+        while not one.port_file.exists():
+            assert time.monotonic() < until and one.process.poll() is None, one.tail()
+            time.sleep(0.02)
+        one.address = one.port_file.read_text().split()[0]
+        assert one.address == f"http://127.0.0.1:{port}"
+        assert one.port_file.read_text().count("\n") == 1
+        assert one.get("/healthz").status_code == 200
+    status = subprocess.run([MORPHOCTL, "status", "--server", one.address], capture_output=True, text=True)
+    assert status.returncode == 0, status.stderr
+    assert one.stop()[0] == 0
