@@ -7,10 +7,11 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|accuracy|space [OPTION…]\n"
+    "Usage: morpho-bench rollout|accuracy|load|space [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
+    "  load      replies of a running morphod while it computes\n"
     "  space     speed of drawing, naming and varying random bodies\n"
     "\n"
     "  --bodies N         another number of bodies\n"
@@ -18,6 +19,7 @@ static const char usage[] =
     "  --workers N        threads of `accuracy` (default: one per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
+    "  --morphod PATH     `load`: the daemon (default build/src/daemon/morphod)\n"
     "  --csv PATH         `accuracy`: write the table here (default: standard output)\n"
     "  --svg PATH         `accuracy`: draw the table here\n"
     "  --json             `rollout`: machine-readable result\n"
@@ -44,12 +46,14 @@ int main(int argc, char **argv)
                                                {"controller", required_argument, NULL, 'c'},
                                                {"csv", required_argument, NULL, 'C'},
                                                {"svg", required_argument, NULL, 'S'},
+                                               {"morphod", required_argument, NULL, 'm'},
                                                {"json", no_argument, NULL, 'j'},
                                                {"quick", no_argument, NULL, 'q'},
                                                {"help", no_argument, NULL, 'h'},
                                                {NULL, 0, NULL, 0}};
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
+  const char *morphod = "build/src/daemon/morphod";
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
     switch (option) {
@@ -65,6 +69,7 @@ int main(int argc, char **argv)
     case 'c': options.controller = optarg; break;
     case 'C': options.csv = optarg; break;
     case 'S': options.svg = optarg; break;
+    case 'm': morphod = optarg; break;
     case 'j': options.json = true; break;
     case 'q': options.quick = true; break;
     case 'h': fputs(usage, stdout); return 0;
@@ -82,6 +87,8 @@ int main(int argc, char **argv)
     return bench_rollout(&options);
   if (strcmp(name, "accuracy") == 0)
     return bench_accuracy(&options);
+  if (strcmp(name, "load") == 0)
+    return bench_load(morphod, &options);
   fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
   return 2;
 }
