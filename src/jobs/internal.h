@@ -105,7 +105,7 @@ struct mo_wish {
   struct mo_wish *next;
 };
 
-struct mo_jobs {
+struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by who may touch what */
   struct mo_store *store;
   struct mo_compute *compute;
   struct mo_jobs_config config;

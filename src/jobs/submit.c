@@ -183,14 +183,14 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
                             : MO_BATCH;
   forms = calloc(request->n_designs, sizeof(*forms));
   genotypes = calloc(request->n_designs, sizeof(*genotypes));
-  if (forms == NULL || genotypes == NULL)
-    error = mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  if (error == MO_ERR_NOT_FOUND)
-    error = MO_OK; /* a key that is new */
+  if (forms == NULL || genotypes == NULL) {
+    free(forms);
+    free(genotypes);
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  }
   submission.forms = forms;
   submission.genotypes = genotypes;
-  if (error == MO_OK)
-    error = place_all(request, forms, genotypes, message);
+  error = place_all(request, forms, genotypes, message);
   if (error == MO_OK && (request->record_com || request->record_masses))
     error = check_recording(jobs, &submission, message);
   if (error == MO_OK)

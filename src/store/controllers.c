@@ -236,7 +236,7 @@ static int put(struct mo_store *store, void *arguments)
   struct put_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
-  int64_t row, known = 0, version = 0, now_us = mo_store_now_us();
+  int64_t row = 0, known = 0, version = 0, now_us = mo_store_now_us();
   sqlite3_stmt *statement;
   int step;
   int error = content_row(writer, call, now_us, &row);
@@ -451,7 +451,7 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
 {
   struct mo_sha256 found;
   uint8_t *bytes = NULL;
-  int64_t size;
+  int64_t size = 0;
   char *path;
   int error = content_size(store, sha256, &size);
   if (error != MO_OK)

@@ -80,7 +80,7 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
                             " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
                             " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
                             " AND (s.score,s.genotype)>(?4,?5) ORDER BY s.score,s.genotype LIMIT ?6";
-  int64_t physics, n = 0;
+  int64_t physics = 0, n = 0;
   sqlite3_stmt *statement;
   int step = 0;
   int error = find_physics(reader, query, &physics);
@@ -264,7 +264,7 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
 {
   static const char sql[] = "SELECT id,first_seen_us FROM designs WHERE form=?1";
   uint8_t bytes[MO_BITS_BYTES];
-  int64_t genotypes[8];
+  int64_t genotypes[8] = {0};
   uint32_t room = ROLLOUTS_MAX;
   int64_t row;
   int step;

@@ -269,6 +269,14 @@ static int load_designs(struct mo_connection *reader, int64_t id, const struct r
   return error == MO_OK && n != results->n_designs ? MO_ERR_CORRUPT : error;
 }
 
+static bool same_bits(double a, double b)
+{
+  uint64_t words[2];
+  memcpy(&words[0], &a, sizeof(a));
+  memcpy(&words[1], &b, sizeof(b));
+  return words[0] == words[1];
+}
+
 static int load_recomputed(struct mo_connection *reader, int64_t id, struct mo_evaluation_results *results)
 {
   static const char sql[] = "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
@@ -290,7 +298,7 @@ static int load_recomputed(struct mo_connection *reader, int64_t id, struct mo_e
     results->diverged_steps[cell] = sqlite3_column_int(statement, 3);
     if (error == MO_OK && sqlite3_column_type(statement, 4) != SQLITE_NULL) {
       error = mo_column_double(statement, 4, &results->stored_losses[cell]);
-      if (memcmp(&results->stored_losses[cell], &results->losses[cell], sizeof(double)) != 0)
+      if (!same_bits(results->stored_losses[cell], results->losses[cell]))
         results->agrees[n] = 0;
     }
   }

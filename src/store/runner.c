@@ -306,6 +306,8 @@ static int load_work(struct mo_connection *reader, int64_t id, struct mo_work *w
   int error = load_head(reader, id, work);
   if (error != MO_OK)
     return error;
+  if (work->n_designs == 0 || work->n_environments == 0)
+    return MO_ERR_CORRUPT;
   reruns = work->job.verify || work->job.record_com || work->job.record_masses;
   work->environment_rows = calloc(work->n_environments, sizeof(*work->environment_rows));
   work->environments = calloc(work->n_environments, sizeof(*work->environments));

@@ -177,7 +177,7 @@ void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size
   size_t length = found != NULL ? strlen((const char *)found) : 0;
   if (length >= size)
     length = size - 1;
-  if (length > 0)
+  if (found != NULL)
     memcpy(text, found, length);
   text[length] = '\0';
 }

@@ -156,7 +156,7 @@ static int register_set(struct mo_store *store, void *arguments)
       "INSERT INTO environment_set_members(environment_set,position,environment) VALUES(?1,?2,?3)";
   const struct new_set *set = arguments;
   struct mo_connection *writer = &store->writer;
-  int64_t row, n, environment;
+  int64_t row = 0, n = 0, environment = 0;
   sqlite3_stmt *statement;
   int error = find_set(writer, set->name, &row, &n);
   if (error != MO_ERR_NOT_FOUND)
@@ -314,7 +314,7 @@ static int insert_environments(struct mo_connection *writer, const struct mo_sub
       " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
   static const char insert_sql[] = "INSERT INTO evaluation_environments(job,position,environment) VALUES(?1,?2,?3)";
   sqlite3_stmt *statement;
-  int64_t row;
+  int64_t row = 0;
   int error = MO_OK;
   if (setting->set != 0) {
     statement = mo_sql(writer, copy_sql, &error);
@@ -341,7 +341,7 @@ static int insert_designs(struct mo_connection *writer, const struct mo_submissi
 {
   static const char sql[] = "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   sqlite3_stmt *statement;
-  int64_t row;
+  int64_t row = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < submission->n_designs && error == MO_OK; i++) {
     error = genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
