@@ -20,6 +20,7 @@ struct bench_options {
 int bench_rollout(const struct bench_options *options);
 int bench_accuracy(const struct bench_options *options);
 int bench_space(int argc, char **argv);
+int bench_store(int argc, char **argv);
 int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */

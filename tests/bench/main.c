@@ -7,12 +7,13 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|accuracy|load|space [OPTION…]\n"
+    "Usage: morpho-bench rollout|accuracy|load|space|store [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
     "  load      replies of a running morphod while it computes\n"
     "  space     speed of drawing, naming and varying random bodies\n"
+    "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
     "\n"
     "  --bodies N         another number of bodies\n"
     "  --seed N           seed of the bodies' stream (default 1)\n"
@@ -77,6 +78,8 @@ int main(int argc, char **argv)
     }
   if (optind < argc && strcmp(argv[optind], "space") == 0)
     return bench_space(argc - optind, argv + optind);
+  if (optind < argc && strcmp(argv[optind], "store") == 0)
+    return bench_store(argc - optind, argv + optind);
   if (optind + 1 != argc) {
     fputs(usage, stderr);
     return 2;
