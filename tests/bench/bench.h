@@ -48,8 +48,12 @@ struct bench_series {
   size_t n;
   double x[16], y[16];
 };
-/* A chart as an SVG file. 0 or −1 with errno set. */
-int bench_chart(const char *path, const char *title, const char *x_name, const char *y_name,
-                const struct bench_series *series, size_t n_series);
+struct bench_panel {
+  const char *title, *y_name;
+  const struct bench_series *series;
+  size_t n_series;
+};
+/* Charts one below the other as an SVG file. 0 or −1 with errno set. */
+int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels, size_t n_panels);
 
 #endif

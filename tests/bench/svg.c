@@ -1,4 +1,4 @@
-/* svg.c: a line chart with logarithmic axes. */
+/* svg.c: line charts with logarithmic axes. */
 #include "bench.h"
 
 #include <math.h>
@@ -44,48 +44,60 @@ static void ticks(FILE *file, const struct axis *axis, bool horizontal)
     }
 }
 
-int bench_chart(const char *path, const char *title, const char *x_name, const char *y_name,
-                const struct bench_series *series, size_t n_series)
+static void draw_panel(FILE *file, const struct bench_panel *panel, const char *x_name)
 {
   static const char *const colours[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b", "#7d3c98",
                                         "#5dade2", "#ec7063", "#58d68d", "#f5b041", "#af7ac5"};
-  FILE *file = fopen(path, "w");
-  if (file == NULL)
-    return -1;
   double x_low = INFINITY, x_high = -INFINITY, y_low = INFINITY, y_high = -INFINITY;
-  for (size_t s = 0; s < n_series; s++)
-    for (size_t i = 0; i < series[s].n; i++) {
-      extend(&x_low, &x_high, series[s].x[i]);
-      extend(&y_low, &y_high, series[s].y[i]);
+  for (size_t s = 0; s < panel->n_series; s++)
+    for (size_t i = 0; i < panel->series[s].n; i++) {
+      extend(&x_low, &x_high, panel->series[s].x[i]);
+      extend(&y_low, &y_high, panel->series[s].y[i]);
     }
   const struct axis x = {x_low, x_high, LEFT, WIDTH - RIGHT}, y = {y_low, y_high, HEIGHT - BOTTOM, TOP};
-  fprintf(
-      file,
-      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %d\" font-family=\"sans-serif\" font-size=\"12\">\n"
-      "<style>.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}</style>\n"
-      "<rect width=\"%d\" height=\"%d\" fill=\"white\"/>\n"
-      "<text x=\"%d\" y=\"26\" font-size=\"15\">%s</text>\n",
-      WIDTH, HEIGHT, WIDTH, HEIGHT, LEFT, title);
+  fprintf(file, "<text x=\"%d\" y=\"30\" font-size=\"15\">%s</text>\n", LEFT, panel->title);
   ticks(file, &x, true);
   ticks(file, &y, false);
   fprintf(file,
           "<text x=\"%d\" y=\"%d\" text-anchor=\"middle\">%s</text>\n"
           "<text transform=\"translate(18 %d) rotate(-90)\" text-anchor=\"middle\">%s</text>\n",
-          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 16, x_name, (TOP + HEIGHT - BOTTOM) / 2, y_name);
-  for (size_t s = 0; s < n_series; s++) {
+          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 16, x_name, (TOP + HEIGHT - BOTTOM) / 2, panel->y_name);
+  for (size_t s = 0, row = TOP + 12; s < panel->n_series; s++) {
+    const struct bench_series *series = panel->series + s;
+    if (series->n == 0)
+      continue;
     const char *colour = colours[s % (sizeof(colours) / sizeof(colours[0]))];
     fprintf(file, "<polyline class=\"line\" stroke=\"%s\" points=\"", colour);
-    for (size_t i = 0; i < series[s].n; i++)
-      fprintf(file, "%.1f,%.1f ", at(&x, series[s].x[i]), at(&y, series[s].y[i]));
+    for (size_t i = 0; i < series->n; i++)
+      fprintf(file, "%.1f,%.1f ", at(&x, series->x[i]), at(&y, series->y[i]));
     fprintf(file, "\"/>\n");
-    for (size_t i = 0; i < series[s].n; i++)
-      fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(&x, series[s].x[i]),
-              at(&y, series[s].y[i]), colour);
-    const int row = TOP + 12 + 20 * (int)s;
+    for (size_t i = 0; i < series->n; i++)
+      fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(&x, series->x[i]),
+              at(&y, series->y[i]), colour);
     fprintf(file,
-            "<line x1=\"%d\" y1=\"%d\" x2=\"%d\" y2=\"%d\" stroke=\"%s\" stroke-width=\"3\"/><text x=\"%d\" "
-            "y=\"%d\">%s</text>\n",
-            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4, series[s].name);
+            "<line x1=\"%d\" y1=\"%zu\" x2=\"%d\" y2=\"%zu\" stroke=\"%s\" stroke-width=\"3\"/>"
+            "<text x=\"%d\" y=\"%zu\">%s</text>\n",
+            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4, series->name);
+    row += 20;
+  }
+}
+
+int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels, size_t n_panels)
+{
+  FILE *file = fopen(path, "w");
+  if (file == NULL)
+    return -1;
+  const size_t height = n_panels * HEIGHT;
+  fprintf(
+      file,
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %zu\" font-family=\"sans-serif\" font-size=\"12\">\n"
+      "<style>.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}</style>\n"
+      "<rect width=\"%d\" height=\"%zu\" fill=\"white\"/>\n",
+      WIDTH, height, WIDTH, height);
+  for (size_t p = 0; p < n_panels; p++) {
+    fprintf(file, "<g transform=\"translate(0 %zu)\">\n", p * HEIGHT);
+    draw_panel(file, panels + p, x_name);
+    fprintf(file, "</g>\n");
   }
   fprintf(file, "</svg>\n");
   return fclose(file) == 0 ? 0 : -1;
