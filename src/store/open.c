@@ -100,6 +100,9 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
     if (error != MO_OK)
       mo_fail(message, error, "migration %s failed: %s", migration_files[i].name, sqlite3_errmsg(writer->db));
   }
+  /* In the same transaction: a kill between this commit and the first opening's must leave a database that opens. */
+  if (error == MO_OK && from == 0)
+    error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
     snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", migration_count);
     error = mo_sql_exec(writer, sql);

@@ -73,7 +73,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert job is None or again == job, "an acknowledged evaluation has another id after the restart"
         assert again not in ids, "two keys have one evaluation"
         ids.add(again)
-        evaluation = victim.finish(again)
+        evaluation = victim.finish(again, timeout_s=1800)
         assert evaluation["state"] == "succeeded", evaluation
         assert evaluation["attempts"] == 0, "a kill counted as an attempt"
         assert evaluation["rollouts_done"] == evaluation["rollouts_total"]
@@ -98,28 +98,29 @@ def test_kill_at_random_moments(daemon, soak, seed):
         for key, (request, job) in acknowledged.items():
             replay.submit(request, key=key)
         for job in [j["id"] for j in replay.get("/v1/jobs?limit=1000").json()["items"]]:
-            assert replay.finish(job)["state"] == "succeeded"
+            assert replay.finish(job, timeout_s=1800)["state"] == "succeeded"
         run_to_end(replay, [(request, None) for request in batches(seed)])
         assert replay.stop()[0] == 0
     assert stored_scores(replay.state) == after
 
 
-def test_kill_at_the_start(daemon, seed):
+def test_kill_at_the_start(daemon, soak, seed):
     """Kills during the first moments: migrations, registration of the controller, recovery."""
     print(f"seed {seed}")
     generator = random.Random(seed)
-    one = daemon("start")
-    for _ in range(8):
-        one.spawn()
-        time.sleep(generator.uniform(0, 0.08))
-        one.kill()
-    with one:
-        assert one.get("/readyz").status_code == 200
-        names = [c["name"] for c in one.get("/v1/controllers").json()["items"]]
-        assert names == ["bootstrap", "default"]
-        one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
-        assert one.stop()[0] == 0
-    check_database(one.state)
+    for trial in range(20 if soak else 4):
+        one = daemon(f"start {trial}")
+        for _ in range(5):
+            one.spawn()
+            time.sleep(generator.uniform(0, 0.06))
+            one.kill()
+        with one:
+            assert one.get("/readyz").status_code == 200
+            names = [c["name"] for c in one.get("/v1/controllers").json()["items"]]
+            assert names == ["bootstrap", "default"]
+            one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
+            assert one.stop()[0] == 0
+        check_database(one.state)
 
 
 def test_one_state_folder_one_process(daemon):
