@@ -198,6 +198,7 @@ def test_unix_socket(start, tmp_path):
 
 def test_connections_are_limited(start):
     running = start("--max-connections=8")
+    time.sleep(0.5)  # those that asked whether it is ready are gone
     held = [socket.create_connection((running.host, running.port)) for _ in range(8)]
     time.sleep(0.3)
     received, ended = running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
