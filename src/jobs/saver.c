@@ -94,6 +94,7 @@ int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_jo
                                    .done = active->done,
                                    .cached = active->cached,
                                    .diverged = active->diverged,
+                                   .started_us = step == MO_STEP_START ? mo_store_now_us() : 0,
                                    .error = error,
                                    .max_attempts = jobs->config.max_attempts};
   if (text != NULL)

@@ -76,8 +76,9 @@ struct mo_job {
 struct mo_event {
   int64_t sequence; /* ≥ 1, grows by commit order, never reused */
   int64_t time_us;
-  int64_t job;    /* 0: not about a job */
-  char type[32];  /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.finished",
+  int64_t job; /* 0: not about a job */
+  char type
+      [32]; /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
                        "controller.stored", "controller.removed" */
   char data[512]; /* a JSON object */
 };

@@ -247,7 +247,9 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
     return error;
   sqlite3_bind_int64(statement, 1, update->job);
   sqlite3_bind_int64(statement, 2, store->epoch);
-  if (update->step == MO_STEP_START || update->step == MO_STEP_SUCCEED || update->step == MO_STEP_RETRY)
+  if (update->step == MO_STEP_START)
+    sqlite3_bind_int64(statement, 3, update->started_us != 0 ? update->started_us : mo_store_now_us());
+  if (update->step == MO_STEP_SUCCEED || update->step == MO_STEP_RETRY)
     sqlite3_bind_int64(statement, 3, mo_store_now_us());
   if (update->step == MO_STEP_RETRY) {
     sqlite3_bind_int64(statement, 4, update->error);
