@@ -108,7 +108,8 @@ struct mo_job_update {
   int64_t job;
   enum mo_job_step step;
   uint64_t total, done, cached, diverged;
-  int error; /* retry */
+  int64_t started_us; /* start */
+  int error;          /* retry */
   char error_text[256];
   uint32_t max_attempts;
   bool quiet;              /* no event */
