@@ -1,0 +1,172 @@
+"""morphoctl against the daemon itself. Its behaviour towards servers that break is tested in tests/unit/morphoctl."""
+
+import hashlib
+import json
+import os
+import re
+import struct
+import subprocess
+
+import pytest
+from service import BINARY, BOOTSTRAP, DESIGN, SOURCE
+
+MORPHOCTL = os.environ.get("MORPHOCTL", os.path.join(os.path.dirname(BINARY), "..", "..", "clients", "morphoctl", "morphoctl"))
+SHORT = ["--physics", "n_steps=20"]
+CELLS = json.dumps(DESIGN)
+
+
+@pytest.fixture(scope="module")
+def ctl(service):
+    def run(*arguments, server=None, input_text="", **variables):
+        environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD")}
+        environment.update({"MORPHOD_SERVER": server or service.addresses[0], "LC_ALL": "C.UTF-8"}, **variables)
+        done = subprocess.run([MORPHOCTL, *arguments], input=input_text, capture_output=True, text=True, timeout=60, env=environment)
+        return done.returncode, done.stdout, done.stderr
+    return run
+
+
+def test_named_designs(ctl):
+    files = sorted(str(p) for p in (SOURCE / "data" / "designs").glob("*.json"))
+    assert len(files) >= 8
+    status, out, err = ctl("eval", *SHORT, *files)
+    assert status == 0, err
+    lines = out.splitlines()
+    assert len(lines) == len(files) + 1
+    for path, line in zip(files, lines[1:]):
+        name = os.path.basename(path)[:-5]
+        assert re.match(rf"\s*\d+\s+{name}\s+[0-9a-f]{{36}}\s+\d+\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}", line), line
+
+
+def test_the_json_is_the_apis(service, ctl):
+    status, out, _ = ctl("eval", *SHORT, "--json", "--label", "from the command line", input_text=CELLS)
+    assert status == 0
+    evaluation = json.loads(out)
+    assert evaluation == service.request("GET", f"/v1/evaluations/{evaluation['id']}").json()
+    assert evaluation["label"] == "from the command line"
+
+
+def test_the_same_key_is_the_same_evaluation(ctl):
+    ids = {json.loads(ctl("eval", *SHORT, "--json", "--idempotency-key", "once", input_text=CELLS)[1])["id"] for _ in range(2)}
+    assert len(ids) == 1
+    status, _, err = ctl("eval", *SHORT, "--idempotency-key", "once", input_text='[[0,0,0]]')
+    assert status == 6 and "key" in err.lower(), err
+
+
+def test_faults_name_their_place(ctl):
+    status, out, err = ctl("eval", input_text="[[0,0,0],[5,5,3]]\n[[1,1,1]]")
+    assert (status, out) == (6, "") and "/designs/0/cells/1" in err, err
+    status, _, err = ctl("eval", "--controller", "nobody", input_text=CELLS)
+    assert status in (3, 6) and "nobody" in err, err
+    status, _, err = ctl("eval", "--physics", "dt_s=7", input_text=CELLS)
+    assert status == 6 and "/physics/dt_s" in err, err
+
+
+def test_verify(ctl):
+    evaluation = json.loads(ctl("eval", *SHORT, "--json", input_text=CELLS)[1])
+    status, out, err = ctl("verify", *SHORT, "-", input_text=CELLS)
+    assert status == 0 and "the same" in out, (out, err)
+    status, out, err = ctl("verify", "--evaluation", evaluation["id"])
+    assert status == 0 and "1 the same, 0 different, 0 not stored" in out, (out, err)
+    status, out, err = ctl("verify", *SHORT, evaluation["results"][0]["id"])
+    assert status == 0 and "the same" in out, (out, err)
+    status, out, err = ctl("verify", "--physics", "n_steps=7", "-", input_text=CELLS)
+    assert status == 3 and "nothing" in err, (out, err)
+
+
+def test_designs(ctl):
+    identity = json.loads(ctl("eval", *SHORT, "--json", input_text=CELLS)[1])["results"][0]["id"]
+    status, out, err = ctl("design", "show", identity)
+    assert status == 0 and identity in out and "██" in out and "z = 1" in out, (out, err)
+    assert ctl("design", "show", identity, LC_ALL="C")[1].count("##") == 4
+    assert ctl("design", "show", "f" * 36)[0] in (0, 3)
+    assert ctl("design", "show", "xyz")[0] == 2
+    status, out, _ = ctl("design", "list", "--all")
+    assert status == 0 and identity in out
+    assert json.loads(ctl("design", "show", identity, "--json")[1])["id"] == identity
+    ctl("eval", input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
+    status, out, _ = ctl("design", "list", "--sort", "score", "--limit", "1")
+    assert status == 0 and len(out.splitlines()) == 2
+
+
+def test_jobs(ctl):
+    status, out, _ = ctl("eval", "--no-wait", "--random", "500", "--seed", "5", "--label", "long one")
+    job = out.strip()
+    assert status == 0 and job.isdigit()
+    assert ctl("job", "pause", job)[0] == 0
+    assert "paused" in ctl("job", "show", job)[1]
+    assert any(line.split()[0] == job and "paused" in line for line in ctl("job", "list", "--state", "paused")[1].splitlines()[1:])
+    assert ctl("job", "resume", job)[0] == 0
+    status, out, err = ctl("job", "cancel", job)
+    assert status == 0, err
+    status, out, _ = ctl("watch", job)
+    assert status == 3 and "job.finished" in out and "cancelled" in out, out
+    assert ctl("job", "cancel", job)[0] == 3
+    assert ctl("job", "show", "999999")[0] == 3
+
+
+def test_watch_a_job(ctl):
+    job = ctl("eval", *SHORT, "--no-wait", "--random", "20", "--seed", "6")[1].strip()
+    status, out, err = ctl("watch", job)
+    assert status == 0, err
+    kinds = [line.split()[2] for line in out.splitlines()]
+    assert kinds[0] == "job.created" and kinds[-1] == "job.finished", out
+    events = [json.loads(line) for line in ctl("watch", job, "--json")[1].splitlines()]
+    assert [int(e["id"]) for e in events] == sorted(int(e["id"]) for e in events)
+    status, out, _ = ctl("job", "show", job, "--results")
+    assert status == 0 and "succeeded" in out and len(out.splitlines()) > 20
+
+
+def test_controllers(service, ctl, tmp_path):
+    assert "bootstrap" in ctl("controller", "list")[1]
+    status, out, err = ctl("controller", "put", "mine", str(BOOTSTRAP))
+    assert status == 0 and hashlib.sha256(BOOTSTRAP.read_bytes()).hexdigest() in out, err
+    assert "620,912" in ctl("controller", "info", "mine")[1]
+    copy = tmp_path / "copy.safetensors"
+    assert ctl("controller", "get", "mine", "--output", str(copy))[0] == 0
+    assert copy.read_bytes() == BOOTSTRAP.read_bytes()
+    short = tmp_path / "short.safetensors"
+    short.write_bytes(BOOTSTRAP.read_bytes()[:1000])
+    assert ctl("controller", "put", "short", str(short))[0] == 6
+    assert ctl("controller", "delete", "mine")[0] == 0
+    assert ctl("controller", "info", "mine")[0] == 3
+
+
+def test_trajectories(ctl, tmp_path):
+    status, _, err = ctl("eval", *SHORT, "--record", "com,masses", "--record-stride", "5", "--output", str(tmp_path / "out"),
+                         input_text=CELLS)
+    assert status == 0, err
+    files = sorted(p.name for p in (tmp_path / "out").iterdir())
+    assert len(files) == 1 + 2 * 10 and "design-0000-environment-09-masses.npy" in files
+    content = (tmp_path / "out" / "design-0000-environment-00-com.npy").read_bytes()
+    assert b"'shape': (5,3)" in content[:128]
+    points = struct.unpack("<15f", content[128:])
+    assert all(abs(p) < 10 for p in points) and points[2] > 0
+
+
+def test_environments_of_a_file(ctl, tmp_path):
+    path = tmp_path / "environments.json"
+    path.write_text(json.dumps([{"light_xy_m": [2.5, 4.5], "terrain_heights_m": [0.05] * 64},
+                                {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}]))
+    status, out, err = ctl("eval", *SHORT, "--json", "--environments", str(path), input_text=CELLS)
+    assert status == 0, err
+    assert len(json.loads(out)["results"][0]["losses"]) == 2
+
+
+def test_status(ctl):
+    status, out, _ = ctl("status")
+    assert status == 0 and re.search(r"^ready +yes", out, re.M), out
+    assert json.loads(ctl("status", "--json")[1])["ready"] is True
+
+
+def test_unix_socket_and_token(start, ctl, tmp_path):
+    tokens = tmp_path / "tokens"
+    tokens.write_text("a-token-of-some-length\n")
+    tokens.chmod(0o600)
+    path = tmp_path / "s"
+    service = start(f"--token-file={tokens}", "--token-on-loopback=yes", listen=("127.0.0.1:0", f"unix:{path}"),
+                    token="a-token-of-some-length")
+    tcp = next(a for a in service.addresses if a.startswith("http"))
+    assert ctl("job", "list", server=tcp)[0] == 5
+    assert ctl("job", "list", server=tcp, MORPHOD_TOKEN="another-token-altogether")[0] == 5
+    assert ctl("job", "list", "--token-file", str(tokens), server=tcp)[0] == 0
+    assert ctl("job", "list", server=f"unix:{path}")[0] == 0
