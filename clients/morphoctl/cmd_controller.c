@@ -33,7 +33,7 @@ int run_controller_list(struct ctl *ctl)
     struct table table;
     size_t i;
     const json_t *controller;
-    table_open(&table, "name|sensor|>parameters|>bytes|updated|sha256");
+    table_open(&table, "name|sensor|>parameters|>bytes|stored|sha256");
     json_array_foreach(items, i, controller)
     {
       char parameters[32], bytes[32], time[32];
@@ -41,7 +41,7 @@ int run_controller_list(struct ctl *ctl)
                              text_of(controller, "sensor"),
                              count_text(number_of(controller, "parameters"), parameters),
                              count_text(number_of(controller, "bytes"), bytes),
-                             time_text(json_object_get(controller, "updated_at"), time),
+                             time_text(json_object_get(controller, "stored_at"), time),
                              text_of(controller, "sha256")};
       table_add(&table, cells);
     }
@@ -64,8 +64,7 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
              json_integer_value(json_array_get(workspace, 2)));
   print_fact(ctl, "parameters", "%s", count_text(number_of(controller, "parameters"), a));
   print_fact(ctl, "bytes", "%s", count_text(number_of(controller, "bytes"), a));
-  print_fact(ctl, "stored", "%s", time_text(json_object_get(controller, "created_at"), a));
-  print_fact(ctl, "updated", "%s", time_text(json_object_get(controller, "updated_at"), a));
+  print_fact(ctl, "stored", "%s", time_text(json_object_get(controller, "stored_at"), a));
   const char *key;
   json_t *value;
   json_t *metadata = json_object_get(controller, "metadata");

@@ -28,6 +28,8 @@ int run_design_show(struct ctl *ctl)
       print_fact(ctl, "parents", "%zu", json_array_size(json_object_get(design, "parents")));
     if (json_array_size(json_object_get(design, "children")) > 0)
       print_fact(ctl, "children", "%zu", json_array_size(json_object_get(design, "children")));
+    if (json_is_true(json_object_get(design, "truncated")))
+      print_fact(ctl, "scores", "only the first 1,000 rollouts are shown");
     const json_t *orientations = json_object_get(design, "orientations"), *orientation;
     if (json_array_size(orientations) == 0 && id_voxels(text_of(design, "id"), voxels)) {
       putchar('\n');

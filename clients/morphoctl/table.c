@@ -101,14 +101,18 @@ void table_print(struct table *table, FILE *file, const struct ctl *ctl)
   }
   fprintf(file, "%s\n", ctl->colour ? "\033[0m" : "");
   for (size_t r = 0; r < table->n_rows; r++) {
+    size_t owed = 0; /* spaces that are due before the next cell: a line does not end in any */
     for (size_t c = 0; c < table->n_columns; c++) {
       char *cell = table->cells[r * table->n_columns + c];
       size_t width = cell != NULL ? text_width(cell) : 0;
       if (table->right[c])
-        pad(file, widths[c] - width);
-      fputs(cell != NULL ? cell : "", file);
-      if (c + 1 < table->n_columns)
-        pad(file, 2 + (table->right[c] ? 0 : widths[c] - width));
+        owed += widths[c] - width;
+      if (width > 0) {
+        pad(file, owed);
+        fputs(cell, file);
+        owed = 0;
+      }
+      owed += 2 + (table->right[c] ? 0 : widths[c] - width);
       free(cell);
     }
     fputc('\n', file);

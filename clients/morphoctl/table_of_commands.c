@@ -22,7 +22,9 @@ static const struct option_spec verify_options[] = {
     {"evaluation", 0, "ID", "Verify all designs of an earlier evaluation, with its settings."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec design_list_options[] = {
-    {"sort", 0, "id|score", "Order; score lists only designs with a score on the paper's test set."},
+    {"sort", 0, "id|score",
+     "id: as the designs came (default); score: best first, those with a score on the paper's test set, a row per "
+     "orientation."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {"all", 'a', NULL, "No limit."},

@@ -117,7 +117,7 @@ def test_watch_a_job(ctl):
 
 
 def test_controllers(service, ctl, tmp_path):
-    assert "bootstrap" in ctl("controller", "list")[1]
+    assert re.search(r"^bootstrap +inverse_sqrt +620,912 +2,484,856 +20\d\d-", ctl("controller", "list")[1], re.M)
     status, out, err = ctl("controller", "put", "mine", str(BOOTSTRAP))
     assert status == 0 and hashlib.sha256(BOOTSTRAP.read_bytes()).hexdigest() in out, err
     assert "620,912" in ctl("controller", "info", "mine")[1]
