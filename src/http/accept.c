@@ -107,17 +107,19 @@ static void describe_tcp(const struct sockaddr_storage *name, struct mo_connecti
 {
   char host[INET6_ADDRSTRLEN] = "";
   if (name->ss_family == AF_INET) {
-    const struct sockaddr_in *v4 = (const struct sockaddr_in *)name;
+    struct sockaddr_in v4;
+    memcpy(&v4, name, sizeof(v4));
     connection->client_key[0] = '4';
-    memcpy(connection->client_key + 4, &v4->sin_addr, 4);
-    inet_ntop(AF_INET, &v4->sin_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "%s:%u", host, (unsigned)ntohs(v4->sin_port));
+    memcpy(connection->client_key + 4, &v4.sin_addr, 4);
+    inet_ntop(AF_INET, &v4.sin_addr, host, sizeof(host));
+    snprintf(connection->client, sizeof(connection->client), "%s:%u", host, (unsigned)ntohs(v4.sin_port));
   } else {
-    const struct sockaddr_in6 *v6 = (const struct sockaddr_in6 *)name;
-    memcpy(connection->client_key, &v6->sin6_addr, 8); /* a /64 is one client */
+    struct sockaddr_in6 v6;
+    memcpy(&v6, name, sizeof(v6));
+    memcpy(connection->client_key, &v6.sin6_addr, 8); /* a /64 is one client */
     connection->client_key[15] = '6';
-    inet_ntop(AF_INET6, &v6->sin6_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host, (unsigned)ntohs(v6->sin6_port));
+    inet_ntop(AF_INET6, &v6.sin6_addr, host, sizeof(host));
+    snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host, (unsigned)ntohs(v6.sin6_port));
   }
 }
 
@@ -184,7 +186,7 @@ static void *acceptor(void *context)
     linger_on(&linger, mo_http_clock_us());
     for (size_t i = 0; i < http->n_listeners; i++) {
       for (int burst = 0; (polled[i + 1].revents & POLLIN) && burst < 64; burst++) {
-        struct sockaddr_storage name;
+        struct sockaddr_storage name = {0};
         socklen_t size = sizeof(name);
         int fd = accept4(http->listeners[i], (struct sockaddr *)&name, &size, SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
@@ -257,7 +259,8 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0)
     limit.rlim_cur = 1024;
   http->connections_size = limit.rlim_cur < (1 << 20) ? (size_t)limit.rlim_cur : (1 << 20);
-  http->connections = calloc(http->connections_size, sizeof(*http->connections));
+  http->connections =
+      calloc(http->connections_size, sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
   http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   if (http->connections == NULL || http->stop_fd < 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");

@@ -103,11 +103,12 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
 {
   if (query->sort == MO_DESIGNS_BY_ID)
     return mo_decimal(text, strlen(text), 1, INT64_MAX, &query->after_row);
-  uint64_t bits = 0;
+  char digits[17] = "";
   size_t n = strspn(text, "0123456789abcdef");
-  if (n != 16 || text[16] != '-' || !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row) ||
-      sscanf(text, "%16" SCNx64, &bits) != 1)
+  if (n != 16 || text[16] != '-' || !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row))
     return false;
+  memcpy(digits, text, 16);
+  uint64_t bits = strtoull(digits, NULL, 16);
   memcpy(&query->after_score, &bits, sizeof(bits));
   return !isnan(query->after_score);
 }

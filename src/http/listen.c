@@ -23,7 +23,7 @@ static bool is_loopback(const struct sockaddr_storage *address)
 
 int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_message *message)
 {
-  struct sockaddr_storage name;
+  struct sockaddr_storage name = {0};
   socklen_t size = sizeof(name), option_size = sizeof(int);
   int listening = 0, type = 0;
   if (getsockname(fd, (struct sockaddr *)&name, &size) != 0 ||

@@ -9,8 +9,7 @@
 
 void mo_reply_clear(struct mo_reply *reply)
 {
-  if (!reply->body_is_static)
-    free(reply->body);
+  free(reply->body);
   *reply = (struct mo_reply){0};
 }
 
@@ -25,8 +24,8 @@ void mo_reply_bytes(struct mo_request *request, unsigned status, const char *typ
 
 void mo_reply_static(struct mo_request *request, unsigned status, const char *type, const char *body, size_t size)
 {
-  mo_reply_bytes(request, status, type, (char *)(uintptr_t)body, size);
-  request->reply.body_is_static = true;
+  mo_reply_bytes(request, status, type, NULL, size);
+  request->reply.fixed = body;
 }
 
 void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *text)
@@ -186,15 +185,15 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   struct mo_reply *reply = &request->reply;
   struct MHD_Response *response;
   bool empty = reply->status == 304 || reply->status == 204; /* a 304 tells of the body, but has none */
-  if (empty)
-    response = MHD_create_response_from_buffer(0, (void *)"", MHD_RESPMEM_PERSISTENT);
+  if (empty || reply->body == NULL)
+    response = MHD_create_response_from_buffer(empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed),
+                                               MHD_RESPMEM_PERSISTENT);
   else
-    response = MHD_create_response_from_buffer(reply->size, reply->body,
-                                               reply->body_is_static ? MHD_RESPMEM_PERSISTENT : MHD_RESPMEM_MUST_FREE);
+    response = MHD_create_response_from_buffer(reply->size, reply->body, MHD_RESPMEM_MUST_FREE);
   if (response == NULL)
     return MHD_NO;
   if (!empty)
-    reply->body_is_static = true; /* the response has it now */
+    reply->body = NULL; /* the response has it now */
   request->sent = request->method == MO_HEAD || empty ? 0 : reply->size;
   /* A reader that does not read is cut off: a minute, and a second more for every 64 KiB. */
   atomic_store(&request->connection->deadline_us,

@@ -229,11 +229,10 @@ static enum MHD_Result dispatch(struct mo_request *request)
     mo_handle_direct(request);
     return mo_reply_send(request);
   }
-  if (request->body == NULL && !reserve_body(request, 0)) {
+  if (request->body == NULL && (request->body = calloc(1, 1)) == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     return mo_reply_send(request);
   }
-  request->body[request->body_size] = '\0';
   request->client =
       mo_client_enter(&http->clients, request->connection->client_key, http->config.max_in_flight, &refused);
   if (request->client == NULL) {

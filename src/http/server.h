@@ -62,9 +62,10 @@ void mo_clients_sweep(struct mo_clients *clients, int64_t now_us); /* forgets th
 struct mo_reply {
   unsigned status; /* 0: none yet */
   const char *type;
-  char *body; /* malloc; or static */
+  char *body;        /* malloc; or */
+  const char *fixed; /* static */
   size_t size;
-  bool body_is_static, close, authenticate, etagged;
+  bool close, authenticate, etagged;
   unsigned retry_after_s;
   char etag[80], location[160], allow[64], applied[24];
   unsigned n_extra;

@@ -273,7 +273,7 @@ int bench_load(const char *program, const struct bench_options *options)
   ask(&daemon, "GET", "/v1/jobs?state=running", "", "", 0, &job);
   const char *done = strstr(job, "\"rollouts_done\":");
   printf("morphod under a batch of %d designs (%s rollouts done when the last figure was taken)\n", N_DESIGNS,
-         done != NULL ? strtok((char *)(uintptr_t)done + 16, ",") : "all");
+         done != NULL ? strtok(job + (done - job) + 16, ",") : "all");
   missed += status != 202 || second_status != 202;
   missed += verdict("10,000 designs accepted, idle", idle_s * 1e3, 1000, "ms");
   missed += verdict("10,000 designs accepted while the cores compute", loaded_s * 1e3, 1000, "ms");
