@@ -229,6 +229,12 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const 
 {
   switch (update->step) {
   case MO_STEP_START:
+    /* Paused and resumed before its start was written: the job runs by the database, yet nobody runs it. */
+    if (update->applied && active->detached && !active->failing && mo_active_find(jobs, active->id) == NULL)
+      (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
+    if (!update->applied)
+      active->detached = true; /* a person stopped it */
+    break;
   case MO_STEP_PROGRESS:
     if (!update->applied)
       active->detached = true; /* a person stopped it */

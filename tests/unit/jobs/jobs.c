@@ -274,7 +274,8 @@ static void parks_and_goes_on(void)
   fake_plan.delay_us = 4000;
   request = service_request(genotypes, 100);
   id = service_submit(&service, &request);
-  usleep(100000);
+  for (double end = now_s() + 10; computed(&service) == 0 && now_s() < end;)
+    usleep(1000);
   fake_plan.delay_us = 60000000;
   usleep(20000);
   start = now_s();
@@ -652,7 +653,7 @@ static void *be_a_client(void *context)
       (void)mo_jobs_cancel(client->service->jobs, id);
       continue;
     }
-    if (i % 5 == 2) {
+    for (uint32_t k = 0; k < i % 3; k++) { /* perhaps before its start is written */
       (void)mo_jobs_pause(client->service->jobs, id);
       (void)mo_jobs_resume(client->service->jobs, id);
     }
