@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <grp.h>
+#include <jansson.h>
 #include <systemd/sd-daemon.h>
 
 #include <morpho/compute.h>
@@ -23,11 +24,12 @@
 #include "jobs/jobs.h"
 #include "store/store.h"
 
-#define LISTENERS_MAX  64
-#define ADDRESS_BYTES  256
-#define TOKEN_FILE_MAX 65536
-#define JOBS_STOP_MS   3000
-#define HTTP_GRACE_MS  1000
+#define LISTENERS_MAX    64
+#define EVENT_FIELDS_MAX 16
+#define ADDRESS_BYTES    256
+#define TOKEN_FILE_MAX   65536
+#define JOBS_STOP_MS     3000
+#define HTTP_GRACE_MS    1000
 
 struct service {
   char *state_dir;
@@ -180,18 +182,41 @@ static void store_is_broken(void *context, const char *what)
   service->fatal(what);
 }
 
+/* The members of an event's data become fields of its line. */
+static void log_event(enum log_level level, const struct mo_event *event)
+{
+  struct log_field fields[EVENT_FIELDS_MAX];
+  size_t n = 0;
+  fields[n++] = LOG_INT("event", event->sequence);
+  if (event->job != 0)
+    fields[n++] = LOG_INT("job", event->job);
+  json_t *data = json_loads(event->data, 0, NULL);
+  const char *key;
+  json_t *value;
+  json_object_foreach(data, key, value)
+  {
+    if (n == EVENT_FIELDS_MAX)
+      break;
+    if (strcmp(key, "id") == 0 || strcmp(key, "kind") == 0) /* the job's id is there already */
+      continue;
+    if (json_is_string(value))
+      fields[n++] = LOG_TEXT(key, json_string_value(value));
+    else if (json_is_integer(value))
+      fields[n++] = LOG_INT(key, json_integer_value(value));
+    else if (json_is_real(value))
+      fields[n++] = LOG_REAL(key, json_real_value(value));
+  }
+  log_write(level, event->type, fields, n);
+  json_decref(data);
+}
+
 static void log_events(void *context, const struct mo_event *events, size_t n)
 {
   (void)context;
   for (size_t i = 0; i < n; i++) {
     enum log_level level = strcmp(events[i].type, "job.progress") == 0 ? LOG_LEVEL_DEBUG : LOG_LEVEL_INFO;
-    if (!log_enabled(level))
-      continue;
-    if (events[i].job != 0)
-      LOG_AT(level, events[i].type, LOG_INT("job", events[i].job), LOG_INT("event", events[i].sequence),
-             LOG_TEXT("data", events[i].data));
-    else
-      LOG_AT(level, events[i].type, LOG_INT("event", events[i].sequence), LOG_TEXT("data", events[i].data));
+    if (log_enabled(level))
+      log_event(level, &events[i]);
   }
 }
 

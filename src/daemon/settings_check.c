@@ -5,6 +5,7 @@
 #include <ctype.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <grp.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -139,6 +140,19 @@ static void check_token_file(const char *path, struct settings_faults *faults)
     fclose(file);
 }
 
+/* A file that will be made: its folder can be written. */
+static void check_parent(const char *name, const char *path, struct settings_faults *faults)
+{
+  char *folder = strdup(path);
+  char *slash = folder != NULL ? strrchr(folder, '/') : NULL;
+  if (slash != NULL)
+    slash[slash == folder] = 0;
+  const char *where = slash != NULL ? folder : ".";
+  if (faccessat(AT_FDCWD, where, W_OK | X_OK, AT_EACCESS) != 0)
+    settings_fault(faults, true, "%s: %s: %s: %s", name, path, where, strerror(errno));
+  free(folder);
+}
+
 static void check_listen(const struct settings *settings, struct settings_faults *faults)
 {
   bool beyond = false;
@@ -155,16 +169,8 @@ static void check_listen(const struct settings *settings, struct settings_faults
     for (size_t j = 0; j < i; j++)
       if (strcmp(text, settings->listen.items[j]) == 0 && !(address.port == 0 && !address.is_unix))
         settings_fault(faults, true, "listen: %s is named twice", text);
-    if (address.is_unix) {
-      char *folder = strdup(address.host);
-      char *slash = folder != NULL ? strrchr(folder, '/') : NULL;
-      if (slash != NULL) {
-        slash[slash == folder] = 0;
-        if (faccessat(AT_FDCWD, folder, W_OK | X_OK, AT_EACCESS) != 0)
-          settings_fault(faults, true, "listen: %s: %s: %s", text, folder, strerror(errno));
-      }
-      free(folder);
-    }
+    if (address.is_unix)
+      check_parent("listen", address.host, faults);
     beyond |= !address.is_loopback;
   }
   if (beyond && settings->token_file == NULL)
@@ -183,6 +189,21 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
+/* Without a setting, the first start takes the controller of the installation; later starts need none. */
+static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
+{
+  static const char path[] = MORPHOD_DATADIR "/controllers/bootstrap.safetensors";
+  char *database = NULL;
+  if (asprintf(&database, "%s/morphod.db", state_dir) < 0) {
+    settings_fault(faults, true, "out of memory");
+    return;
+  }
+  if (access(path, R_OK) != 0 && access(database, F_OK) != 0)
+    settings_fault(faults, false, "default_controller: %s: %s; the first start needs a controller", path,
+                   strerror(errno));
+  free(database);
+}
+
 void settings_check(const struct settings *settings, bool state_dir, struct settings_faults *faults)
 {
   if (state_dir)
@@ -192,12 +213,19 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
     check_token_file(settings->token_file, faults);
   if (settings->default_controller != NULL)
     check_controller(settings->default_controller, faults);
+  else
+    check_shipped_controller(settings->state_dir, faults);
   if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
     settings_fault(faults, true, "isa: this processor does not run %s; the widest is %s",
                    mo_isa_name((enum mo_isa)(settings->isa - 1)), mo_isa_name(mo_isa_best()));
   for (size_t i = 0; i < settings->allowed_hosts.n; i++)
     if (strpbrk(settings->allowed_hosts.items[i], "/@") != NULL)
       settings_fault(faults, true, "allowed_hosts: \"%s\" is not a host name", settings->allowed_hosts.items[i]);
+  if (settings->port_file != NULL)
+    check_parent("port_file", settings->port_file, faults);
+  for (size_t i = 0; i < settings->unix_groups.n; i++)
+    if (getgrnam(settings->unix_groups.items[i]) == NULL)
+      settings_fault(faults, true, "unix_groups: there is no group \"%s\"", settings->unix_groups.items[i]);
   if (settings->max_streams > settings->max_connections)
     settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
 }

@@ -1,6 +1,8 @@
 """Orderly ends and reloads."""
 import ctypes
+import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -63,6 +65,23 @@ def test_idle_stop_is_immediate(daemon):
     assert status == 0 and seconds < 3
     assert not one.port_file.exists()
     assert not (one.state / "crash-marker").exists()
+
+
+def test_logs(daemon, seed):
+    """Every line is a record; requests, job transitions and the end are there."""
+    one = daemon("logs", log_format="json", log_level="debug").start()
+    job = one.score({"designs": bodies(seed, 2), "physics": {"n_steps": 50}, "label": 'a "label"\nwith lines'})["id"]
+    one.get("/no/such\x01path\n")
+    assert one.stop()[0] == 0
+    lines = [json.loads(line) for line in one.log.read_text().splitlines() if line.startswith("{")]
+    assert all(line["level"] in ("error", "warning", "info", "debug") and line["time"].endswith("Z") for line in lines)
+    posted = [line for line in lines if line["msg"] == "request" and line["method"] == "POST"]
+    assert len(posted) == 1 and posted[0]["path"] == "/v1/evaluations" and posted[0]["status"] == 202
+    assert re.fullmatch("[0-9a-f]{16}", posted[0]["request"]) and posted[0]["client"].startswith("127.0.0.1:")
+    transitions = [line["msg"] for line in lines if line.get("job") == int(job) and line["msg"] != "job.progress"]
+    assert transitions == ["job.created", "job.started", "job.finished"]
+    assert next(line for line in lines if line["msg"] == "job.finished")["state"] == "succeeded"
+    assert lines[-1]["msg"] == "stopped" and lines[-1]["work"] == "finished"
 
 
 def test_sigint_stops(daemon):

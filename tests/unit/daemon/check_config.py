@@ -95,6 +95,13 @@ def test_controller():
     broken.unlink()
 
 
+def test_what_will_be_made():
+    says(check("--port-file=/nonexistent/port"), 78, "port_file", "/nonexistent")
+    says(check(f"--port-file={folder}/port"), 0)
+    says(check("--unix-groups=root"), 0)
+    says(check("--unix-groups=root,no-such-group"), 78, 'no group "no-such-group"')
+
+
 def test_file_mistakes():
     says(check(file="workerz = 3\n"), 78, "morphod.conf:1", 'did you mean "workers"?')
     says(check(file="\nworkers = 5000\n"), 78, "morphod.conf:2", "not between 0 and 1024")
