@@ -549,12 +549,13 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   }
   atomic_store(&http->jobs_changed, true);
   count_jobs(http);
-  code = mo_streams_start(http);
+  /* The pool first: the listener that mo_streams_start registers uses its lock from the first event on. */
+  code = mo_pool_start(http);
   if (code != MO_OK)
-    mo_fail(message, code, "cannot follow the store's events: %s", mo_error_text(code));
-  int pool = mo_pool_start(http);
-  if (code == MO_OK && (code = pool) != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
+  int streams = mo_streams_start(http);
+  if (code == MO_OK && (code = streams) != MO_OK)
+    mo_fail(message, code, "cannot follow the store's events: %s", mo_error_text(code));
   if (code == MO_OK)
     code = start_daemon(http, message);
   atomic_store(&http->clock_us, mo_http_clock_us());
@@ -605,8 +606,8 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
     atomic_store(&http->clock_stop, true);
     pthread_join(http->clock, NULL);
   }
+  mo_streams_stop(http); /* no event comes from here on */
   mo_pool_stop(http);
-  mo_streams_stop(http);
   destroy(http);
 }
 

@@ -9,7 +9,7 @@ import jsonschema
 import yaml
 
 SOURCE = pathlib.Path(os.environ.get("MORPHO_SOURCE_DIR", pathlib.Path(__file__).resolve().parents[2]))
-COMMON_PROBLEMS = {404, 405, 408, 417, 431, 501}  # of paths and methods that the contract does not list
+COMMON_PROBLEMS = {404, 405, 417, 431, 501}  # of paths and methods that the contract does not list
 
 
 class Contract:
