@@ -1,8 +1,9 @@
 /* forward.c: the network in float64, as plainly as speed in tests permits: each neuron's sum runs in input order; four
  * neurons go side by side so that their chains of additions overlap. */
-#include <math.h>
+#include "controller/tape.h"
 
-#include <morpho/controller.h>
+#include <math.h>
+#include <string.h>
 
 /* sums[i] = bias + row · inputs for the n rows listed in `rows` (NULL: 0 … n−1) of a matrix with `width` columns. */
 static void dense(const float *weight, const float *bias, const uint32_t *rows, uint32_t n, uint32_t width,
@@ -39,8 +40,9 @@ static void dense(const float *weight, const float *bias, const uint32_t *rows, 
   }
 }
 
-/* h ← ReLU(LayerNorm(h)); the variance is the biased one, as in PyTorch. */
-static void norm_relu(const float *gain, const float *shift, double *h)
+/* h ← ReLU(LayerNorm(h)); the variance is the biased one, as in PyTorch. Keeps the normalized values and 1/σ if `normal` is
+ * not NULL. */
+static void norm_relu(const float *gain, const float *shift, double *h, double *normal, double *kept_scale)
 {
   double mean = 0;
   for (int i = 0; i < MO_HIDDEN; i++)
@@ -51,10 +53,27 @@ static void norm_relu(const float *gain, const float *shift, double *h)
     variance += (h[i] - mean) * (h[i] - mean);
   variance /= MO_HIDDEN;
   const double scale = 1.0 / sqrt(variance + MO_LAYERNORM_EPSILON);
+  if (normal != NULL) {
+    for (int i = 0; i < MO_HIDDEN; i++)
+      normal[i] = (h[i] - mean) * scale;
+    *kept_scale = scale;
+  }
   for (int i = 0; i < MO_HIDDEN; i++) {
     const double y = (h[i] - mean) * scale * (double)gain[i] + (double)shift[i];
     h[i] = y < 0 ? 0 : y; /* keeps NaN */
   }
+}
+
+/* The last layer, from the last hidden one. */
+static void finish(const struct mo_controller *controller, const double *hidden, const uint32_t *springs, uint32_t n,
+                   double *outputs)
+{
+  if (springs == NULL)
+    n = controller->n_springs;
+  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n, MO_HIDDEN, hidden,
+        outputs);
+  for (uint32_t i = 0; i < n; i++)
+    outputs[i] = tanh(outputs[i]);
 }
 
 void mo_controller_forward(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
@@ -65,13 +84,27 @@ void mo_controller_forward(const struct mo_controller *controller, const double 
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     double *h = scratch + (l & 1) * MO_HIDDEN;
     dense(controller->weight[l], controller->bias[l], NULL, MO_HIDDEN, width, in, h);
-    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h);
+    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h, NULL, NULL);
     in = h;
     width = MO_HIDDEN;
   }
-  if (springs == NULL)
-    n = controller->n_springs;
-  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n, width, in, outputs);
-  for (uint32_t i = 0; i < n; i++)
-    outputs[i] = tanh(outputs[i]);
+  finish(controller, in, springs, n, outputs);
+}
+
+void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
+                                uint32_t n, double *outputs, struct mo_controller_tape *tape)
+{
+  memcpy(tape->input, inputs, controller->n_inputs * sizeof(double));
+  const double *in = inputs;
+  uint32_t width = controller->n_inputs;
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    double *h = tape->hidden + (size_t)l * MO_HIDDEN;
+    dense(controller->weight[l], controller->bias[l], NULL, MO_HIDDEN, width, in, h);
+    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h, tape->normal + (size_t)l * MO_HIDDEN,
+              tape->scale + l);
+    in = h;
+    width = MO_HIDDEN;
+  }
+  finish(controller, in, springs, n, outputs);
+  memcpy(tape->output, outputs, (springs != NULL ? n : controller->n_springs) * sizeof(double));
 }

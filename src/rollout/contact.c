@@ -156,3 +156,143 @@ void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
     p[axis] += rest * v[axis];
   p[2] = fmax(p[2], mo_terrain_height(heights_m, p[0], p[1]));
 }
+
+/* ---- the way back: dx is ∂loss/∂x; every contribution is added ---- */
+
+/* Second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other two vanish: the patch is bilinear. */
+static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m)
+{
+  if (!(x_m >= 0 && x_m <= MO_TERRAIN_SIZE_M && y_m >= 0 && y_m <= MO_TERRAIN_SIZE_M))
+    return 0;
+  const double u = x_m * CELLS_PER_M, w = y_m * CELLS_PER_M;
+  const int i = u < CELLS ? (int)u : CELLS - 1, j = w < CELLS ? (int)w : CELLS - 1;
+  const double *h = heights_m + j * MO_TERRAIN_SIDE + i;
+  return (h[MO_TERRAIN_SIDE + 1] - h[MO_TERRAIN_SIDE] - (h[1] - h[0])) * CELLS_PER_M * CELLS_PER_M;
+}
+
+/* strike() from velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain gradient's dg. */
+static void strike_adjoint(const struct mo_physics *physics, const double g[2], const double v[3], const double dw[3],
+                           double dv[3], double dg[2])
+{
+  const double length = sqrt(g[0] * g[0] + g[1] * g[1] + 1.0);
+  const double normal[3] = {-g[0] / length, -g[1] / length, 1.0 / length};
+  const double vn = v[0] * normal[0] + v[1] * normal[1] + v[2] * normal[2];
+  const double u[3] = {v[0] - vn * normal[0], v[1] - vn * normal[1], v[2] - vn * normal[2]};
+  const double vt = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+  const double slowed = physics->friction * fabs(vn), cap = physics->friction_cap * vt;
+  double du[3] = {0, 0, 0}, dn[3] = {0, 0, 0}, dvn = 0;
+  if (vt > 0) {
+    const double scale = 1.0 - fmin(slowed, cap) / vt;
+    /* v = scale · u */
+    for (int k = 0; k < 3; k++)
+      du[k] += scale * dw[k];
+    if (slowed < cap) {
+      /* scale = 1 − friction |vn| / vt; with the cap it is the constant 1 − friction_cap */
+      const double d_scale = u[0] * dw[0] + u[1] * dw[1] + u[2] * dw[2];
+      dvn -= d_scale * copysign(physics->friction, vn) / vt;
+      /* vt = |u| */
+      const double d_vt = d_scale * slowed / (vt * vt);
+      for (int k = 0; k < 3; k++)
+        du[k] += d_vt * u[k] / vt;
+    }
+  }
+  /* u = v − vn · normal */
+  for (int k = 0; k < 3; k++) {
+    dv[k] += du[k];
+    dvn -= du[k] * normal[k];
+    dn[k] -= du[k] * vn;
+  }
+  /* vn = v · normal */
+  for (int k = 0; k < 3; k++) {
+    dv[k] += dvn * normal[k];
+    dn[k] += dvn * v[k];
+  }
+  /* normal = (−g, 1) / length */
+  const double along = dn[0] * normal[0] + dn[1] * normal[1] + dn[2] * normal[2];
+  for (int k = 0; k < 2; k++)
+    dg[k] -= (dn[k] - along * normal[k]) / length;
+}
+
+/* The time of impact solves p[2] + τ v[2] = h(p + τ v). By the implicit function theorem, with g the terrain's gradient there and
+ * rate = v[2] − g · v the speed at which the gap opens,
+ *   dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate.
+ * τ = 0 and τ = dt are where it is clamped: constant. */
+static void impact_adjoint(double impact, double dt, const double g[2], const double v[3], double d_impact,
+                           double dp[3], double dv[3])
+{
+  if (!(impact > 0 && impact < dt))
+    return;
+  const double push = d_impact / (v[2] - g[0] * v[0] - g[1] * v[1]);
+  const double along[3] = {push * g[0], push * g[1], -push};
+  for (int k = 0; k < 3; k++) {
+    dp[k] += along[k];
+    dv[k] += impact * along[k];
+  }
+}
+
+void mo_contact_move_adjoint(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+                             double highest_m, const double position_m[3], const double velocity_m_per_s[3],
+                             double d_position[3], double d_velocity[3])
+{
+  const double dt = physics->dt_s;
+  const double *p = position_m, *v = velocity_m_per_s;
+  double *dp = d_position, *dv = d_velocity;
+  const double next[3] = {p[0] + dt * v[0], p[1] + dt * v[1], p[2] + dt * v[2]};
+  if (next[2] >= highest_m || !(next[2] < mo_terrain_height(heights_m, next[0], next[1]))) {
+    /* p = p + dt · v */
+    for (int k = 0; k < 3; k++)
+      dv[k] += dt * dp[k];
+    return;
+  }
+  /* Forward again: impact at `hit`, velocity `slid` after it, end of the step `end`. */
+  const double impact = physics->impact == MO_IMPACT_EXACT
+                            ? mo_impact_exact(heights_m, p, v, dt)
+                            : mo_impact_bisection(heights_m, p, v, dt, physics->bisections);
+  const double rest = dt - impact;
+  double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]}, g[2], end[3];
+  hit[2] = mo_terrain_height(heights_m, hit[0], hit[1]);
+  mo_terrain_gradient(heights_m, hit[0], hit[1], g);
+  strike(physics, g, slid);
+  for (int k = 0; k < 3; k++)
+    end[k] = hit[k] + rest * slid[k];
+
+  double d_end[3] = {dp[0], dp[1], 0}, d_slid[3] = {dv[0], dv[1], dv[2]};
+  double d_hit[3] = {0, 0, 0}, dg[2] = {0, 0}, d_impact = 0;
+  for (int k = 0; k < 3; k++)
+    dv[k] = 0;
+  /* p[2] = max(end[2], h(end)) */
+  if (end[2] >= mo_terrain_height(heights_m, end[0], end[1])) {
+    d_end[2] += dp[2];
+  } else {
+    double slope[2];
+    mo_terrain_gradient(heights_m, end[0], end[1], slope);
+    d_end[0] += dp[2] * slope[0];
+    d_end[1] += dp[2] * slope[1];
+  }
+  for (int k = 0; k < 3; k++)
+    dp[k] = 0;
+  /* end = hit + (dt − impact) · slid */
+  for (int k = 0; k < 3; k++) {
+    d_hit[k] += d_end[k];
+    d_slid[k] += rest * d_end[k];
+    d_impact -= slid[k] * d_end[k];
+  }
+  /* slid = strike(g, v) */
+  strike_adjoint(physics, g, v, d_slid, dv, dg);
+  /* g = ∇h(hit) */
+  const double bend = twist(heights_m, hit[0], hit[1]);
+  d_hit[0] += bend * dg[1];
+  d_hit[1] += bend * dg[0];
+  /* hit[2] = h(hit) */
+  d_hit[0] += d_hit[2] * g[0];
+  d_hit[1] += d_hit[2] * g[1];
+  /* hit[0, 1] = p + impact · v */
+  for (int k = 0; k < 2; k++) {
+    dp[k] += d_hit[k];
+    dv[k] += impact * d_hit[k];
+    d_impact += v[k] * d_hit[k];
+  }
+  /* impact = mo_impact_exact(p, v) */
+  if (physics->impact == MO_IMPACT_EXACT)
+    impact_adjoint(impact, dt, g, v, d_impact, dp, dv);
+}

@@ -15,4 +15,10 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
 void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                      double position_m[3], double velocity_m_per_s[3]);
 
+/* The derivative of mo_contact_move at the position and velocity that it was given. d_position, d_velocity: ∂loss/∂ of what it
+ * made of them; replaced by ∂loss/∂ of what it was given. With MO_IMPACT_BISECTION the time of impact counts as constant. */
+void mo_contact_move_adjoint(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+                             double highest_m, const double position_m[3], const double velocity_m_per_s[3],
+                             double d_position[3], double d_velocity[3]);
+
 #endif

@@ -40,8 +40,12 @@ static void control(struct mo_reference *r, uint32_t step)
   const double t = step * r->physics->dt_s;
   for (int k = 0; k < MO_CPG_INPUTS; k++)
     r->input[r->controller->n_masses + (uint32_t)k] = sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
-  mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
-                        r->scratch);
+  if (r->tape != NULL)
+    mo_controller_forward_tape(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
+                               &r->tape->control);
+  else
+    mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
+                          r->scratch);
 }
 
 /* Impulses of all springs over one step. */
@@ -76,6 +80,8 @@ static void move_masses(struct mo_reference *r)
     for (int axis = 0; axis < 3; axis++)
       v[axis] = keep * v[axis] + r->impulse_n_s[3 * (size_t)i + axis] / physics->mass_kg;
     v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
+    if (r->tape != NULL)
+      memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
     mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m, r->position_m + 3 * (size_t)i, v);
   }
 }
@@ -129,6 +135,8 @@ bool mo_reference_step(struct mo_reference *r, uint32_t step)
 {
   const size_t bytes = (size_t)r->body->n_masses * 3 * sizeof(double);
   memcpy(r->sane_m, r->position_m, bytes);
+  if (r->tape != NULL)
+    memcpy(r->tape->position_m, r->position_m, bytes);
   if (r->controller != NULL)
     control(r, step);
   pull_springs(r);

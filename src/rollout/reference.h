@@ -4,7 +4,16 @@
 
 #include <stdbool.h>
 
+#include "controller/tape.h"
+
 #include <morpho/rollout.h>
+
+/* What the derivative of one step needs. */
+struct mo_step_tape {
+  double *position_m;                /* (n_masses, 3) at the start of the step */
+  double *velocity_m_per_s;          /* (n_masses, 3) after springs, drag and gravity, before contact */
+  struct mo_controller_tape control; /* over the body's springs */
+};
 
 struct mo_reference {
   const struct mo_body *body;
@@ -12,14 +21,15 @@ struct mo_reference {
   const struct mo_environment *environment;
   const struct mo_physics *physics;
   double light_m[3];
-  double highest_m;         /* of the terrain */
-  double *position_m;       /* (n_masses, 3) */
-  double *velocity_m_per_s; /* (n_masses, 3) */
-  double *impulse_n_s;      /* (n_masses, 3) of the last step's springs */
-  double *sane_m;           /* (n_masses, 3) positions before the last step */
-  double *activation;       /* (n_springs) NULL without a controller, as are the next two */
-  double *input;            /* (n_inputs) */
-  double *scratch;          /* (2, MO_HIDDEN) */
+  double highest_m;          /* of the terrain */
+  double *position_m;        /* (n_masses, 3) */
+  double *velocity_m_per_s;  /* (n_masses, 3) */
+  double *impulse_n_s;       /* (n_masses, 3) of the last step's springs */
+  double *sane_m;            /* (n_masses, 3) positions before the last step */
+  double *activation;        /* (n_springs) NULL without a controller, as are the next two */
+  double *input;             /* (n_inputs) */
+  double *scratch;           /* (2, MO_HIDDEN) */
+  struct mo_step_tape *tape; /* where the next step is kept; NULL (the default): it is not */
 };
 
 /* Borrows all arguments. MO_ERR_INVALID: the controller is for another workspace; MO_ERR_NO_MEMORY. */

@@ -1,0 +1,119 @@
+/* adjoint.c: the derivative of reference.c, one step at a time. Each function quotes the forward lines that it differentiates;
+ * dx is ∂loss/∂x, and contributions are added, never assigned. */
+#include "rollout/adjoint.h"
+
+#include "rollout/contact.h"
+#include "rollout/scene.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The factor f of ∂light/∂p = f · (p − light): (dI/dd)/d. 0 at the light itself, where inverse_sqrt has no derivative. */
+static double sense_slope(enum mo_sensor sensor, double distance_m)
+{
+  if (sensor == MO_SENSOR_INVERSE_SQUARE) { /* 1 / (d² + 1e-4) */
+    const double light = 1.0 / (distance_m * distance_m + 1e-4);
+    return -2.0 * light * light;
+  }
+  if (!(distance_m > 0))
+    return 0;
+  const double root = sqrt(distance_m + 1e-8), light = 1.0 / (root + 1e-8); /* 1 / (sqrt(d + 1e-8) + 1e-8) */
+  return -light * light / (2.0 * root * distance_m);
+}
+
+/* input[lattice place of mass i] = light(i) − mean */
+static void sense_light_adjoint(const struct mo_reference *r, const double *position_m, struct mo_adjoint *adjoint)
+{
+  const struct mo_body *body = r->body;
+  double mean = 0;
+  for (uint32_t i = 0; i < body->n_masses; i++)
+    mean += adjoint->d_input[body->mass_lattice[i]];
+  mean /= body->n_masses;
+  for (uint32_t i = 0; i < body->n_masses; i++) {
+    const double *p = position_m + 3 * (size_t)i;
+    double *dp = adjoint->d_position + 3 * (size_t)i;
+    const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
+    const double slope = sense_slope(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
+    const double d_light = adjoint->d_input[body->mass_lattice[i]] - mean;
+    for (int axis = 0; axis < 3; axis++)
+      dp[axis] += d_light * slope * d[axis];
+  }
+}
+
+static void pull_springs_adjoint(const struct mo_reference *r, const struct mo_step_tape *tape,
+                                 struct mo_adjoint *adjoint)
+{
+  const struct mo_body *body = r->body;
+  const struct mo_physics *physics = r->physics;
+  memset(adjoint->d_activation, 0, body->n_springs * sizeof(double));
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    const size_t a = 3 * (size_t)body->spring_a[s], b = 3 * (size_t)body->spring_b[s];
+    double d[3], across[3];
+    for (int axis = 0; axis < 3; axis++) {
+      d[axis] = tape->position_m[a + axis] - tape->position_m[b + axis];
+      /* impulse[a] −= pull · d,   impulse[b] += pull · d */
+      across[axis] = adjoint->d_impulse[b + axis] - adjoint->d_impulse[a + axis];
+    }
+    const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]), guarded = length + 1e-8;
+    const double free_rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
+    const double rest = free_rest * (1.0 + physics->actuation * tape->control.output[s]);
+    const double stiffness = physics->dt_s * physics->stiffness_n_per_m;
+    const double pull = stiffness * (length - rest) / guarded;
+    const double d_pull = across[0] * d[0] + across[1] * d[1] + across[2] * d[2];
+    /* pull = dt · k · (length − rest) / (length + 1e-8) */
+    const double d_length = d_pull * stiffness * (rest + 1e-8) / (guarded * guarded);
+    const double d_rest = -d_pull * stiffness / guarded;
+    /* rest = free_rest · (1 + actuation · activation) */
+    adjoint->d_activation[s] += d_rest * free_rest * physics->actuation;
+    /* length = |d|,   d = position[a] − position[b] */
+    for (int axis = 0; axis < 3; axis++) {
+      const double dd = pull * across[axis] + (length > 0 ? d_length * d[axis] / length : 0);
+      adjoint->d_position[a + axis] += dd;
+      adjoint->d_position[b + axis] -= dd;
+    }
+  }
+}
+
+static void move_masses_adjoint(const struct mo_reference *r, const struct mo_step_tape *tape,
+                                struct mo_adjoint *adjoint)
+{
+  const struct mo_physics *physics = r->physics;
+  const double keep = exp(-physics->drag_per_s * physics->dt_s);
+  memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
+  for (uint32_t i = 0; i < r->body->n_masses; i++) {
+    const size_t at = 3 * (size_t)i;
+    mo_contact_move_adjoint(physics, r->environment->terrain_heights_m, r->highest_m, tape->position_m + at,
+                            tape->velocity_m_per_s + at, adjoint->d_position + at, adjoint->d_velocity + at);
+    /* v = keep · v + impulse / mass,   v[2] −= gravity · dt */
+    for (int axis = 0; axis < 3; axis++) {
+      adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / physics->mass_kg;
+      adjoint->d_velocity[at + axis] *= keep;
+    }
+  }
+}
+
+void mo_adjoint_step(const struct mo_reference *r, struct mo_step_tape *tape, struct mo_adjoint *adjoint)
+{
+  move_masses_adjoint(r, tape, adjoint);
+  pull_springs_adjoint(r, tape, adjoint);
+  memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
+  mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs, adjoint->d_activation,
+                         &tape->control, adjoint->d_input);
+  sense_light_adjoint(r, tape->position_m, adjoint);
+}
+
+void mo_adjoint_start(const struct mo_reference *r, const struct mo_outcome *outcome, struct mo_adjoint *adjoint)
+{
+  const size_t n = r->body->n_masses;
+  memset(adjoint->d_position, 0, n * 3 * sizeof(double));
+  memset(adjoint->d_velocity, 0, n * 3 * sizeof(double));
+  const double *light = r->environment->light_xy_m;
+  const double start = hypot(outcome->com_start_m[0] - light[0], outcome->com_start_m[1] - light[1]);
+  const double end = hypot(outcome->com_end_m[0] - light[0], outcome->com_end_m[1] - light[1]);
+  /* loss = hypot(com − light) / (start + guard),   com = sum of positions / n; at the light itself the derivative is taken as 0 */
+  for (int axis = 0; axis < 2 && end > 0; axis++) {
+    const double d_com = (outcome->com_end_m[axis] - light[axis]) / end / (start + MO_LOSS_GUARD_M);
+    for (size_t i = 0; i < n; i++)
+      adjoint->d_position[3 * i + axis] += d_com / (double)n;
+  }
+}

@@ -1,0 +1,232 @@
+/* gradient.c: backpropagation through a whole reference rollout in bounded memory.
+ *
+ * Forward, only the state at the start of every segment of about sqrt(n_steps) steps is stored. Backward, segment by segment
+ * from the last, the segment is run again on a tape and then walked in reverse; the parameters' gradient is taken once per
+ * segment. A robot's gradient is summed in a buffer of its own and handed over only when all of it is finite. */
+#include "rollout/adjoint.h"
+#include "rollout/scene.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct mo_gradient_options mo_default_gradient_options(void)
+{
+  return (struct mo_gradient_options){.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1.0};
+}
+
+struct gradient {
+  struct mo_reference reference;
+  const struct mo_gradient_options *options;
+  const struct mo_gradient_probe *probe;
+  uint32_t segment;                   /* steps per segment; the last one may be shorter */
+  size_t n_state;                     /* doubles of a stored state: positions and velocities */
+  double *states;                     /* (segments, n_state) at the start of each segment */
+  double *kept;                       /* memory of the tapes */
+  struct mo_step_tape *steps;         /* (segment) */
+  struct mo_controller_tape *control; /* (segment) copies of the tapes' network parts, in order of time */
+  struct mo_adjoint adjoint;
+  double *d_parameters; /* (n_parameters) of this robot */
+  double scale_m;       /* d0 */
+  struct mo_gradient_counts counts;
+};
+
+static uint32_t segments(const struct gradient *g)
+{
+  const uint32_t n = g->reference.physics->n_steps;
+  return n / g->segment + (n % g->segment != 0);
+}
+
+static void release(struct gradient *g)
+{
+  mo_reference_done(&g->reference);
+  free(g->states);
+  free(g->kept);
+  free(g->steps);
+  free(g->control);
+  free(g->adjoint.d_position);
+  free(g->d_parameters);
+}
+
+/* Everything but the reference; release() frees what there is on failure too. */
+static int allocate(struct gradient *g)
+{
+  const struct mo_body *body = g->reference.body;
+  const struct mo_controller *controller = g->reference.controller;
+  const size_t n = (size_t)body->n_masses * 3;
+  const size_t tape = 2 * n + mo_controller_tape_doubles(controller, body->n_springs);
+  g->segment = (uint32_t)ceil(sqrt((double)g->reference.physics->n_steps));
+  if (g->segment < 1)
+    g->segment = 1;
+  g->n_state = 2 * n;
+  g->states = calloc((size_t)segments(g) + 1, g->n_state * sizeof(double));
+  g->kept = calloc(g->segment, tape * sizeof(double));
+  g->steps = calloc(g->segment, sizeof(*g->steps));
+  g->control = calloc(g->segment, sizeof(*g->control));
+  g->adjoint.d_position = calloc(3 * n + body->n_springs + controller->n_inputs, sizeof(double));
+  g->d_parameters = calloc(controller->n_parameters, sizeof(double));
+  if (g->states == NULL || g->kept == NULL || g->steps == NULL || g->control == NULL || g->adjoint.d_position == NULL ||
+      g->d_parameters == NULL)
+    return MO_ERR_NO_MEMORY;
+  g->adjoint.d_velocity = g->adjoint.d_position + n;
+  g->adjoint.d_impulse = g->adjoint.d_velocity + n;
+  g->adjoint.d_activation = g->adjoint.d_impulse + n;
+  g->adjoint.d_input = g->adjoint.d_activation + body->n_springs;
+  for (uint32_t s = 0; s < g->segment; s++) {
+    double *memory = g->kept + s * tape;
+    g->control[s] = mo_controller_tape_place(controller, body->n_springs, memory + 2 * n);
+    g->steps[s] = (struct mo_step_tape){memory, memory + n, g->control[s]};
+  }
+  return MO_OK;
+}
+
+/* As mo_rollout_reference, keeping the state at the start of each segment. */
+static void run_forward(struct gradient *g, struct mo_outcome *outcome)
+{
+  struct mo_reference *r = &g->reference;
+  const size_t half = g->n_state / 2;
+  *outcome = (struct mo_outcome){0};
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_start_m);
+  for (uint32_t step = 0; step < r->physics->n_steps && outcome->diverged_step == 0; step++) {
+    if (step % g->segment == 0) {
+      double *state = g->states + step / g->segment * g->n_state;
+      memcpy(state, r->position_m, half * sizeof(double));
+      memcpy(state + half, r->velocity_m_per_s, half * sizeof(double));
+    }
+    if (!mo_reference_step(r, step))
+      outcome->diverged_step = (int32_t)step + 1;
+  }
+  mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
+  outcome->loss = outcome->diverged_step != 0
+                      ? (double)INFINITY
+                      : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->environment->light_xy_m);
+}
+
+/* Steps first … first + n − 1 again, onto the tapes. */
+static void replay(struct gradient *g, uint32_t first, uint32_t n)
+{
+  struct mo_reference *r = &g->reference;
+  const size_t half = g->n_state / 2;
+  const double *state = g->states + first / g->segment * g->n_state;
+  memcpy(r->position_m, state, half * sizeof(double));
+  memcpy(r->velocity_m_per_s, state + half, half * sizeof(double));
+  for (uint32_t s = 0; s < n; s++) {
+    r->tape = &g->steps[s];
+    mo_reference_step(r, first + s);
+  }
+  r->tape = NULL;
+}
+
+static double norm(const double *x, size_t n)
+{
+  double sum = 0;
+  for (size_t i = 0; i < n; i++)
+    sum += x[i] * x[i];
+  return sqrt(sum);
+}
+
+/* Measures the adjoint of the state after `step` steps and scales it into the bound. False: it is not finite. */
+static bool clip(struct gradient *g, uint32_t step, bool *clipped)
+{
+  const size_t n = g->n_state / 2;
+  double *dx = g->adjoint.d_position, *dv = g->adjoint.d_velocity;
+  if (g->probe != NULL && g->probe->before != NULL)
+    g->probe->before(g->probe->context, step, dx, dv);
+  const double x = g->scale_m * norm(dx, n), v = g->scale_m * MO_ADJOINT_RATE_PER_S * norm(dv, n);
+  if (!isfinite(x) || !isfinite(v))
+    return false;
+  const double m = fmax(x, v), bound = g->options->adjoint_bound;
+  g->counts.largest = fmax(g->counts.largest, m);
+  if (bound > 0 && m > bound) {
+    const double scale = bound / m;
+    for (size_t i = 0; i < n; i++) {
+      dx[i] *= scale;
+      dv[i] *= scale;
+    }
+    g->counts.clipped_steps++;
+    *clipped = true;
+  }
+  if (g->probe != NULL && g->probe->after != NULL)
+    g->probe->after(g->probe->context, step, dx, dv);
+  return true;
+}
+
+/* False: the adjoint, or a parameter's gradient, is not finite. */
+static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
+{
+  const struct mo_reference *r = &g->reference;
+  bool clipped = false;
+  mo_adjoint_start(r, outcome, &g->adjoint);
+  for (uint32_t k = segments(g); k-- > 0;) {
+    const uint32_t first = k * g->segment;
+    const uint32_t n = r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
+    replay(g, first, n);
+    for (uint32_t s = n; s-- > 0;) {
+      g->counts.steps++;
+      if (!clip(g, first + s + 1, &clipped)) {
+        g->counts.clipped_robots += clipped;
+        return false;
+      }
+      mo_adjoint_step(r, &g->steps[s], &g->adjoint);
+    }
+    mo_controller_accumulate(r->controller, r->body->spring_lattice, r->body->n_springs, g->control, n,
+                             g->d_parameters);
+  }
+  g->counts.clipped_robots += clipped;
+  for (size_t i = 0; i < r->controller->n_parameters; i++)
+    if (!isfinite(g->options->weight * g->d_parameters[i]))
+      return false;
+  return true;
+}
+
+static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
+{
+  sum->robots += counts->robots;
+  sum->steps += counts->steps;
+  sum->clipped_steps += counts->clipped_steps;
+  sum->clipped_robots += counts->clipped_robots;
+  sum->zeroed_robots += counts->zeroed_robots;
+  sum->diverged_robots += counts->diverged_robots;
+  sum->largest = fmax(sum->largest, counts->largest);
+}
+
+int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *controller,
+                       const struct mo_environment *environment, const struct mo_physics *physics,
+                       const struct mo_gradient_options *options, const struct mo_gradient_probe *probe,
+                       struct mo_outcome *outcome, double *d_parameters, struct mo_gradient_counts *counts)
+{
+  if (controller == NULL || !isfinite(options->adjoint_bound) || !isfinite(options->weight))
+    return MO_ERR_INVALID;
+  if (options->adjoint_bound < 0)
+    return MO_ERR_RANGE;
+  struct gradient g = {.options = options, .probe = probe, .counts = {.robots = 1}};
+  int r = mo_reference_init(&g.reference, body, controller, environment, physics);
+  if (r < 0)
+    return r;
+  r = allocate(&g);
+  if (r == MO_OK) {
+    run_forward(&g, outcome);
+    g.scale_m = hypot(outcome->com_start_m[0] - environment->light_xy_m[0],
+                      outcome->com_start_m[1] - environment->light_xy_m[1]) +
+                MO_LOSS_GUARD_M;
+    if (outcome->diverged_step != 0)
+      g.counts.diverged_robots++;
+    else if (!run_backward(&g, outcome))
+      g.counts.zeroed_robots++;
+    else
+      for (size_t i = 0; i < controller->n_parameters; i++)
+        d_parameters[i] += options->weight * g.d_parameters[i];
+    if (counts != NULL)
+      add_counts(counts, &g.counts);
+  }
+  release(&g);
+  return r;
+}
+
+int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
+                          const struct mo_environment *environment, const struct mo_physics *physics,
+                          const struct mo_gradient_options *options, struct mo_outcome *outcome, double *d_parameters,
+                          struct mo_gradient_counts *counts)
+{
+  return mo_gradient_probed(body, controller, environment, physics, options, NULL, outcome, d_parameters, counts);
+}

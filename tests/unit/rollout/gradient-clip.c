@@ -1,0 +1,316 @@
+/* gradient-clip.c: what the adjoint's bound does, what is done about numbers that are not finite, memory and time, and the
+ * contract's edges. Linked with calloc wrapped, so that allocations can be counted and made to fail. */
+#include <math.h>
+#include <stdbool.h>
+#include <time.h>
+
+#include <morpho/gradient.h>
+
+#include "../check.h"
+#include "gradient-cases.h"
+#include "rollout/adjoint.h"
+
+void *__real_calloc(size_t count, size_t size);
+void *__wrap_calloc(size_t count, size_t size);
+
+static long calls_left = -1; /* allocations until one fails; negative: never */
+static size_t allocated;     /* bytes */
+
+void *__wrap_calloc(size_t count, size_t size)
+{
+  if (calls_left >= 0 && calls_left-- == 0)
+    return NULL;
+  allocated += count * size;
+  return __real_calloc(count, size);
+}
+
+struct watch {
+  const struct gradient_case *c;
+  double scale_m, bound, largest_before, largest_after, factor;
+  double kept[2][3 * MO_DEFAULT_MASSES];    /* the adjoint before it was clipped */
+  uint32_t calls, above, astray, inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0: none */
+};
+
+static double size_of(const struct watch *w, const double *dx, const double *dv)
+{
+  double x = 0, v = 0;
+  for (uint32_t i = 0; i < 3 * w->c->body->n_masses; i++) {
+    x += dx[i] * dx[i];
+    v += dv[i] * dv[i];
+  }
+  return w->scale_m * fmax(sqrt(x), 15.0 * sqrt(v));
+}
+
+static void before(void *context, uint32_t step, double *dx, double *dv)
+{
+  struct watch *w = context;
+  const double m = size_of(w, dx, dv);
+  w->calls++;
+  w->above += w->bound > 0 && m > w->bound;
+  w->largest_before = fmax(w->largest_before, m);
+  w->factor = w->bound > 0 && m > w->bound ? w->bound / m : 1;
+  memcpy(w->kept[0], dx, 3 * w->c->body->n_masses * sizeof(double));
+  memcpy(w->kept[1], dv, 3 * w->c->body->n_masses * sizeof(double));
+  if (step == w->inject_at)
+    dv[1] = (double)NAN;
+}
+
+static void after(void *context, uint32_t step, double *dx, double *dv)
+{
+  struct watch *w = context;
+  (void)step;
+  w->largest_after = fmax(w->largest_after, size_of(w, dx, dv));
+  for (uint32_t i = 0; i < 3 * w->c->body->n_masses; i++) { /* one factor for all of it; 1e-7: d0 + 1e-8 m against d0 */
+    const double x = w->factor * w->kept[0][i], v = w->factor * w->kept[1][i];
+    w->astray += !(fabs(dx[i] - x) <= 1e-7 * fabs(x)) + !(fabs(dv[i] - v) <= 1e-7 * fabs(v));
+  }
+}
+
+static int run(const struct gradient_case *c, double bound, uint32_t inject_at, struct watch *w, double *gradient,
+               struct mo_gradient_counts *counts)
+{
+  struct mo_outcome outcome;
+  const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 0.25};
+  const struct mo_gradient_probe probe = {before, after, w};
+  double com[2] = {0, 0};
+  struct mo_reference start;
+  if (mo_reference_init(&start, c->body, c->controller, &c->environment, &c->physics) < 0)
+    return -1;
+  for (uint32_t i = 0; i < c->body->n_masses; i++)
+    for (int axis = 0; axis < 2; axis++)
+      com[axis] += start.position_m[3 * i + (uint32_t)axis] / c->body->n_masses;
+  mo_reference_done(&start);
+  *w = (struct watch){.c = c, .bound = bound, .inject_at = inject_at};
+  w->scale_m = hypot(com[0] - c->environment.light_xy_m[0], com[1] - c->environment.light_xy_m[1]);
+  return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome, gradient,
+                            counts);
+}
+
+/* A case whose adjoint exceeds 1, and its gradient without a bound. */
+static double *prepare(struct gradient_case *c, uint32_t n_steps, struct watch *w)
+{
+  struct mo_gradient_counts counts = {0};
+  if (gradient_case_create(3, c) < 0)
+    return NULL;
+  c->physics.n_steps = n_steps;
+  double *gradient = calloc(c->controller->n_parameters, sizeof(double));
+  if (gradient != NULL && run(c, 0, 0, w, gradient, &counts) < 0) {
+    free(gradient);
+    return NULL;
+  }
+  return gradient;
+}
+
+static void bounds_every_step(void)
+{
+  struct gradient_case c;
+  struct watch free_run, bounded;
+  double *unbounded = prepare(&c, 200, &free_run);
+  REQUIRE(unbounded != NULL);
+  const size_t n = c.controller->n_parameters;
+  double *gradient = malloc(n * sizeof(double));
+  REQUIRE(gradient != NULL);
+  printf("# unbounded: m up to %g\n", free_run.largest_before);
+  const double bounds[] = {2 * free_run.largest_before, 0.5 * free_run.largest_before, 0.1 * free_run.largest_before};
+  for (int k = 0; k < 3; k++) {
+    struct mo_gradient_counts counts = {0};
+    memset(gradient, 0, n * sizeof(double));
+    REQUIRE(run(&c, bounds[k], 0, &bounded, gradient, &counts) == MO_OK);
+    printf("# bound %g: %llu of %llu steps scaled, m up to %g before and %g after\n", bounds[k],
+           (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps, bounded.largest_before,
+           bounded.largest_after);
+    CHECK(bounded.largest_after <= bounds[k] * (1 + 1e-7)); /* d0 + 1e-8 m against d0 */
+    CHECK_INT(counts.steps, 200);
+    CHECK_INT(bounded.calls, 200);
+    CHECK_INT(counts.clipped_steps, bounded.above);
+    CHECK_INT(bounded.astray, 0);
+    CHECK_INT(counts.clipped_robots, k > 0);
+    CHECK_INT(counts.robots, 1);
+    CHECK_INT(counts.zeroed_robots, 0);
+    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0)); /* out of reach: the same bits as off */
+  }
+  free(gradient);
+  free(unbounded);
+  gradient_case_free(&c);
+}
+
+static void zeroes_what_is_not_finite(void)
+{
+  struct gradient_case c;
+  struct watch w;
+  double *gradient = prepare(&c, 40, &w);
+  REQUIRE(gradient != NULL);
+  const size_t n = c.controller->n_parameters;
+  for (uint32_t inject_at = 1; inject_at <= 40; inject_at += 13) {
+    struct mo_gradient_counts counts = {0};
+    for (size_t i = 0; i < n; i++)
+      gradient[i] = (double)i;
+    REQUIRE(run(&c, inject_at % 2 ? 2 : 0, inject_at, &w, gradient, &counts) == MO_OK);
+    CHECK_INT(counts.zeroed_robots, 1);
+    CHECK_INT(counts.robots, 1);
+    CHECK_INT(counts.steps, 40 - inject_at + 1);
+    size_t touched = 0;
+    for (size_t i = 0; i < n; i++)
+      touched += gradient[i] != (double)i;
+    CHECK_INT(touched, 0);
+  }
+  free(gradient);
+  gradient_case_free(&c);
+}
+
+/* Adds weight · gradient to what is there, in the same bits each time; the outcome is the rollout's own. */
+static void adds_up(void)
+{
+  struct gradient_case c;
+  REQUIRE(gradient_case_create(1, &c) == 0);
+  c.physics.n_steps = 37; /* not a square: the last segment is shorter */
+  const size_t n = c.controller->n_parameters;
+  double *once = calloc(2 * n, sizeof(double)), *twice = once + n;
+  REQUIRE(once != NULL);
+  struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_outcome outcome, plain;
+  struct mo_gradient_counts counts = {0};
+  CHECK_NEAR(options.adjoint_bound, 2.0, 0);
+  CHECK_NEAR(options.weight, 1.0, 0);
+  REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, once, &counts) ==
+          MO_OK);
+  REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &plain) == MO_OK);
+  CHECK(memcmp(&outcome, &plain, sizeof(plain)) == 0);
+  options.weight = 0.5;
+  for (int k = 0; k < 2; k++)
+    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, twice,
+                                  &counts) == MO_OK);
+  CHECK(memcmp(once, twice, n * sizeof(double)) == 0);
+  CHECK_INT(counts.robots, 3);
+  CHECK_INT(counts.steps, 3 * 37);
+  /* Only the body's masses and springs have a gradient. */
+  size_t first[MO_CONTROLLER_TENSORS], count[MO_CONTROLLER_TENSORS], springs = 0, masses = 0;
+  gradient_tensors(c.controller, first, count);
+  for (uint32_t s = 0; s < c.controller->n_springs; s++)
+    springs += once[first[13] + s] != 0;
+  for (uint32_t i = 0; i < c.controller->n_masses; i++)
+    masses += once[first[0] + i] != 0;
+  CHECK_INT(springs, c.body->n_springs);
+  CHECK(masses == c.body->n_masses || masses == 0); /* 0: neuron 0 never fired */
+  free(once);
+  gradient_case_free(&c);
+}
+
+static void refuses(void)
+{
+  struct gradient_case c, other;
+  REQUIRE(gradient_case_create(1, &c) == 0);
+  REQUIRE(gradient_case_create(3, &other) == 0);
+  double *gradient = calloc(c.controller->n_parameters, sizeof(double));
+  REQUIRE(gradient != NULL);
+  struct mo_gradient_counts counts = {0};
+  struct mo_outcome outcome = {.loss = -7};
+  const struct {
+    const struct mo_controller *controller;
+    double bound, weight;
+    int code;
+  } faults[] = {
+      {NULL, 2, 1, MO_ERR_INVALID},
+      {other.controller, 2, 1, MO_ERR_INVALID},
+      {c.controller, -1, 1, MO_ERR_RANGE},
+      {c.controller, (double)NAN, 1, MO_ERR_INVALID},
+      {c.controller, (double)INFINITY, 1, MO_ERR_INVALID},
+      {c.controller, 2, (double)NAN, MO_ERR_INVALID},
+  };
+  c.physics.n_steps = 3;
+  for (size_t k = 0; k < sizeof(faults) / sizeof(faults[0]); k++) {
+    const struct mo_gradient_options options = {.adjoint_bound = faults[k].bound, .weight = faults[k].weight};
+    CHECK_INT(mo_gradient_reference(c.body, faults[k].controller, &c.environment, &c.physics, &options, &outcome,
+                                    gradient, &counts),
+              faults[k].code);
+  }
+  CHECK_INT(counts.robots, 0);
+  CHECK_NEAR(outcome.loss, -7, 0);
+  for (size_t i = 0; i < c.controller->n_parameters; i++)
+    if (gradient[i] != 0)
+      CHECK(gradient[i] == 0);
+  free(gradient);
+  gradient_case_free(&other);
+  gradient_case_free(&c);
+}
+
+/* All 144 voxels, 1000 steps; too stiff, so that the rollout diverges soon after everything was allocated. */
+static void memory(void)
+{
+  struct gradient_case c;
+  REQUIRE(gradient_case_create(0, &c) == 0);
+  CHECK_INT(c.body->n_masses, MO_DEFAULT_MASSES);
+  c.physics.stiffness_n_per_m *= 4;
+  double *gradient = calloc(c.controller->n_parameters, sizeof(double));
+  REQUIRE(gradient != NULL);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_outcome outcome = {.loss = -7};
+  struct mo_gradient_counts counts = {0};
+  long failures = 0;
+  for (int r = MO_ERR_NO_MEMORY; r == MO_ERR_NO_MEMORY && failures < 100; failures++) {
+    allocated = 0;
+    calls_left = failures;
+    r = mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, gradient, &counts);
+    calls_left = -1;
+    if (r == MO_OK)
+      break;
+    CHECK_INT(r, MO_ERR_NO_MEMORY);
+    CHECK_NEAR(outcome.loss, -7, 0);
+    CHECK_INT(counts.robots, 0);
+  }
+  printf("# %ld allocations, %.2f MB for %u masses, %u springs, 1000 steps\n", failures, (double)allocated / 1e6,
+         c.body->n_masses, c.body->n_springs);
+  CHECK(failures >= 5);
+  CHECK(allocated > 1000000 && allocated < 10000000);
+  CHECK(outcome.diverged_step > 0 && isinf(outcome.loss));
+  CHECK_INT(counts.diverged_robots, 1);
+  CHECK_INT(counts.steps, 0);
+  for (size_t i = 0; i < c.controller->n_parameters; i++)
+    if (gradient[i] != 0)
+      CHECK(gradient[i] == 0);
+  free(gradient);
+  gradient_case_free(&c);
+}
+
+static double now_s(void)
+{
+  struct timespec t;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+  return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+/* Printed, not judged: machines differ. */
+static void cost(void)
+{
+  static const uint32_t numbers[] = {3, 10, 0};
+  for (int k = 0; k < 3; k++) {
+    struct gradient_case c;
+    REQUIRE(gradient_case_create(numbers[k], &c) == 0);
+    c.physics.n_steps = 100;
+    double *gradient = calloc(c.controller->n_parameters, sizeof(double));
+    REQUIRE(gradient != NULL);
+    const struct mo_gradient_options options = mo_default_gradient_options();
+    struct mo_outcome outcome;
+    const double start_s = now_s();
+    REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &outcome) == MO_OK);
+    const double rollout_s = now_s() - start_s;
+    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, gradient,
+                                  NULL) == MO_OK);
+    const double gradient_s = now_s() - start_s - rollout_s;
+    printf("# %u masses, %u springs: a step takes %.3f ms forward alone, %.3f ms with its gradient: %.1f times\n",
+           c.body->n_masses, c.body->n_springs, rollout_s * 10, gradient_s * 10, gradient_s / rollout_s);
+    CHECK(rollout_s > 0 && gradient_s > 0);
+    free(gradient);
+    gradient_case_free(&c);
+  }
+}
+
+static const struct check_case cases[] = {
+    {"the bound holds at every step, and is exact about it", bounds_every_step},
+    {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
+    {"gradients add up, weighted, in the same bits", adds_up},
+    {"memory is bounded, and may run out", memory},
+    {"cost of a step", cost},
+    {"bad arguments change nothing", refuses},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,208 @@
+/* gradient-dual.c: the adjoint against forward-mode dual numbers in an implementation of its own (second.h). Every case has 16
+ * random directions: one in each of the 14 tensors, and two in all parameters. */
+#include <math.h>
+
+#include <morpho/gradient.h>
+
+#include "../check.h"
+#include "gradient-cases.h"
+#include "rollout/contact.h"
+
+#define TOLERANCE 1e-10
+#define NO_TOUCH                                                                                                       \
+  1e-15 /* before the first contact the gradient is 0, and on dual numbers the rounding of a sum that cancels */
+
+struct directions {
+  double *memory;
+  struct second_parameters along;
+};
+
+static int make_directions(const struct gradient_case *c, uint32_t k, struct directions *d)
+{
+  const size_t n = c->controller->n_parameters;
+  d->memory = malloc((1 + SECOND_WHOLES) * n * sizeof(double));
+  if (d->memory == NULL)
+    return -1;
+  struct mo_random random;
+  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 3, k);
+  for (size_t i = 0; i < (1 + SECOND_WHOLES) * n; i++)
+    d->memory[i] = mo_random_normal(&random);
+  d->along = (struct second_parameters){c->theta, d->memory, {d->memory + n, d->memory + 2 * n}};
+  return 0;
+}
+
+/* gradient · each of the directions */
+static void project(const struct gradient_case *c, const struct directions *d, const double *gradient,
+                    double along[SECOND_LANES])
+{
+  size_t first[MO_CONTROLLER_TENSORS], count[MO_CONTROLLER_TENSORS];
+  gradient_tensors(c->controller, first, count);
+  for (int lane = 0; lane < SECOND_LANES; lane++) {
+    const int whole = lane - MO_CONTROLLER_TENSORS;
+    const double *direction = whole < 0 ? d->along.alone : d->along.whole[whole];
+    const size_t begin = whole < 0 ? first[lane] : 0;
+    const size_t n = whole < 0 ? count[lane] : c->controller->n_parameters;
+    along[lane] = 0;
+    for (size_t i = begin; i < begin + n; i++)
+      along[lane] += gradient[i] * direction[i];
+  }
+}
+
+/* One length of one case: the largest relative error over the directions, or −1 if no mass has struck anything yet. Zero
+ * tensors are counted. */
+static double compare(struct gradient_case *c, const struct directions *d, uint32_t steps, const struct dual *dual,
+                      double *gradient, uint32_t *zeros)
+{
+  const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = 1};
+  struct mo_physics physics = c->physics;
+  struct mo_outcome outcome;
+  struct mo_gradient_counts counts = {0};
+  physics.n_steps = steps;
+  memset(gradient, 0, c->controller->n_parameters * sizeof(double));
+  const int r =
+      mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options, &outcome, gradient, &counts);
+  if (r < 0 || counts.zeroed_robots != 0 || counts.diverged_robots != 0)
+    return (double)INFINITY;
+  if (!(fabs(outcome.loss - dual->v) <= 1e-13)) {
+    printf("# %u steps: loss %.17g, on dual numbers %.17g\n", steps, outcome.loss, dual->v);
+    return (double)INFINITY;
+  }
+  double along[SECOND_LANES], worst = 0, largest = 0;
+  project(c, d, gradient, along);
+  for (int lane = 0; lane < SECOND_LANES; lane++)
+    largest = fmax(largest, fmax(fabs(along[lane]), fabs(dual->t[lane])));
+  if (largest < NO_TOUCH)
+    return -1;
+  for (int lane = 0; lane < SECOND_LANES; lane++) {
+    if (along[lane] == 0 && lane < MO_CONTROLLER_TENSORS)
+      (*zeros)++;
+    const double error = fabs(along[lane] - dual->t[lane]);
+    const double relative = error > 0 ? error / fabs(dual->t[lane]) : 0;
+    worst = relative > worst || isnan(relative) ? relative : worst;
+  }
+  return worst;
+}
+
+static void run_cases(const uint32_t *at, uint32_t n_at)
+{
+  double worst_of_all = 0;
+  uint32_t untouched = 0;
+  printf(
+      "# case masses springs sigma_m sensor         impact    | largest relative error (largest |derivative|) after");
+  for (uint32_t a = 0; a < n_at; a++)
+    printf(" %u", at[a]);
+  printf(" steps\n");
+  for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+    struct gradient_case c;
+    struct directions d;
+    REQUIRE(gradient_case_create(k, &c) == 0);
+    REQUIRE(make_directions(&c, k, &d) == 0);
+    double *gradient = malloc(c.controller->n_parameters * sizeof(double));
+    REQUIRE(gradient != NULL);
+    c.physics.n_steps = at[n_at - 1];
+    const struct second_setup setup = {c.body, &c.environment, &c.physics, c.controller->sensor};
+    struct dual losses[4];
+    REQUIRE(dual_rollout(&setup, &d.along, at, n_at, losses, NULL) == 0);
+    printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
+           mo_sensor_name(c.controller->sensor), c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
+    for (uint32_t a = 0; a < n_at; a++) {
+      uint32_t zeros = 0;
+      const double worst = compare(&c, &d, at[a], &losses[a], gradient, &zeros);
+      double largest = 0;
+      for (int lane = 0; lane < SECOND_LANES; lane++)
+        largest = fmax(largest, fabs(losses[a].t[lane]));
+      CHECK(worst <= TOLERANCE);
+      CHECK(zeros == 0); /* every tensor has a gradient, and it is not orthogonal to its direction */
+      if (worst < 0) {
+        printf(" - (no contact)");
+        CHECK(at[a] <= 10);
+        untouched++;
+      } else {
+        printf(" %.1e (%.1e)", worst, largest);
+      }
+      worst_of_all = fmax(worst_of_all, worst);
+    }
+    printf("\n");
+    free(gradient);
+    free(d.memory);
+    gradient_case_free(&c);
+  }
+  CHECK(untouched <= 5);
+  printf("# largest relative error of %u directional derivatives: %.2e\n",
+         (GRADIENT_CASES * n_at - untouched) * SECOND_LANES, worst_of_all);
+}
+
+static void short_runs(void)
+{
+  static const uint32_t at[] = {10, 50, 200};
+  run_cases(at, 3);
+}
+
+static void long_runs(void)
+{
+  static const uint32_t at[] = {1000};
+  run_cases(at, 1);
+}
+
+/* One mass anywhere on, above and beyond the map: the transposed derivative of one step against dual numbers, input by input. */
+static void contact(void)
+{
+  struct mo_random random;
+  mo_random_init(&random, 77, MO_PURPOSE_CHECK, 4, 0);
+  uint32_t struck = 0, capped = 0, crossed = 0, outside = 0;
+  double worst = 0;
+  for (uint32_t k = 0; k < 20000; k++) {
+    struct mo_physics physics = mo_default_physics();
+    struct mo_environment environment = {0};
+    physics.impact = k % 4 == 0 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+    physics.dt_s = k % 3 == 0 ? 0.1 : 0.004; /* long enough to cross cells */
+    mo_terrain_random(77, 5, k % 50, 0.1, environment.terrain_heights_m);
+    const struct second_setup setup = {NULL, &environment, &physics, MO_SENSOR_INVERSE_SQRT};
+    double p[3], v[3], back_p[3], back_v[3];
+    struct dual dp[3] = {{0}}, dv[3] = {{0}};
+    for (int i = 0; i < 3; i++) {
+      p[i] = -0.5 + 6 * mo_random_uniform(&random);
+      v[i] = (k % 5 == 0 ? 20 : 2) * mo_random_normal(&random);
+      back_p[i] = mo_random_normal(&random);
+      back_v[i] = mo_random_normal(&random);
+    }
+    v[2] = -2 * fabs(v[2]);
+    p[2] = mo_terrain_height(environment.terrain_heights_m, p[0], p[1]) +
+           0.5 * physics.dt_s * fabs(v[2]) * mo_random_uniform(&random);
+    for (int i = 0; i < 3; i++) {
+      dp[i].v = p[i];
+      dv[i].v = v[i];
+      dp[i].t[i] = 1;
+      dv[i].t[3 + i] = 1;
+    }
+    const uint64_t branch = dual_move(&setup, dp, dv);
+    double forward[6] = {0};
+    for (int lane = 0; lane < 6; lane++)
+      for (int i = 0; i < 3; i++)
+        forward[lane] += back_p[i] * dp[i].t[lane] + back_v[i] * dv[i].t[lane];
+    double size = 0;
+    mo_contact_move_adjoint(&physics, environment.terrain_heights_m, mo_terrain_highest(environment.terrain_heights_m),
+                            p, v, back_p, back_v);
+    for (int lane = 0; lane < 6; lane++)
+      size = fmax(size, fabs(forward[lane]));
+    for (int i = 0; i < 3; i++) {
+      worst = fmax(worst, fabs(back_p[i] - forward[i]) / size);
+      worst = fmax(worst, fabs(back_v[i] - forward[3 + i]) / size);
+    }
+    struck += branch != 0;
+    capped += branch != 0 && (branch & 2) == 0;
+    crossed += branch != 0 && branch >> 16 != (branch >> 4 & 4095);
+    outside += branch != 0 && (branch >> 4 & 3) != 0;
+  }
+  printf("# 20000 states: %u struck, %u of them at the friction cap, %u changed cells, %u beyond the map; error %.1e\n",
+         struck, capped, crossed, outside, worst);
+  CHECK(worst <= 1e-9); /* a grazing impact divides by a small closing speed */
+  CHECK(struck > 5000 && capped > 300 && struck - capped > 300 && crossed > 100 && outside > 100);
+}
+
+static const struct check_case cases[] = {
+    {"one mass: every branch of contact", contact},
+    {"whole rollouts: 10, 50 and 200 steps", short_runs},
+    {"whole rollouts: 1000 steps", long_runs},
+};
+CHECK_MAIN(cases)
