@@ -11,7 +11,6 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #define LIFE_S  4.0
 #define FRAME_S 0.02
@@ -90,14 +89,6 @@ static void live(struct lives *lives, const struct bench_scene *scene, struct mo
   free(blocks);
 }
 
-/* Processor time of this thread: other work on the machine does not count. */
-static double thread_s(void)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
 /* Milliseconds per rollout on one core, a body's whole test set at once, as evaluations run them. */
 static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double dt_s, int mode,
                       enum mo_precision precision)
@@ -109,12 +100,12 @@ static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double d
   const uint32_t n = scene->n_bodies < 5 ? scene->n_bodies : 5;
   bench_check(mo_pack_create(scene->controller, isa, precision, &pack), "pack");
   bench_check(mo_workspace_memory_create(&memory), "scratch");
-  const double start = thread_s();
+  const double start = bench_thread_s();
   for (uint32_t i = 0; i < n; i++)
     bench_check(mo_rollout_block(memory, pack, scene->bodies[i], scene->list, MO_PAPER_TEST_COUNT, &physics, NULL, NULL,
                                  NULL, outcomes),
                 "rollout");
-  const double ms = 1e3 * (thread_s() - start) / (n * MO_PAPER_TEST_COUNT);
+  const double ms = 1e3 * (bench_thread_s() - start) / (n * MO_PAPER_TEST_COUNT);
   mo_workspace_memory_free(memory);
   mo_pack_free(pack);
   return ms;

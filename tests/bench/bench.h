@@ -38,6 +38,7 @@ void bench_scene_free(struct bench_scene *scene);
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
 
 double bench_now_s(void);
+double bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */
 double bench_median(double *values, size_t n);             /* sorts */
 double bench_quantile(double *values, size_t n, double q); /* sorts; nearest rank */
 void bench_check(int status, const char *what);            /* ends the program unless MO_OK */

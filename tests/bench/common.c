@@ -13,6 +13,13 @@ double bench_now_s(void)
   return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
 }
 
+double bench_thread_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
 void bench_check(int status, const char *what)
 {
   if (status == MO_OK)
