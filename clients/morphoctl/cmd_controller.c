@@ -71,7 +71,8 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
   json_object_foreach(metadata, key, value)
   {
     const char *text = json_string_value(value);
-    printf("  %s: %.200s%s\n", key, text != NULL ? text : "", text != NULL && strlen(text) > 200 ? "…" : "");
+    print_plain_line(stdout, "  %s: %.200s%s", key, text != NULL ? text : "",
+                     text != NULL && strlen(text) > 200 ? "…" : "");
   }
 }
 
@@ -143,8 +144,8 @@ int run_controller_put(struct ctl *ctl)
   if (controller != NULL && ctl->json)
     print_json(controller);
   else if (controller != NULL && !ctl->quiet)
-    printf("controller %s %s: sha256:%s\n", text_of(controller, "name"),
-           reply.status == 201 ? "stored" : "now stands for this file", text_of(controller, "sha256"));
+    print_plain_line(stdout, "controller %s %s: sha256:%s", text_of(controller, "name"),
+                     reply.status == 201 ? "stored" : "now stands for this file", text_of(controller, "sha256"));
   json_decref(controller);
   reply_free(&reply);
   free(bytes);

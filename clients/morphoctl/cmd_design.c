@@ -148,7 +148,7 @@ int run_design_draw(struct ctl *ctl)
     if (i > 0)
       putchar('\n');
     if (designs.names[i] != NULL)
-      printf("%s\n", designs.names[i]);
+      print_plain_line(stdout, "%s", designs.names[i]);
     draw_body(stdout, voxels, ctl->utf8);
   }
   designs_free(&designs);

@@ -164,10 +164,11 @@ int run_eval(struct ctl *ctl)
     if (ctl->json)
       print_json(evaluation);
     else
-      printf("%s\n", text_of(evaluation, "id"));
+      print_plain_line(stdout, "%s", text_of(evaluation, "id"));
     if (!ctl->json && !ctl->quiet)
-      fprintf(stderr, "evaluation %s is accepted: %zu designs, %" PRId64 " rollouts; morphoctl watch %s\n",
-              text_of(evaluation, "id"), designs.n, number_of(evaluation, "rollouts_total"), text_of(evaluation, "id"));
+      print_plain_line(stderr, "evaluation %s is accepted: %zu designs, %" PRId64 " rollouts; morphoctl watch %s",
+                       text_of(evaluation, "id"), designs.n, number_of(evaluation, "rollouts_total"),
+                       text_of(evaluation, "id"));
   } else if (status == STATUS_OK) {
     if (ctl->json)
       print_json(evaluation);
@@ -176,9 +177,9 @@ int run_eval(struct ctl *ctl)
                     (size_t)top);
     if (!ctl->json && !ctl->quiet) {
       char a[32], b[32];
-      fprintf(stderr, "evaluation %s: %s rollouts, %s of them from the store\n", text_of(evaluation, "id"),
-              count_text(number_of(evaluation, "rollouts_total"), a),
-              count_text(number_of(evaluation, "rollouts_cached"), b));
+      print_plain_line(stderr, "evaluation %s: %s rollouts, %s of them from the store", text_of(evaluation, "id"),
+                       count_text(number_of(evaluation, "rollouts_total"), a),
+                       count_text(number_of(evaluation, "rollouts_cached"), b));
     }
     status = evaluation_outcome(evaluation);
     if (status == STATUS_OK && output != NULL)

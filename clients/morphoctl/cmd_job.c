@@ -96,8 +96,8 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
     if (job != NULL && ctl->json)
       print_json(job);
     else if (job != NULL && !ctl->quiet)
-      printf("job %s is %s%s\n", id, text_of(job, "state"),
-             reply.status == 202 ? ", its running work is being stopped" : "");
+      print_plain_line(stdout, "job %s is %s%s", id, text_of(job, "state"),
+                       reply.status == 202 ? ", its running work is being stopped" : "");
     json_decref(job);
     reply_free(&reply);
     if (status != STATUS_OK)

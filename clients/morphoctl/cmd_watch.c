@@ -45,10 +45,11 @@ static int show_event(void *context, const char *type, const char *id, const cha
     if (total > 0)
       snprintf(counts, sizeof(counts), "  %s of %s rollouts", count_text(done, a), count_text(total, b));
     if (*job != 0)
-      printf("%s  %-15s job %s%s%s%s\n", time_text(json_object_get(event, "at"), time), type, job,
-             *state != 0 ? "  " : "", state, counts);
+      print_plain_line(stdout, "%s  %-15s job %s%s%s%s", time_text(json_object_get(event, "at"), time), type, job,
+                       *state != 0 ? "  " : "", state, counts);
     else
-      printf("%s  %-15s %s\n", time_text(json_object_get(event, "at"), time), type, text_of(details, "name"));
+      print_plain_line(stdout, "%s  %-15s %s", time_text(json_object_get(event, "at"), time), type,
+                       text_of(details, "name"));
   }
   fflush(stdout);
   if (watch->job != NULL && strcmp(type, "job.finished") == 0) {

@@ -1,7 +1,6 @@
 /* common.c: helpers of several commands: facts, results, paged lists. */
 #include <inttypes.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -87,26 +86,39 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
   return status;
 }
 
+static void print_name(const struct ctl *ctl, const char *name)
+{
+  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "", (int)(14 - strlen(name)), "");
+}
+
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
 {
   va_list arguments;
-  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "", (int)(14 - strlen(name)), "");
+  print_name(ctl, name);
   va_start(arguments, format);
-  vprintf(format, arguments);
+  print_plain_list(stdout, format, arguments);
   va_end(arguments);
   putchar('\n');
+}
+
+/* The state in its colour. */
+static void print_state(const struct ctl *ctl, const char *state)
+{
+  const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m" : strcmp(state, "failed") == 0 ? "\033[31m" : NULL;
+  if (!ctl->colour)
+    colour = NULL;
+  print_name(ctl, "state");
+  fputs(colour != NULL ? colour : "", stdout);
+  print_plain(stdout, "%s", state);
+  puts(colour != NULL ? "\033[0m" : "");
 }
 
 void print_job_facts(const struct ctl *ctl, const json_t *job)
 {
   char a[32], b[32];
   const char *state = text_of(job, "state");
-  const char *colour = !ctl->colour                      ? ""
-                       : strcmp(state, "succeeded") == 0 ? "\033[32m"
-                       : strcmp(state, "failed") == 0    ? "\033[31m"
-                                                         : "";
   print_fact(ctl, "job", "%s (%s, %s)", text_of(job, "id"), text_of(job, "kind"), text_of(job, "priority"));
-  print_fact(ctl, "state", "%s%s%s", colour, state, *colour != 0 ? "\033[0m" : "");
+  print_state(ctl, state);
   if (*text_of(job, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(job, "label"));
   const json_t *error = json_object_get(job, "error");

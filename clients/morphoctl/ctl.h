@@ -2,6 +2,7 @@
 #ifndef MORPHOCTL_CTL_H
 #define MORPHOCTL_CTL_H
 
+#include <stdarg.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -79,7 +80,16 @@ const char *option_text(const struct ctl *ctl, const char *name, const char *oth
 /* A whole number within bounds; false (and a message) if it is not. Leaves *number if the option was not given. */
 bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max, int64_t *number);
 
-/* "morphoctl: …" on standard error; returns `status`. */
+/* ---- plain.c: what others wrote, shown without obeying it ---- */
+
+/* Control characters (C0, DEL, C1) become question marks, in place. */
+void make_plain(char *text);
+/* Prints so; the format has no control characters of its own either. */
+void print_plain(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3)));
+void print_plain_line(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3))); /* and a newline */
+void print_plain_list(FILE *file, const char *format, va_list arguments) __attribute__((format(printf, 2, 0)));
+
+/* "morphoctl: …" on standard error, plain; returns `status`. */
 int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* The name in `names` (n of them) that is nearest to a mistyped one, or NULL. */
 const char *nearest_name(const char *name, const char *const *names, size_t n);

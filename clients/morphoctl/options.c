@@ -46,7 +46,7 @@ int complain(int status, const char *format, ...)
   va_list arguments;
   fputs("morphoctl: ", stderr);
   va_start(arguments, format);
-  vfprintf(stderr, format, arguments);
+  print_plain_list(stderr, format, arguments);
   va_end(arguments);
   fputc('\n', stderr);
   return status;

@@ -127,7 +127,8 @@ static int wait_for(struct ctl *ctl, const char *id)
   progress_end(&progress);
   if (interrupted()) {
     if (!ctl->quiet)
-      fprintf(stderr, "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s\n", id, id);
+      print_plain_line(stderr, "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s", id,
+                       id);
     return STATUS_INTERRUPTED;
   }
   return status;

@@ -41,6 +41,8 @@ void table_add(struct table *table, const char *const *cells)
   char **row = table->cells + table->n_rows * table->n_columns;
   for (size_t i = 0; i < table->n_columns; i++) {
     row[i] = strdup(cells[i] != NULL ? cells[i] : "–");
+    if (row[i] != NULL)
+      make_plain(row[i]);
     table->failed |= row[i] == NULL;
   }
   table->n_rows++;
@@ -194,6 +196,7 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
   char text[256];
   int n = snprintf(text, sizeof(text), "%s  %s of %s rollouts  %3d %%%s", state, count_text(done, a),
                    count_text(total, b), (int)(share * 100), tail);
+  make_plain(text);
   int bar = columns - n - 5;
   fprintf(stderr, "\r\033[K%s", text);
   if (bar >= 10) {

@@ -19,7 +19,7 @@ struct table {
 
 /* heads: "#|design|>score": columns separated by |, a leading > aligns to the right. Must outlive the table. */
 void table_open(struct table *table, const char *heads);
-/* A new row of n_columns texts (NULL: "–"). */
+/* A new row of n_columns texts (NULL: "–"), made plain. */
 void table_add(struct table *table, const char *const *cells);
 /* Takes a column away. */
 void table_drop(struct table *table, size_t column);

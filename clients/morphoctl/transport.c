@@ -323,10 +323,11 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
     const char *parameter = json_string_value(json_object_get(fault, "parameter"));
     const char *header = json_string_value(json_object_get(fault, "header"));
     const char *place = pointer != NULL ? pointer : parameter != NULL ? parameter : header;
-    fprintf(stderr, "  %s%s%s\n", place != NULL ? place : "", place != NULL ? ": " : "", text != NULL ? text : "");
+    print_plain_line(stderr, "  %s%s%s", place != NULL ? place : "", place != NULL ? ": " : "",
+                     text != NULL ? text : "");
   }
   if (reply->status >= 500 && *reply->request_id != 0)
-    fprintf(stderr, "  request %s\n", reply->request_id);
+    print_plain_line(stderr, "  request %s", reply->request_id);
   json_decref(problem);
   switch (reply->status) {
   case 401:

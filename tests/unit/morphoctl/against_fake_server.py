@@ -124,6 +124,27 @@ def test_table_and_request():
         assert json.loads(body) == {"designs": [{"cells": [[0, 0, 0]]}], "label": "x", "physics": {"n_steps": 20}, "record": ["com"]}
 
 
+def test_text_of_others_is_not_obeyed():
+    """Whoever may submit chooses the label, and a terminal must not obey it."""
+    evil = "x\033]0;owned\007\033[2J\u009b31m\x7f\ry"
+    with Server([reply(200, {"items": [{**JOB, "label": evil}], "next_cursor": None})]) as server:
+        status, out, err = run(server, "job", "list")
+        assert status == 0 and "x?]0;owned??[2J?31m??y" in out, out + err
+    problem = {"type": "about:blank", "title": evil, "status": 422, "detail": "no" + evil, "errors": [{"detail": evil, "pointer": "/" + evil}]}
+    metadata = {"name": "a", "sha256": "a" * 64, "metadata": {"k" + evil: evil}}
+    shown = []
+    with Server([reply(200, {**JOB, "label": evil, "state": "failed", "error": {"code": "io", "detail": evil}}), reply(200, metadata),
+                 reply(422, problem), stream(event(1, "job." + evil.replace("\r", ""), state="a" + evil))] +
+                [reply(404, problem)] * 3) as server:
+        shown.append(run(server, "job", "show", "7"))
+        shown.append(run(server, "controller", "info", "a"))
+        shown.append(run(server, "job", "show", "8"))
+        shown.append(run(server, "watch", "--retry", "0"))
+    for status, out, err in shown:
+        assert "31m" in out + err, (status, out, err)
+        assert not re.search("[\0-\x09\x0b-\x1f\x7f-\x9f]", out + err), (out, err)
+
+
 def test_json_is_the_apis():
     evaluation = {**JOB, "results": [RESULT]}
     with Server([reply(200, evaluation)]) as server:
