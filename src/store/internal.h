@@ -13,6 +13,8 @@
 #define MO_APPLICATION_ID    0x6D727068 /* "mrph" */
 #define MO_STATEMENTS_MAX    96
 #define MO_CHECKPOINT_FRAMES 2000
+#define MO_WAL_FRAMES_LONG   8000
+#define MO_BUSY_MS           5000
 #define MO_LISTENERS_MAX     64
 
 /* ---- a connection: a database handle with its prepared statements, used by one thread at a time ---- */
@@ -92,7 +94,7 @@ struct mo_store {
   struct mo_event *events; /* made in this batch */
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
-  int64_t last_prune_us;
+  int64_t last_prune_us, last_probe_us, last_restart_us;
   int wal_frames;
 
   pthread_mutex_t listeners_mutex;

@@ -300,7 +300,10 @@ void mo_store_close(struct mo_store *store)
   if (store == NULL)
     return;
   mo_writer_stop(store);
-  if (!atomic_load(&store->is_fatal)) {
+  if (atomic_load(&store->is_fatal)) {
+    /* Recovery is the next opening's: it reads what the disk has kept, not what this process believes that it has. */
+    (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
+  } else {
     /* Readers first, so that the last checkpoint can empty the log. */
     for (uint32_t i = 0; i < store->n_readers; i++)
       mo_connection_close(&store->readers[i]);

@@ -58,7 +58,7 @@ int mo_connection_open(const struct mo_store *store, bool writable, struct mo_co
   memset(connection, 0, sizeof(*connection));
   result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
   if (result == SQLITE_OK) {
-    sqlite3_busy_timeout(connection->db, 5000);
+    sqlite3_busy_timeout(connection->db, MO_BUSY_MS);
     (void)sqlite3_db_config(connection->db, SQLITE_DBCONFIG_DEFENSIVE, 1, NULL);
     result = configure(connection->db, writable);
   }

@@ -2,9 +2,10 @@
  *
  * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one transaction, commits once, and then
  * releases the callers: under load one fsync serves many. An operation that fails rolls back alone. When SQLite gives up the
- * whole transaction (disk full, out of memory), or the commit itself fails, each operation is run again in a transaction of its
- * own, so that one that is too large does not take others with it. An I/O error that is not want of space is fatal: after a failed
- * fsync nobody knows what the disk holds, so the process must end and recover from the log. */
+ * whole transaction (disk full, out of memory), or the commit itself fails for want of room, each operation is run again in a
+ * transaction of its own, so that one that is too large does not take others with it. An I/O error that is not want of space is
+ * fatal at once: after a failed fsync nobody knows what the disk holds, and a second one may succeed without having written, so
+ * nothing is tried again: the process must end and recover from the log. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,11 +13,13 @@
 
 #include "store/internal.h"
 
-#define BATCH_MAX      256
-#define PRUNE_EVERY    1000 /* events */
-#define PRUNE_EVERY_US INT64_C(60000000)
-#define PRUNE_ROWS     "5000"
-#define SPACE_PROBE_US INT64_C(1000000)
+#define BATCH_MAX       256
+#define PRUNE_EVERY     1000 /* events */
+#define PRUNE_EVERY_US  INT64_C(60000000)
+#define PRUNE_ROWS      "5000"
+#define SPACE_PROBE_US  INT64_C(1000000)
+#define RESTART_US      INT64_C(5000000)
+#define RESTART_WAIT_MS 250
 
 int64_t mo_monotonic_us(void)
 {
@@ -77,24 +80,22 @@ static void declare_fatal(struct mo_store *store)
     store->fatal(store->fatal_context, sqlite3_errmsg(store->writer.db));
 }
 
-/* Runs one operation in the open transaction. false: the transaction is gone. */
-static bool run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
+/* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up. */
+static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
-  int error;
+  int error = MO_OK;
   operation->first_event = store->n_events;
   operation->status = mo_sql_exec(writer, "SAVEPOINT operation");
   if (operation->status == MO_OK)
     operation->status = operation->run(store, operation->arguments);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
-    return false;
+    return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {
     store->n_events = operation->first_event;
     error = mo_sql_exec(writer, "ROLLBACK TO operation");
-    if (error != MO_OK)
-      return false;
   }
-  return mo_sql_exec(writer, "RELEASE operation") == MO_OK;
+  return error == MO_OK ? mo_sql_exec(writer, "RELEASE operation") : error;
 }
 
 static int commit(struct mo_store *store)
@@ -161,16 +162,23 @@ static void release(struct mo_store *store, struct mo_operation *operation)
   pthread_mutex_unlock(&store->mutex);
 }
 
+/* All operations in one transaction. */
+static int run_together(struct mo_store *store, struct mo_operation *first)
+{
+  int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : mo_sql_exec(&store->writer, "BEGIN IMMEDIATE");
+  store->n_events = 0;
+  for (struct mo_operation *operation = first; operation != NULL && error == MO_OK; operation = operation->next)
+    error = run_in_savepoint(store, operation);
+  return error == MO_OK ? commit(store) : error;
+}
+
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
-  bool whole = !atomic_load(&store->is_fatal) && mo_sql_exec(&store->writer, "BEGIN IMMEDIATE") == MO_OK;
-  store->n_events = 0;
-  for (operation = first; operation != NULL && whole; operation = operation->next)
-    whole = run_in_savepoint(store, operation);
-  if (whole)
-    whole = commit(store) == MO_OK;
-  if (!whole) {
+  int error = run_together(store, first);
+  if (error != MO_OK) {
+    if (error == MO_ERR_IO)
+      declare_fatal(store); /* run_alone() runs nothing any more */
     abandon(store);
     for (operation = first; operation != NULL; operation = operation->next) {
       operation->status = run_alone(store, operation);
@@ -227,6 +235,44 @@ static void prune(struct mo_store *store)
   }
 }
 
+/* Whoever looks whether there is room again must not have to wait for somebody to write. */
+static void probe_space(struct mo_store *store)
+{
+  int64_t now = mo_monotonic_us();
+  int error;
+  if (!atomic_load(&store->no_space) || now - store->last_probe_us < SPACE_PROBE_US)
+    return;
+  store->last_probe_us = now;
+  error = mo_sql_exec(&store->writer, "INSERT INTO meta(key,value) VALUES('space probes',1)"
+                                      " ON CONFLICT(key) DO UPDATE SET value=value+1");
+  if (error == MO_OK)
+    atomic_store(&store->no_space, false);
+  else if (error == MO_ERR_IO)
+    declare_fatal(store);
+  if (error != MO_OK)
+    abandon(store);
+}
+
+/* Copies the log into the database. A log starts anew only when nobody reads it, and readers that overlap may prevent that for
+ * ever: one that has grown long is worth a short wait for those that read now, while new ones read the database. */
+static void checkpoint(struct mo_store *store)
+{
+  sqlite3 *db = store->writer.db;
+  int64_t now = mo_monotonic_us();
+  int mode = SQLITE_CHECKPOINT_PASSIVE;
+  int result;
+  if (store->wal_frames >= MO_WAL_FRAMES_LONG && now - store->last_restart_us >= RESTART_US) {
+    store->last_restart_us = now;
+    mode = SQLITE_CHECKPOINT_RESTART;
+    sqlite3_busy_timeout(db, RESTART_WAIT_MS);
+  }
+  result = sqlite3_wal_checkpoint_v2(db, NULL, mode, NULL, NULL);
+  if (result != SQLITE_OK && mo_sql_error(db, result) == MO_ERR_IO)
+    declare_fatal(store);
+  sqlite3_busy_timeout(db, MO_BUSY_MS);
+  store->wal_frames = 0; /* counted anew by the hook at the next commit */
+}
+
 static void maintain(struct mo_store *store)
 {
   static const char pages_sql[] = "PRAGMA page_count";
@@ -234,17 +280,13 @@ static void maintain(struct mo_store *store)
   sqlite3_stmt *statement;
   int64_t pages;
   int error = MO_OK;
-  int result;
   if (atomic_load(&store->is_fatal))
     return;
+  probe_space(store);
   if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
     prune(store);
-  if (store->wal_frames >= MO_CHECKPOINT_FRAMES) {
-    result = sqlite3_wal_checkpoint_v2(writer->db, NULL, SQLITE_CHECKPOINT_PASSIVE, NULL, NULL);
-    if (result != SQLITE_OK && mo_sql_error(writer->db, result) == MO_ERR_IO)
-      declare_fatal(store);
-    store->wal_frames = 0; /* counted anew by the hook at the next commit */
-  }
+  if (store->wal_frames >= MO_CHECKPOINT_FRAMES)
+    checkpoint(store);
   statement = mo_sql(writer, pages_sql, &error);
   if (statement != NULL && mo_sql_integer(writer, statement, &pages) == MO_OK)
     atomic_store(&store->database_bytes, pages * 4096);
@@ -305,6 +347,7 @@ int mo_writer_start(struct mo_store *store)
 {
   sqlite3_wal_hook(store->writer.db, count_frames, store);
   store->last_prune_us = mo_monotonic_us();
+  store->last_restart_us = store->last_prune_us - RESTART_US;
   atomic_store(&store->heartbeat_us, mo_monotonic_us());
   if (pthread_create(&store->thread, NULL, write_loop, store) != 0)
     return MO_ERR_NO_MEMORY;

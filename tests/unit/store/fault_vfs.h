@@ -11,6 +11,7 @@
 static struct fault_plan {
   atomic_int write_error; /* 0 or the SQLite code that writes give */
   atomic_int sync_error;
+  atomic_bool once;        /* the first error is the last */
   atomic_long writes_left; /* so many writes succeed before the error; negative: all fail */
   atomic_long writes;      /* seen */
 } fault_plan;
@@ -60,14 +61,19 @@ static inline int fault_xWrite(sqlite3_file *file, const void *from, int n, sqli
 {
   int error = atomic_load(&fault_plan.write_error);
   atomic_fetch_add(&fault_plan.writes, 1);
-  if (error != 0 && atomic_fetch_sub(&fault_plan.writes_left, 1) <= 0)
+  if (error != 0 && atomic_fetch_sub(&fault_plan.writes_left, 1) <= 0) {
+    if (atomic_load(&fault_plan.once))
+      atomic_store(&fault_plan.write_error, 0);
     return error;
+  }
   return fault_real(file)->pMethods->xWrite(fault_real(file), from, n, at);
 }
 
 static inline int fault_xSync(sqlite3_file *file, int flags)
 {
   int error = atomic_load(&fault_plan.sync_error);
+  if (atomic_load(&fault_plan.once))
+    atomic_store(&fault_plan.sync_error, 0);
   return error != 0 ? error : fault_real(file)->pMethods->xSync(fault_real(file), flags);
 }
 
