@@ -95,7 +95,8 @@ struct mo_pending {
   size_t scores_room, trajectories_room, designs_room, updates_room, owners_room;
   struct mo_active **owners;   /* (save.n_updates) whose updates they are; each holds a reference */
   struct mo_rollout *rollouts; /* that end with the commit */
-  int64_t since_us;            /* when the first thing came in; 0: empty */
+  uint64_t recorded_bytes;
+  int64_t since_us; /* when the first thing came in; 0: empty */
   bool urgent;
 };
 
@@ -193,6 +194,8 @@ void mo_pending_touch(struct mo_jobs *jobs); /* something is to be saved */
 /* Starts a save when one is due, or at once. Returns the clock time at which one will be due, INT64_MAX for none. */
 int64_t mo_saver_run(struct mo_jobs *jobs, bool at_once);
 bool mo_saver_idle(const struct mo_jobs *jobs); /* nothing pending, nothing under way */
+/* The store does not keep up: nothing new is to be computed until it does. */
+bool mo_saver_is_behind(const struct mo_jobs *jobs);
 void mo_saver_finished(struct mo_jobs *jobs, int status);
 void mo_pending_free(struct mo_pending *pending);
 

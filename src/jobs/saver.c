@@ -2,7 +2,8 @@
  *
  * Losses wait at most save_interval_ms, those of interactive jobs not at all. A save holds the losses of that time, the counts of
  * the jobs that they belong to, and the ends of jobs whose last loss is among them: one transaction. When the disk is
- * full the save is kept and tried again every second; nothing new is computed meanwhile. */
+ * full the save is kept and tried again every second; nothing new is computed meanwhile, nor while the store is so slow that what
+ * waits for it would fill the memory. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -11,6 +12,8 @@
 #define EVENT_EVERY_US 1000000
 #define RETRY_US       1000000
 #define SCORES_AT_ONCE 4096
+#define SCORES_BEHIND  16384
+#define BYTES_BEHIND   (UINT64_C(64) << 20)
 
 /* Room for one more in an array. */
 static bool grow(void **array, size_t n, size_t *room, size_t size)
@@ -69,6 +72,9 @@ int mo_pending_trajectory(struct mo_jobs *jobs, const struct mo_saved_trajectory
   if (!grown)
     return MO_ERR_NO_MEMORY;
   pending->save.trajectories[pending->save.n_trajectories++] = *trajectory;
+  pending->recorded_bytes +=
+      (uint64_t)trajectory->frames *
+      ((trajectory->com_m != NULL ? 24 : 0) + (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
   mo_pending_touch(jobs);
   return MO_OK;
 }
@@ -115,6 +121,7 @@ static void clear(struct mo_pending *pending)
   }
   pending->save.n_scores = pending->save.n_trajectories = pending->save.n_designs = pending->save.n_updates = 0;
   pending->rollouts = NULL;
+  pending->recorded_bytes = 0;
   pending->since_us = 0;
   pending->urgent = false;
 }
@@ -133,6 +140,14 @@ void mo_pending_free(struct mo_pending *pending)
 bool mo_saver_idle(const struct mo_jobs *jobs)
 {
   return !jobs->save_under_way && jobs->saving.since_us == 0 && jobs->pending.since_us == 0;
+}
+
+bool mo_saver_is_behind(const struct mo_jobs *jobs)
+{
+  const struct mo_pending *pending = &jobs->pending;
+  if (jobs->saving.since_us != 0 && !jobs->save_under_way)
+    return true; /* it failed and will be tried again */
+  return pending->save.n_scores + pending->save.n_designs >= SCORES_BEHIND || pending->recorded_bytes >= BYTES_BEHIND;
 }
 
 static void save_done(struct mo_save *save, int status)
@@ -229,12 +244,6 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const 
 {
   switch (update->step) {
   case MO_STEP_START:
-    /* Paused and resumed before its start was written: the job runs by the database, yet nobody runs it. */
-    if (update->applied && active->detached && !active->failing && mo_active_find(jobs, active->id) == NULL)
-      (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
-    if (!update->applied)
-      active->detached = true; /* a person stopped it */
-    break;
   case MO_STEP_PROGRESS:
     if (!update->applied)
       active->detached = true; /* a person stopped it */
@@ -254,8 +263,8 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const 
         mo_jobs_closed(jobs, active->total);
       else
         mo_jobs_recount(jobs);
-    } else if (update->applied) {
-      delay(jobs, active->id);
+    } else {
+      delay(jobs, active->id); /* also when its start was lost with a failed save: it is queued still */
     }
     break;
   case MO_STEP_PARK: break;

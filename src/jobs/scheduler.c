@@ -185,6 +185,8 @@ static void claim_priority(struct mo_jobs *jobs, enum mo_urgency priority, uint3
   for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
     limit += active->detached;
   n = mo_store_queued(jobs->store, priority, 0, ids, limit < CLAIMS_MAX ? limit : CLAIMS_MAX);
+  if (n < 0)
+    jobs->look_again = true; /* in a second at most */
   for (int64_t i = 0; i < n && n_active < places; i++) {
     if (mo_active_find(jobs, ids[i]) != NULL || is_delayed(jobs, ids[i]))
       continue;
@@ -268,12 +270,15 @@ static void take_inbox(struct mo_jobs *jobs, int64_t until_us, struct inbox *inb
   pthread_mutex_unlock(&jobs->mutex);
 }
 
+/* A wish to pause may come after the job was resumed, by somebody else or before its start was written: then it runs by the
+ * database, and nobody runs it. So it is parked, which changes nothing for one that is paused or cancelled. */
 static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
 {
   struct mo_active *active = mo_active_find(jobs, wish->id);
   if (active == NULL || active->detached)
     return;
   active->detached = true;
+  (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
   if (wish->cancel)
     mo_flights_cancel(jobs, false);
 }
@@ -304,6 +309,8 @@ static bool go_on(struct mo_jobs *jobs, bool look)
     claim_priority(jobs, MO_INTERACTIVE, jobs->config.max_active_interactive);
     claim_priority(jobs, MO_BATCH, jobs->config.max_active_batch);
   }
+  if (mo_saver_is_behind(jobs))
+    return false;
   more = fill(jobs, MO_INTERACTIVE, &jobs->flights_interactive, jobs->config.window_interactive);
   return fill(jobs, MO_BATCH, &jobs->flights_batch, jobs->config.window_batch) || more;
 }

@@ -81,11 +81,12 @@ struct requeue_arguments {
   const char *text;
 };
 
+/* A job that brings the process down with its first block is still queued in the database: its start was not written. */
 static int requeue(struct mo_store *store, void *arguments)
 {
   static const char crash_sql[] = "UPDATE jobs SET attempts=attempts+1,error=?2,error_text=?3,version=version+1,"
                                   "state=CASE WHEN attempts+1>=?4 THEN 4 ELSE 0 END,"
-                                  "finished_us=CASE WHEN attempts+1>=?4 THEN ?5 ELSE 0 END WHERE id=?1 AND state=1";
+                                  "finished_us=CASE WHEN attempts+1>=?4 THEN ?5 ELSE 0 END WHERE id=?1 AND state<=1";
   static const char sql[] = "UPDATE jobs SET state=0,version=version+1 WHERE state=1";
   struct requeue_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;

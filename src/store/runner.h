@@ -41,7 +41,7 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
 /* ---- start ---- */
 
 /* What ran when the last process ended is queued again. `crashed` (0: none): the job that the marker named; its attempts grow by
- * one, and at max_attempts it fails with `text`. */
+ * one, and at max_attempts it fails with `text`; also when its start was not written before the crash. */
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts, const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
 /* Open jobs and their rollouts. */

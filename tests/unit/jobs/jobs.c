@@ -8,6 +8,7 @@
 
 #include "../check.h"
 #include "../store/fault_vfs.h"
+#include "jobs/internal.h"
 #include "service.h"
 
 static struct mo_controller *weights;
@@ -254,6 +255,83 @@ static void cancels_pauses_resumes(void)
   REQUIRE(mo_jobs_wait(service.jobs, other, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(right(&service, other, genotypes));
+  free(forms);
+  free(genotypes);
+  service_end(&service);
+}
+
+/* One client pauses, another resumes before the first's call has told the scheduler: the wish finds a job that runs. */
+static void survives_a_late_wish(void)
+{
+  struct service service;
+  struct mo_bits *forms, *genotypes;
+  struct mo_evaluation_request request;
+  struct mo_wish *wish = calloc(1, sizeof(*wish));
+  struct mo_job job;
+  int64_t id;
+  REQUIRE(wish != NULL);
+  REQUIRE(service_start(&service) == MO_OK);
+  REQUIRE(fixture_bodies(16, 60, &forms, &genotypes) == MO_OK);
+  fake_plan.delay_us = 5000;
+  request = service_request(genotypes, 60);
+  id = service_submit(&service, &request);
+  CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
+  usleep(20000);
+  wish->id = id;
+  pthread_mutex_lock(&service.jobs->mutex);
+  wish->next = service.jobs->wishes;
+  service.jobs->wishes = wish;
+  pthread_cond_signal(&service.jobs->news);
+  pthread_mutex_unlock(&service.jobs->mutex);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+  CHECK_INT(job.attempts, 0);
+  CHECK(right(&service, id, genotypes));
+  free(forms);
+  free(genotypes);
+  service_end(&service);
+}
+
+/* Another process holds the database: what is computed meanwhile has to stay in memory, so it must have an end. */
+static void waits_for_a_slow_store(void)
+{
+  enum { DESIGNS = 4000, IN_MEMORY = 16384 + 5000 };
+  struct service service;
+  struct mo_bits *forms, *genotypes;
+  struct mo_evaluation_request request;
+  struct mo_jobs_stats stats = {0};
+  struct mo_job job;
+  uint64_t before = 0;
+  char path[512];
+  sqlite3 *db = NULL;
+  int64_t id;
+  REQUIRE(service_start(&service) == MO_OK);
+  REQUIRE(fixture_bodies(17, DESIGNS, &forms, &genotypes) == MO_OK);
+  fake_plan.delay_us = 20000;
+  request = service_request(genotypes, DESIGNS);
+  id = service_submit(&service, &request);
+  CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
+  snprintf(path, sizeof(path), "%s/morphod.db", service.fixture.path);
+  REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
+  sqlite3_busy_timeout(db, 5000);
+  REQUIRE(sqlite3_exec(db, "BEGIN IMMEDIATE", NULL, NULL, NULL) == SQLITE_OK);
+  fake_plan.delay_us = 0;
+  for (int i = 0; i < 300; i++) { /* until nothing is computed any more */
+    usleep(100000);
+    mo_jobs_get_stats(service.jobs, &stats);
+    if (stats.rollouts_computed == before && stats.blocks_in_flight == 0)
+      break;
+    before = stats.rollouts_computed;
+  }
+  CHECK_INT(stats.blocks_in_flight, 0);
+  CHECK(stats.rollouts_computed < IN_MEMORY);
+  CHECK_INT(sqlite3_exec(db, "ROLLBACK", NULL, NULL, NULL), SQLITE_OK);
+  sqlite3_close(db);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 60000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+  CHECK_INT(job.attempts, 0);
+  CHECK_INT(computed(&service), DESIGNS * 10);
+  CHECK(right(&service, id, genotypes));
   free(forms);
   free(genotypes);
   service_end(&service);
@@ -510,11 +588,12 @@ static void blames_crashes_on_their_job(void)
     close(fd);
     service_close(&service);
     {
-      /* As if it had been killed: running again in the file. */
+      /* As if it had been killed: running in the file, or still queued: the start of a job is written some time after it. */
       char path[512], sql[128];
       sqlite3 *db = NULL;
       snprintf(path, sizeof(path), "%s/morphod.db", service.fixture.path);
-      snprintf(sql, sizeof(sql), "UPDATE jobs SET state=1 WHERE id IN (%lld,%lld)", (long long)id, (long long)other);
+      snprintf(sql, sizeof(sql), "UPDATE jobs SET state=%d WHERE id IN (%lld,%lld)", round == 2 ? 0 : 1, (long long)id,
+               (long long)other);
       REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
       CHECK_INT(sqlite3_exec(db, sql, NULL, NULL, NULL), SQLITE_OK);
       sqlite3_close(db);
@@ -697,6 +776,8 @@ static const struct check_case cases[] = {
     {"computes nothing twice", computes_nothing_twice},
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
+    {"survives a wish that comes late", survives_a_late_wish},
+    {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and goes on after it", parks_and_goes_on},
     {"verifies bits", verifies},
     {"records", records},
