@@ -139,6 +139,40 @@ void mo_text_json_number(struct mo_text *text, double value)
   mo_text_bytes(text, digits, (size_t)n);
 }
 
+/* The same text as "%.*g" with the fewest of 6 to 9 digits that read back, for sizes that it writes without an exponent: recordings
+ * hold millions of such numbers, and printf takes microseconds for each. Every product is exact: 24 bits of the value and 28 of
+ * 5^12. 0: not written. */
+static int write_plain_float(float value, char digits[32])
+{
+  static const double powers[] = {1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12};
+  double size = fabs((double)value), whole = 0;
+  int exponent = 5, places = 0;
+  if (!(size >= 1e-4 && size < 1e6))
+    return 0;
+  while (exponent >= 0 ? size < powers[exponent] : size * powers[-exponent] < 1)
+    exponent--;
+  for (int precision = 6; precision <= 9; precision++) {
+    places = precision - 1 - exponent;
+    whole = nearbyint(size * powers[places]);
+    if ((float)(whole / powers[places]) == (float)size)
+      break;
+  }
+  uint64_t number = (uint64_t)whole;
+  for (; places > 0 && number % 10 == 0; places--)
+    number /= 10;
+  int n = 32;
+  for (int place = 0; place <= places || number > 0; place++) {
+    if (place == places && places > 0)
+      digits[--n] = '.';
+    digits[--n] = (char)('0' + number % 10);
+    number /= 10;
+  }
+  if (value < 0)
+    digits[--n] = '-';
+  memmove(digits, digits + n, (size_t)(32 - n));
+  return 32 - n;
+}
+
 void mo_text_json_float(struct mo_text *text, float value)
 {
   if (!isfinite(value)) {
@@ -146,11 +180,11 @@ void mo_text_json_float(struct mo_text *text, float value)
     return;
   }
   char digits[32];
-  int n = 0;
-  for (int precision = 6; precision <= 9; precision++) {
+  int n = write_plain_float(value, digits);
+  for (int precision = 6; n == 0 && precision <= 9; precision++) {
     n = snprintf(digits, sizeof(digits), "%.*g", precision, (double)value);
-    if (precision == 9 || strtof(digits, NULL) == value)
-      break;
+    if (precision < 9 && strtof(digits, NULL) != value)
+      n = 0;
   }
   mo_text_bytes(text, digits, (size_t)n);
 }
