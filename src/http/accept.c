@@ -233,6 +233,13 @@ void mo_connection_cut(struct mo_http *http, const struct mo_connection *connect
   pthread_mutex_unlock(&http->connections_lock);
 }
 
+bool mo_connection_has_left(const struct mo_connection *connection)
+{
+  char byte;
+  ssize_t n = recv(connection->fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
+  return n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR);
+}
+
 void mo_connections_expire(struct mo_http *http, int64_t now_us)
 {
   /* The lock keeps descriptors from being closed, and so from being another connection's, until shutdown is through. */

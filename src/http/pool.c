@@ -138,7 +138,18 @@ void mo_wait_end(struct mo_request *request)
   pthread_mutex_unlock(&pool->lock);
 }
 
-/* Lets go of those for which `over` holds: a parked request is handled once more. */
+/* A parked request is handled once more; one that is not parked yet sees that it need not. With the pool's lock. */
+static void let_go(struct mo_pool *pool, struct mo_request *request)
+{
+  request->wait_fired = true;
+  if (!request->wait_parked)
+    return;
+  unlink_waiting(pool, request);
+  request->wait_over = true;
+  push(pool, request);
+}
+
+/* Lets go of those that wait for this job, or for no longer than now. */
 static void fire(struct mo_http *http, int64_t job, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;
@@ -147,12 +158,7 @@ static void fire(struct mo_http *http, int64_t job, int64_t now_us)
     next = request->next_waiting;
     if (request->wait_job != job && request->wait_deadline_us > now_us && now_us != MO_NEVER)
       continue;
-    request->wait_fired = true;
-    if (request->wait_parked) {
-      unlink_waiting(pool, request);
-      request->wait_over = true;
-      push(pool, request);
-    }
+    let_go(pool, request);
   }
   pthread_mutex_unlock(&pool->lock);
 }
@@ -165,6 +171,18 @@ void mo_waits_job_ended(struct mo_http *http, int64_t job)
 void mo_waits_expire(struct mo_http *http, int64_t now_us)
 {
   fire(http, -1, now_us);
+}
+
+void mo_waits_tick(struct mo_http *http)
+{
+  struct mo_pool *pool = &http->pool;
+  pthread_mutex_lock(&pool->lock);
+  for (struct mo_request *request = pool->waiting, *next; request != NULL; request = next) {
+    next = request->next_waiting;
+    if (request->wait_parked && mo_connection_has_left(request->connection))
+      let_go(pool, request);
+  }
+  pthread_mutex_unlock(&pool->lock);
 }
 
 void mo_pool_close(struct mo_http *http)

@@ -190,7 +190,8 @@ bool mo_wait_park(struct mo_request *request);
 void mo_wait_end(struct mo_request *request);
 void mo_waits_job_ended(struct mo_http *http, int64_t job);
 void mo_waits_expire(struct mo_http *http, int64_t now_us); /* MO_NEVER: all */
-void mo_pool_close(struct mo_http *http);                   /* returns when no request is outside */
+void mo_waits_tick(struct mo_http *http); /* lets go of those whose client has left: they hold a place of its */
+void mo_pool_close(struct mo_http *http); /* returns when no request is outside */
 void mo_pool_stop(struct mo_http *http);
 
 /* ---- event streams (stream.c) ---- */
@@ -259,6 +260,7 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us);
 struct mo_connection *mo_connection_find(struct mo_http *http, int fd);
 void mo_connection_forget(struct mo_http *http, struct mo_connection *connection);
 void mo_connection_cut(struct mo_http *http,
-                       const struct mo_connection *connection); /* shutdown: its I/O thread sees the end */
+                       const struct mo_connection *connection);      /* shutdown: its I/O thread sees the end */
+bool mo_connection_has_left(const struct mo_connection *connection); /* of one that is suspended: nobody else looks */
 
 #endif

@@ -7,7 +7,6 @@
  * its heartbeat.
  *
  * A connection that waits for events is suspended. Everything here is guarded by one lock. */
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -296,12 +295,9 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
   static const char beat[] = ": \n\n";
   pthread_mutex_lock(&http->streams.lock);
   for (struct mo_stream *stream = http->streams.first; stream != NULL; stream = stream->next) {
-    char byte;
     bool unread = stream->buffer.size > stream->read;
     if (stream->suspended) {
-      /* A suspended connection does not notice that its peer has left. */
-      ssize_t n = recv(stream->request->connection->fd, &byte, 1, MSG_PEEK | MSG_DONTWAIT);
-      if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR))
+      if (mo_connection_has_left(stream->request->connection))
         stream->ended = true;
       if (!stream->ended && !unread && now_us - stream->written_us >= (int64_t)http->config.heartbeat_ms * 1000)
         put(stream, beat, sizeof(beat) - 1, now_us);

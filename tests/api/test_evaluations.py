@@ -2,6 +2,7 @@
 
 import json
 import math
+import socket
 import struct
 import threading
 import time
@@ -147,6 +148,28 @@ def test_short_wait_gives_202(service):
     cancelled = service.request("DELETE", "/v1/jobs/" + reply.json()["id"])
     assert cancelled.status == 200
     assert finished(service, reply.headers["Location"]).json()["state"] == "cancelled"
+
+
+def test_clients_that_left_do_not_wait(start):
+    """Those who hang up while they wait must not use up the places of their address."""
+    running = start("--max-in-flight=4")
+    paused = running.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 1000000}}).json()["id"]
+    assert running.request("POST", f"/v1/jobs/{paused}/pause").json()["state"] == "paused"
+    request = f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\nPrefer: wait=60\r\n\r\n".encode()
+    waiting = [socket.create_connection((running.host, running.port)) for _ in range(4)]
+    for sock in waiting:
+        sock.sendall(request)
+    deadline = time.monotonic() + 10
+    while b"morphod_http_requests_in_flight 5\n" not in running.request("GET", "/metrics").body:  # with this one
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    assert running.request("GET", "/v1/jobs").status == 429
+    for sock in waiting:
+        sock.close()
+    while running.request("GET", "/v1/jobs").status == 429:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    assert running.request("DELETE", f"/v1/jobs/{paused}").status == 200
 
 
 def test_recording(service):
