@@ -20,6 +20,7 @@
 
 #include "daemon/crash.h"
 #include "daemon/log.h"
+#include "daemon/tokens.h"
 #include "http/http.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
@@ -27,7 +28,8 @@
 #define LISTENERS_MAX    64
 #define EVENT_FIELDS_MAX 16
 #define ADDRESS_BYTES    256
-#define TOKEN_FILE_MAX   65536
+#define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
+#define STORE_READERS    8 /* more than threads that read: those of the API, the HTTP clock, the scheduler */
 #define JOBS_STOP_MS     3000
 #define HTTP_GRACE_MS    1000
 
@@ -46,58 +48,6 @@ struct service {
   bool crash_marker;
   void (*fatal)(const char *what);
 };
-
-/* ---- tokens ---- */
-
-struct tokens {
-  char *text; /* the file, cut into pieces */
-  const char **items;
-  size_t n;
-};
-
-static void tokens_free(struct tokens *tokens)
-{
-  if (tokens->text != NULL)
-    explicit_bzero(tokens->text, TOKEN_FILE_MAX);
-  free(tokens->text);
-  free(tokens->items);
-  *tokens = (struct tokens){0};
-}
-
-/* One token per line; blank lines and lines that start with # are left out. */
-static int tokens_read(const char *path, struct tokens *tokens, struct mo_message *message)
-{
-  *tokens = (struct tokens){0};
-  if (path == NULL)
-    return MO_OK;
-  FILE *file = fopen(path, "re");
-  if (file == NULL)
-    return mo_fail(message, MO_ERR_IO, "token_file: %s: %s", path, strerror(errno));
-  tokens->text = calloc(1, TOKEN_FILE_MAX + 1);
-  size_t n = tokens->text != NULL ? fread(tokens->text, 1, TOKEN_FILE_MAX + 1, file) : 0;
-  fclose(file);
-  tokens->items = calloc(TOKEN_FILE_MAX / 2, sizeof(*tokens->items));
-  if (tokens->text == NULL || tokens->items == NULL) {
-    tokens_free(tokens);
-    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  }
-  if (n > TOKEN_FILE_MAX) {
-    tokens_free(tokens);
-    return mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path, TOKEN_FILE_MAX);
-  }
-  char *rest = tokens->text, *line;
-  while ((line = strsep(&rest, "\n")) != NULL) {
-    line += strspn(line, " \t");
-    line[strcspn(line, " \t\r")] = 0;
-    if (*line != 0 && *line != '#')
-      tokens->items[tokens->n++] = line;
-  }
-  if (tokens->n == 0) {
-    tokens_free(tokens);
-    return mo_fail(message, MO_ERR_INVALID, "token_file: %s holds no token", path);
-  }
-  return MO_OK;
-}
 
 /* ---- parts ---- */
 
@@ -365,9 +315,11 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
     goto out;
   }
 
-  sd_notify(0, "STATUS=Opening the state folder");
+  /* A migration, or the check after an unclean stop, takes as long as the database is large: the manager must not end it. */
+  sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
   error = make_folders(settings->state_dir, message);
   struct mo_store_config store = {.path = settings->state_dir,
+                                  .n_readers = STORE_READERS,
                                   .events_kept = settings->events_kept,
                                   .fatal = store_is_broken,
                                   .fatal_context = service};
@@ -494,6 +446,12 @@ void service_stop(struct service *service)
 {
   if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
     log_warning("work was still being parked at its deadline; it is repeated at the next start");
+  /* While they still listen: later the path may be the socket of a next process, which found ours without a server. */
+  for (size_t i = 0; i < LISTENERS_MAX; i++)
+    if (service->unix_paths[i] != NULL) {
+      unlink(service->unix_paths[i]);
+      free(service->unix_paths[i]);
+    }
   if (service->http != NULL) {
     mo_http_stop(service->http, HTTP_GRACE_MS);
   } else {
@@ -501,11 +459,6 @@ void service_stop(struct service *service)
       if (service->listeners[i] >= 0)
         close(service->listeners[i]);
   }
-  for (size_t i = 0; i < LISTENERS_MAX; i++)
-    if (service->unix_paths[i] != NULL) {
-      unlink(service->unix_paths[i]);
-      free(service->unix_paths[i]);
-    }
   mo_jobs_free(service->jobs);
   mo_compute_free(service->compute);
   if (service->subscription >= 0)

@@ -15,6 +15,8 @@
 #include <morpho/controller.h>
 #include <morpho/rollout.h>
 
+#include "tokens.h"
+
 static bool is_loopback(const char *host)
 {
   struct in_addr v4;
@@ -125,13 +127,12 @@ static void check_token_file(const char *path, struct settings_faults *faults)
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);
   } else {
-    char text[4096];
-    size_t n = fread(text, 1, sizeof(text), file);
-    bool any = false;
-    for (size_t i = 0; i < n; i++)
-      any |= isgraph((unsigned char)text[i]) != 0;
-    if (!any)
-      settings_fault(faults, true, "token_file: %s holds no token", path);
+    struct tokens tokens;
+    struct mo_message message = {{0}};
+    if (tokens_read(path, &tokens, &message) == MO_OK)
+      tokens_free(&tokens);
+    else
+      settings_fault(faults, true, "%s", message.text);
     if ((status.st_mode & 0007) != 0)
       settings_fault(faults, false, "token_file: %s can be read by everybody (mode %03o)", path,
                      (unsigned)status.st_mode & 0777);
@@ -175,6 +176,8 @@ static void check_listen(const struct settings *settings, struct settings_faults
   }
   if (beyond && settings->token_file == NULL)
     settings_fault(faults, true, "listen: an address beyond loopback needs a token_file");
+  else if (settings->token_on_loopback != 0 && settings->token_file == NULL)
+    settings_fault(faults, true, "token_on_loopback: needs a token_file");
 }
 
 static void check_controller(const char *path, struct settings_faults *faults)

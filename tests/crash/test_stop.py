@@ -187,6 +187,7 @@ def test_watchdog_and_readiness(daemon):
                     return message
             raise AssertionError(f"no {word}")
 
+        wait_for("EXTEND_TIMEOUT_USEC=")  # a large database is not a hang
         wait_for("READY=1")
         for _ in range(3):
             wait_for("WATCHDOG=1")
