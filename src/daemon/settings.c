@@ -79,7 +79,7 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests of one client handled at one time; more are refused with 429."),
+              "Requests of one client handled at one time, event streams aside; more are refused with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
               "Accepted submissions per second and client address; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,

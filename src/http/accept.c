@@ -18,9 +18,10 @@
 
 #include "http/server.h"
 
-#define LINGER_MAX 64
-#define LINGER_US  2000000
-#define UNACKED_MS 30000 /* a peer that acknowledges nothing for so long is gone */
+#define LINGER_MAX   64
+#define LINGER_US    2000000
+#define LINGER_READS 16    /* at a time: a client that sends without end must not hold the acceptor */
+#define UNACKED_MS   30000 /* a peer that acknowledges nothing for so long is gone */
 
 /* Connections that were answered with a refusal: what they still send is read and thrown away for a moment, since closing at once
  * would take the answer back. */
@@ -61,11 +62,11 @@ static void linger_on(struct lingering *linger, int64_t now_us)
 {
   char waste[4096];
   for (size_t i = 0; i < linger->n;) {
-    ssize_t n;
-    do
+    ssize_t n = 1;
+    for (int k = 0; k < LINGER_READS && n > 0; k++)
       n = recv(linger->fd[i], waste, sizeof(waste), MSG_DONTWAIT);
-    while (n > 0);
-    if (n == 0 || (errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) || now_us >= linger->until_us[i]) {
+    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) ||
+        now_us >= linger->until_us[i]) {
       close(linger->fd[i]);
       linger->n--;
       linger->fd[i] = linger->fd[linger->n];
@@ -127,6 +128,10 @@ static void take(struct mo_http *http, struct lingering *linger, size_t listener
                  socklen_t size)
 {
   atomic_fetch_add(&http->metrics.accepted, 1);
+  /* An entry of a descriptor that is new: the library closed that connection before it told of it (no memory). */
+  struct mo_connection *lost = mo_connection_find(http, fd);
+  if (lost != NULL)
+    mo_connection_forget(http, lost);
   if (atomic_load(&http->n_connections) >= http->config.max_connections || (size_t)fd >= http->connections_size) {
     refuse(http, linger, fd, 503, "All connections of the service are in use; try again later.");
     return;

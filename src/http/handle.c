@@ -205,7 +205,7 @@ void mo_handle_direct(struct mo_request *request)
   case MO_ROUTE_WORKERS: workers(request); break;
   case MO_ROUTE_OPENAPI:
     mo_reply_static(request, 200, "application/json", mo_openapi_json, mo_openapi_json_size);
-    mo_reply_etag(request, "openapi-%s-%zu", request->http->version, mo_openapi_json_size);
+    mo_reply_etag(request, "openapi-%s", request->http->contract_tag);
     break;
   default: mo_reply_static(request, 200, "text/html; charset=utf-8", index_page, sizeof(index_page) - 1); break;
   }

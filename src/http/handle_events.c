@@ -83,8 +83,12 @@ enum mo_handled mo_handle_events(struct mo_request *request)
     return MO_HANDLED;
   }
   int code = mo_stream_open(request, after, job);
-  if (code == MO_OK)
+  if (code == MO_OK) {
+    /* Streams have a limit of their own: they take no place from what their client asks besides. */
+    mo_client_leave(&request->http->clients, request->client, mo_http_clock_us());
+    request->client = NULL;
     return MO_STREAMED;
+  }
   if (code == MO_ERR_LIMIT) {
     mo_reply_problem(request, 503, NULL, "All event streams of the service are in use; try again later.");
     request->reply.retry_after_s = 5;

@@ -56,7 +56,8 @@ struct mo_http_config {
   uint32_t client_rate_per_s;    /* submissions per second and client; 0: no limit; beyond: 429 */
   uint64_t max_body_bytes;       /* JSON body of an evaluation; 0: 32 MiB */
   uint64_t max_controller_bytes; /* controller file; 0: 16 MiB */
-  uint64_t max_body_memory;      /* all bodies being received or handled; 0: 8 of the larger of the two above */
+  uint64_t max_body_memory;      /* all bodies being received or handled, and large replies not yet read; 0: 8 of the
+                                    larger of the two above */
   uint32_t header_timeout_ms;    /* from the first moment of a request to the end of its header; 0: 10 s */
   uint32_t body_timeout_ms;      /* from there to the end of the body; 0: 60 s */
   uint32_t idle_timeout_ms;      /* between requests of one connection; 0: 60 s */
@@ -76,7 +77,9 @@ struct mo_http_services {
 struct mo_http_stats {
   uint32_t connections, streams, in_flight, queued;
   uint64_t requests, connections_accepted, connections_refused, connections_timed_out;
-  int64_t heartbeat_us; /* monotonic: the oldest of the acceptor's, the clock's and the API pool's last signs of life */
+  int64_t
+      heartbeat_us; /* monotonic: the older of the acceptor's and the clock's last signs of life; API threads wait for
+                           the store's writer, whose sign of life is its own */
 };
 
 /* Opens a listening socket: "127.0.0.1:8765", "[::1]:0", "name:8765" (first address of the name), "unix:/run/morphod.sock". A

@@ -7,6 +7,8 @@
 #include "http/field.h"
 #include "http/server.h"
 
+#define SMALL_BYTES ((uint64_t)64 << 10) /* of a reply that no limit holds back: refusals must get through */
+
 void mo_reply_clear(struct mo_reply *reply)
 {
   free(reply->body);
@@ -180,10 +182,36 @@ static bool add_headers(struct mo_request *request, struct MHD_Response *respons
   return good;
 }
 
+/* The request's body has served. A large reply takes its place in the limit on memory until it is sent: readers that do not read
+ * would otherwise hold any amount. One alone always passes. */
+static bool reserve_reply(struct mo_request *request)
+{
+  struct mo_http *http = request->http;
+  free(request->body);
+  request->body = NULL;
+  request->body_size = request->body_capacity = 0;
+  atomic_fetch_sub(&http->body_memory, request->body_reserved);
+  request->body_reserved = 0;
+  uint64_t size = request->reply.size;
+  if (request->reply.body == NULL || size <= SMALL_BYTES)
+    return true;
+  uint64_t before = atomic_fetch_add(&http->body_memory, size);
+  if (before > 0 && before + size > http->config.max_body_memory) {
+    atomic_fetch_sub(&http->body_memory, size);
+    return false;
+  }
+  request->body_reserved = size;
+  return true;
+}
+
 enum MHD_Result mo_reply_send(struct mo_request *request)
 {
   struct mo_reply *reply = &request->reply;
   struct MHD_Response *response;
+  if (!reserve_reply(request)) {
+    mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
+    reply->retry_after_s = 5;
+  }
   bool empty = reply->status == 304 || reply->status == 204; /* a 304 tells of the body, but has none */
   if (empty || reply->body == NULL)
     response = MHD_create_response_from_buffer(empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed),

@@ -9,6 +9,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "http/openapi.h"
+
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that take none */
 #define DRAIN_BYTES        (UINT64_C(64) << 20) /* of a refused body, read so that the refusal reaches the client */
 
@@ -507,6 +509,9 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config, st
   http->config = *config;
   fill_defaults(&http->config);
   snprintf(http->version, sizeof(http->version), "%s", config->version != NULL ? config->version : "");
+  struct mo_sha256 contract;
+  mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);
+  mo_sha256_to_hex(&contract, http->contract_tag);
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
     http->id_key = (uint64_t)mo_http_clock_us() << 20;
   http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up below a random prefix */

@@ -221,6 +221,7 @@ struct mo_http {
   struct mo_http_config config; /* with defaults filled in; its pointers are not kept */
   struct mo_http_services services;
   char version[32];
+  char contract_tag[MO_SHA256_DIGITS + 1]; /* of openapi.json */
   gid_t *unix_groups;
   size_t n_unix_groups;
   struct mo_names names;

@@ -220,6 +220,51 @@ static void limits(void)
   mo_http_stop(http, 1000);
 }
 
+static void streams_take_no_place(void)
+{
+  struct mo_http_config config = {.max_in_flight = 2, .max_streams = 3};
+  char text[8192];
+  int streams[3];
+  struct mo_http *http = start(&config);
+  REQUIRE(http != NULL);
+  for (int i = 0; i < 3; i++) {
+    streams[i] = say("GET", "/v1/events", "", "");
+    CHECK(streams[i] >= 0 && recv(streams[i], text, 12, MSG_WAITALL) == 12 && memcmp(text + 9, "200", 3) == 0);
+  }
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  CHECK_INT(ask("GET", "/v1/events", "", "", text, sizeof(text)), 503); /* their own limit */
+  for (int i = 0; i < 3; i++)
+    close(streams[i]);
+  mo_http_stop(http, 1000);
+}
+
+/* Readers that do not read hold their replies in memory, up to the limit. */
+static void memory(void)
+{
+  struct mo_http_config config = {.max_body_memory = 24 << 20};
+  char text[8192], path[64];
+  struct mo_http *http = start(&config);
+  REQUIRE(http != NULL);
+  int status = ask(
+      "POST", "/v1/evaluations", "Prefer: wait=20\r\n",
+      "{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[4,2],\"terrain_sigma_m\":0,\"seed\":1}],"
+      "\"physics\":{\"n_steps\":100000},\"record\":[\"masses\"],\"record_stride\":1}",
+      text, sizeof(text));
+  CHECK_INT(status, 200);
+  const char *id = strstr(text, "/v1/evaluations/");
+  REQUIRE(id != NULL);
+  snprintf(path, sizeof(path), "%.*s/trajectories/0", (int)strcspn(id, "\r"), id);
+  int slow = say("GET", path, "", "");
+  CHECK(slow >= 0 && recv(slow, text, 12, MSG_WAITALL) == 12 && memcmp(text + 9, "200", 3) == 0);
+  CHECK_INT(ask("GET", path, "", "", text, sizeof(text)), 503);
+  CHECK(strstr(text, "Retry-After") != NULL);
+  CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
+  close(slow);
+  pause_ms(200);
+  CHECK_INT(ask("GET", path, "", "", text, sizeof(text)), 200);
+  mo_http_stop(http, 1000);
+}
+
 static void draining(void)
 {
   struct mo_http_config config = {0};
@@ -360,6 +405,8 @@ static const struct check_case cases[] = {
     {"configuration", configuration},
     {"addresses", addresses},
     {"limits of one client", limits},
+    {"streams take no place of requests", streams_take_no_place},
+    {"memory of replies", memory},
     {"draining", draining},
     {"waiting ends with the server", waiting_ends_with_the_server},
     {"heartbeats", heartbeats},
