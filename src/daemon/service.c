@@ -2,9 +2,9 @@
  * controller, HTTP. The end goes the other way, except that jobs park before HTTP ends, so that replies can still be given. */
 #include "service.h"
 
-#include <ctype.h>
 #include <errno.h>
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -12,7 +12,6 @@
 #include <unistd.h>
 
 #include <grp.h>
-#include <jansson.h>
 #include <systemd/sd-daemon.h>
 
 #include <morpho/compute.h>
@@ -22,6 +21,7 @@
 #include "daemon/log.h"
 #include "daemon/tokens.h"
 #include "http/http.h"
+#include "http/json.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
 
@@ -132,32 +132,46 @@ static void store_is_broken(void *context, const char *what)
   service->fatal(what);
 }
 
+/* A text of the event, ended by a NUL, in the room that is left for such. */
+static const char *keep(char **room, struct mo_json_slice text)
+{
+  char *kept = *room;
+  memcpy(kept, text.bytes, text.size);
+  kept[text.size] = '\0';
+  *room += text.size + 1;
+  return kept;
+}
+
 /* The members of an event's data become fields of its line. */
 static void log_event(enum log_level level, const struct mo_event *event)
 {
   struct log_field fields[EVENT_FIELDS_MAX];
+  char kept[sizeof(event->data)], *room = kept; /* suffices: each text had its quotes */
   size_t n = 0;
   fields[n++] = LOG_INT("event", event->sequence);
   if (event->job != 0)
     fields[n++] = LOG_INT("job", event->job);
-  json_t *data = json_loads(event->data, 0, NULL);
-  const char *key;
-  json_t *value;
-  json_object_foreach(data, key, value)
-  {
-    if (n == EVENT_FIELDS_MAX)
-      break;
-    if (strcmp(key, "id") == 0 || strcmp(key, "kind") == 0) /* the job's id is there already */
-      continue;
-    if (json_is_string(value))
-      fields[n++] = LOG_TEXT(key, json_string_value(value));
-    else if (json_is_integer(value))
-      fields[n++] = LOG_INT(key, json_integer_value(value));
-    else if (json_is_real(value))
-      fields[n++] = LOG_REAL(key, json_real_value(value));
+  struct mo_faults faults = {0};
+  struct mo_json json;
+  struct mo_json_slice key, text;
+  mo_json_start(&json, event->data, strlen(event->data), &faults);
+  bool object = mo_json_object(&json);
+  while (object && n < EVENT_FIELDS_MAX && mo_json_member(&json, &key)) {
+    enum mo_json_kind kind = mo_json_peek(&json);
+    double number;
+    if (mo_json_is(key, "id") || mo_json_is(key, "kind")) /* the job's id is there already */
+      mo_json_skip(&json);
+    else if (kind == MO_JSON_STRING && mo_json_string(&json, &text)) {
+      const char *name = keep(&room, key);
+      fields[n++] = LOG_TEXT(name, keep(&room, text));
+    } else if (kind == MO_JSON_NUMBER && mo_json_number(&json, &number)) {
+      bool whole = number == nearbyint(number) && fabs(number) < 0x1p53;
+      const char *name = keep(&room, key);
+      fields[n++] = whole ? LOG_INT(name, (int64_t)number) : LOG_REAL(name, number);
+    } else if (kind != MO_JSON_STRING && kind != MO_JSON_NUMBER)
+      mo_json_skip(&json);
   }
   log_write(level, event->type, fields, n);
-  json_decref(data);
 }
 
 static void log_events(void *context, const struct mo_event *events, size_t n)
