@@ -220,9 +220,10 @@ static void cancels_pauses_resumes(void)
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_cancel(service.jobs, 1234), MO_ERR_NOT_FOUND);
   /* Paused in the middle: what is done stays done. */
-  fake_plan.delay_us = 3000;
+  fake_plan.delay_us = 20000;
   id = service_submit(&service, &request);
-  usleep(60000);
+  for (double end = now_s() + 10; computed(&service) == 0 && now_s() < end;)
+    usleep(1000);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   usleep(300000); /* what was in flight lands */
@@ -231,6 +232,7 @@ static void cancels_pauses_resumes(void)
   usleep(50000);
   CHECK_INT(computed(&service), before);
   CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
+  fake_plan.delay_us = 1000;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
@@ -241,6 +243,7 @@ static void cancels_pauses_resumes(void)
   free(forms);
   free(genotypes);
   REQUIRE(fixture_bodies(5, 60, &forms, &genotypes) == MO_OK);
+  fake_plan.delay_us = 50000;
   request = service_request(genotypes, 60);
   id = service_submit(&service, &request);
   for (int i = 0; i < 30; i++) {
@@ -252,6 +255,7 @@ static void cancels_pauses_resumes(void)
   other = service_submit(&service, &request);
   usleep(5000);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
+  fake_plan.delay_us = 1000;
   REQUIRE(mo_jobs_wait(service.jobs, other, 20000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(right(&service, other, genotypes));
