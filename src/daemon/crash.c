@@ -62,7 +62,7 @@ int crash_open(const char *state_dir, char **last, struct mo_message *message)
     sigemptyset(&action.sa_mask);
     for (size_t i = 0; i < N_SIGNALS; i++)
       sigaction(signals[i], &action, NULL);
-    if (stat(old, &status) == 0) {
+    if (stat(old, &status) == 0 && status.st_size > 0) { /* empty: an earlier start has read it */
       *last = old;
       old = NULL;
     }
