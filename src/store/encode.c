@@ -64,10 +64,13 @@ void mo_decode_floats(const uint8_t *bytes, size_t n, float *values)
   }
 }
 
+/* −0 is written as 0: environments that are equal are one, and are computed once. */
 void mo_encode_environment(const struct mo_environment *environment, uint8_t bytes[MO_ENVIRONMENT_BYTES])
 {
-  mo_encode_doubles(environment->light_xy_m, 2, bytes);
-  mo_encode_doubles(environment->terrain_heights_m, MO_TERRAIN_HEIGHTS, bytes + 16);
+  for (size_t i = 0; i < 2 + MO_TERRAIN_HEIGHTS; i++) {
+    double value = i < 2 ? environment->light_xy_m[i] : environment->terrain_heights_m[i - 2];
+    mo_encode_double(value == 0.0 ? 0.0 : value, bytes + 8 * i);
+  }
 }
 
 void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES], struct mo_environment *environment)

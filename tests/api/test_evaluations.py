@@ -88,6 +88,15 @@ def test_scores_are_not_computed_twice(service):
     assert second["results"] == first["results"]
 
 
+def test_minus_zero_is_zero(service):
+    """Environments that are equal are one, however their zeros are written."""
+    place = {"designs": [DESIGN], "physics": {"n_steps": 21}}
+    first = service.evaluate({**place, "environments": [{"light_xy_m": [0, 1], "terrain_heights_m": [0] * 64}]}).json()
+    again = service.evaluate({**place, "environments": [{"light_xy_m": [-0.0, 1], "terrain_heights_m": [-0.0] * 64}]}).json()
+    assert again["rollouts_cached"] == 1
+    assert again["results"] == first["results"]
+
+
 def test_verify(service):
     request = {"designs": [BATCH[1]], "physics": {"n_steps": 56}}
     fresh = service.evaluate(dict(request, verify=True)).json()["results"][0]
