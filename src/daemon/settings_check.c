@@ -121,8 +121,7 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
 static void check_token_file(const char *path, struct settings_faults *faults)
 {
   struct stat status;
-  FILE *file = fopen(path, "re");
-  if (file == NULL || fstat(fileno(file), &status) != 0) {
+  if (stat(path, &status) != 0) { /* before it is opened: the reader of a pipe would wait for ever */
     settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);
@@ -137,8 +136,6 @@ static void check_token_file(const char *path, struct settings_faults *faults)
       settings_fault(faults, false, "token_file: %s can be read by everybody (mode %03o)", path,
                      (unsigned)status.st_mode & 0777);
   }
-  if (file != NULL)
-    fclose(file);
 }
 
 /* A file that will be made: its folder can be written. */

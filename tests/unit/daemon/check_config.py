@@ -91,6 +91,9 @@ def test_tokens():
     token.chmod(0o600)
     says(check("--listen=0.0.0.0:8765", CREDENTIALS_DIRECTORY=folder), 0)
     token.unlink()
+    os.mkfifo(token)
+    says(check(f"--token-file={token}"), 78, "is not a file")
+    token.unlink()
 
 
 def test_controller():
