@@ -184,6 +184,15 @@ static bool append(struct curl_slist **list, const char *name, const char *value
   return true;
 }
 
+static bool is_loopback(const char *base)
+{
+  const char *host = strstr(base, "://");
+  host = host != NULL ? host + 3 : base;
+  size_t n = strcspn(host, ":/");
+  return strncmp(host, "[::1]", 5) == 0 || (n == 9 && strncasecmp(host, "localhost", n) == 0) ||
+         (strncmp(host, "127.", 4) == 0 && strspn(host, "0123456789.") == n);
+}
+
 /* One attempt. `data` NULL: the body goes into the reply. */
 static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply, curl_write_callback data,
                         void *context)
@@ -218,6 +227,9 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
     if (transport->socket != NULL)
       curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
+    if (is_loopback(
+            transport->base)) /* a proxy of the environment is another machine: it would get the token for nothing */
+      curl_easy_setopt(curl, CURLOPT_PROXY, "");
     curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
     curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
     if (strcmp(request->method, "GET") != 0) {

@@ -212,7 +212,7 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
     mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
     reply->retry_after_s = 5;
   }
-  bool empty = reply->status == 304 || reply->status == 204; /* a 304 tells of the body, but has none */
+  bool empty = reply->status == 204;
   if (empty || reply->body == NULL)
     response = MHD_create_response_from_buffer(empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed),
                                                MHD_RESPMEM_PERSISTENT);
@@ -222,7 +222,8 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
     return MHD_NO;
   if (!empty)
     reply->body = NULL; /* the response has it now */
-  request->sent = request->method == MO_HEAD || empty ? 0 : reply->size;
+  /* The library sends no body with these, but tells its length. */
+  request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
   /* A reader that does not read is cut off: a minute, and a second more for every 64 KiB. */
   atomic_store(&request->connection->deadline_us,
                mo_http_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);

@@ -29,6 +29,7 @@ def test_index_and_contract(service):
     assert reply.json() == json.loads(json.dumps(CONTRACT.document))
     again = service.request("GET", "/openapi.json", headers={"If-None-Match": reply.headers["ETag"]})
     assert again.status == 304 and again.body == b""
+    assert again.headers["Content-Length"] == str(len(reply.body)), "the length is that of the 200"
 
 
 def test_contract_lists_every_operation(service):

@@ -145,6 +145,12 @@ def test_text_of_others_is_not_obeyed():
         assert not re.search("[\0-\x09\x0b-\x1f\x7f-\x9f]", out + err), (out, err)
 
 
+def test_no_proxy_between_loopback_addresses():
+    with Server([reply(200, JOB)]) as server:
+        assert run(server, "job", "show", "7", "--retry", "0", http_proxy="http://127.0.0.1:1", all_proxy="http://127.0.0.1:1")[0] == 0
+        assert server.seen[0][1] == "/v1/jobs/7"
+
+
 def test_json_is_the_apis():
     evaluation = {**JOB, "results": [RESULT]}
     with Server([reply(200, evaluation)]) as server:
