@@ -264,7 +264,7 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const 
       else
         mo_jobs_recount(jobs);
     } else {
-      delay(jobs, active->id); /* also when its start was lost with a failed save: it is queued still */
+      delay(jobs, active->id);
     }
     break;
   case MO_STEP_PARK: break;
@@ -287,9 +287,9 @@ static void settle(struct mo_jobs *jobs, int status)
     struct mo_active *active = saving->owners[i];
     if (status == MO_OK) {
       settle_update(jobs, active, &saving->save.updates[i]);
-    } else if (saving->save.updates[i].step == MO_STEP_RETRY) {
-      active->failing = false;
-      delay(jobs, active->id);
+    } else if (saving->save.updates[i].step == MO_STEP_RETRY) { /* again, without what could not be saved */
+      const struct mo_job_update *lost = &saving->save.updates[i];
+      active->failing = mo_pending_update(jobs, active, MO_STEP_RETRY, lost->error, lost->error_text) == MO_OK;
     }
     mo_active_release(jobs, active);
   }

@@ -101,8 +101,8 @@ enum mo_job_step {
   MO_STEP_START,    /* queued → running under this epoch (and again, if it is so already) */
   MO_STEP_PROGRESS, /* counts */
   MO_STEP_SUCCEED,  /* running → succeeded, with counts */
-  MO_STEP_RETRY,    /* running → queued, one attempt more; at max_attempts → failed */
-  MO_STEP_PARK      /* running → queued */
+  MO_STEP_RETRY, /* running (or queued: its start was lost) → queued, one attempt more; at max_attempts → failed */
+  MO_STEP_PARK   /* running → queued */
 };
 struct mo_job_update {
   int64_t job;

@@ -187,7 +187,7 @@ static const char succeed_sql[] = "UPDATE jobs SET state=3,version=version+1,fin
 static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=version+1,error=?4,error_text=?5,"
                                 "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
                                 "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
-                                " WHERE id=?1 AND state=1 AND epoch=?2";
+                                " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
 static const char park_sql[] = "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND state=1 AND epoch=?2";
 
 static int apply_counts(struct mo_connection *writer, const struct mo_job_update *update)

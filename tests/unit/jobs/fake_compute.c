@@ -53,7 +53,9 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
   h = mix(h, &kind, sizeof(kind));
   if (controller != NULL)
     h = mix(h, controller->parameters, 64 * sizeof(float));
-  if (h % 31 == 0) {
+  if (atomic_load(&fake_plan.poison)) {
+    outcome.loss = NAN;
+  } else if (h % 31 == 0) {
     outcome.loss = INFINITY;
     outcome.diverged_step = (int32_t)(1 + (h >> 20) % physics->n_steps);
   } else {

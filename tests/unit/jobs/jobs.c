@@ -563,6 +563,49 @@ static void parks_after_three_errors(void)
   service_end(&service);
 }
 
+/* The save that fails holds the start of the job, or one of its errors, or neither. */
+static void parks_what_cannot_be_saved(void)
+{
+  for (int round = 0; round < 3; round++) {
+    struct service service;
+    struct mo_bits *forms, *genotypes;
+    struct mo_evaluation_request request;
+    struct mo_jobs_stats stats;
+    struct mo_job job;
+    int64_t id;
+    REQUIRE(service_start(&service) == MO_OK);
+    REQUIRE(fixture_bodies(21, 4, &forms, &genotypes) == MO_OK);
+    fake_plan.poison = true;
+    fake_plan.delay_us = round == 0 ? 0 : 250000;
+    fake_plan.fail_word = genotypes[1].words[0];
+    fake_plan.fail_times = 1000;
+    fake_plan.fail_status = round == 1 ? MO_ERR_NO_MEMORY : 0;
+    request = service_request(genotypes, 4);
+    request.priority = round == 0 ? MO_INTERACTIVE : MO_BATCH;
+    id = service_submit(&service, &request);
+    REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+    CHECK_INT(job.state, MO_JOB_FAILED);
+    CHECK_INT(job.attempts, 3);
+    stats = settled(&service);
+    CHECK_INT(stats.open_jobs, 0);
+    /* The others go on. */
+    fake_plan.poison = false;
+    fake_plan.fail_status = 0;
+    fake_plan.delay_us = 0;
+    free(forms);
+    free(genotypes);
+    REQUIRE(fixture_bodies(19, 5, &forms, &genotypes) == MO_OK);
+    request = service_request(genotypes, 5);
+    id = service_submit(&service, &request);
+    REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
+    CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+    CHECK(right(&service, id, genotypes));
+    free(forms);
+    free(genotypes);
+    service_end(&service);
+  }
+}
+
 static void blames_crashes_on_their_job(void)
 {
   struct service service;
@@ -787,6 +830,7 @@ static const struct check_case cases[] = {
     {"records", records},
     {"refuses what it must", refuses},
     {"parks a job after three errors", parks_after_three_errors},
+    {"parks a job whose losses cannot be saved", parks_what_cannot_be_saved},
     {"blames crashes on their job", blames_crashes_on_their_job},
     {"waits for room on the disk", waits_for_room},
     {"keeps few controllers ready", answers_from_its_cache_of_controllers},

@@ -36,6 +36,7 @@ static inline int service_start(struct service *service)
   fake_plan.delay_us = 0;
   fake_plan.fail_status = 0;
   fake_plan.skew = 0;
+  fake_plan.poison = false;
   fake_forget();
   if (fixture_folder(&service->fixture) != 0)
     return -1;
