@@ -183,6 +183,7 @@ enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
     free(faults);
     if (!stored)
       return MO_HANDLED;
+    mo_request_drop_body(request); /* while it waits for the result, others may send theirs */
   }
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;

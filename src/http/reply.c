@@ -182,16 +182,21 @@ static bool add_headers(struct mo_request *request, struct MHD_Response *respons
   return good;
 }
 
+void mo_request_drop_body(struct mo_request *request)
+{
+  free(request->body);
+  request->body = NULL;
+  request->body_size = request->body_capacity = 0;
+  atomic_fetch_sub(&request->http->body_memory, request->body_reserved);
+  request->body_reserved = 0;
+}
+
 /* The request's body has served. A large reply takes its place in the limit on memory until it is sent: readers that do not read
  * would otherwise hold any amount. One alone always passes. */
 static bool reserve_reply(struct mo_request *request)
 {
   struct mo_http *http = request->http;
-  free(request->body);
-  request->body = NULL;
-  request->body_size = request->body_capacity = 0;
-  atomic_fetch_sub(&http->body_memory, request->body_reserved);
-  request->body_reserved = 0;
+  mo_request_drop_body(request);
   uint64_t size = request->reply.size;
   if (request->reply.body == NULL || size <= SMALL_BYTES)
     return true;

@@ -128,6 +128,7 @@ void mo_reply_etag_of_body(struct mo_request *request); /* the tag is the hash o
 void mo_reply_extra(struct mo_request *request, const char *name, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);
+void mo_request_drop_body(struct mo_request *request); /* gives its memory back: it has been read */
 enum MHD_Result mo_reply_send(struct mo_request *request);
 
 /* handle.c: the routes. Called on an API thread (mo_handle_direct: on an I/O thread). */

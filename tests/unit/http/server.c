@@ -263,6 +263,20 @@ static void memory(void)
   pause_ms(200);
   CHECK_INT(ask("GET", path, "", "", text, sizeof(text)), 200);
   mo_http_stop(http, 1000);
+  /* A request that waits for its result needs its body no more. */
+  config = (struct mo_http_config){.max_body_memory = 20000};
+  http = start(&config);
+  REQUIRE(http != NULL);
+  atomic_store(&fake_plan.delay_us, 500000);
+  char body[256];
+  snprintf(body, sizeof(body), one, 13);
+  int waiting = say("POST", "/v1/evaluations", "Prefer: wait=20\r\n", body);
+  pause_ms(150);
+  snprintf(body, sizeof(body), one, 14);
+  CHECK_INT(ask("POST", "/v1/evaluations", "", body, text, sizeof(text)), 202);
+  atomic_store(&fake_plan.delay_us, 0);
+  CHECK_INT(hear(waiting, text, sizeof(text)), 200);
+  mo_http_stop(http, 1000);
 }
 
 static void draining(void)
