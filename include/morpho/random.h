@@ -44,8 +44,8 @@ void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose pur
 
 uint32_t mo_random_u32(struct mo_random *random);
 void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n); /* n times mo_random_u32, faster */
-uint64_t mo_random_u64(struct mo_random *random);               /* first number is the low half */
-double mo_random_uniform(struct mo_random *random);             /* [0, 1), 53 bits */
+uint64_t mo_random_u64(struct mo_random *random);                           /* first number is the low half */
+double mo_random_uniform(struct mo_random *random);                         /* [0, 1), 53 bits */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n); /* uniform on 0 … n−1, unbiased; 0 for n = 0 */
 double mo_random_normal(struct mo_random *random);              /* N(0, 1) by inversion: one uniform per number */
 
