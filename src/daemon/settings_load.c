@@ -5,6 +5,7 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #define FILE_MAX (1 << 20)
 
@@ -150,6 +151,11 @@ void settings_read_text(struct settings *settings, const char *file, const char 
 /* Returns whether the file exists. */
 static bool read_file(struct settings *settings, const char *path, bool required, struct settings_faults *faults)
 {
+  struct stat status;
+  if (stat(path, &status) == 0 && S_ISFIFO(status.st_mode)) { /* a reload would wait for its writer for ever */
+    settings_fault(faults, true, "%s is a pipe, not a file", path);
+    return false;
+  }
   FILE *file = fopen(path, "re");
   if (file == NULL) {
     if (required || errno != ENOENT)

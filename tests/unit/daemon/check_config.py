@@ -93,6 +93,7 @@ def test_tokens():
     token.unlink()
     os.mkfifo(token)
     says(check(f"--token-file={token}"), 78, "is not a file")
+    says(check(f"--config={token}"), 78, "is a pipe, not a file")
     token.unlink()
 
 
