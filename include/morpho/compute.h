@@ -16,7 +16,8 @@
 extern "C" {
 #endif
 
-/* A controller ready for a back end: packs for each precision are made at first use and shared. Reference-counted. */
+/* A controller ready for a back end: packs for each precision are made at first use and shared by all
+ * workers. */
 struct mo_compute;
 struct mo_compute_controller;
 

@@ -4,7 +4,8 @@
 
 #include <morpho/compute.h>
 
-/* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of any result. */
+/* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of any result.
+ * tests/unit/rollout/bits.c notices such a change. */
 #define MO_KERNEL_VERSION 1
 
 /* The pack of one precision, made at first use; waits while another thread makes it. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
