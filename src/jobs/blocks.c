@@ -10,6 +10,8 @@
 
 #include "jobs/internal.h"
 
+#define NOT_A_LOSS MO_ERR_RANGE /* which back ends do not give */
+
 /* ---- the table of rollouts ---- */
 
 static size_t bucket_of(int64_t genotype, int64_t controller, int64_t physics, int64_t environment)
@@ -333,7 +335,18 @@ static void drop_flight(struct mo_jobs *jobs, struct mo_flight *flight)
 
 static void describe(int status, char text[128])
 {
-  snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(status));
+  if (status == NOT_A_LOSS)
+    snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
+  else
+    snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(status));
+}
+
+/* A diverged rollout has the loss +infinity; no input may give NaN or −infinity, and neither may be stored. */
+static int check_outcome(const struct mo_block *block, uint32_t i)
+{
+  if (block->status != MO_OK)
+    return block->status;
+  return block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
 }
 
 /* The waiting cells of a rollout learn its fate, and the list ends. */
@@ -344,15 +357,13 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     struct mo_waiter *waiter = rollout->waiters;
     struct mo_active *active = waiter->active;
     rollout->waiters = waiter->next;
-    if (!active->detached) {
-      if (status == MO_OK) {
-        finish_cell(jobs, active, waiter->cell, rollout->diverged_step, waiter->owner ? COMPUTED : SHARED);
-      } else {
-        return_cell(active, waiter->cell);
-        if (status != MO_ERR_CANCELLED) {
-          describe(status, text);
-          mo_active_fail(jobs, active, status, text);
-        }
+    if (status == MO_OK) {
+      finish_cell(jobs, active, waiter->cell, rollout->diverged_step, waiter->owner ? COMPUTED : SHARED);
+    } else if (!active->detached) {
+      return_cell(active, waiter->cell);
+      if (status != MO_ERR_CANCELLED) {
+        describe(status, text);
+        mo_active_fail(jobs, active, status, text);
       }
     }
     free(waiter);
@@ -372,7 +383,7 @@ static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
                                    .fingerprint = jobs->fingerprints[flight->block.precision],
                                    .loss = outcome->loss,
                                    .diverged_step = outcome->diverged_step};
-    int status = flight->block.status;
+    int status = check_outcome(&flight->block, i);
     if (status == MO_OK)
       status = mo_pending_score(jobs, &score);
     if (status == MO_OK) {
@@ -430,8 +441,7 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
     return error;
   atomic_fetch_add(&jobs->computed, 1);
   atomic_fetch_add(&jobs->diverged, outcome->diverged_step != 0);
-  if (!active->detached)
-    finish_cell(jobs, active, flight->cells[i], outcome->diverged_step, COMPUTED);
+  finish_cell(jobs, active, flight->cells[i], outcome->diverged_step, COMPUTED);
   return MO_OK;
 }
 
@@ -440,7 +450,7 @@ static void land_private(struct mo_jobs *jobs, struct mo_flight *flight)
   struct mo_active *active = flight->owner;
   char text[128];
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    int status = flight->block.status;
+    int status = check_outcome(&flight->block, i);
     if (status == MO_OK)
       status = land_private_cell(jobs, flight, i);
     if (status == MO_OK || active->detached)

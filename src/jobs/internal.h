@@ -42,11 +42,13 @@ struct mo_active {
   uint8_t *left;   /* (n_designs) cells that are not done */
   uint32_t cursor; /* no design before it has a cell to do */
   uint64_t total, done, cached, diverged;
-  uint64_t
-      own_before; /* rollouts that this job computed in earlier lives: found in the store, but not counted as cached */
+  /* What was told of a shared job before it was claimed this time: its cells are found again in the store, in any order, and
+   * what is told meanwhile never goes back. */
+  uint64_t done_before, cached_before, diverged_before;
+  uint64_t own_before; /* rollouts that this job computed then: found in the store, but not counted as cached */
   double pass;    /* virtual time: the job with the least goes next */
   bool private_runs; /* verify or recording: shares nothing, looks nothing up */
-  bool detached;     /* cancelled, paused, failed: makes no more blocks, what comes back is not its own */
+  bool detached;     /* cancelled, paused, failed: makes no more blocks; what comes back is counted still */
   bool failing;      /* detached, and the note of it is not committed yet */
   bool finishing;    /* its end is in a save */
   bool changed;      /* counts differ from the last save's */

@@ -15,6 +15,11 @@
 #define SCORES_BEHIND  16384
 #define BYTES_BEHIND   (UINT64_C(64) << 20)
 
+static uint64_t larger(uint64_t a, uint64_t b)
+{
+  return a > b ? a : b;
+}
+
 /* Room for one more in an array. */
 static bool grow(void **array, size_t n, size_t *room, size_t size)
 {
@@ -97,9 +102,9 @@ int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_jo
   *update = (struct mo_job_update){.job = active->id,
                                    .step = step,
                                    .total = active->total,
-                                   .done = active->done,
-                                   .cached = active->cached,
-                                   .diverged = active->diverged,
+                                   .done = larger(active->done, active->done_before),
+                                   .cached = larger(active->cached, active->cached_before),
+                                   .diverged = larger(active->diverged, active->diverged_before),
                                    .started_us = step == MO_STEP_START ? mo_store_now_us() : 0,
                                    .error = error,
                                    .max_attempts = jobs->config.max_attempts};
@@ -176,9 +181,9 @@ static void add_counts(struct mo_jobs *jobs)
 {
   int64_t now = mo_jobs_clock_us();
   for (struct mo_active *active = jobs->actives; active != NULL; active = active->next) {
-    bool ended = active->done == active->total;
+    bool ended = !active->detached && active->done == active->total;
     int error;
-    if (active->detached || active->finishing || !(active->changed || ended))
+    if (active->finishing || !(active->changed || ended))
       continue;
     error = mo_pending_update(jobs, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
     if (error != MO_OK)

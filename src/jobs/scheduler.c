@@ -73,19 +73,23 @@ void mo_actives_free_all(struct mo_jobs *jobs)
   }
 }
 
-/* Frees the detached jobs that nothing refers to. */
-static void sweep(struct mo_jobs *jobs)
+/* Frees the detached jobs that nothing refers to and whose counts are saved. Returns whether there was one: the same job may
+ * be claimed again. */
+static bool sweep(struct mo_jobs *jobs)
 {
   struct mo_active **link = &jobs->actives;
+  bool freed = false;
   while (*link != NULL) {
     struct mo_active *active = *link;
-    if (active->detached && !active->failing && active->references == 0) {
+    if (active->detached && !active->failing && !active->changed && active->references == 0) {
       *link = active->next;
       free_active(jobs, active);
+      freed = true;
     } else {
       link = &active->next;
     }
   }
+  return freed;
 }
 
 void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, const char *text)
@@ -105,6 +109,16 @@ static uint32_t count_active(const struct mo_jobs *jobs, enum mo_urgency priorit
   return n;
 }
 
+/* A job that was paused and resumed is claimed again when the blocks that it had in flight are back and saved: earlier, they would
+ * be computed twice and counted as somebody else's. */
+static bool is_held(const struct mo_jobs *jobs, int64_t id)
+{
+  for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
+    if (active->id == id)
+      return true;
+  return false;
+}
+
 static bool is_delayed(const struct mo_jobs *jobs, int64_t id)
 {
   for (unsigned i = 0; i < jobs->n_delayed; i++)
@@ -121,6 +135,9 @@ static void mark_finished(struct mo_active *active)
   active->total = work->job.rollouts_total;
   active->private_runs = work->finished != NULL;
   if (!active->private_runs) {
+    active->done_before = work->job.rollouts_done;
+    active->cached_before = work->job.rollouts_cached;
+    active->diverged_before = work->job.rollouts_diverged;
     if (work->job.rollouts_done > work->job.rollouts_cached)
       active->own_before = work->job.rollouts_done - work->job.rollouts_cached;
     return;
@@ -188,7 +205,7 @@ static void claim_priority(struct mo_jobs *jobs, enum mo_urgency priority, uint3
   if (n < 0)
     jobs->look_again = true; /* in a second at most */
   for (int64_t i = 0; i < n && n_active < places; i++) {
-    if (mo_active_find(jobs, ids[i]) != NULL || is_delayed(jobs, ids[i]))
+    if (is_held(jobs, ids[i]) || is_delayed(jobs, ids[i]))
       continue;
     if (!claim_one(jobs, ids[i], priority))
       return;
@@ -358,7 +375,8 @@ void *mo_scheduler_loop(void *context)
       more = go_on(jobs, inbox.look);
     }
     due = mo_saver_run(jobs, inbox.stopping);
-    sweep(jobs);
+    if (sweep(jobs))
+      more = jobs->look_again = true;
     publish(jobs);
     until = mo_jobs_clock_us() + (more ? 0 : ROUND_US);
     if (due < until)

@@ -107,8 +107,8 @@ enum mo_job_step {
 struct mo_job_update {
   int64_t job;
   enum mo_job_step step;
-  uint64_t total, done, cached, diverged;
-  int64_t started_us; /* start */
+  uint64_t total, done, cached, diverged; /* total 0: the counts stay as they are */
+  int64_t started_us;                     /* start */
   int error;          /* retry */
   char error_text[256];
   uint32_t max_attempts;

@@ -1,7 +1,8 @@
 /* save.c: what the scheduler writes: losses, trajectories, and the steps of jobs, all in one transaction.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store (its epoch), so that a job
- * which a person has cancelled or paused meanwhile keeps that state. Scores are kept all the same: they are true. */
+ * which a person has cancelled or paused meanwhile keeps that state. Scores are kept all the same: they are true; so are the
+ * counts of a job that is not over, or its blocks that land after a pause would look like somebody else's work. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -236,6 +237,22 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
   return mo_writer_event(store, update->job, type, data);
 }
 
+/* The step came too late. */
+static int apply_late_counts(struct mo_connection *writer, const struct mo_job_update *update)
+{
+  static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND state IN (0,2)";
+  int error = MO_OK;
+  sqlite3_stmt *statement;
+  if (update->total == 0)
+    return MO_OK;
+  statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, update->job);
+  error = mo_sql_run(writer, statement);
+  return error == MO_OK && sqlite3_changes(writer->db) > 0 ? apply_counts(writer, update) : error;
+}
+
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
   static const char *const sql[] = {start_sql, progress_sql, succeed_sql, retry_sql, park_sql};
@@ -258,10 +275,13 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
   }
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
-  if (error != MO_OK || sqlite3_changes(writer->db) == 0)
+  if (error != MO_OK)
     return error;
+  if (sqlite3_changes(writer->db) == 0)
+    return apply_late_counts(writer, update);
   update->applied = true;
-  error = apply_counts(writer, update);
+  if (update->total > 0)
+    error = apply_counts(writer, update);
   if (error == MO_OK)
     error = read_state(writer, update);
   return error == MO_OK && !update->quiet ? announce(store, update) : error;

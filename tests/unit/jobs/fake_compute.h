@@ -13,7 +13,7 @@ struct fake_plan {
   atomic_int fail_status;         /* 0, or what blocks of the genotype below end with */
   atomic_uint_fast64_t fail_word; /* first word of that genotype */
   atomic_int fail_times;          /* blocks left to fail */
-  atomic_bool poison;             /* losses are NaN, which the store refuses */
+  atomic_bool poison;             /* losses are NaN */
   atomic_int skew;                /* added to losses: as if the code had changed */
 };
 extern struct fake_plan fake_plan;

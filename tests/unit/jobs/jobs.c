@@ -264,6 +264,69 @@ static void cancels_pauses_resumes(void)
   service_end(&service);
 }
 
+/* Whatever kind of job: nothing is computed twice, its own work is not "cached", and its counts never go back. */
+static void counts_through_pauses(void)
+{
+  enum { DESIGNS = 40, ROLLOUTS = DESIGNS * 10, ROUNDS = 12 };
+  for (int kind = 0; kind < 3; kind++) {
+    struct service service;
+    struct mo_bits *forms, *genotypes;
+    struct mo_evaluation_request request;
+    struct mo_job job = {.state = MO_JOB_QUEUED};
+    uint64_t seen = 0, first;
+    bool back = false;
+    int64_t id;
+    REQUIRE(service_start(&service) == MO_OK);
+    REQUIRE(fixture_bodies(31, DESIGNS, &forms, &genotypes) == MO_OK);
+    fake_plan.delay_us = 10000;
+    request = service_request(genotypes, DESIGNS);
+    request.verify = kind == 1;
+    request.record_com = kind == 2;
+    id = service_submit(&service, &request);
+    for (int i = 0; i < ROUNDS; i++) {
+      CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+      if (i % 3 == 0)
+        usleep(30000);
+      CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+      for (int k = 0; k < 10; k++) {
+        usleep(2500);
+        REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+        back = back || job.rollouts_done < seen;
+        seen = job.rollouts_done;
+      }
+    }
+    CHECK(!back);
+    CHECK(!mo_job_state_is_final(job.state));
+    /* Paused for good: what was in flight lands and is counted. */
+    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    usleep(400000);
+    first = computed(&service);
+    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+    CHECK_INT(job.state, MO_JOB_PAUSED);
+    CHECK_INT(job.rollouts_done, first);
+    CHECK_INT(job.rollouts_cached, 0);
+    /* And by another process. */
+    service_close(&service);
+    REQUIRE(service_open(&service) == MO_OK);
+    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+    CHECK_INT(job.rollouts_done, first);
+    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+    CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
+    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+    CHECK(job.rollouts_done >= first);
+    fake_plan.delay_us = 0;
+    REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+    CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+    CHECK_INT(job.rollouts_done, ROLLOUTS);
+    CHECK_INT(job.rollouts_cached, 0);
+    CHECK_INT(first + computed(&service), ROLLOUTS);
+    CHECK(right(&service, id, genotypes));
+    free(forms);
+    free(genotypes);
+    service_end(&service);
+  }
+}
+
 /* One client pauses, another resumes before the first's call has told the scheduler: the wish finds a job that runs. */
 static void survives_a_late_wish(void)
 {
@@ -563,6 +626,36 @@ static void parks_after_three_errors(void)
   service_end(&service);
 }
 
+static void refuses_nan(void)
+{
+  struct service service;
+  struct mo_bits *forms, *genotypes;
+  REQUIRE(service_start(&service) == MO_OK);
+  REQUIRE(fixture_bodies(23, 4, &forms, &genotypes) == MO_OK);
+  for (int recorded = 0; recorded < 2; recorded++) {
+    struct mo_evaluation_request request = service_request(genotypes, 4);
+    struct mo_evaluation_results *results = NULL;
+    struct mo_job job;
+    int64_t id;
+    request.record_com = recorded != 0;
+    fake_plan.poison = true;
+    id = service_submit(&service, &request);
+    REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+    CHECK_INT(job.state, MO_JOB_FAILED);
+    CHECK(strstr(job.error_text, "not a number") != NULL);
+    CHECK_INT(job.rollouts_done, 0);
+    REQUIRE(mo_store_results(service.fixture.store, id, &results) == MO_OK);
+    CHECK(isnan(results->losses[0])); /* nothing there */
+    mo_evaluation_results_free(results);
+    fake_plan.poison = false;
+  }
+  CHECK_INT(computed(&service), 0);
+  CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
+  free(forms);
+  free(genotypes);
+  service_end(&service);
+}
+
 /* The save that fails holds the start of the job, or one of its errors, or neither. */
 static void parks_what_cannot_be_saved(void)
 {
@@ -572,10 +665,11 @@ static void parks_what_cannot_be_saved(void)
     struct mo_evaluation_request request;
     struct mo_jobs_stats stats;
     struct mo_job job;
-    int64_t id;
+    int64_t id, fingerprint;
     REQUIRE(service_start(&service) == MO_OK);
     REQUIRE(fixture_bodies(21, 4, &forms, &genotypes) == MO_OK);
-    fake_plan.poison = true;
+    fingerprint = service.jobs->fingerprints[MO_FLOAT32];
+    service.jobs->fingerprints[MO_FLOAT32] = 999; /* no such row: the store refuses the losses */
     fake_plan.delay_us = round == 0 ? 0 : 250000;
     fake_plan.fail_word = genotypes[1].words[0];
     fake_plan.fail_times = 1000;
@@ -589,7 +683,7 @@ static void parks_what_cannot_be_saved(void)
     stats = settled(&service);
     CHECK_INT(stats.open_jobs, 0);
     /* The others go on. */
-    fake_plan.poison = false;
+    service.jobs->fingerprints[MO_FLOAT32] = fingerprint;
     fake_plan.fail_status = 0;
     fake_plan.delay_us = 0;
     free(forms);
@@ -823,6 +917,7 @@ static const struct check_case cases[] = {
     {"computes nothing twice", computes_nothing_twice},
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
+    {"counts through pauses", counts_through_pauses},
     {"survives a wish that comes late", survives_a_late_wish},
     {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and goes on after it", parks_and_goes_on},
@@ -830,6 +925,7 @@ static const struct check_case cases[] = {
     {"records", records},
     {"refuses what it must", refuses},
     {"parks a job after three errors", parks_after_three_errors},
+    {"refuses losses that are not numbers", refuses_nan},
     {"parks a job whose losses cannot be saved", parks_what_cannot_be_saved},
     {"blames crashes on their job", blames_crashes_on_their_job},
     {"waits for room on the disk", waits_for_room},
