@@ -93,7 +93,7 @@ static int sync_folder(const char *path)
   int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   int error = MO_OK;
   if (fd < 0)
-    return MO_ERR_IO;
+    return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
   if (fsync(fd) != 0)
     error = MO_ERR_IO;
   close(fd);
@@ -128,8 +128,9 @@ static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, co
   if (error != MO_OK)
     (void)unlink(temporary);
 out:
-  if (error == MO_OK)
-    error = sync_folder(store->controllers_path);
+  /* A later fsync of the folder may succeed without the name that this one lost, and the file is there for who looks. */
+  if (error == MO_OK && (error = sync_folder(store->controllers_path)) == MO_ERR_IO)
+    mo_store_declare_fatal(store, "the folder of controllers cannot be synced");
   free(there);
   free(temporary);
   free(path);

@@ -117,6 +117,8 @@ int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *ar
 /* The same without waiting; `done` frees what is to be freed. */
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
                    void (*done)(void *arguments, int status));
+/* From any thread: what was acknowledged may not be on the disk. */
+void mo_store_declare_fatal(struct mo_store *store, const char *what);
 int mo_writer_start(struct mo_store *store);
 void mo_writer_stop(struct mo_store *store);
 /* Inside an operation: adds an event. `data`: a JSON object. */

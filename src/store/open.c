@@ -118,6 +118,29 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   return error;
 }
 
+/* SQLite answers with the mode that it keeps when it cannot use a log: without shared memory, say. */
+static int use_log(const struct mo_store *store, struct mo_connection *writer, struct mo_message *message)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, "PRAGMA journal_mode=WAL", &error);
+  char mode[16] = "";
+  int step;
+  if (statement == NULL)
+    return error;
+  step = mo_sql_step(writer, statement);
+  if (step < 0)
+    return step;
+  if (step > 0)
+    mo_column_text(statement, 0, mode, sizeof(mode));
+  (void)sqlite3_reset(statement);
+  if (strcmp(mode, "wal") == 0)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_UNSUPPORTED,
+                 "the file system of %s cannot hold the database: SQLite's write-ahead log needs shared memory, which"
+                 " network file systems lack: use a local disk",
+                 store->path);
+}
+
 static int prepare_database(struct mo_store *store, struct mo_message *message)
 {
   struct mo_connection *writer = &store->writer;
@@ -139,7 +162,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
                    store->database_path, (long long)version, migration_count);
-  error = mo_sql_exec(writer, "PRAGMA journal_mode=WAL");
+  error = use_log(store, writer, message);
   if (error == MO_OK && version > 0) {
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
     if (error == MO_OK && !clean)

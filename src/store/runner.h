@@ -109,7 +109,7 @@ struct mo_job_update {
   enum mo_job_step step;
   uint64_t total, done, cached, diverged; /* total 0: the counts stay as they are */
   int64_t started_us;                     /* start */
-  int error;          /* retry */
+  int error;                              /* retry */
   char error_text[256];
   uint32_t max_attempts;
   bool quiet;              /* no event */

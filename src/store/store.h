@@ -25,11 +25,12 @@ struct mo_store_config {
   uint32_t n_readers;                             /* read connections; 0: 4 */
   uint64_t events_kept;                           /* older ones are pruned; 0: 100000 */
   int64_t idempotency_keep_s;                     /* 0: 24 h */
-  void (*fatal)(void *context, const char *what); /* on the writer's thread; nullable */
+  void (*fatal)(void *context, const char *what); /* once, on any thread; nullable */
   void *fatal_context;
 };
 
-/* Opens or creates. MO_ERR_BUSY: another process uses the folder; MO_ERR_UNSUPPORTED: written by a newer version;
+/* Opens or creates. MO_ERR_BUSY: another process uses the folder; MO_ERR_UNSUPPORTED: written by a newer version, or on
+ * a file system without shared memory;
  * MO_ERR_FORMAT: not our database; MO_ERR_NOT_FOUND: no such folder; MO_ERR_IO: not writable. After an unclean stop it runs
  * SQLite's quick_check (MO_ERR_CORRUPT). Registers the paper's test set. */
 int mo_store_open(const struct mo_store_config *config, struct mo_store **store, struct mo_message *message);

@@ -74,10 +74,15 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   return MO_OK;
 }
 
-static void declare_fatal(struct mo_store *store)
+void mo_store_declare_fatal(struct mo_store *store, const char *what)
 {
   if (!atomic_exchange(&store->is_fatal, true) && store->fatal != NULL)
-    store->fatal(store->fatal_context, sqlite3_errmsg(store->writer.db));
+    store->fatal(store->fatal_context, what);
+}
+
+static void declare_fatal(struct mo_store *store)
+{
+  mo_store_declare_fatal(store, sqlite3_errmsg(store->writer.db));
 }
 
 /* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up. */

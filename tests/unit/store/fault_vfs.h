@@ -14,6 +14,7 @@ static struct fault_plan {
   atomic_bool once;        /* the first error is the last */
   atomic_long writes_left; /* so many writes succeed before the error; negative: all fail */
   atomic_long writes;      /* seen */
+  atomic_bool no_shared_memory;
 } fault_plan;
 
 struct fault_file {
@@ -107,6 +108,8 @@ static inline int fault_open(sqlite3_vfs *vfs, sqlite3_filename name, sqlite3_fi
                                         fault_xShmUnmap,
                                         NULL,
                                         NULL};
+  if (atomic_load(&fault_plan.no_shared_memory))
+    fault->methods.iVersion = 1;
   file->pMethods = &fault->methods;
   return result;
 }

@@ -1,10 +1,12 @@
 /* faults.c: full disks, failing disks, many writers at once. */
+#include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
 #include <sys/mount.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <time.h>
 
@@ -161,6 +163,45 @@ static void dies_of_a_failing_disk(void)
     free(genotypes);
     fixture_end(&fixture);
   }
+}
+
+/* In place of the C library's. */
+static atomic_bool folder_sync_fails;
+
+int fsync(int fd)
+{
+  struct stat status;
+  if (atomic_load(&folder_sync_fails) && fstat(fd, &status) == 0 && S_ISDIR(status.st_mode)) {
+    errno = EIO;
+    return -1;
+  }
+  return (int)syscall(SYS_fsync, fd);
+}
+
+/* The file of weights is in its folder, but perhaps not on the disk: nobody may be told that it is, not even later. */
+static void dies_of_a_folder_that_cannot_be_synced(void)
+{
+  struct fixture fixture;
+  struct mo_controller_record record;
+  REQUIRE(start_failing(&fixture) == MO_OK);
+  atomic_store(&folder_sync_fails, true);
+  CHECK_INT(fixture_controller(fixture.store, "other", 2, &record), MO_ERR_IO);
+  atomic_store(&folder_sync_fails, false);
+  CHECK_INT(atomic_load(&fatal_calls), 1);
+  CHECK_INT(fixture_controller(fixture.store, "other", 2, &record), MO_ERR_IO);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  CHECK_INT(fixture_controller(fixture.store, "other", 2, &record), MO_OK);
+  fixture_end(&fixture);
+}
+
+static void refuses_a_file_system_without_shared_memory(void)
+{
+  struct fixture fixture;
+  atomic_store(&fault_plan.no_shared_memory, true);
+  CHECK_INT(start_failing(&fixture), MO_ERR_UNSUPPORTED);
+  atomic_store(&fault_plan.no_shared_memory, false);
+  CHECK(strstr(fixture.message.text, "shared memory") != NULL);
+  fixture_end(&fixture);
 }
 
 /* ---- group commit ---- */
@@ -431,6 +472,8 @@ static const struct check_case cases[] = {
     {"survives a disk that is full at any write", survives_a_full_disk},
     {"notices that there is room again", notices_that_there_is_room_again},
     {"dies of a disk that fails, and recovers", dies_of_a_failing_disk},
+    {"dies of a folder that cannot be synced", dies_of_a_folder_that_cannot_be_synced},
+    {"refuses a file system without shared memory", refuses_a_file_system_without_shared_memory},
     {"keeps its log short under readers that overlap", keeps_its_log_short},
     {"shares commits among writers", shares_commits},
     {"refuses an unwritable folder", refuses_an_unwritable_folder},
