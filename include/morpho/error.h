@@ -39,6 +39,9 @@ struct mo_message {
 /* The name of a code in words ("out of memory"); "unknown error" for others. Never NULL, static storage. */
 const char *mo_error_text(int code);
 
+/* The same for programs: "no_memory"; "unknown" for others. */
+const char *mo_error_name(int code);
+
 /* Formats into `message` (nullable) and returns `code`, so that `return mo_fail(msg, MO_ERR_RANGE, "…", …);` reads well. */
 int mo_fail(struct mo_message *message, int code, const char *format, ...) __attribute__((format(printf, 3, 4)));
 

@@ -29,6 +29,31 @@ const char *mo_error_text(int code)
   }
 }
 
+const char *mo_error_name(int code)
+{
+  switch (code) {
+  case MO_OK: return "ok";
+  case MO_ERR_NO_MEMORY: return "no_memory";
+  case MO_ERR_INVALID: return "invalid";
+  case MO_ERR_RANGE: return "range";
+  case MO_ERR_EMPTY: return "empty";
+  case MO_ERR_NOT_CONTIGUOUS: return "not_contiguous";
+  case MO_ERR_DUPLICATE: return "duplicate";
+  case MO_ERR_FORMAT: return "format";
+  case MO_ERR_LIMIT: return "limit";
+  case MO_ERR_NOT_FOUND: return "not_found";
+  case MO_ERR_CONFLICT: return "conflict";
+  case MO_ERR_IO: return "io";
+  case MO_ERR_NO_SPACE: return "no_space";
+  case MO_ERR_CANCELLED: return "cancelled";
+  case MO_ERR_BUSY: return "busy";
+  case MO_ERR_EXHAUSTED: return "exhausted";
+  case MO_ERR_CORRUPT: return "corrupt";
+  case MO_ERR_UNSUPPORTED: return "unsupported";
+  default: return "unknown";
+  }
+}
+
 int mo_fail(struct mo_message *message, int code, const char *format, ...)
 {
   if (message != NULL) {

@@ -174,6 +174,13 @@ static void log_event(enum log_level level, const struct mo_event *event)
   log_write(level, event->type, fields, n);
 }
 
+static void job_has_failed(void *context, int64_t job, int error, const char *text)
+{
+  (void)context;
+  log_warning("an attempt of a job failed", LOG_INT("job", job), LOG_TEXT("code", mo_error_name(error)),
+              LOG_TEXT("detail", text));
+}
+
 static void log_events(void *context, const struct mo_event *events, size_t n)
 {
   (void)context;
@@ -370,7 +377,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   struct mo_jobs_config jobs = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
                                 .max_open_rollouts = settings->max_open_rollouts,
                                 .max_recorded_bytes = settings->max_recorded_bytes,
-                                .crash_marker = last_marker};
+                                .crash_marker = last_marker,
+                                .warn = job_has_failed};
   error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);
   if (error != MO_OK) {
     exit_status =

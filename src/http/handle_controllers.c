@@ -114,12 +114,20 @@ void mo_handle_controller_get(struct mo_request *request)
   uint8_t *bytes = NULL;
   size_t size = 0;
   code = mo_store_controller_bytes(store, &record.sha256, &bytes, &size);
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(&record.sha256, digits);
+  if (code == MO_ERR_CORRUPT) {
+    mo_reply_problem(
+        request, 500, NULL,
+        "The file controllers/%s.safetensors in the state folder of the service is missing or damaged. PUT "
+        "of the same file, under any name, puts it right.",
+        digits);
+    return;
+  }
   if (code != MO_OK) {
     mo_reply_error(request, code, "controller");
     return;
   }
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&record.sha256, digits);
   mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
   mo_reply_etag(request, "%s", digits);
 }

@@ -137,7 +137,7 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct m
   if (job->state == MO_JOB_FAILED) {
     mo_text_add(text, ",\"error\":{\"detail\":");
     mo_text_json_string(text, job->error_text, strlen(job->error_text));
-    word(text, "code", mo_error_text(job->error));
+    word(text, "code", mo_error_name(job->error));
     mo_text_add(text, "}");
   } else {
     mo_text_add(text, ",\"error\":null");

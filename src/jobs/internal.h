@@ -46,12 +46,12 @@ struct mo_active {
    * what is told meanwhile never goes back. */
   uint64_t done_before, cached_before, diverged_before;
   uint64_t own_before; /* rollouts that this job computed then: found in the store, but not counted as cached */
-  double pass;    /* virtual time: the job with the least goes next */
-  bool private_runs; /* verify or recording: shares nothing, looks nothing up */
-  bool detached;     /* cancelled, paused, failed: makes no more blocks; what comes back is counted still */
-  bool failing;      /* detached, and the note of it is not committed yet */
-  bool finishing;    /* its end is in a save */
-  bool changed;      /* counts differ from the last save's */
+  double pass;         /* virtual time: the job with the least goes next */
+  bool private_runs;   /* verify or recording: shares nothing, looks nothing up */
+  bool detached;       /* cancelled, paused, failed: makes no more blocks; what comes back is counted still */
+  bool failing;        /* detached, and the note of it is not committed yet */
+  bool finishing;      /* its end is in a save */
+  bool changed;        /* counts differ from the last save's */
   int64_t last_event_us;
   uint32_t references; /* waiting cells and saves that name it */
   struct mo_active *next;

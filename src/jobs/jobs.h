@@ -29,6 +29,9 @@ struct mo_jobs_config {
   uint32_t max_attempts;           /* crashes or errors until a job is parked as failed; 0: 3 */
   uint32_t save_interval_ms;       /* losses wait at most this long for their commit; 0: 100 */
   const char *crash_marker; /* file that mo_jobs_crash_note wrote in an earlier life; NULL: none. Read, then emptied */
+  /* Told of every error that ends an attempt of a job, for the log; on the scheduler's thread. Nullable. */
+  void (*warn)(void *context, int64_t job, int error, const char *text);
+  void *warn_context;
 };
 
 /* `store` and `compute` must outlive it. Requeues what ran when the last process ended; starts the scheduler. The config is

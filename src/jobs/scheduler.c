@@ -97,6 +97,8 @@ void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, c
   if (active->detached)
     return;
   active->detached = true;
+  if (jobs->config.warn != NULL)
+    jobs->config.warn(jobs->config.warn_context, active->id, error, text);
   active->failing = mo_pending_update(jobs, active, MO_STEP_RETRY, error, text) == MO_OK;
   mo_flights_cancel(jobs, false);
 }
@@ -151,23 +153,37 @@ static void mark_finished(struct mo_active *active)
   active->diverged = work->n_finished_diverged;
 }
 
-static int load_active(struct mo_jobs *jobs, struct mo_active *active)
+static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text[256])
 {
+  char digits[MO_SHA256_DIGITS + 1];
   int error = mo_store_load_work(jobs->store, active->id, &active->work);
+  snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(error));
   if (error != MO_OK)
     return error;
   active->cells = calloc(active->work->job.rollouts_total, 1);
   active->left = calloc(active->work->n_designs, 1);
-  if (active->cells == NULL || active->left == NULL)
+  if (active->cells == NULL || active->left == NULL) {
+    snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(MO_ERR_NO_MEMORY));
     return MO_ERR_NO_MEMORY;
+  }
   mark_finished(active);
-  return mo_loaded_acquire(jobs, &active->work->job.controller_sha256, &active->controller);
+  error = mo_loaded_acquire(jobs, &active->work->job.controller_sha256, &active->controller);
+  if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT) {
+    mo_sha256_to_hex(&active->work->job.controller_sha256, digits);
+    snprintf(text, 256,
+             "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
+             "/v1/controllers/<name>), then submit again",
+             digits);
+  } else {
+    snprintf(text, 256, "the controller could not be prepared: %s", mo_error_text(error));
+  }
+  return error;
 }
 
 static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority)
 {
   struct mo_active *active = calloc(1, sizeof(*active));
-  char text[160];
+  char text[256];
   int error;
   if (active == NULL)
     return false;
@@ -175,7 +191,7 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
   active->priority = priority;
   active->pass = jobs->pass[priority];
   active->last_event_us = mo_jobs_clock_us();
-  error = load_active(jobs, active);
+  error = load_active(jobs, active, text);
   active->next = jobs->actives;
   jobs->actives = active;
   if (mo_pending_update(jobs, active, MO_STEP_START, MO_OK, NULL) != MO_OK) {
@@ -183,7 +199,6 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
     return false;
   }
   if (error != MO_OK) {
-    snprintf(text, sizeof(text), "the job could not be prepared: %s", mo_error_text(error));
     mo_active_fail(jobs, active, error, text);
   } else if (active->done == active->total) {
     mo_pending_touch(jobs); /* its last rollouts were saved, its end was not */

@@ -73,6 +73,21 @@ def test_names(service, name):
     assert service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE).status == 422
 
 
+def test_damaged_file_is_named_and_healed(start):
+    service = start()
+    digest = hashlib.sha256(BYTES).hexdigest()
+    request = {"designs": [DESIGN], "physics": SHORT}
+    (service.state / "controllers" / f"{digest}.safetensors").write_bytes(BYTES[:-4])
+    got = service.request("GET", "/v1/controllers/default")
+    assert got.status == 500 and digest in got.json()["detail"] and "PUT" in got.json()["detail"]
+    job = service.evaluate(request).json()
+    assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job["error"]["detail"]
+    assert f"{digest}.safetensors" in service.log_text()
+    assert service.request("PUT", "/v1/controllers/default", body=BYTES, headers=FILE).status == 200
+    assert service.request("GET", "/v1/controllers/default").body == BYTES
+    assert service.evaluate(request).json()["state"] == "succeeded"
+
+
 FIRST = "net.0.weight"
 SECOND = "net.0.bias"
 HOSTILE = {

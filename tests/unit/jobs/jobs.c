@@ -656,6 +656,53 @@ static void refuses_nan(void)
   service_end(&service);
 }
 
+static atomic_int warnings;
+
+static void hear_warning(void *context, int64_t job, int error, const char *text)
+{
+  (void)context;
+  (void)job;
+  if (error == MO_ERR_CORRUPT && strstr(text, ".safetensors") != NULL)
+    atomic_fetch_add(&warnings, 1);
+}
+
+static void names_a_damaged_controller(void)
+{
+  struct service service;
+  struct mo_bits *forms, *genotypes;
+  struct mo_evaluation_request request;
+  struct mo_controller_record record;
+  struct mo_job job;
+  char digits[MO_SHA256_DIGITS + 1], path[512];
+  int64_t id;
+  REQUIRE(service_start(&service) == MO_OK);
+  service_close(&service);
+  service.config.warn = hear_warning;
+  REQUIRE(service_open(&service) == MO_OK);
+  REQUIRE(fixture_bodies(24, 2, &forms, &genotypes) == MO_OK);
+  REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
+  mo_sha256_to_hex(&record.sha256, digits);
+  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service.fixture.path, digits);
+  CHECK_INT(truncate(path, 100), 0);
+  atomic_store(&warnings, 0);
+  request = service_request(genotypes, 2);
+  id = service_submit(&service, &request);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_FAILED);
+  CHECK_INT(job.error, MO_ERR_CORRUPT);
+  CHECK(strstr(job.error_text, digits) != NULL && strstr(job.error_text, "PUT") != NULL);
+  CHECK(strstr(job.error_text, "submit again") != NULL); /* to its end */
+  CHECK_INT(atomic_load(&warnings), 3);
+  /* As it says: */
+  REQUIRE(fixture_controller(service.fixture.store, "again", 1, &record) == MO_OK);
+  id = service_submit(&service, &request);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+  free(forms);
+  free(genotypes);
+  service_end(&service);
+}
+
 /* The save that fails holds the start of the job, or one of its errors, or neither. */
 static void parks_what_cannot_be_saved(void)
 {
@@ -925,6 +972,7 @@ static const struct check_case cases[] = {
     {"records", records},
     {"refuses what it must", refuses},
     {"parks a job after three errors", parks_after_three_errors},
+    {"names a damaged controller", names_a_damaged_controller},
     {"refuses losses that are not numbers", refuses_nan},
     {"parks a job whose losses cannot be saved", parks_what_cannot_be_saved},
     {"blames crashes on their job", blames_crashes_on_their_job},
