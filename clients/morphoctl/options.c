@@ -1,4 +1,4 @@
-/* options.c: the command line. Options may stand anywhere; "--" ends them; "--name=value" and "--name value" are the same. */
+/* options.c: the command line. Options may stand anywhere, the common ones even before the command; "--" ends them; "--name=value" and "--name value" are the same. */
 #include "ctl.h"
 
 #include <errno.h>
@@ -210,7 +210,7 @@ void options_print_completion(FILE *file)
 
 static const struct option_spec *find_option(const struct command *command, const char *name, size_t length)
 {
-  const struct option_spec *lists[2] = {command->options, common_options};
+  const struct option_spec *lists[2] = {command != NULL ? command->options : NULL, common_options};
   for (int l = 0; l < 2; l++)
     for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL; spec++)
       if ((length == 1 && *name == spec->letter) ||
@@ -282,34 +282,56 @@ static int unknown_command(int argc, const char *const *argv)
   return complain(STATUS_USAGE, "there is no command \"%s\"; see morphoctl --help", argv[1]);
 }
 
-int options_parse(struct ctl *ctl, int argc, const char *const *argv)
+/* A word that is an option, cut into its parts; spec NULL: none that the command (or, for NULL, every command) has. */
+struct option_word {
+  const struct option_spec *spec;
+  const char *value; /* in the word itself; NULL: none */
+  size_t length;     /* of the word without its value */
+};
+
+static bool is_option(const char *word)
 {
-  if (argc < 2) {
-    options_print_help(stderr, NULL);
-    return STATUS_USAGE;
+  return word[0] == '-' && word[1] != 0;
+}
+
+static struct option_word read_option(const struct command *command, const char *word)
+{
+  struct option_word option = {.length = strlen(word)};
+  bool is_long = word[1] == '-';
+  const char *name = word + (is_long ? 2 : 1);
+  const char *equals = is_long ? strchr(name, '=') : NULL;
+  size_t length = equals != NULL ? (size_t)(equals - name) : is_long ? strlen(name) : 1;
+  if (equals != NULL) {
+    option.length = (size_t)(equals - word);
+    option.value = equals + 1;
+  } else if (!is_long && word[2] != 0) {
+    option.value = word + 2;
   }
-  if (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0 || strcmp(argv[1], "help") == 0) {
-    options_print_help(stdout, NULL);
-    return STATUS_OK;
+  if (!is_long || length > 1)
+    option.spec = find_option(command, name, length);
+  return option;
+}
+
+/* How many words before the command are common options and their values. */
+static int count_leading(int argc, const char *const *argv)
+{
+  int i = 1;
+  while (i < argc && is_option(argv[i]) && strcmp(argv[i], "--") != 0) {
+    struct option_word option = read_option(NULL, argv[i]);
+    if (option.spec == NULL || strcmp(option.spec->name, "help") == 0)
+      break;
+    i += option.spec->value != NULL && option.value == NULL && i + 1 < argc ? 2 : 1;
   }
-  const char *version[] = {argv[0], "version"};
-  if (strcmp(argv[1], "--version") == 0) {
-    argv = version;
-    argc = 2;
-  }
-  int used = 0;
-  const struct command *command = find_command(argc, argv, &used);
-  if (command == NULL)
-    return unknown_command(argc, argv);
-  ctl->command = command;
-  ctl->given = calloc((size_t)argc, sizeof(*ctl->given));
-  ctl->operands = calloc((size_t)argc, sizeof(*ctl->operands));
-  if (ctl->given == NULL || ctl->operands == NULL)
-    return complain(STATUS_ERROR, "out of memory");
+  return i - 1;
+}
+
+static int parse_words(struct ctl *ctl, int n, const char *const *words)
+{
+  const struct command *command = ctl->command;
   bool ended = false;
-  for (int i = 1 + used; i < argc; i++) {
-    const char *word = argv[i];
-    if (ended || word[0] != '-' || word[1] == 0) {
+  for (int i = 0; i < n; i++) {
+    const char *word = words[i];
+    if (ended || !is_option(word)) {
       ctl->operands[ctl->n_operands++] = word;
       continue;
     }
@@ -317,28 +339,54 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
       ended = true;
       continue;
     }
-    bool is_long = word[1] == '-';
-    const char *name = word + (is_long ? 2 : 1);
-    const char *equals = is_long ? strchr(name, '=') : NULL;
-    size_t length = equals != NULL ? (size_t)(equals - name) : is_long ? strlen(name) : 1;
-    const struct option_spec *spec = is_long && length == 1 ? NULL : find_option(command, name, length);
-    if (spec == NULL)
-      return unknown_option(command, word, equals != NULL ? (size_t)(equals - word) : strlen(word));
-    const char *value = NULL;
-    if (spec->value == NULL && (equals != NULL || (!is_long && word[2] != 0)))
-      return complain(STATUS_USAGE, "--%s takes no value", spec->name);
-    if (spec->value != NULL) {
-      if (equals != NULL)
-        value = equals + 1;
-      else if (!is_long && word[2] != 0)
-        value = word + 2;
-      else if (i + 1 < argc)
-        value = argv[++i];
-      else
-        return complain(STATUS_USAGE, "--%s needs a value: %s", spec->name, spec->value);
+    struct option_word option = read_option(command, word);
+    if (option.spec == NULL)
+      return unknown_option(command, word, option.length);
+    if (option.spec->value == NULL && option.value != NULL)
+      return complain(STATUS_USAGE, "--%s takes no value", option.spec->name);
+    if (option.spec->value != NULL && option.value == NULL) {
+      if (i + 1 == n)
+        return complain(STATUS_USAGE, "--%s needs a value: %s", option.spec->name, option.spec->value);
+      option.value = words[++i];
     }
-    ctl->given[ctl->n_given++] = (struct given){spec->name, value};
+    ctl->given[ctl->n_given++] = (struct given){option.spec->name, option.value};
   }
+  return STATUS_OK;
+}
+
+int options_parse(struct ctl *ctl, int argc, const char *const *argv)
+{
+  const char *version[] = {argv[0], "version"};
+  int leading = count_leading(argc, argv), n = argc - leading, used = 0;
+  const char *const *words = argv + leading; /* words[1]: the command */
+  if (n < 2) {
+    options_print_help(stderr, NULL);
+    return STATUS_USAGE;
+  }
+  if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0 || strcmp(words[1], "help") == 0) {
+    options_print_help(stdout, NULL);
+    return STATUS_OK;
+  }
+  if (strcmp(words[1], "--version") == 0) {
+    words = version;
+    n = 2;
+  }
+  if (is_option(words[1]))
+    return complain(STATUS_USAGE, "%s is not an option of every command: the options of a command stand after it",
+                    words[1]);
+  const struct command *command = find_command(n, words, &used);
+  if (command == NULL)
+    return unknown_command(n, words);
+  ctl->command = command;
+  ctl->given = calloc((size_t)argc, sizeof(*ctl->given));
+  ctl->operands = calloc((size_t)argc, sizeof(*ctl->operands));
+  if (ctl->given == NULL || ctl->operands == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  int status = parse_words(ctl, leading, argv + 1);
+  if (status == STATUS_OK)
+    status = parse_words(ctl, n - 1 - used, words + 1 + used);
+  if (status != STATUS_OK)
+    return status;
   if (option_is_set(ctl, "help")) {
     options_print_help(stdout, command);
     return STATUS_OK;

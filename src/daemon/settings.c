@@ -259,6 +259,9 @@ int settings_set(struct settings *settings, const struct setting *setting, const
   switch (setting->type) {
   case SETTING_PATH: {
     char *copy = NULL;
+    /* Empty takes others back to their default; here it is a variable of a script that was not set. */
+    if (*text == 0 && source != SOURCE_DEFAULT && setting->offset == offsetof(struct settings, state_dir))
+      return mo_fail(message, MO_ERR_INVALID, "the path is empty");
     if (*text != 0 && (copy = strdup(text)) == NULL)
       return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
     char **value = AT(settings, setting);

@@ -34,6 +34,9 @@ def test_round_trip(service):
     assert service.request("GET", "/v1/controllers/round-trip", headers={"If-None-Match": got.headers["ETag"]}).status == 304
     by_hash = service.request("GET", f"/v1/controllers/sha256:{digest}", headers={"Accept": "application/json"}).json()
     assert by_hash["name"] is None and by_hash["sha256"] == digest
+    assert service.request("GET", f"/v1/controllers/sha256:{digest.upper()}").body == BYTES
+    upper = {"designs": [DESIGN], "physics": SHORT, "controller": "sha256:" + digest.upper()}
+    assert service.evaluate(upper).json()["controller"]["sha256"] == digest
     again = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers={"Content-Type": "application/vnd.safetensors"})
     assert again.status == 200
     assert service.request("DELETE", "/v1/controllers/round-trip").status == 204

@@ -55,6 +55,7 @@ def test_state_dir():
     pathlib.Path(folder, "file").write_text("")
     says(check(f"--state-dir={folder}/file"), 78, "is not a folder")
     says(check("--state-dir=relative"), 78, "not an absolute path")
+    says(check("--state-dir="), 78, "the path is empty")
     says(check(f"--state-dir={folder}/file/below"), 78, "state_dir")
     says(check(f"--state-dir={folder}/a/b/c"), 0)
     os.unlink(f"{folder}/file")

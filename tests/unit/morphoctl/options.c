@@ -43,6 +43,13 @@ static void forms(void)
   CHECK_INT(n, 7);
   CHECK(!option_number(&ctl, "limit", 8, 10, &n));
   options_free(&ctl);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "--server", "unix:/x", "-j", "--retry=3", "job", "list", "-q", "-s", "y"), -1);
+  CHECK_TEXT(ctl.command->name, "job list");
+  CHECK(option_is_set(&ctl, "json") && option_is_set(&ctl, "quiet"));
+  CHECK_TEXT(option_text(&ctl, "retry", ""), "3");
+  CHECK_TEXT(option_text(&ctl, "server", ""), "y"); /* the last one */
+  CHECK_INT(ctl.n_operands, 0);
+  options_free(&ctl);
 }
 
 static void mistakes(void)
@@ -50,6 +57,10 @@ static void mistakes(void)
   struct ctl ctl;
   CHECK_INT(PARSE(&ctl, "morphoctl"), STATUS_USAGE);
   CHECK_INT(PARSE(&ctl, "morphoctl", "evil"), STATUS_USAGE);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "--limit", "3", "job", "list"), STATUS_USAGE);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "--server"), STATUS_USAGE);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "--json=1", "job", "list"), STATUS_USAGE);
+  options_free(&ctl);
   CHECK_INT(PARSE(&ctl, "morphoctl", "job"), STATUS_USAGE);
   CHECK_INT(PARSE(&ctl, "morphoctl", "job", "lost"), STATUS_USAGE);
   CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--verify"), STATUS_USAGE);
