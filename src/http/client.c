@@ -11,6 +11,7 @@ struct mo_client {
   struct mo_client *next;
   unsigned char key[16];
   uint32_t in_flight;
+  uint64_t body_bytes;  /* held by its requests' bodies */
   double allowance;     /* submissions that may be made at once */
   int64_t allowance_us; /* when it was reckoned; 0: full */
   int64_t left_us;
@@ -41,10 +42,9 @@ static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned c
   return &clients->buckets[(hash ^ hash >> 16) & 255];
 }
 
-struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16], uint32_t max, bool *refused)
+/* Under the lock. NULL: no memory. */
+static struct mo_client *find_or_add(struct mo_clients *clients, const unsigned char key[16])
 {
-  *refused = false;
-  pthread_mutex_lock(&clients->lock);
   struct mo_client **bucket = bucket_of(clients, key), *client = *bucket;
   while (client != NULL && memcmp(client->key, key, 16) != 0)
     client = client->next;
@@ -53,6 +53,14 @@ struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned cha
     client->next = *bucket;
     *bucket = client;
   }
+  return client;
+}
+
+struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16], uint32_t max, bool *refused)
+{
+  *refused = false;
+  pthread_mutex_lock(&clients->lock);
+  struct mo_client *client = find_or_add(clients, key);
   if (client != NULL && client->in_flight >= max) {
     *refused = true;
     client = NULL;
@@ -67,6 +75,27 @@ void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64
 {
   pthread_mutex_lock(&clients->lock);
   client->in_flight--;
+  client->left_us = now_us;
+  pthread_mutex_unlock(&clients->lock);
+}
+
+struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16], uint64_t held, uint64_t more,
+                                 uint64_t most)
+{
+  pthread_mutex_lock(&clients->lock);
+  struct mo_client *client = find_or_add(clients, key);
+  if (client != NULL && client->body_bytes > held && client->body_bytes + more > most)
+    client = NULL;
+  if (client != NULL)
+    client->body_bytes += more;
+  pthread_mutex_unlock(&clients->lock);
+  return client;
+}
+
+void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes, int64_t now_us)
+{
+  pthread_mutex_lock(&clients->lock);
+  client->body_bytes -= bytes;
   client->left_us = now_us;
   pthread_mutex_unlock(&clients->lock);
 }
@@ -95,7 +124,7 @@ void mo_clients_sweep(struct mo_clients *clients, int64_t now_us)
   for (size_t b = 0; b < 256; b++)
     for (struct mo_client **at = &clients->buckets[b]; *at != NULL;) {
       struct mo_client *client = *at;
-      if (client->in_flight == 0 && now_us - client->left_us > KEEP_US) {
+      if (client->in_flight == 0 && client->body_bytes == 0 && now_us - client->left_us > KEEP_US) {
         *at = client->next;
         free(client);
       } else {

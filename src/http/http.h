@@ -57,7 +57,7 @@ struct mo_http_config {
   uint64_t max_body_bytes;       /* JSON body of an evaluation; 0: 32 MiB */
   uint64_t max_controller_bytes; /* controller file; 0: 16 MiB */
   uint64_t max_body_memory;      /* all bodies being received or handled, and large replies not yet read; 0: 8 of the
-                                    larger of the two above */
+                                    larger of the two above. Bodies of one client take at most half: 429 */
   uint32_t header_timeout_ms;    /* from the first moment of a request to the end of its header; 0: 10 s */
   uint32_t body_timeout_ms;      /* from there to the end of the body; 0: 60 s */
   uint32_t idle_timeout_ms;      /* between requests of one connection; 0: 60 s */

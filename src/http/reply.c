@@ -189,6 +189,10 @@ void mo_request_drop_body(struct mo_request *request)
   request->body_size = request->body_capacity = 0;
   atomic_fetch_sub(&request->http->body_memory, request->body_reserved);
   request->body_reserved = 0;
+  if (request->body_client != NULL)
+    mo_client_give_back(&request->http->clients, request->body_client, request->body_held, mo_http_clock_us());
+  request->body_client = NULL;
+  request->body_held = 0;
 }
 
 /* The request's body has served. A large reply takes its place in the limit on memory until it is sent: readers that do not read

@@ -178,10 +178,11 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
 
 /* ---- the body ---- */
 
-static bool reserve_body(struct mo_request *request, size_t n)
+/* MO_ERR_LIMIT: the client has its share. */
+static int reserve_body(struct mo_request *request, size_t n)
 {
   if (request->body_size + n + 1 <= request->body_capacity)
-    return true;
+    return MO_OK;
   size_t capacity = request->body_capacity > 0 ? request->body_capacity : 16384;
   while (capacity < request->body_size + n + 1)
     capacity *= 2;
@@ -189,16 +190,22 @@ static bool reserve_body(struct mo_request *request, size_t n)
     capacity = (size_t)request->body_limit + 1;
   struct mo_http *http = request->http;
   uint64_t more = capacity - request->body_capacity;
+  struct mo_client *client = mo_client_hold(&http->clients, request->connection->client_key, request->body_held, more,
+                                            http->config.max_body_memory / 2);
+  if (client == NULL)
+    return MO_ERR_LIMIT;
+  request->body_client = client;
+  request->body_held += more;
   uint64_t total = atomic_fetch_add(&http->body_memory, more) + more;
   char *body = total <= http->config.max_body_memory ? realloc(request->body, capacity) : NULL;
   if (body == NULL) {
-    atomic_fetch_sub(&http->body_memory, more);
-    return false;
+    atomic_fetch_sub(&http->body_memory, more); /* the client's share is given back with the request */
+    return MO_ERR_NO_MEMORY;
   }
   request->body_reserved += more;
   request->body = body;
   request->body_capacity = capacity;
-  return true;
+  return MO_OK;
 }
 
 static enum MHD_Result receive(struct mo_request *request, const char *bytes, size_t n)
@@ -206,12 +213,18 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
   request->body_seen += n;
   atomic_fetch_add(&request->http->metrics.body_in, n);
   if (request->reply.status == 0) {
-    if (request->body_size + n > request->body_limit)
+    int error = request->body_size + n > request->body_limit ? MO_ERR_RANGE : reserve_body(request, n);
+    if (error == MO_ERR_RANGE) {
       mo_reply_problem(request, 413, NULL, "The body has more bytes than this path takes, which is %llu.",
                        (unsigned long long)request->body_limit);
-    else if (!reserve_body(request, n))
-      mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
-    else {
+    } else if (error == MO_ERR_LIMIT) {
+      mo_reply_problem(request, 429, NULL,
+                       "The bodies of this client's requests that are under way take half of the memory for all "
+                       "clients, which is as much as is allowed.");
+      request->reply.retry_after_s = 1;
+    } else if (error != MO_OK) {
+      mo_reply_error(request, error, "request");
+    } else {
       memcpy(request->body + request->body_size, bytes, n);
       request->body_size += n;
       request->body[request->body_size] = '\0';
@@ -339,9 +352,8 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
     atomic_store(&request->connection->deadline_us, now_us + (int64_t)http->config.idle_timeout_ms * 1000);
   if (request->client != NULL)
     mo_client_leave(&http->clients, request->client, now_us);
-  atomic_fetch_sub(&http->body_memory, request->body_reserved);
+  mo_request_drop_body(request);
   mo_reply_clear(&request->reply);
-  free(request->body);
   free(request->raw_target);
   free(request);
   atomic_fetch_sub(&http->n_in_flight, 1);

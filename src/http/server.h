@@ -53,6 +53,11 @@ void mo_clients_free(struct mo_clients *clients);
 /* Takes one of the client's `max` places; NULL: all are taken, or no memory (*refused false). */
 struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16], uint32_t max, bool *refused);
 void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64_t now_us);
+/* Memory for the body of a request that holds `held` bytes: `more` of them, if its client's bodies hold at most `most` then, or this
+ * one is the only one. NULL: they would hold more, or no memory. */
+struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16], uint64_t held, uint64_t more,
+                                 uint64_t most);
+void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes, int64_t now_us);
 /* One submission: true if the rate (per second, burst of as many, at least 1) allows it. */
 bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint32_t rate_per_s, int64_t now_us);
 void mo_clients_sweep(struct mo_clients *clients, int64_t now_us); /* forgets those with nothing under way */
@@ -93,6 +98,8 @@ struct mo_request {
   struct mo_framing framing;
   /* Body. */
   uint64_t body_limit, body_seen, body_reserved;
+  struct mo_client *body_client; /* whose share `body_held` counts in */
+  uint64_t body_held;
   char *body;
   size_t body_size, body_capacity;
   bool body_dropped; /* refused or too large: read and thrown away */

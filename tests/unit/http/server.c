@@ -1,6 +1,7 @@
 /* server.c: the server from inside: limits, heartbeats, logs, and that it ends in order whatever its clients do. */
 #include "unit/check.h"
 
+#include <arpa/inet.h>
 #include <dirent.h>
 #include <errno.h>
 #include <netinet/in.h>
@@ -279,6 +280,49 @@ static void memory(void)
   mo_http_stop(http, 1000);
 }
 
+/* Sends `n` bytes of a body of `size` from an address of loopback. */
+static int upload(const char *from, size_t size, size_t n)
+{
+  struct sockaddr_in source = {.sin_family = AF_INET}, target = {.sin_family = AF_INET, .sin_port = htons(port)};
+  char head[256], piece[1000];
+  int fd = socket(AF_INET, SOCK_STREAM, 0);
+  int length = snprintf(head, sizeof(head),
+                        "POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
+                        "application/json\r\nContent-Length: %zu\r\n\r\n",
+                        size);
+  memset(piece, ' ', sizeof(piece));
+  if (inet_pton(AF_INET, from, &source.sin_addr) != 1 || inet_pton(AF_INET, "127.0.0.1", &target.sin_addr) != 1 ||
+      bind(fd, (struct sockaddr *)&source, sizeof(source)) != 0 ||
+      connect(fd, (struct sockaddr *)&target, sizeof(target)) != 0 ||
+      send(fd, head, (size_t)length, MSG_NOSIGNAL) != length) {
+    close(fd);
+    return -1;
+  }
+  for (size_t i = 0; i < n; i += sizeof(piece))
+    (void)send(fd, piece, sizeof(piece), MSG_NOSIGNAL);
+  return fd;
+}
+
+/* A client that never ends its uploads leaves room for the others. */
+static void memory_shares(void)
+{
+  struct mo_http_config config = {.max_body_memory = 1 << 20};
+  char text[8192];
+  struct mo_http *http = start(&config);
+  REQUIRE(http != NULL);
+  int half = upload("127.0.0.1", 400000, 300000);
+  REQUIRE(half >= 0);
+  pause_ms(200);
+  CHECK_INT(hear(upload("127.0.0.1", 100000, 100000), text, sizeof(text)), 429);
+  CHECK(strstr(text, "Retry-After") != NULL);
+  CHECK_INT(hear(upload("127.0.0.2", 100000, 100000), text, sizeof(text)), 400); /* spaces: taken in and read */
+  close(half);
+  pause_ms(200);
+  CHECK_INT(hear(upload("127.0.0.1", 100000, 100000), text, sizeof(text)), 400);
+  CHECK_INT(hear(upload("127.0.0.1", 900000, 900000), text, sizeof(text)), 400); /* one alone may be larger */
+  mo_http_stop(http, 1000);
+}
+
 static void draining(void)
 {
   struct mo_http_config config = {0};
@@ -421,6 +465,7 @@ static const struct check_case cases[] = {
     {"limits of one client", limits},
     {"streams take no place of requests", streams_take_no_place},
     {"memory of replies", memory},
+    {"shares of memory", memory_shares},
     {"draining", draining},
     {"waiting ends with the server", waiting_ends_with_the_server},
     {"heartbeats", heartbeats},
