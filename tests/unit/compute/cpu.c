@@ -276,6 +276,87 @@ static void a_crowd_of_submitters(void)
   mo_compute_free(compute);
 }
 
+/* A block's results are those of its own precision and its own physics, and divergences are counted. */
+static void blocks_are_what_was_asked_for(void)
+{
+  REQUIRE(setup());
+  uint64_t genotype[MO_DEFAULT_WORDS];
+  genotype_number(6, genotype);
+  struct mo_compute *compute = make_compute(2);
+  struct mo_compute_controller *brain = NULL;
+  struct mo_body *body = NULL;
+  struct mo_workspace_memory *memory = NULL;
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(mo_body_create(lattice, genotype, &body) == MO_OK && mo_workspace_memory_create(&memory) == MO_OK);
+  struct mo_block blocks[4];
+  for (int i = 0; i < 4; i++) {
+    fill_block(blocks + i, genotype, brain, 100);
+    blocks[i].precision = i & 1 ? MO_FLOAT64 : MO_FLOAT32;
+    blocks[i].physics.stiffness_n_per_m = i & 2 ? 1e6 : 15000; /* the stiff ones diverge */
+  }
+  CHECK_INT(mo_compute_run(compute, blocks, 4), MO_OK);
+  uint64_t diverged = 0;
+  for (int i = 0; i < 4; i++) {
+    struct mo_pack *pack = NULL;
+    struct mo_outcome outcomes[MO_PAPER_TEST_COUNT];
+    REQUIRE(mo_pack_create(controller, mo_isa_best(), blocks[i].precision, &pack) == MO_OK);
+    CHECK_INT(mo_rollout_block(memory, pack, body, blocks[i].environments, MO_PAPER_TEST_COUNT, &blocks[i].physics,
+                               NULL, NULL, NULL, outcomes),
+              MO_OK);
+    CHECK(memcmp(outcomes, blocks[i].outcomes, sizeof(outcomes)) == 0);
+    for (int e = 0; e < MO_PAPER_TEST_COUNT; e++)
+      diverged += outcomes[e].diverged_step > 0;
+    mo_pack_free(pack);
+  }
+  CHECK(memcmp(blocks[0].outcomes, blocks[1].outcomes, sizeof(blocks[0].outcomes)) != 0);
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  CHECK_INT(diverged, 2 * MO_PAPER_TEST_COUNT);
+  CHECK_INT(stats.rollouts_diverged, diverged);
+  mo_workspace_memory_free(memory);
+  mo_body_free(body);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* A submitter that answers a cancelled block with the next one is turned away once the back end is being freed: it would have
+ * no end otherwise. */
+struct stubborn {
+  struct mo_compute *compute;
+  atomic_int accepted, refused;
+};
+
+static void submit_again(struct mo_block *block, void *context)
+{
+  struct stubborn *stubborn = context;
+  if (atomic_load(&stubborn->accepted) > 1000)
+    return;
+  atomic_fetch_add(
+      mo_compute_submit(stubborn->compute, block) == MO_ERR_CANCELLED ? &stubborn->refused : &stubborn->accepted, 1);
+}
+
+static void no_block_is_taken_after_the_end(void)
+{
+  REQUIRE(setup());
+  uint64_t genotype[MO_DEFAULT_WORDS];
+  genotype_number(4, genotype);
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_block blocks[2];
+  struct stubborn stubborn = {.compute = compute};
+  for (int i = 0; i < 2; i++) {
+    fill_block(blocks + i, genotype, brain, MO_STEPS_MAX);
+    blocks[i].done = submit_again;
+    blocks[i].context = &stubborn;
+    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+  }
+  mo_compute_free(compute);
+  CHECK_INT(atomic_load(&stubborn.refused), 2);
+  CHECK_INT(atomic_load(&stubborn.accepted), 0);
+  mo_compute_controller_free(brain);
+}
+
 static void passive_and_faults(void)
 {
   REQUIRE(setup());
@@ -328,6 +409,8 @@ static const struct check_case cases[] = {
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"cancelled blocks come back", cancelled_blocks_come_back},
     {"a crowd of submitters", a_crowd_of_submitters},
+    {"blocks are what was asked for", blocks_are_what_was_asked_for},
+    {"no block is taken after the end", no_block_is_taken_after_the_end},
     {"passive bodies and faults", passive_and_faults},
 };
 CHECK_MAIN(cases)
