@@ -348,6 +348,16 @@ static void divergence_stays_in_its_lane(void)
       CHECK_INT(wild, 0);
       REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &physics, NULL, &alone) == 0);
       CHECK(memcmp(&alone, &outcomes[l], sizeof(alone)) == 0);
+      /* It stays where a life that ends a step earlier ends: at the last finite state. */
+      struct mo_physics shorter = physics;
+      shorter.n_steps = (uint32_t)outcomes[l].diverged_step - 1;
+      if (outcomes[l].diverged_step <= 1)
+        continue;
+      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &shorter, NULL, &alone) == 0);
+      CHECK_INT(alone.diverged_step, 0);
+      CHECK(memcmp(alone.com_end_m, outcomes[l].com_end_m, sizeof(alone.com_end_m)) == 0);
+      for (int frame = (outcomes[l].diverged_step + 9) / 10; frame < FRAMES; frame++)
+        CHECK(memcmp(com[l] + 3 * (size_t)frame, alone.com_end_m, sizeof(alone.com_end_m)) == 0);
     }
     printf("# %s precision %d: %d of %d diverged, first at step %d\n", mo_isa_name((enum mo_isa)isa), precision,
            diverged, N, outcomes[0].diverged_step);
