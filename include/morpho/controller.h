@@ -25,6 +25,9 @@ extern "C" {
 #define MO_CONTROLLER_TENSORS     14
 #define MO_CONTROLLER_FILE_MAX    (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
 #define MO_SAFETENSORS_HEADER_MAX (UINT32_C(1) << 20)
+/* Largest |value| of a parameter that a file may hold. Below it no sum of the network leaves float32's range, whatever the sensors
+ * say (they give at most 1e4): the largest, LayerNorm's sum of squares, stays under 1e34. */
+#define MO_WEIGHT_LIMIT 1e6f
 
 enum mo_sensor {
   MO_SENSOR_INVERSE_SQRT = 0,  /* 1/(sqrt(d + 1e-8) + 1e-8): the authors' published code, the default */
@@ -67,7 +70,7 @@ const char *mo_controller_get_metadata(const struct mo_controller *controller, c
 
 /* Reads a safetensors file (path) or its bytes. Checks everything before trusting anything: header length and JSON, exactly the
  * expected tensors, dtype F32, shapes that agree with one workspace (metadata "workspace" = "6x6x4" names it; without it the
- * default one is assumed), offsets that tile the data without gap or overlap, finite values, a known "sensor" (default
+ * default one is assumed), offsets that tile the data without gap or overlap, finite values within MO_WEIGHT_LIMIT, a known "sensor" (default
  * inverse_sqrt), the known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO, MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
 int mo_controller_read(const char *path, struct mo_controller **controller, struct mo_message *message);
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,

@@ -348,10 +348,14 @@ int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_mes
 {
   for (int i = 0; i < MO_CONTROLLER_TENSORS; i++) {
     const float *values = file->controller->parameters + file->tensors[i].offset;
-    for (uint64_t k = 0; k < file->tensors[i].count; k++)
+    for (uint64_t k = 0; k < file->tensors[i].count; k++) {
       if (!isfinite(values[k]))
         return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; all values must be finite",
                        file->tensors[i].name, k, isnan(values[k]) ? "NaN" : "infinite");
+      if (fabsf(values[k]) > MO_WEIGHT_LIMIT)
+        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %g; values must lie within ±%g",
+                       file->tensors[i].name, k, (double)values[k], (double)MO_WEIGHT_LIMIT);
+    }
   }
   return MO_OK;
 }

@@ -325,17 +325,17 @@ static void values_not_finite(void)
 {
   struct mo_controller *c = NULL;
   REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
-  const float bad[] = {NAN, -NAN, INFINITY, -INFINITY};
+  const float bad[] = {NAN, -NAN, INFINITY, -INFINITY, 1.1e6f, -1e20f};
   float *const places[] = {&c->weight[0][0], &c->norm_gain[1][7], &c->bias[3][23]};
   const char *const names[] = {"tensor net.0.weight: value 0 is", "tensor net.4.weight: value 7 is",
                                "tensor net.9.bias: value 23 is"};
   for (int p = 0; p < 3; p++)
-    for (int k = 0; k < 4; k++) {
+    for (int k = 0; k < 6; k++) {
       const float before = *places[p];
       *places[p] = bad[k];
       struct blob blob;
       REQUIRE(mo_controller_encode(c, &blob.bytes, &blob.size) == MO_OK);
-      expect("not finite", &blob, MO_ERR_FORMAT, names[p]);
+      expect("not finite or too large", &blob, MO_ERR_FORMAT, names[p]);
       free(blob.bytes);
       *places[p] = before;
     }
@@ -572,7 +572,7 @@ static const struct check_case cases[] = {{"round trip", round_trip},
                                           {"depth bombs", depth_bombs},
                                           {"truncations, lengths, gaps", lengths},
                                           {"much metadata", many_metadata},
-                                          {"values that are not finite", values_not_finite},
+                                          {"values that are not finite or too large", values_not_finite},
                                           {"random damage", random_damage},
                                           {"files that cannot be read", read_faults},
                                           {"files that cannot be written", write_faults},
