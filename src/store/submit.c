@@ -6,19 +6,16 @@
 
 /* ---- rows by content: found, or made ---- */
 
-static int environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row)
+/* The row of a table whose rows are named by the hash of their bytes; made if there is none. */
+static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql, const uint8_t *bytes,
+                       int size, int64_t *row)
 {
-  static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
-  static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
-  uint8_t bytes[MO_ENVIRONMENT_BYTES];
   struct mo_sha256 hash;
-  sqlite3_stmt *statement;
   int error = MO_OK;
-  mo_encode_environment(environment, bytes);
-  mo_sha256_of(bytes, sizeof(bytes), &hash);
-  statement = mo_sql(writer, find_sql, &error);
+  sqlite3_stmt *statement = mo_sql(writer, find_sql, &error);
   if (statement == NULL)
     return error;
+  mo_sha256_of(bytes, (size_t)size, &hash);
   mo_bind_hash(statement, 1, &hash);
   error = mo_sql_integer(writer, statement, row);
   if (error != MO_ERR_NOT_FOUND)
@@ -27,11 +24,20 @@ static int environment_row(struct mo_connection *writer, const struct mo_environ
   if (statement == NULL)
     return error;
   mo_bind_hash(statement, 1, &hash);
-  sqlite3_bind_blob(statement, 2, bytes, sizeof(bytes), SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 2, bytes, size, SQLITE_STATIC);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   *row = sqlite3_last_insert_rowid(writer->db);
   return error;
+}
+
+static int environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row)
+{
+  static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
+  static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
+  uint8_t bytes[MO_ENVIRONMENT_BYTES];
+  mo_encode_environment(environment, bytes);
+  return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
 static int physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
@@ -40,27 +46,8 @@ static int physics_row(struct mo_connection *writer, const struct mo_physics *ph
   static const char find_sql[] = "SELECT id FROM physics WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO physics(sha256,encoding) VALUES(?1,?2)";
   uint8_t bytes[MO_PHYSICS_BYTES];
-  struct mo_sha256 hash;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
   mo_encode_physics(physics, precision, sensor, bytes);
-  mo_sha256_of(bytes, sizeof(bytes), &hash);
-  statement = mo_sql(writer, find_sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &hash);
-  error = mo_sql_integer(writer, statement, row);
-  if (error != MO_ERR_NOT_FOUND)
-    return error;
-  statement = mo_sql(writer, insert_sql, &error);
-  if (statement == NULL)
-    return error;
-  mo_bind_hash(statement, 1, &hash);
-  sqlite3_bind_blob(statement, 2, bytes, sizeof(bytes), SQLITE_STATIC);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *row = sqlite3_last_insert_rowid(writer->db);
-  return error;
+  return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
 static int genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
