@@ -1,4 +1,4 @@
-/* compute.h: "score these rollouts", whatever computes them.
+/* compute.h: "score these rollouts" and "gradient of these rollouts", whatever computes them.
  *
  * A back end runs blocks: one body in up to MO_BLOCK_LANES environments with one controller. Blocks are submitted from any
  * thread and finish in any order; each block's result depends on its inputs alone. Urgent blocks start at once: a worker that
@@ -10,6 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include <morpho/gradient.h>
 #include <morpho/rollout.h>
 
 #ifdef __cplusplus
@@ -24,9 +25,10 @@ struct mo_compute_controller;
 enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
 
 struct mo_compute_config {
-  uint32_t n_workers; /* 0: one per online processor */
-  enum mo_isa isa;    /* from mo_isa_best(), or lower for tests */
-  int nice;           /* workers' niceness above the process's, 0 … 19: the service's threads stay responsive */
+  uint32_t n_workers;    /* 0: one per online processor */
+  enum mo_isa isa;       /* from mo_isa_best(), or lower for tests */
+  int nice;              /* workers' niceness above the process's, 0 … 19: the service's threads stay responsive */
+  size_t gradient_bytes; /* budget of one worker's scratch for gradients; 0: MO_GRADIENT_DEFAULT_BYTES */
 };
 
 /* Filled in by the submitter, who owns it and all it points to until `done` is called. */
@@ -56,6 +58,7 @@ struct mo_block {
 struct mo_compute_stats {
   uint32_t n_workers, n_busy;
   uint64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted;
+  uint64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   uint64_t queued_batch, queued_interactive;
   double busy_s;           /* worker seconds spent inside blocks */
   size_t worker_bytes_max; /* largest scratch of one worker */
@@ -76,6 +79,39 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
 /* Submits blocks and waits for all of them; returns the first error by position. For tools and tests. */
 int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n);
+
+/* ---- gradients ---- */
+
+/* A batch of different robots, each with its environment. Filled in by the caller, who owns all it points to. */
+struct mo_gradient_batch {
+  const struct mo_controller *controller;
+  const struct mo_robot *robots; /* (n) */
+  uint32_t n;                    /* 1 … MO_GRADIENT_BATCH_MAX */
+  struct mo_physics physics;
+  double adjoint_bound; /* ≥ 0; 0: off */
+  enum mo_urgency urgency;
+  const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */
+  int64_t tag;
+  /* Results. */
+  double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those that diverged or were
+                                * zeroed count as 0 */
+  struct mo_outcome *outcomes; /* (n) */
+  struct mo_gradient_counts counts;
+  struct mo_gradient_profile profile;
+};
+#define MO_GRADIENT_BATCH_MAX 65536
+
+/* Cuts the batch into blocks of MO_GRADIENT_ROBOTS (in the order of mo_gradient_arrange), keeps all workers busy with them, and adds
+ * their results up in float64 in the order of the blocks: the same bits for any number of workers. Urgent blocks overtake
+ * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next (packs, partial sums):
+ * create it once per training; one call at a time. MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_NO_MEMORY, MO_ERR_CANCELLED. On error
+ * the results are undefined. */
+struct mo_gradient_state;
+int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
+void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */
+int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch);
+/* As mo_compute_fingerprint, for gradients. */
+const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats); /* lock-free reads */
 /* The tag of the block that the calling worker thread is in, −1 elsewhere. Async-signal-safe. */

@@ -1,5 +1,8 @@
 /* gradient.h: how the loss of a rollout changes with every parameter of its controller, by backpropagation through all steps
- * (docs/numerics.md derives it). float64, plain C, one rollout: the yardstick for faster paths.
+ * (docs/numerics.md derives it). Two implementations of the same mathematics:
+ *   mo_gradient_reference  float64, plain C, one rollout: the yardstick;
+ *   mo_gradient_block      float32 vectors over up to MO_GRADIENT_ROBOTS different robots, each in an environment of its own,
+ *                          compiled for several instruction sets.
  *
  * A rollout is a long chain of contacts, along which the adjoint (∂loss/∂state) can grow exponentially. The bound tames it:
  * at every step of the way back, with the adjoint of all masses' positions and velocities,
@@ -8,6 +11,7 @@
 #ifndef MORPHO_GRADIENT_H
 #define MORPHO_GRADIENT_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include <morpho/controller.h>
@@ -55,6 +59,58 @@ int mo_gradient_reference(const struct mo_body *body, const struct mo_controller
                           const struct mo_environment *environment, const struct mo_physics *physics,
                           const struct mo_gradient_options *options, struct mo_outcome *outcome, double *d_parameters,
                           struct mo_gradient_counts *counts);
+
+/* ---- the fast path ---- */
+
+#define MO_GRADIENT_ROBOTS        32                  /* most robots of one block */
+#define MO_GRADIENT_DEFAULT_BYTES ((size_t)384 << 20) /* budget of one worker's scratch */
+
+/* One robot of a batch; borrowed. */
+struct mo_robot {
+  const struct mo_body *body;
+  const struct mo_environment *environment;
+};
+
+/* A controller laid out for one instruction set, to score and differentiate with. Const while blocks run; shared by all
+ * workers. Keeps no reference to the controller. MO_ERR_UNSUPPORTED: not on this processor; MO_ERR_NO_MEMORY. */
+struct mo_gradient_pack;
+int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa, struct mo_gradient_pack **pack);
+/* Takes new parameters of the same workspace and sensor: what a step of learning changes. MO_ERR_UNSUPPORTED: another one. */
+int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller);
+void mo_gradient_pack_free(struct mo_gradient_pack *pack); /* NULL-safe */
+size_t mo_gradient_pack_bytes(const struct mo_gradient_pack *pack);
+
+/* Scratch of one worker: grows to what its blocks need. The tape of a block (what the way back needs of every step) is held in full if
+ * it fits `budget_bytes`; else the rollout is cut into segments, of which only the starts are kept and which are run again on the
+ * way back. The budget never changes a bit of a result. A budget too small for the shortest segments is exceeded, not refused. */
+struct mo_gradient_memory;
+int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **memory);
+void mo_gradient_memory_free(struct mo_gradient_memory *memory); /* NULL-safe */
+size_t mo_gradient_memory_bytes(const struct mo_gradient_memory *memory);
+
+/* Where time went, in seconds, summed over calls. */
+struct mo_gradient_profile {
+  double pack_s;                                       /* layouts made for the block */
+  double sense_s, control_s, physics_s;                /* forward */
+  double physics_back_s, control_back_s, parameters_s; /* backward */
+  double repeat_s;                                     /* segments run again */
+  uint64_t robot_steps;
+};
+
+/* An order of the n robots in which consecutive runs of MO_GRADIENT_ROBOTS suit each other (bodies that overlap share work).
+ * Depends on the bodies alone. order: (n). MO_ERR_NO_MEMORY. */
+int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order);
+
+/* Rolls out n robots (1 … MO_GRADIENT_ROBOTS) and WRITES to d_parameters (n_parameters, file order) the sum over them of
+ * ∂loss/∂parameters · options->weight: robots that diverged or whose adjoint is not finite contribute nothing and are counted, as
+ * in mo_gradient_reference. The result depends on the inputs (robots, in this order) and the instruction set alone. outcomes:
+ * (n). pause, profile, counts nullable (counts are added to). MO_ERR_INVALID (a body of another workspace, options),
+ * MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
+int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+                      const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
+                      const struct mo_gradient_options *options, const struct mo_pause_point *pause,
+                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes, float *d_parameters,
+                      struct mo_gradient_counts *counts);
 
 #ifdef __cplusplus
 }

@@ -24,7 +24,10 @@ enum mo_purpose {
   MO_PURPOSE_MUTATION = 6,
   MO_PURPOSE_CROSSOVER = 7,
   MO_PURPOSE_SELECTION = 8,
-  MO_PURPOSE_CHECK = 9 /* property tests and benchmarks */
+  MO_PURPOSE_CHECK = 9, /* property tests and benchmarks */
+  MO_PURPOSE_HELD_OUT_BODY = 10,
+  MO_PURPOSE_HELD_OUT_TERRAIN = 11,
+  MO_PURPOSE_HELD_OUT_LIGHT = 12
 };
 
 #define MO_RANDOM_INDEX_MAX ((UINT64_C(1) << 48) - 1)

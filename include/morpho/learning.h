@@ -1,0 +1,155 @@
+/* learning.h: how the controller learns: optimizer, schedules, the stream of robots that it learns from, and the state of one
+ * training, which can be saved at any step and goes on from there bit for bit (paper, sections 2.4 and 3; appendix A).
+ *
+ * A training is driven from outside, one step at a time:
+ *   mo_training_draw    the robots of the step: which body, which environment
+ *   (their gradient: mo_compute_gradient, mo_gradient_reference, …)
+ *   mo_training_apply   clip, Adam, next step
+ * What a step does depends on the settings, the starting weights and the gradient alone: no clocks, no global state. Not for
+ * concurrent use. */
+#ifndef MORPHO_LEARNING_H
+#define MORPHO_LEARNING_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/controller.h>
+#include <morpho/gradient.h>
+#include <morpho/morphospace.h>
+#include <morpho/rollout.h>
+#include <morpho/world.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define MO_TRAINING_STEPS_MAX   1000000
+#define MO_TRAINING_BATCH_MAX   65536
+#define MO_TRAINING_DESIGNS_MAX 10000
+
+/* ---- learning rate ---- */
+
+enum mo_schedule_kind {
+  MO_SCHEDULE_RESTARTS = 0, /* cosine annealing with warm restarts: from peak · decay^c down to floor in cycle c */
+  MO_SCHEDULE_COSINE = 1,   /* one cosine from peak to floor over all steps of the training */
+  MO_SCHEDULE_CONSTANT = 2
+};
+const char *mo_schedule_name(enum mo_schedule_kind kind);                 /* "restarts", "cosine", "constant" */
+int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind); /* MO_ERR_NOT_FOUND */
+
+struct mo_schedule {
+  enum mo_schedule_kind kind;
+  double peak, floor;    /* learning rates, > 0, floor ≤ peak ≤ 1 */
+  double decay;          /* of the peak from one cycle to the next, 0 < decay ≤ 1 (restarts) */
+  uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
+  uint32_t cycle_growth; /* factor of the length from one cycle to the next, ≥ 1 (restarts) */
+  uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins; 0: none */
+};
+/* The paper's three: pretraining (1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7), finetuning between generations (3.5e-4 →
+ * 3.5e-5 over one cycle of 100), simultaneous co-design (as pretraining with decay 0.65); and our own default. */
+struct mo_schedule mo_schedule_paper_pretrain(void);
+struct mo_schedule mo_schedule_paper_finetune(void);
+struct mo_schedule mo_schedule_paper_simultaneous(void);
+struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 steps */
+/* The rate of step `step` (from 0) of a training of n_steps. Bit-exact on every machine. */
+double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
+int mo_schedule_check(const struct mo_schedule *schedule,
+                      struct mo_message *message); /* MO_ERR_INVALID, MO_ERR_RANGE */
+
+/* ---- settings ---- */
+
+enum mo_training_kind {
+  MO_TRAINING_PRETRAIN = 0, /* an endless stream of distinct random bodies, each seen once */
+  MO_TRAINING_FINETUNE = 1  /* the designs given, in turn */
+};
+
+struct mo_training_settings {
+  enum mo_training_kind kind;
+  uint64_t seed;    /* of bodies, environments and, when there is no parent, initial weights */
+  uint32_t n_steps; /* 1 … MO_TRAINING_STEPS_MAX */
+  uint32_t batch;   /* robots of a step, 1 … MO_TRAINING_BATCH_MAX */
+  struct mo_schedule schedule;
+  double beta1, beta2, epsilon; /* of Adam: 0.9, 0.999, 1e-8 */
+  double norm_limit;            /* of the batch gradient's global L2 norm; 1; 0: off */
+  double adjoint_bound;         /* per robot; MO_ADJOINT_BOUND; 0: off */
+  struct mo_physics physics;
+  enum mo_sensor sensor; /* of a controller that starts from random weights; ignored with a parent */
+  /* Held out: never drawn for learning. Validation scores them with the controller as it is. */
+  uint32_t
+      held_out_designs; /* pretrain: bodies of the held-out stream; finetune: the first of the designs. 64; ≤ 10000 */
+  uint32_t held_out_environments; /* 8; ≤ 64 */
+};
+struct mo_training_settings mo_training_defaults(enum mo_training_kind kind); /* 1400 steps of 256; finetune: 60 */
+int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message);
+
+/* ---- held-out sets ---- */
+
+/* Bodies that no training draws, whatever its seed: draws of a stream of their own, keyed by the held-out purpose; every pretraining stream
+ * excludes the first MO_TRAINING_DESIGNS_MAX of them for its seed. designs: (n, MO_DEFAULT_WORDS) placed genotypes of the
+ * default workspace. */
+int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs); /* MO_ERR_NO_MEMORY, MO_ERR_RANGE */
+/* Environments of the training distribution (σ ~ U(0, 0.1), ring of lights) under keys that no training uses. */
+void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
+
+/* ---- the state of one training ---- */
+
+struct mo_training;
+
+/* parent: nullable for MO_TRAINING_PRETRAIN (random weights then); borrowed for the call. designs: (n_designs,
+ * MO_DEFAULT_WORDS) placed genotypes for MO_TRAINING_FINETUNE, copied; else NULL, 0. Default workspace only.
+ * MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_UNSUPPORTED (the parent's workspace), MO_ERR_NO_MEMORY. */
+int mo_training_create(const struct mo_training_settings *settings, const struct mo_controller *parent,
+                       const uint64_t *designs, size_t n_designs, struct mo_training **training,
+                       struct mo_message *message);
+void mo_training_free(struct mo_training *training); /* NULL-safe */
+
+uint32_t mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
+const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
+const struct mo_controller *mo_training_controller(const struct mo_training *training); /* as it is now; borrowed */
+size_t mo_training_bytes(const struct mo_training *training); /* memory held, the set of seen bodies included */
+
+/* The robots of the current step: (batch) of them, borrowed until the next draw or apply. Robot i of step t lives in
+ * mo_environment_training(seed, t, i). A pretraining that was restored first replays its stream: `cancel` (nullable) non-zero ends that
+ * early with MO_ERR_CANCELLED; `replayed` (nullable) counts bodies as they come, for progress. MO_ERR_EXHAUSTED: no new
+ * bodies are left. Drawing twice gives the same robots. */
+int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
+                     const struct mo_robot **robots);
+
+/* What a step did. */
+struct mo_training_report {
+  uint32_t step;        /* from 1 */
+  double mean_loss;     /* over the robots that did not diverge; NaN when all did */
+  double rate;          /* learning rate */
+  double gradient_norm; /* of the batch gradient before the norm clip; 0 when skipped */
+  double clipped_share; /* of backward steps whose adjoint was scaled */
+  double clipped_robots_share;
+  uint32_t diverged, zeroed;
+  bool skipped;     /* the gradient or the new weights were not finite: weights and moments stay as they were */
+  uint32_t bounded; /* weights held back at ±MO_WEIGHT_LIMIT */
+};
+/* Takes the gradient of the mean loss of the robots last drawn, (n_parameters), and what came of them; moves weights, moments and counters
+ * on by one step. MO_ERR_CONFLICT: nothing was drawn, or it is finished. */
+int mo_training_apply(struct mo_training *training, const double *d_parameters, const struct mo_outcome *outcomes,
+                      const struct mo_gradient_counts *counts, struct mo_training_report *report);
+
+/* ---- checkpoints ---- */
+
+/* Everything that the rest of the training depends on, as bytes (malloc): settings, step, weights, moments, counters, designs. Same state,
+ * same bytes. A checksum guards them. */
+int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
+/* MO_ERR_FORMAT (not a checkpoint, damaged, or of an unknown version; message says which), MO_ERR_NO_MEMORY. */
+int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training, struct mo_message *message);
+/* The same as a file: temporary file beside it, fsync, rename, fsync of the folder. MO_ERR_IO, MO_ERR_NO_SPACE. */
+int mo_training_write(const struct mo_training *training, const char *path, struct mo_message *message);
+int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message);
+
+/* The controller so far with its lineage in the metadata (keys "morphod.…": kind, parent's sha256 as given (nullable: "random"), data seed,
+ * settings as JSON, step, code version): no clock, no host, so that equal trainings give equal files. The caller frees it. */
+int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
+                       struct mo_controller **controller);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
