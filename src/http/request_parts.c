@@ -1,0 +1,305 @@
+/* request_parts.c: see request_parts.h. Every fault names its place: a cell that is out of bounds is /designs/3/cells/7/0. */
+#include "http/request_parts.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/store.h"
+
+void mo_read_unknown(struct mo_json *json, const char *expected)
+{
+  mo_json_fault(json, "unknown field; expected are %s", expected);
+  mo_json_skip(json);
+}
+
+/* ---- designs ---- */
+
+static void cell_fault(struct mo_json *json, unsigned depth, int code, const struct mo_cell_fault *fault)
+{
+  static const char *const sides[] = {"x, 0 to 5", "y, 0 to 5", "z, 0 to 3"};
+  char below[48];
+  snprintf(below, sizeof(below), "/%zu", fault->cell);
+  switch (code) {
+  case MO_ERR_EMPTY: mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected"); break;
+  case MO_ERR_RANGE:
+    snprintf(below, sizeof(below), "/%zu/%d", fault->cell, fault->axis);
+    mo_json_fault_at(json, depth, below, "outside the workspace; a coordinate along %s is expected",
+                     sides[fault->axis]);
+    break;
+  case MO_ERR_DUPLICATE:
+    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu", fault->other);
+    break;
+  case MO_ERR_NOT_CONTIGUOUS:
+    mo_json_fault_at(json, depth, below,
+                     "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
+    break;
+  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
+  }
+}
+
+static bool read_cells(struct mo_json *json, uint64_t *bits)
+{
+  int64_t cells[MO_DEFAULT_VOXELS][3];
+  size_t n = 0;
+  unsigned depth = json->depth, before = json->faults->n;
+  if (!mo_json_array(json))
+    return false;
+  while (mo_json_item(json)) {
+    if (n == MO_DEFAULT_VOXELS) {
+      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d", MO_DEFAULT_VOXELS,
+                       MO_DEFAULT_VOXELS);
+      mo_json_skip(json);
+      while (mo_json_item(json))
+        mo_json_skip(json);
+      return false;
+    }
+    unsigned cell = json->depth;
+    int axis = 0;
+    if (!mo_json_array(json))
+      continue;
+    while (mo_json_item(json)) {
+      if (axis < 3) {
+        mo_json_integer(json, INT32_MIN, INT32_MAX, &cells[n][axis]);
+      } else {
+        mo_json_skip(json);
+      }
+      axis += axis < 4;
+    }
+    if (axis != 3)
+      mo_json_fault_at(json, cell, "", "a cell has exactly three coordinates: [x, y, z]");
+    n++;
+  }
+  if (json->stop || json->faults->n > before)
+    return false;
+  struct mo_cell_fault fault;
+  int code = mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, &fault);
+  if (code != MO_OK)
+    cell_fault(json, depth, code, &fault);
+  return code == MO_OK;
+}
+
+static bool read_voxels(struct mo_json *json, uint64_t *bits)
+{
+  unsigned depth = json->depth;
+  struct mo_json_slice text;
+  struct mo_cell_fault fault;
+  if (!mo_json_string(json, &text))
+    return false;
+  int code = mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits, &fault);
+  switch (code) {
+  case MO_OK: break;
+  case MO_ERR_RANGE:
+    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected", text.size,
+                     MO_DEFAULT_VOXELS);
+    break;
+  case MO_ERR_FORMAT: mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell); break;
+  case MO_ERR_EMPTY: mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected"); break;
+  case MO_ERR_NOT_CONTIGUOUS:
+    mo_json_fault_at(
+        json, depth, "",
+        "voxel %zu (from 0) is not connected to the first one; a body in one piece (through faces) is expected",
+        fault.cell);
+    break;
+  default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
+  }
+  return code == MO_OK;
+}
+
+static bool read_id(struct mo_json *json, uint64_t *bits)
+{
+  unsigned depth = json->depth;
+  struct mo_json_slice text;
+  if (!mo_json_string(json, &text))
+    return false;
+  int code = mo_genotype_from_id(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits);
+  if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
+    mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
+  else if (code != MO_OK)
+    mo_json_fault_at(json, depth, "", "not a design's id; %d hexadecimal digits of a canonical form are expected",
+                     MO_DEFAULT_ID_DIGITS);
+  return code == MO_OK;
+}
+
+static void read_design(struct mo_json *json, struct mo_bits *bits)
+{
+  unsigned depth = json->depth, forms = 0;
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "cells"))
+      read_cells(json, bits->words);
+    else if (mo_json_is(key, "voxels"))
+      read_voxels(json, bits->words);
+    else if (mo_json_is(key, "id"))
+      read_id(json, bits->words);
+    else {
+      mo_read_unknown(json, "cells, voxels or id");
+      continue;
+    }
+    forms++;
+  }
+  if (forms != 1)
+    mo_json_fault_at(json, depth, "", "a design is given by exactly one of cells, voxels and id");
+}
+
+int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *n_designs)
+{
+  unsigned depth = json->depth;
+  uint32_t n = 0, capacity = 0;
+  if (!mo_json_array(json))
+    return MO_OK;
+  while (mo_json_item(json)) {
+    if (n == MO_DESIGNS_MAX) {
+      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected", MO_DESIGNS_MAX,
+                       MO_DESIGNS_MAX);
+      mo_json_skip(json);
+      while (mo_json_item(json))
+        mo_json_skip(json);
+      break;
+    }
+    if (n == capacity) {
+      capacity = capacity == 0 ? 64 : capacity * 2;
+      struct mo_bits *grown = realloc(*genotypes, capacity * sizeof(*grown));
+      if (grown == NULL)
+        return MO_ERR_NO_MEMORY;
+      *genotypes = grown;
+    }
+    (*genotypes)[n] = (struct mo_bits){{0}};
+    read_design(json, &(*genotypes)[n]);
+    n++;
+  }
+  if (n == 0)
+    mo_json_fault_at(json, depth, "", "no designs are given; 1 to %d are expected", MO_DESIGNS_MAX);
+  *n_designs = n;
+  return MO_OK;
+}
+
+/* ---- settings ---- */
+
+static void read_impact(struct mo_json *json, struct mo_physics *physics)
+{
+  struct mo_json_slice name;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &name))
+    return;
+  if (mo_json_is(name, "exact")) {
+    physics->impact = MO_IMPACT_EXACT;
+    return;
+  }
+  uint32_t n = 0;
+  bool good = name.size > 9 && name.size <= 11 && memcmp(name.bytes, "bisection", 9) == 0 && name.bytes[9] != '0';
+  for (size_t i = 9; i < name.size && good; i++) {
+    good = name.bytes[i] >= '0' && name.bytes[i] <= '9';
+    n = n * 10 + (uint32_t)(name.bytes[i] - '0');
+  }
+  if (!good || n < 1 || n > 52) {
+    mo_json_fault_at(json, depth, "", "\"exact\", or \"bisection\" followed by 1 to 52, is expected");
+    return;
+  }
+  physics->impact = MO_IMPACT_BISECTION;
+  physics->bisections = n;
+}
+
+void mo_read_physics(struct mo_json *json, struct mo_physics *physics)
+{
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    /* Each field is checked alone, so that each fault is at its own place. */
+    struct mo_physics one = mo_default_physics();
+    const struct {
+      const char *name;
+      double *in_one, *in_all;
+    } numbers[] = {
+        {"dt_s", &one.dt_s, &physics->dt_s},
+        {"stiffness_n_per_m", &one.stiffness_n_per_m, &physics->stiffness_n_per_m},
+        {"mass_kg", &one.mass_kg, &physics->mass_kg},
+        {"drag_per_s", &one.drag_per_s, &physics->drag_per_s},
+        {"gravity_m_per_s2", &one.gravity_m_per_s2, &physics->gravity_m_per_s2},
+        {"actuation", &one.actuation, &physics->actuation},
+        {"friction", &one.friction, &physics->friction},
+        {"friction_cap", &one.friction_cap, &physics->friction_cap},
+        {"drop_height_m", &one.drop_height_m, &physics->drop_height_m},
+    };
+    size_t field = 0, n_fields = sizeof(numbers) / sizeof(numbers[0]);
+    while (field < n_fields && !mo_json_is(key, numbers[field].name))
+      field++;
+    int64_t steps;
+    struct mo_message message;
+    if (field < n_fields) {
+      if (!mo_json_number(json, numbers[field].in_one))
+        continue;
+      if (mo_physics_check(&one, &message) != MO_OK)
+        mo_json_fault(json, "%s", message.text);
+      else
+        *numbers[field].in_all = *numbers[field].in_one;
+    } else if (mo_json_is(key, "n_steps")) {
+      if (mo_json_integer(json, 1, MO_STEPS_MAX, &steps))
+        physics->n_steps = (uint32_t)steps;
+    } else if (mo_json_is(key, "impact")) {
+      read_impact(json, physics);
+    } else {
+      mo_read_unknown(
+          json,
+          "dt_s, n_steps, stiffness_n_per_m, mass_kg, drag_per_s, gravity_m_per_s2, actuation, friction, friction_cap, "
+          "drop_height_m, impact");
+    }
+  }
+}
+
+void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX + 8])
+{
+  struct mo_json_slice name;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &name))
+    return;
+  char text[MO_NAME_BYTES_MAX + 8];
+  struct mo_sha256 hash;
+  bool good = name.size < sizeof(text) && memchr(name.bytes, '\0', name.size) == NULL;
+  if (good) {
+    memcpy(text, name.bytes, name.size);
+    text[name.size] = '\0';
+    good = strncmp(text, "sha256:", 7) == 0 ? mo_sha256_from_hex(text + 7, strlen(text + 7), &hash) == MO_OK
+                                            : mo_controller_name_check(text) == MO_OK;
+  }
+  if (!good)
+    mo_json_fault_at(json, depth, "", "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
+  else
+    memcpy(controller, text, strlen(text) + 1);
+}
+
+bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
+{
+  struct mo_json_slice words;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &words))
+    return false;
+  size_t characters = 0;
+  for (size_t i = 0; i < words.size; i++)
+    characters += ((unsigned char)words.bytes[i] & 0xC0) != 0x80;
+  if (characters > 200) {
+    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected", characters);
+    return false;
+  }
+  memcpy(label, words.bytes, words.size);
+  label[words.size] = '\0';
+  return true;
+}
+
+/* One of two words; false when it is neither. */
+bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice)
+{
+  struct mo_json_slice word;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &word))
+    return false;
+  if (!mo_json_is(word, first) && !mo_json_is(word, second)) {
+    mo_json_fault_at(json, depth, "", "\"%s\" or \"%s\" is expected", first, second);
+    return false;
+  }
+  *choice = mo_json_is(word, second);
+  return true;
+}
