@@ -53,11 +53,14 @@ struct mo_block {
   void *context;
   /* The back end's own. */
   struct mo_block *next;
+  struct mo_gradient_task *gradient;
 };
 
 struct mo_compute_stats {
   uint32_t n_workers, n_busy;
-  uint64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted;
+  uint64_t blocks_done;                                     /* scoring and gradient blocks */
+  uint64_t rollouts_done, rollout_steps, rollouts_diverged; /* of scoring blocks */
+  uint64_t blocks_preempted;                                /* urgent blocks that overtook inside another */
   uint64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   uint64_t queued_batch, queued_interactive;
   double busy_s;           /* worker seconds spent inside blocks */
@@ -89,7 +92,8 @@ struct mo_gradient_batch {
   uint32_t n;                    /* 1 … MO_GRADIENT_BATCH_MAX */
   struct mo_physics physics;
   double adjoint_bound; /* ≥ 0; 0: off */
-  enum mo_urgency urgency;
+  enum mo_urgency
+      urgency; /* MO_INTERACTIVE: goes before all batch blocks that wait, without interrupting one that runs */
   const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */
   int64_t tag;
   /* Results. */
@@ -102,10 +106,11 @@ struct mo_gradient_batch {
 #define MO_GRADIENT_BATCH_MAX 65536
 
 /* Cuts the batch into blocks of MO_GRADIENT_ROBOTS (in the order of mo_gradient_arrange), keeps all workers busy with them, and adds
- * their results up in float64 in the order of the blocks: the same bits for any number of workers. Urgent blocks overtake
- * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next (packs, partial sums):
- * create it once per training; one call at a time. MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_NO_MEMORY, MO_ERR_CANCELLED. On error
- * the results are undefined. */
+ * their results up in float64 in the order of the blocks: the same bits for any number of workers. Urgent scoring blocks overtake
+ * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next: a pack, and
+ * at most two float32 gradients per worker. Create it once per training; one call at a time, which must have returned before
+ * mo_compute_free. MO_ERR_RANGE (n, a bound below 0), MO_ERR_INVALID (something missing or not finite, a body of another workspace, physics or
+ * an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED. On error the results are undefined. */
 struct mo_gradient_state;
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
 void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */

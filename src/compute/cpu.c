@@ -1,9 +1,10 @@
-/* cpu.c: the CPU back end: worker threads, two queues, urgent blocks that overtake.
+/* cpu.c: the CPU back end: worker threads, first-in-first-out queues, urgent blocks that overtake.
  *
- * Workers take from two first-in-first-out queues under one mutex, the interactive one first. A worker that is inside a batch
- * block looks at an atomic count every few steps; if an interactive block waits, it runs it then and there, on its own stack
- * and in a second scratch, and goes on with the batch block, whose bits cannot notice. So an interactive block waits for a
- * few steps of a rollout and never for a whole block, and no thread beyond one per worker is needed.
+ * Workers take from the queues under one mutex, the most urgent first. A worker that is inside a batch block or a gradient block
+ * looks at an atomic count every few steps; if an interactive scoring block waits, it runs it then and there, on its own stack
+ * and in a second scratch, and goes on with its block, whose bits cannot notice. So an interactive scoring block waits for a
+ * few steps of a rollout and never for a whole block, and no thread beyond one per worker is needed. Gradient blocks never run
+ * inside another block: a worker holds one gradient scratch, hundreds of megabytes, made at first use.
  *
  * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand back what is queued as
  * cancelled, and leave. Every block's `done` is called exactly once. Counters are atomics: reading them takes no lock. */
@@ -27,8 +28,13 @@ enum {
   WORKERS_MAX = 1024,
   PAUSE_STEPS = 20,     /* between looks at the queue, for bodies of the default workspace: about 1 ms */
   PAUSE_SPRINGS = 2000, /* larger bodies look after every step */
-  DEPTHS = 2            /* a batch block, and an interactive one inside it */
+  PAUSE_GRADIENT_STEPS = 4,
+  PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
+  DEPTHS = 2 /* a batch or gradient block, and an interactive one inside it */
 };
+
+/* In ascending order of urgency. Gradients wait in BATCH, or, if they are urgent, in a queue of their own. */
+enum { BATCH, URGENT_GRADIENTS, URGENT, QUEUES };
 
 struct queue {
   struct mo_block *first, *last;
@@ -38,22 +44,25 @@ struct queue {
 struct worker {
   struct mo_compute *compute;
   struct mo_workspace_memory *memory[DEPTHS];
+  struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
   pthread_t thread;
 };
 
 struct mo_compute {
   enum mo_isa isa;
   int nice;
+  size_t gradient_bytes;
   uint32_t n_workers; /* started */
   struct worker *workers;
   pthread_mutex_t mutex;
   pthread_cond_t wake;
-  struct queue queues[2]; /* by mo_urgency */
-  atomic_bool stopping;   /* written under the mutex */
+  struct queue queues[QUEUES];
+  atomic_bool stopping; /* written under the mutex */
   atomic_uint_fast32_t n_busy;
   atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted, busy_ns;
+  atomic_uint_fast64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   atomic_size_t worker_bytes_max;
-  char fingerprint[2][64];
+  char fingerprint[2][64], gradient_fingerprint[64];
 };
 
 /* The tag of the innermost block on this thread. Read by a fault handler, so volatile. */
@@ -67,6 +76,11 @@ int64_t mo_compute_current_tag(void)
 enum mo_isa mo_compute_isa(const struct mo_compute *compute)
 {
   return compute->isa;
+}
+
+uint32_t mo_compute_workers(const struct mo_compute *compute)
+{
+  return compute->n_workers;
 }
 
 /* ---- queues, under the mutex ---- */
@@ -106,7 +120,8 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth);
 static bool is_cancelled(const struct mo_compute *compute, const struct mo_block *block)
 {
   return atomic_load_explicit(&compute->stopping, memory_order_relaxed) ||
-         (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0);
+         (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
+         (block->gradient != NULL && atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
 }
 
 /* The pause point of a running block. */
@@ -114,8 +129,8 @@ static int look_up(void *context)
 {
   const struct visit *visit = context;
   struct mo_compute *compute = visit->worker->compute;
-  struct queue *urgent = &compute->queues[MO_INTERACTIVE];
-  if (visit->depth == 0 && visit->block->urgency == MO_BATCH)
+  struct queue *urgent = &compute->queues[URGENT];
+  if (visit->depth == 0 && (visit->block->urgency == MO_BATCH || visit->block->gradient != NULL))
     while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 && !is_cancelled(compute, visit->block)) {
       pthread_mutex_lock(&compute->mutex);
       struct mo_block *block = pop(urgent);
@@ -151,11 +166,30 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth)
   return status;
 }
 
+static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth)
+{
+  if (is_cancelled(worker->compute, &task->block))
+    return MO_ERR_CANCELLED;
+  if (worker->gradient == NULL) {
+    const int status = mo_gradient_memory_create(worker->compute->gradient_bytes, &worker->gradient);
+    if (status != MO_OK)
+      return status;
+  }
+  uint64_t springs = 0;
+  for (uint32_t i = 0; i < task->n; i++)
+    springs += task->robots[i].body->n_springs;
+  struct visit visit = {worker, &task->block, depth};
+  const struct mo_pause_point pause = {
+      .interval = springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS, .reached = look_up, .context = &visit};
+  return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n, &task->block.physics, &task->options,
+                           &pause, &task->profile, task->outcomes, task->d_parameters, &task->counts);
+}
+
 static void count(struct worker *worker, const struct mo_block *block)
 {
   struct mo_compute *compute = worker->compute;
   atomic_fetch_add(&compute->blocks_done, 1);
-  size_t bytes = 0;
+  size_t bytes = worker->gradient != NULL ? mo_gradient_memory_bytes(worker->gradient) : 0;
   for (int depth = 0; depth < DEPTHS; depth++)
     bytes += mo_workspace_memory_bytes(worker->memory[depth]);
   size_t most = atomic_load(&compute->worker_bytes_max);
@@ -163,6 +197,12 @@ static void count(struct worker *worker, const struct mo_block *block)
     ;
   if (block->status != MO_OK)
     return;
+  if (block->gradient != NULL) {
+    atomic_fetch_add(&compute->gradient_robots_done, block->gradient->n);
+    atomic_fetch_add(&compute->gradient_robots_diverged, block->gradient->counts.diverged_robots);
+    atomic_fetch_add(&compute->gradient_robots_zeroed, block->gradient->counts.zeroed_robots);
+    return;
+  }
   uint32_t diverged = 0;
   for (uint32_t i = 0; i < block->n_environments; i++)
     diverged += block->outcomes[i].diverged_step > 0;
@@ -175,7 +215,8 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth)
 {
   const int64_t outer_tag = current_tag;
   current_tag = block->tag;
-  block->status = simulate(worker, block, depth);
+  block->status =
+      block->gradient != NULL ? differentiate(worker, block->gradient, depth) : simulate(worker, block, depth);
   count(worker, block);
   block->done(block, block->context); /* the block may be gone now */
   current_tag = outer_tag;
@@ -202,9 +243,9 @@ static void *work(void *argument)
   settle(compute);
   pthread_mutex_lock(&compute->mutex);
   for (;;) {
-    struct mo_block *block = pop(&compute->queues[MO_INTERACTIVE]);
-    if (block == NULL)
-      block = pop(&compute->queues[MO_BATCH]);
+    struct mo_block *block = NULL;
+    for (int q = QUEUES; q-- > 0 && block == NULL;)
+      block = pop(&compute->queues[q]);
     if (block == NULL) {
       if (atomic_load(&compute->stopping))
         break;
@@ -273,9 +314,12 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
   }
   compute->isa = config->isa;
   compute->nice = config->nice;
+  compute->gradient_bytes = config->gradient_bytes > 0 ? config->gradient_bytes : MO_GRADIENT_DEFAULT_BYTES;
   for (int precision = 0; precision < 2; precision++)
     snprintf(compute->fingerprint[precision], sizeof(compute->fingerprint[precision]), "cpu %s %s kernel-%d",
              mo_isa_name(config->isa), precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
+  snprintf(compute->gradient_fingerprint, sizeof(compute->gradient_fingerprint), "cpu %s float32 gradient-%d",
+           mo_isa_name(config->isa), MO_GRADIENT_VERSION);
   pthread_mutex_init(&compute->mutex, NULL);
   pthread_cond_init(&compute->wake, NULL);
   for (uint32_t i = 0; i < wanted; i++)
@@ -301,6 +345,7 @@ void mo_compute_free(struct mo_compute *compute)
     pthread_join(compute->workers[i].thread, NULL);
     for (int depth = 0; depth < DEPTHS; depth++)
       mo_workspace_memory_free(compute->workers[i].memory[depth]);
+    mo_gradient_memory_free(compute->workers[i].gradient);
   }
   pthread_cond_destroy(&compute->wake);
   pthread_mutex_destroy(&compute->mutex);
@@ -325,18 +370,30 @@ static bool is_valid(const struct mo_block *block)
   return mo_physics_check(&block->physics, NULL) == MO_OK;
 }
 
-int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
+static int enqueue(struct mo_compute *compute, struct mo_block *block, int queue)
 {
-  if (!is_valid(block))
-    return MO_ERR_INVALID;
   pthread_mutex_lock(&compute->mutex);
   const bool stopping = atomic_load(&compute->stopping);
   if (!stopping) {
-    push(&compute->queues[block->urgency], block);
+    push(&compute->queues[queue], block);
     pthread_cond_signal(&compute->wake);
   }
   pthread_mutex_unlock(&compute->mutex);
   return stopping ? MO_ERR_CANCELLED : MO_OK;
+}
+
+int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
+{
+  if (!is_valid(block))
+    return MO_ERR_INVALID;
+  block->gradient = NULL;
+  return enqueue(compute, block, block->urgency == MO_INTERACTIVE ? URGENT : BATCH);
+}
+
+int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task)
+{
+  task->block.gradient = task;
+  return enqueue(compute, &task->block, task->block.urgency == MO_INTERACTIVE ? URGENT_GRADIENTS : BATCH);
 }
 
 struct waiter {
@@ -391,8 +448,11 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
       .rollout_steps = atomic_load(&compute->rollout_steps),
       .rollouts_diverged = atomic_load(&compute->rollouts_diverged),
       .blocks_preempted = atomic_load(&compute->blocks_preempted),
-      .queued_batch = atomic_load(&compute->queues[MO_BATCH].n),
-      .queued_interactive = atomic_load(&compute->queues[MO_INTERACTIVE].n),
+      .gradient_robots_done = atomic_load(&compute->gradient_robots_done),
+      .gradient_robots_diverged = atomic_load(&compute->gradient_robots_diverged),
+      .gradient_robots_zeroed = atomic_load(&compute->gradient_robots_zeroed),
+      .queued_batch = atomic_load(&compute->queues[BATCH].n),
+      .queued_interactive = atomic_load(&compute->queues[URGENT].n) + atomic_load(&compute->queues[URGENT_GRADIENTS].n),
       .busy_s = 1e-9 * (double)atomic_load(&compute->busy_ns),
       .worker_bytes_max = atomic_load(&compute->worker_bytes_max),
   };
@@ -401,4 +461,9 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
 const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_precision precision)
 {
   return compute->fingerprint[precision == MO_FLOAT64];
+}
+
+const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
+{
+  return compute->gradient_fingerprint;
 }

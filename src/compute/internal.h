@@ -4,13 +4,36 @@
 
 #include <morpho/compute.h>
 
+#include <stdatomic.h>
+
 /* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of any result.
  * tests/unit/rollout/bits.c notices such a change. */
 #define MO_KERNEL_VERSION 1
+/* The same for gradients: tests/unit/rollout/gradient-bits.c. */
+#define MO_GRADIENT_VERSION 1
 
 /* The pack of one precision, made at first use; waits while another thread makes it. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
 int mo_compute_controller_pack(struct mo_compute_controller *controller, enum mo_precision precision,
                                const struct mo_pack **pack);
 enum mo_isa mo_compute_isa(const struct mo_compute *compute);
+uint32_t mo_compute_workers(const struct mo_compute *compute);
+
+/* A gradient block: in the queues by its `block`, of which physics, urgency, cancel, tag, status, done and context mean what
+ * they mean in a scoring block. */
+struct mo_gradient_task {
+  struct mo_block block;
+  const struct mo_gradient_pack *pack;
+  struct mo_robot robots[MO_GRADIENT_ROBOTS];
+  uint32_t n;
+  struct mo_gradient_options options;
+  const atomic_bool *stop; /* true: as a set `cancel` */
+  /* Results; counts and profile are added to. */
+  struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
+  float *d_parameters; /* (n_parameters) */
+  struct mo_gradient_counts counts;
+  struct mo_gradient_profile profile;
+};
+/* As mo_compute_submit; the task has been checked. MO_ERR_CANCELLED. */
+int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
 
 #endif

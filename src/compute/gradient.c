@@ -1,0 +1,237 @@
+/* gradient.c: the gradient of a batch, from blocks that the workers compute in any order.
+ *
+ * Blocks are handed out in order, and their results are added up in order, by the calling thread, in float64. Between the two
+ * lies a window of at most two blocks per worker, each with a float32 gradient of its own: a worker never waits for the sum, and
+ * memory does not grow with the batch. What a sum's bits depend on is the batch alone. */
+#include "compute/internal.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/memory.h"
+
+enum { BLOCKS_PER_WORKER = 2 };
+
+struct slot {
+  struct mo_gradient_task task;
+  bool finished; /* under the state's mutex */
+};
+
+struct mo_gradient_state {
+  struct mo_compute *compute;
+  struct mo_gradient_pack *pack;
+  uint32_t n_slots;
+  struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
+  size_t n_parameters; /* that each slot has room for */
+  uint32_t *order;     /* (order_room) */
+  size_t order_room;
+  atomic_bool stop; /* the call failed: what still runs may end */
+  pthread_mutex_t mutex;
+  pthread_cond_t finished;
+};
+
+int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **ret)
+{
+  struct mo_gradient_state *state = calloc(1, sizeof(*state));
+  if (state == NULL)
+    return MO_ERR_NO_MEMORY;
+  state->compute = compute;
+  state->n_slots = BLOCKS_PER_WORKER * mo_compute_workers(compute);
+  state->slots = calloc(state->n_slots, sizeof(*state->slots));
+  if (state->slots == NULL) {
+    free(state);
+    return MO_ERR_NO_MEMORY;
+  }
+  pthread_mutex_init(&state->mutex, NULL);
+  pthread_cond_init(&state->finished, NULL);
+  *ret = state;
+  return MO_OK;
+}
+
+void mo_gradient_state_free(struct mo_gradient_state *state)
+{
+  if (state == NULL)
+    return;
+  for (uint32_t s = 0; s < state->n_slots; s++)
+    free(state->slots[s].task.d_parameters);
+  pthread_cond_destroy(&state->finished);
+  pthread_mutex_destroy(&state->mutex);
+  mo_gradient_pack_free(state->pack);
+  free(state->order);
+  free(state->slots);
+  free(state);
+}
+
+static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
+{
+  return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
+}
+
+static int check(const struct mo_gradient_batch *batch)
+{
+  if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
+    return MO_ERR_RANGE;
+  if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL || batch->outcomes == NULL ||
+      !isfinite(batch->adjoint_bound) || (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
+      mo_physics_check(&batch->physics, NULL) != MO_OK)
+    return MO_ERR_INVALID;
+  if (batch->adjoint_bound < 0)
+    return MO_ERR_RANGE;
+  for (uint32_t i = 0; i < batch->n; i++) {
+    const struct mo_robot *robot = batch->robots + i;
+    if (robot->body == NULL || robot->environment == NULL ||
+        !same_workspace(robot->body->workspace, batch->controller->workspace) ||
+        mo_environment_check(robot->environment, NULL) != MO_OK)
+      return MO_ERR_INVALID;
+  }
+  return MO_OK;
+}
+
+/* A pack of the batch's controller: the old one if it fits. */
+static int prepare_pack(struct mo_gradient_state *state, const struct mo_controller *controller)
+{
+  int status = MO_ERR_UNSUPPORTED;
+  if (state->pack != NULL)
+    status = mo_gradient_pack_update(state->pack, controller);
+  if (status == MO_ERR_UNSUPPORTED) {
+    mo_gradient_pack_free(state->pack);
+    state->pack = NULL;
+    status = mo_gradient_pack_create(controller, mo_compute_isa(state->compute), &state->pack);
+  }
+  return status;
+}
+
+static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch, uint32_t n_blocks)
+{
+  const size_t n = batch->controller->n_parameters;
+  if (n > state->n_parameters) {
+    for (uint32_t s = 0; s < state->n_slots; s++) {
+      free(state->slots[s].task.d_parameters);
+      state->slots[s].task.d_parameters = NULL;
+    }
+    state->n_parameters = n;
+  }
+  for (uint32_t s = 0; s < state->n_slots && s < n_blocks; s++)
+    if (state->slots[s].task.d_parameters == NULL) {
+      state->slots[s].task.d_parameters = mo_alloc_aligned(state->n_parameters, sizeof(float));
+      if (state->slots[s].task.d_parameters == NULL)
+        return MO_ERR_NO_MEMORY;
+    }
+  if (batch->n > state->order_room) {
+    uint32_t *larger = realloc(state->order, batch->n * sizeof(*larger));
+    if (larger == NULL)
+      return MO_ERR_NO_MEMORY;
+    state->order = larger;
+    state->order_room = batch->n;
+  }
+  const int status = prepare_pack(state, batch->controller);
+  return status == MO_OK ? mo_gradient_arrange(batch->robots, batch->n, state->order) : status;
+}
+
+static void block_done(struct mo_block *block, void *context)
+{
+  struct mo_gradient_state *state = context;
+  struct slot *slot = (struct slot *)block->gradient;
+  pthread_mutex_lock(&state->mutex);
+  slot->finished = true;
+  pthread_cond_signal(&state->finished);
+  pthread_mutex_unlock(&state->mutex);
+}
+
+static int submit(struct mo_gradient_state *state, const struct mo_gradient_batch *batch, uint32_t number)
+{
+  struct slot *slot = state->slots + number % state->n_slots;
+  struct mo_gradient_task *task = &slot->task;
+  const uint32_t first = number * MO_GRADIENT_ROBOTS;
+  task->block = (struct mo_block){.physics = batch->physics,
+                                  .urgency = batch->urgency,
+                                  .cancel = batch->cancel,
+                                  .tag = batch->tag,
+                                  .done = block_done,
+                                  .context = state};
+  task->pack = state->pack;
+  task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
+  for (uint32_t i = 0; i < task->n; i++)
+    task->robots[i] = batch->robots[state->order[first + i]];
+  task->options = (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound, .weight = 1.0 / batch->n};
+  task->stop = &state->stop;
+  task->counts = (struct mo_gradient_counts){0};
+  task->profile = (struct mo_gradient_profile){0};
+  slot->finished = false;
+  return mo_compute_submit_gradient(state->compute, task);
+}
+
+static int wait_for(struct mo_gradient_state *state, const struct slot *slot)
+{
+  pthread_mutex_lock(&state->mutex);
+  while (!slot->finished)
+    pthread_cond_wait(&state->finished, &state->mutex);
+  pthread_mutex_unlock(&state->mutex);
+  return slot->task.block.status;
+}
+
+static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task, uint32_t number,
+                struct mo_gradient_batch *batch)
+{
+  const uint32_t *order = state->order + (size_t)number * MO_GRADIENT_ROBOTS;
+  const size_t n = batch->controller->n_parameters;
+  for (size_t i = 0; i < n; i++)
+    batch->d_parameters[i] += (double)task->d_parameters[i];
+  for (uint32_t i = 0; i < task->n; i++)
+    batch->outcomes[order[i]] = task->outcomes[i];
+  struct mo_gradient_counts *counts = &batch->counts;
+  counts->robots += task->counts.robots;
+  counts->steps += task->counts.steps;
+  counts->clipped_steps += task->counts.clipped_steps;
+  counts->clipped_robots += task->counts.clipped_robots;
+  counts->zeroed_robots += task->counts.zeroed_robots;
+  counts->diverged_robots += task->counts.diverged_robots;
+  counts->largest = fmax(counts->largest, task->counts.largest);
+  struct mo_gradient_profile *profile = &batch->profile;
+  profile->pack_s += task->profile.pack_s;
+  profile->sense_s += task->profile.sense_s;
+  profile->control_s += task->profile.control_s;
+  profile->physics_s += task->profile.physics_s;
+  profile->physics_back_s += task->profile.physics_back_s;
+  profile->control_back_s += task->profile.control_back_s;
+  profile->parameters_s += task->profile.parameters_s;
+  profile->repeat_s += task->profile.repeat_s;
+  profile->robot_steps += task->profile.robot_steps;
+}
+
+int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
+{
+  int status = check(batch);
+  if (status != MO_OK)
+    return status;
+  const uint32_t n_blocks = (batch->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
+  status = prepare(state, batch, n_blocks);
+  if (status != MO_OK)
+    return status;
+  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
+  batch->counts = (struct mo_gradient_counts){0};
+  batch->profile = (struct mo_gradient_profile){0};
+  atomic_store(&state->stop, false);
+  uint32_t submitted = 0;
+  for (uint32_t b = 0; b < n_blocks && (status == MO_OK || b < submitted); b++) {
+    while (status == MO_OK && submitted < n_blocks && submitted < b + state->n_slots) {
+      status = submit(state, batch, submitted);
+      submitted += status == MO_OK;
+    }
+    if (status != MO_OK) /* the first error by position counts; the rest is only waited for */
+      atomic_store(&state->stop, true);
+    if (b >= submitted)
+      break;
+    const struct slot *slot = state->slots + b % state->n_slots;
+    const int block_status = wait_for(state, slot);
+    if (status == MO_OK && block_status == MO_OK)
+      add(state, &slot->task, b, batch);
+    else if (status == MO_OK)
+      status = block_status;
+    if (status != MO_OK)
+      atomic_store(&state->stop, true);
+  }
+  return status;
+}
