@@ -1,0 +1,102 @@
+/* gradient_physics.h: the physics of one robot in float32, forwards and backwards: what gradient_physics.inc defines, as static
+ * functions, for the instruction set that it is compiled for.
+ *
+ * Vectors run along the masses of one robot. The lattice points of its bounding box are its `sites`: layer by layer from the
+ * ground, each layer a dense grid, so that all springs of one direction join sites that are a constant apart and a vector of springs
+ * is two contiguous loads: no gathers. Sites without a mass stay where the lattice puts them, at rest, and are masked.
+ *
+ * The network sees none of that: sensors and activations come packed, without gaps, in an order of the robot's own:
+ *   sensors  [n_sensor_reals]  sensor k is that of body mass sensor_mass[k], k < n_masses; the rest are 0
+ *   slots    [n_slot_reals]    slot k is body spring slot_spring[k], k < n_springs; what comes after is ignored on the way in
+ *                              and 0 on the way out
+ *
+ * A step's record, n_record_reals, is what the way back needs of it besides the slots: positions (3, sites) at its start,
+ * velocities (3, sites) after springs, drag and gravity but before contact, and the set of masses that struck. The velocity
+ * (3, sites) at the start of a step is not needed on the way back: it is carried along (`velocity`), and is stored with the
+ * positions only where a rollout is to be continued. An adjoint is ∂loss/∂ positions (3, sites), then ∂loss/∂ velocities
+ * (3, sites). Positions x, y count from the world's centre, where float32 is finest.
+ *
+ * All arrays of reals are 64-byte aligned. n_sensor_reals, n_slot_reals, n_sites, n_record_reals are multiples of 16. */
+#ifndef MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
+#define MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
+
+#include "rollout/fast.h"
+#include "rollout/vector.h"
+
+#include <morpho/gradient.h>
+
+#define PHYS_DIRECTIONS 9
+
+/* The springs of one direction whose lower site is in one vector of sites. */
+struct phys_tile {
+  uint32_t mask; /* bit l: lane l's site is the lower end of a spring; 0: no such springs */
+  uint32_t slot; /* of the first of them */
+};
+
+struct phys_robot {
+  const struct mo_body *body;
+  const struct mo_environment *environment;
+  const struct mo_physics *physics;
+  enum mo_sensor sensor;
+  uint32_t n_masses, n_springs, n_sites, n_vectors; /* n_sites = n_vectors · MO_VL, at least */
+  uint32_t n_sensor_reals, n_slot_reals;
+  size_t n_record_reals, n_scratch_reals;
+  const uint32_t *sensor_mass; /* (n_masses) */
+  const uint32_t *slot_spring; /* (n_springs) */
+
+  /* Its own. */
+  uint32_t offset[PHYS_DIRECTIONS]; /* sites from the lower end of a spring to the upper */
+  uint32_t halo;                    /* ≥ the largest offset, a multiple of MO_VL */
+  const uint32_t *mass_site;        /* (n_masses) */
+  const uint32_t *present;          /* (n_vectors) bit l: lane l's site has a mass */
+  const uint32_t *sensor_first;     /* (n_vectors) sensor of the first of them */
+  const struct phys_tile *tiles;    /* (n_vectors, PHYS_DIRECTIONS) */
+  const uint32_t *arrivals;         /* (n_vectors, PHYS_DIRECTIONS) bit l: lane l's site is the upper end of a spring */
+  const REAL *cells;                /* (MO_CELLS, 4) the terrain, as in fast.h */
+  const REAL *cell_top;             /* (MO_CELLS) nothing of the cell is above */
+  const REAL *start;                /* (3, n_sites) start positions */
+  REAL light[3];                    /* from the world's centre */
+  REAL dt, keep, fall;              /* step; exp(−drag · dt); gravity · dt */
+  REAL pull, actuation;             /* dt · stiffness / mass; share of the rest length */
+  REAL friction, friction_cap;
+  REAL near[2], far[2], top; /* the robot was last seen between these cell coordinates; no terrain there is above top */
+  double guarded_start_m;    /* distance to the light at the start + MO_LOSS_GUARD_M */
+  double com_start_m[3];
+};
+
+/* Bytes that phys_prepare needs for a body: a multiple of 64. */
+static size_t phys_bytes(const struct mo_body *body);
+/* Everything static about one robot. memory: phys_bytes, 64-byte aligned, the robot's until it is done. Borrows the rest. The first
+ * fields of *robot then say how large its arrays are. */
+static void phys_prepare(struct phys_robot *robot, const struct mo_body *body, const struct mo_environment *environment,
+                         const struct mo_physics *physics, enum mo_sensor sensor, void *memory);
+
+/* ---- forwards ---- */
+
+/* The start: positions into a record, velocities (3, sites); the outcome's com_start_m, the rest of it 0. */
+static void phys_start(const struct phys_robot *robot, REAL *record, REAL *velocity, struct mo_outcome *outcome);
+/* Light at each mass less the mean over all. */
+static void phys_sense(const struct phys_robot *robot, const REAL *record, REAL *sensors);
+/* One step with the activations `slots` (tanh's results). Completes `record`, replaces `velocity`, and writes the positions of
+ * `next`, another record. False: the rollout diverged, as in mo_rollout_reference; its last sane positions are those of `record`.
+ * scratch: n_scratch_reals, may be shared by robots (of the largest need); nothing is kept there between calls. */
+static bool phys_step(struct phys_robot *robot, REAL *record, const REAL *slots, REAL *velocity, REAL *next,
+                      REAL *scratch);
+/* The outcome of a rollout that ended with the positions of `record`: com_end_m and loss; outcome->diverged_step is set before. */
+static void phys_finish(const struct phys_robot *robot, const REAL *record, struct mo_outcome *outcome);
+
+/* ---- backwards ---- */
+
+/* ∂loss/∂ the final state. */
+static void phys_back_start(const struct phys_robot *robot, const struct mo_outcome *outcome, REAL *adjoint);
+/* Measures the adjoint (*m: mo_gradient_counts.largest) and scales it into the bound (0: none); *clipped says whether.
+ * False: it is not finite. */
+static bool phys_clip(const struct phys_robot *robot, double bound, REAL *adjoint, double *m, bool *clipped);
+/* From the adjoint of the state after the step of `record` to that of the state before it, but for what goes through the
+ * activations: that is in d_slots then. */
+static void phys_step_back(const struct phys_robot *robot, const REAL *record, const REAL *slots, REAL *adjoint,
+                           REAL *d_slots, REAL *scratch);
+/* Adds what goes through the sensors at the start of the step; d_sensors from n_masses on is ignored. */
+static void phys_sense_back(const struct phys_robot *robot, const REAL *record, const REAL *d_sensors, REAL *adjoint);
+
+#endif
