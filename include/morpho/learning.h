@@ -27,6 +27,11 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
+/* n_steps × batch of a pretraining: the set of bodies seen takes about 24 bytes each, 6.5 GB at this limit. */
+#define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
+#define MO_HELD_OUT_ENVIRONMENTS_MAX 64
+#define MO_GRADIENT_NORM_LIMIT_MAX   1e6
+#define MO_ADJOINT_BOUND_MAX         1e6
 
 /* ---- learning rate ---- */
 
@@ -43,8 +48,10 @@ struct mo_schedule {
   double peak, floor;    /* learning rates, > 0, floor ≤ peak ≤ 1 */
   double decay;          /* of the peak from one cycle to the next, 0 < decay ≤ 1 (restarts) */
   uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
-  uint32_t cycle_growth; /* factor of the length from one cycle to the next, ≥ 1 (restarts) */
-  uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins; 0: none */
+  uint32_t cycle_growth; /* factor of the length from one cycle to the next, 1 … 1000 (restarts) */
+  uint32_t
+      warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins; 0: none. A training that is
+                          * shorter ends on the way up */
 };
 /* The paper's three: pretraining (1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7), finetuning between generations (3.5e-4 →
  * 3.5e-5 over one cycle of 100), simultaneous co-design (as pretraining with decay 0.65); and our own default. */
@@ -52,7 +59,9 @@ struct mo_schedule mo_schedule_paper_pretrain(void);
 struct mo_schedule mo_schedule_paper_finetune(void);
 struct mo_schedule mo_schedule_paper_simultaneous(void);
 struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 steps */
-/* The rate of step `step` (from 0) of a training of n_steps. Bit-exact on every machine. */
+/* The rate of step `step` (from 0) of a training of n_steps: the schedule must have passed mo_schedule_check. Step s of a cycle of
+ * n steps, or s of the n steps after the warm-up of one cosine, has floor + (peak − floor) (1 + cos(π s/n))/2; where decay
+ * takes the peak below the floor, the floor. Bit-exact on every machine. */
 double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
 int mo_schedule_check(const struct mo_schedule *schedule,
                       struct mo_message *message); /* MO_ERR_INVALID, MO_ERR_RANGE */
@@ -75,21 +84,30 @@ struct mo_training_settings {
   double adjoint_bound;         /* per robot; MO_ADJOINT_BOUND; 0: off */
   struct mo_physics physics;
   enum mo_sensor sensor; /* of a controller that starts from random weights; ignored with a parent */
-  /* Held out: never drawn for learning. Validation scores them with the controller as it is. */
-  uint32_t
-      held_out_designs; /* pretrain: bodies of the held-out stream; finetune: the first of the designs. 64; ≤ 10000 */
-  uint32_t held_out_environments; /* 8; ≤ 64 */
+  /* Validation scores these designs in these environments with the controller as it is. Pretraining: the first
+   * mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of the designs that it learns on (as many as
+   * there are). The environments are always new to it. */
+  uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
+  uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
+/* 1400 steps of 256 by one cosine; finetuning: 60 steps by the paper's schedule. Seed 1. */
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind); /* 1400 steps of 256; finetune: 60 */
+/* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
 int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message);
 
 /* ---- held-out sets ---- */
 
-/* Bodies that no training draws, whatever its seed: draws of a stream of their own, keyed by the held-out purpose; every pretraining stream
- * excludes the first MO_TRAINING_DESIGNS_MAX of them for its seed. designs: (n, MO_DEFAULT_WORDS) placed genotypes of the
- * default workspace. */
-int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs); /* MO_ERR_NO_MEMORY, MO_ERR_RANGE */
-/* Environments of the training distribution (σ ~ U(0, 0.1), ring of lights) under keys that no training uses. */
+/* One canonical form in MO_HELD_OUT_ONE_IN, chosen by a hash of the form alone, is held out: no pretraining draws it, whatever its
+ * seed. So bodies of this kind are new to every controller, and two controllers can be compared on them. form: canonical, of
+ * the default workspace (MO_DEFAULT_WORDS). 1 or 0. */
+#define MO_HELD_OUT_ONE_IN 16
+int mo_held_out_form(const uint64_t *form);
+
+/* n random bodies whose forms are held out, no two with one form: draws of the streams (seed, HELD_OUT_BODY, 0, i), those of other
+ * forms left out. The first n of more are the same. designs: (n, MO_DEFAULT_WORDS) placed genotypes of the default
+ * workspace. About 0.1 ms each. MO_ERR_NO_MEMORY; MO_ERR_RANGE: n > MO_TRAINING_DESIGNS_MAX. */
+int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
+/* mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys that no training uses. */
 void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
 
 /* ---- the state of one training ---- */
@@ -104,15 +122,18 @@ int mo_training_create(const struct mo_training_settings *settings, const struct
                        struct mo_message *message);
 void mo_training_free(struct mo_training *training); /* NULL-safe */
 
-uint32_t mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
+uint32_t mo_training_step(const struct mo_training *training);    /* steps applied so far; n_steps: finished */
+uint32_t mo_training_skipped(const struct mo_training *training); /* of these, those that changed nothing */
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
 const struct mo_controller *mo_training_controller(const struct mo_training *training); /* as it is now; borrowed */
 size_t mo_training_bytes(const struct mo_training *training); /* memory held, the set of seen bodies included */
 
 /* The robots of the current step: (batch) of them, borrowed until the next draw or apply. Robot i of step t lives in
  * mo_environment_training(seed, t, i). A pretraining that was restored first replays its stream: `cancel` (nullable) non-zero ends that
- * early with MO_ERR_CANCELLED; `replayed` (nullable) counts bodies as they come, for progress. MO_ERR_EXHAUSTED: no new
- * bodies are left. Drawing twice gives the same robots. */
+ * early with MO_ERR_CANCELLED; `replayed` (nullable) is the number of bodies drawn again so far, of step × batch. Drawing twice gives the
+ * same robots; after an error the next call goes on where it stopped. Memory: the bodies of the step, up to 25 kB each.
+ * MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay came to another number of draws (the checkpoint is of another
+ * code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
                      const struct mo_robot **robots);
 
@@ -125,18 +146,22 @@ struct mo_training_report {
   double clipped_share; /* of backward steps whose adjoint was scaled */
   double clipped_robots_share;
   uint32_t diverged, zeroed;
-  bool skipped;     /* the gradient or the new weights were not finite: weights and moments stay as they were */
+  bool skipped; /* the gradient or the new weights were not finite, or no robot contributed: weights and moments stay as
+                     * they were */
   uint32_t bounded; /* weights held back at ±MO_WEIGHT_LIMIT */
 };
-/* Takes the gradient of the mean loss of the robots last drawn, (n_parameters), and what came of them; moves weights, moments and counters
- * on by one step. MO_ERR_CONFLICT: nothing was drawn, or it is finished. */
+/* Takes the gradient of the mean loss of the robots last drawn, (n_parameters), and what came of them: outcomes (batch), in the
+ * order of the robots, and the counts of this step alone. Moves weights, moments and counters on by one step; a step that is skipped counts
+ * as a step. report nullable. MO_ERR_CONFLICT: nothing was drawn, or it is finished. */
 int mo_training_apply(struct mo_training *training, const double *d_parameters, const struct mo_outcome *outcomes,
                       const struct mo_gradient_counts *counts, struct mo_training_report *report);
 
 /* ---- checkpoints ---- */
 
 /* Everything that the rest of the training depends on, as bytes (malloc): settings, step, weights, moments, counters, designs. Same state,
- * same bytes. A checksum guards them. */
+ * same bytes, whether a step has been drawn or not. A checksum guards them: no changed byte, nor 8 in a row, goes unnoticed.
+ * 12.4 MB and 24 bytes per design. MO_ERR_NO_MEMORY. */
+#define MO_CHECKPOINT_BYTES_MAX (UINT64_C(16) << 20)
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
 /* MO_ERR_FORMAT (not a checkpoint, damaged, or of an unknown version; message says which), MO_ERR_NO_MEMORY. */
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training, struct mo_message *message);
@@ -144,8 +169,10 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
 int mo_training_write(const struct mo_training *training, const char *path, struct mo_message *message);
 int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message);
 
-/* The controller so far with its lineage in the metadata (keys "morphod.…": kind, parent's sha256 as given (nullable: "random"), data seed,
- * settings as JSON, step, code version): no clock, no host, so that equal trainings give equal files. The caller frees it. */
+/* The controller so far with its lineage in the metadata: "morphod.kind", ".parent" (its sha256 as given; NULL: "random"),
+ * ".seed" (of the data), ".settings" (JSON), ".step", ".version" (of the code, as given) and, for a finetuning, ".designs_crc64". No clock,
+ * no host: equal trainings give equal files. The parent's own metadata is not inherited. The caller frees it. MO_ERR_NO_MEMORY,
+ * MO_ERR_INVALID (a text that is not UTF-8). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
                        struct mo_controller **controller);
 

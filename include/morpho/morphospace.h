@@ -126,6 +126,7 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct m
 void mo_body_stream_free(struct mo_body_stream *stream);
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
 uint64_t mo_body_stream_draws(const struct mo_body_stream *stream); /* draws so far, skipped ones included */
+size_t mo_body_stream_bytes(const struct mo_body_stream *stream);   /* memory held */
 /* Forms to be skipped from now on. */
 int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form);
 

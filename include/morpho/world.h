@@ -47,6 +47,9 @@ void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigm
 /* Training environment: σ ~ U(0, 0.1 m); light uniform by area in the ring 0.4–2.0 m around the centre. */
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index, struct mo_environment *environment);
 
+/* Drawn like a training environment, under keys that no training uses. */
+void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment);
+
 /* The paper's test set: always the same 10 environments. First the five lights at 2.0 m (angles 2πi/5), then the five at 1.5 m
  * (offset by π/5); each ring is paired at random, by a fixed seed, with one terrain of each σ in {0.02, …, 0.10} m. Drawn:
  * 0.10, 0.02, 0.04, 0.08, 0.06 m, then 0.02, 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0

@@ -4,7 +4,8 @@
  * gives the same environment, bit for bit, on every machine.
  *
  * Training environment (seed, step, index): the stream LIGHT gives first σ, then points of the square around the ring until
- * one lies in it; the stream TERRAIN gives the heights.
+ * one lies in it; the stream TERRAIN gives the heights. Held out: the same, step 0, from the streams HELD_OUT_LIGHT and
+ * HELD_OUT_TERRAIN.
  *
  * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for the ring of 2.0 m, then for
  * that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the heights of environment i. */
@@ -30,30 +31,51 @@ static void draw_terrain(struct mo_random *random, double sigma_m, double height
   }
 }
 
+static void random_terrain(uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index, double sigma_m,
+                           double heights_m[MO_TERRAIN_HEIGHTS])
+{
+  struct mo_random random;
+  mo_random_init(&random, seed, purpose, step, index);
+  draw_terrain(&random, sigma_m, heights_m);
+}
+
 void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m,
                        double heights_m[MO_TERRAIN_HEIGHTS])
 {
-  struct mo_random random;
-  mo_random_init(&random, seed, MO_PURPOSE_TERRAIN, step, index);
-  draw_terrain(&random, sigma_m, heights_m);
+  random_terrain(seed, MO_PURPOSE_TERRAIN, step, index, sigma_m, heights_m);
+}
+
+/* Returns σ. */
+static double draw_light(struct mo_random *random, double light_xy_m[2])
+{
+  double sigma_m = SIGMA_TOP_M * mo_random_uniform(random);
+  double x;
+  double y;
+  double square;
+  do {
+    x = LIGHT_FAR_M * (2.0 * mo_random_uniform(random) - 1.0);
+    y = LIGHT_FAR_M * (2.0 * mo_random_uniform(random) - 1.0);
+    square = x * x + y * y;
+  } while (square < LIGHT_NEAR_M * LIGHT_NEAR_M || square > LIGHT_FAR_M * LIGHT_FAR_M);
+  light_xy_m[0] = MO_WORLD_CENTRE_M + x;
+  light_xy_m[1] = MO_WORLD_CENTRE_M + y;
+  return sigma_m;
 }
 
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index, struct mo_environment *environment)
 {
   struct mo_random random;
   mo_random_init(&random, seed, MO_PURPOSE_LIGHT, step, index);
-  double sigma_m = SIGMA_TOP_M * mo_random_uniform(&random);
-  double x;
-  double y;
-  double square;
-  do {
-    x = LIGHT_FAR_M * (2.0 * mo_random_uniform(&random) - 1.0);
-    y = LIGHT_FAR_M * (2.0 * mo_random_uniform(&random) - 1.0);
-    square = x * x + y * y;
-  } while (square < LIGHT_NEAR_M * LIGHT_NEAR_M || square > LIGHT_FAR_M * LIGHT_FAR_M);
-  environment->light_xy_m[0] = MO_WORLD_CENTRE_M + x;
-  environment->light_xy_m[1] = MO_WORLD_CENTRE_M + y;
-  mo_terrain_random(seed, step, index, sigma_m, environment->terrain_heights_m);
+  double sigma_m = draw_light(&random, environment->light_xy_m);
+  random_terrain(seed, MO_PURPOSE_TERRAIN, step, index, sigma_m, environment->terrain_heights_m);
+}
+
+void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment)
+{
+  struct mo_random random;
+  mo_random_init(&random, seed, MO_PURPOSE_HELD_OUT_LIGHT, 0, index);
+  double sigma_m = draw_light(&random, environment->light_xy_m);
+  random_terrain(seed, MO_PURPOSE_HELD_OUT_TERRAIN, 0, index, sigma_m, environment->terrain_heights_m);
 }
 
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT])

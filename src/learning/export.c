@@ -1,0 +1,84 @@
+/* export.c: the controller of a training with its lineage, all of it a function of the training's state. */
+#include "learning/internal.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define NUMBER_BYTES   32
+#define SETTINGS_BYTES 2048
+
+/* The shortest text that reads back as the same number, with a point whatever the locale. */
+static const char *spell(double value, char text[NUMBER_BYTES])
+{
+  for (int digits = 1; digits <= 17; digits++) {
+    snprintf(text, NUMBER_BYTES, "%.*g", digits, value);
+    if (strtod(text, NULL) == value)
+      break;
+  }
+  for (char *c = text; *c != '\0'; c++)
+    if (*c == ',')
+      *c = '.';
+  return text;
+}
+
+static void spell_settings(const struct mo_training *training, char text[SETTINGS_BYTES])
+{
+  const struct mo_training_settings *s = &training->settings;
+  const struct mo_schedule *rate = &s->schedule;
+  const struct mo_physics *p = &s->physics;
+  char n[16][NUMBER_BYTES], impact[24] = "exact";
+  if (p->impact == MO_IMPACT_BISECTION)
+    snprintf(impact, sizeof(impact), "bisection%" PRIu32, p->bisections);
+  snprintf(text, SETTINGS_BYTES,
+           "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32 ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
+           "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32 ",\"warmup_steps\":%" PRIu32 "},"
+           "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_bound\":%s,"
+           "\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ",\"stiffness_n_per_m\":%s,\"mass_kg\":%s,"
+           "\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,\"actuation\":%s,\"friction\":%s,\"friction_cap\":%s,"
+           "\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":%" PRIu32 "}",
+           s->n_steps, s->batch, mo_schedule_name(rate->kind), spell(rate->peak, n[0]), spell(rate->floor, n[1]),
+           spell(rate->decay, n[2]), rate->cycle_steps, rate->cycle_growth, rate->warmup_steps, spell(s->beta1, n[3]),
+           spell(s->beta2, n[4]), spell(s->epsilon, n[5]), spell(s->norm_limit, n[6]), spell(s->adjoint_bound, n[7]),
+           spell(p->dt_s, n[8]), p->n_steps, spell(p->stiffness_n_per_m, n[9]), spell(p->mass_kg, n[10]),
+           spell(p->drag_per_s, n[11]), spell(p->gravity_m_per_s2, n[12]), spell(p->actuation, n[13]),
+           spell(p->friction, n[14]), spell(p->friction_cap, n[15]), spell(p->drop_height_m, (char[NUMBER_BYTES]){0}),
+           impact, training->n_designs);
+}
+
+int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
+                       struct mo_controller **controller)
+{
+  struct mo_controller *made = NULL;
+  int r = mo_controller_create(MO_DEFAULT_WORKSPACE, training->settings.sensor, &made);
+  if (r < 0)
+    return r;
+  memcpy(made->parameters, training->controller->parameters, made->n_parameters * sizeof(float));
+  char settings[SETTINGS_BYTES], seed[NUMBER_BYTES], step[NUMBER_BYTES], designs[NUMBER_BYTES];
+  spell_settings(training, settings);
+  snprintf(seed, sizeof(seed), "%" PRIu64, training->settings.seed);
+  snprintf(step, sizeof(step), "%" PRIu32, training->step);
+  snprintf(designs, sizeof(designs), "%016" PRIx64,
+           mo_checksum((const uint8_t *)training->designs,
+                       (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t)));
+  const char *const entries[][2] = {
+      {"morphod.kind", training->settings.kind == MO_TRAINING_PRETRAIN ? "pretrain" : "finetune"},
+      {"morphod.parent", parent_sha256_hex != NULL ? parent_sha256_hex : "random"},
+      {"morphod.seed", seed},
+      {"morphod.settings", settings},
+      {"morphod.step", step},
+      {"morphod.version", code_version},
+      {"morphod.designs_crc64", designs}};
+  size_t n = sizeof(entries) / sizeof(entries[0]);
+  if (training->settings.kind == MO_TRAINING_PRETRAIN)
+    n--;
+  for (size_t i = 0; i < n && r == MO_OK; i++)
+    r = mo_controller_set_metadata(made, entries[i][0], entries[i][1]);
+  if (r < 0) {
+    mo_controller_free(made);
+    return r;
+  }
+  *controller = made;
+  return MO_OK;
+}

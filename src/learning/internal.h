@@ -1,0 +1,55 @@
+/* internal.h: the state of a training, shared by the files of this room. */
+#ifndef MORPHO_LEARNING_INTERNAL_H
+#define MORPHO_LEARNING_INTERNAL_H
+
+#include <morpho/learning.h>
+
+struct mo_training {
+  struct mo_training_settings settings; /* sensor: the controller's, whatever was asked for */
+  struct mo_controller *controller;
+  struct mo_adam {
+    double *first, *second;          /* (n_parameters) moments */
+    double beta1_power, beta2_power; /* β^updates */
+  } adam;
+  uint32_t step;    /* applied */
+  uint32_t skipped; /* of these, the ones that changed no weight; the others are Adam's updates */
+  uint32_t n_designs;
+  uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */
+  uint64_t draws;    /* pretrain: of the stream, up to the current step; what a replay must arrive at */
+
+  /* Made at the first draw; not part of a checkpoint. */
+  struct mo_lattice *lattice;
+  struct mo_body_stream *stream;
+  uint64_t taken;                      /* bodies taken from the stream */
+  uint64_t *drawn;                     /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the current step … */
+  uint32_t n_drawn;                    /* … so far */
+  uint32_t n_bodies;                   /* pretrain: batch; finetune: n_designs */
+  struct mo_body **bodies;             /* (n_bodies), NULL where not made yet */
+  struct mo_environment *environments; /* (batch) */
+  struct mo_robot *robots;             /* (batch) */
+  bool ready;                          /* robots holds the current step's */
+};
+
+/* training.c: everything that a checkpoint holds is allocated, nothing is filled in but the settings. */
+int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
+                         struct mo_training **training);
+/* Placed, contiguous, not empty; where they are not, message names the design. */
+int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message);
+
+/* draw.c */
+void mo_training_forget_robots(struct mo_training *training); /* the step is over: its bodies are not needed any more */
+size_t mo_training_draw_bytes(const struct mo_training *training);
+void mo_training_draw_free(struct mo_training *training);
+
+/* adam.c */
+void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings, uint32_t updates); /* β^updates */
+/* Global L2 norm, without overflow or underflow on the way; infinite or NaN if the gradient is. */
+double mo_gradient_norm(const double *gradient, size_t n);
+/* One update with gradient · scale. Returns false, and changes nothing, if any new moment or weight were not finite. */
+bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
+                    const double *gradient, float *weights, size_t n, uint32_t *bounded);
+
+/* checksum.c: CRC-64/XZ: finds every error within 64 bits in a row, and others but for 1 in 2^64. */
+uint64_t mo_checksum(const uint8_t *bytes, size_t n);
+
+#endif

@@ -1,0 +1,146 @@
+/* schedule.c: learning rates. Cosine annealing with warm restarts (Loshchilov & Hutter, ICLR 2017), of which one cosine over the
+ * whole training is the case of one cycle; before it a linear warm-up.
+ *
+ * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first is the peak, the floor
+ * would be reached by the step after the last. The cosine is our own, of correctly rounded operations only, so that a rate has
+ * the same bits on every machine. */
+#include <morpho/learning.h>
+
+#include <math.h>
+#include <string.h>
+
+#define PI            3.14159265358979323846
+#define COSINE_TERMS  13   /* of the series on [0, π/2]: the next one is below 1e-21 */
+#define GROWTH_MAX    1000 /* of a cycle over the one before */
+#define SCHEDULE_KIND 3
+
+static const char *const names[SCHEDULE_KIND] = {"restarts", "cosine", "constant"};
+
+const char *mo_schedule_name(enum mo_schedule_kind kind)
+{
+  return (unsigned)kind < SCHEDULE_KIND ? names[kind] : "unknown";
+}
+
+int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind)
+{
+  for (unsigned i = 0; i < SCHEDULE_KIND; i++)
+    if (strcmp(name, names[i]) == 0) {
+      *kind = (enum mo_schedule_kind)i;
+      return MO_OK;
+    }
+  return MO_ERR_NOT_FOUND;
+}
+
+struct mo_schedule mo_schedule_paper_pretrain(void)
+{
+  return (struct mo_schedule){
+      .kind = MO_SCHEDULE_RESTARTS, .peak = 1e-3, .floor = 1e-5, .decay = 0.7, .cycle_steps = 10, .cycle_growth = 2};
+}
+
+struct mo_schedule mo_schedule_paper_finetune(void)
+{
+  return (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,
+                              .peak = 3.5e-4,
+                              .floor = 3.5e-5,
+                              .decay = 1.0,
+                              .cycle_steps = 100,
+                              .cycle_growth = 1};
+}
+
+struct mo_schedule mo_schedule_paper_simultaneous(void)
+{
+  struct mo_schedule schedule = mo_schedule_paper_pretrain();
+  schedule.decay = 0.65;
+  return schedule;
+}
+
+struct mo_schedule mo_schedule_one_cosine(void)
+{
+  return (struct mo_schedule){.kind = MO_SCHEDULE_COSINE,
+                              .peak = 2e-3,
+                              .floor = 1e-5,
+                              .decay = 1.0,
+                              .cycle_steps = 1,
+                              .cycle_growth = 1,
+                              .warmup_steps = 10};
+}
+
+/* cos(π s/n), 0 ≤ s ≤ n, n > 0. */
+static double cosine(uint64_t s, uint64_t n)
+{
+  const double sign = 2 * s > n ? -1.0 : 1.0;
+  const double x = PI * (double)(2 * s > n ? n - s : s) / (double)n;
+  const double square = x * x;
+  double sum = 1.0; /* Horner's scheme from the last term: 1 − x²/2 (1 − x²/12 (1 − …)) */
+  for (int k = 2 * COSINE_TERMS; k > 0; k -= 2)
+    sum = 1.0 - square / (double)(k * (k - 1)) * sum;
+  return sign * sum;
+}
+
+static double annealed(double peak, double floor, uint64_t s, uint64_t n)
+{
+  return floor + (peak - floor) * (0.5 * (1.0 + cosine(s, n)));
+}
+
+static double restarted(const struct mo_schedule *schedule, uint64_t s)
+{
+  double peak = schedule->peak;
+  uint64_t length = schedule->cycle_steps;
+  while (s >= length) {
+    s -= length;
+    length *= schedule->cycle_growth;
+    if (peak > schedule->floor)
+      peak *= schedule->decay;
+  }
+  return peak > schedule->floor ? annealed(peak, schedule->floor, s, length) : schedule->floor;
+}
+
+double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps)
+{
+  if (step < schedule->warmup_steps)
+    return schedule->peak * ((double)(step + UINT64_C(1)) / (double)schedule->warmup_steps);
+  const uint64_t s = step - schedule->warmup_steps;
+  switch (schedule->kind) {
+  case MO_SCHEDULE_RESTARTS: return restarted(schedule, s);
+  case MO_SCHEDULE_COSINE:
+    return step < n_steps ? annealed(schedule->peak, schedule->floor, s, (uint64_t)n_steps - schedule->warmup_steps)
+                          : schedule->floor;
+  case MO_SCHEDULE_CONSTANT: break;
+  }
+  return schedule->peak;
+}
+
+static int check_count(const char *name, uint32_t value, uint32_t low, uint32_t high, struct mo_message *message)
+{
+  if (value >= low && value <= high)
+    return MO_OK;
+  return mo_fail(message, MO_ERR_RANGE, "%s is %u; it must be %u to %u", name, value, low, high);
+}
+
+int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *message)
+{
+  if ((unsigned)schedule->kind >= SCHEDULE_KIND)
+    return mo_fail(message, MO_ERR_INVALID, "schedule kind is %d; it must be 0 (restarts), 1 (cosine) or 2 (constant)",
+                   (int)schedule->kind);
+  const struct {
+    const char *name;
+    double value, high;
+  } rates[] = {{"peak", schedule->peak, 1.0}, {"floor", schedule->floor, 1.0}, {"decay", schedule->decay, 1.0}};
+  for (size_t i = 0; i < sizeof(rates) / sizeof(rates[0]); i++) {
+    if (!isfinite(rates[i].value))
+      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be above 0 and at most %g", rates[i].name,
+                     rates[i].high);
+    if (rates[i].value <= 0.0 || rates[i].value > rates[i].high)
+      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be above 0 and at most %g", rates[i].name,
+                     rates[i].value, rates[i].high);
+  }
+  if (schedule->floor > schedule->peak)
+    return mo_fail(message, MO_ERR_RANGE, "floor is %g, above the peak of %g; lower the floor or raise the peak",
+                   schedule->floor, schedule->peak);
+  int r = check_count("cycle_steps", schedule->cycle_steps, 1, MO_TRAINING_STEPS_MAX, message);
+  if (r == MO_OK)
+    r = check_count("cycle_growth", schedule->cycle_growth, 1, GROWTH_MAX, message);
+  if (r == MO_OK)
+    r = check_count("warmup_steps", schedule->warmup_steps, 0, MO_TRAINING_STEPS_MAX, message);
+  return r;
+}

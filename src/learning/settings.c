@@ -1,0 +1,99 @@
+/* settings.c: what a training is asked to do: defaults and bounds. */
+#include <morpho/learning.h>
+
+#include <inttypes.h>
+#include <math.h>
+
+#define STEPS_PRETRAIN 1400
+#define STEPS_FINETUNE 60
+#define BATCH          256
+
+struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
+{
+  return (struct mo_training_settings){
+      .kind = kind,
+      .seed = 1,
+      .n_steps = kind == MO_TRAINING_FINETUNE ? STEPS_FINETUNE : STEPS_PRETRAIN,
+      .batch = BATCH,
+      .schedule = kind == MO_TRAINING_FINETUNE ? mo_schedule_paper_finetune() : mo_schedule_one_cosine(),
+      .beta1 = 0.9,
+      .beta2 = 0.999,
+      .epsilon = 1e-8,
+      .norm_limit = 1.0,
+      .adjoint_bound = MO_ADJOINT_BOUND,
+      .physics = mo_default_physics(),
+      .sensor = MO_SENSOR_INVERSE_SQRT,
+      .held_out_designs = 64,
+      .held_out_environments = 8,
+  };
+}
+
+static int check_numbers(const struct mo_training_settings *settings, struct mo_message *message)
+{
+  const struct {
+    const char *name;
+    double value, high;
+    bool above_zero, below_high;
+  } fields[] = {
+      {"beta1", settings->beta1, 1.0, false, true},
+      {"beta2", settings->beta2, 1.0, false, true},
+      {"epsilon", settings->epsilon, 1.0, true, false},
+      {"gradient_norm_limit", settings->norm_limit, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
+      {"adjoint_bound", settings->adjoint_bound, MO_ADJOINT_BOUND_MAX, false, false},
+  };
+  for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]); i++) {
+    const double value = fields[i].value;
+    const char *low = fields[i].above_zero ? "above 0" : "at least 0";
+    const char *high = fields[i].below_high ? "below" : "at most";
+    if (!isfinite(value))
+      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be %s and %s %g", fields[i].name, low, high,
+                     fields[i].high);
+    if (value < 0.0 || (fields[i].above_zero && value == 0.0) || value > fields[i].high ||
+        (fields[i].below_high && value == fields[i].high))
+      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be %s and %s %g", fields[i].name, value, low, high,
+                     fields[i].high);
+  }
+  return MO_OK;
+}
+
+static int check_counts(const struct mo_training_settings *settings, struct mo_message *message)
+{
+  const struct {
+    const char *name;
+    uint32_t value, low, high;
+  } counts[] = {
+      {"steps", settings->n_steps, 1, MO_TRAINING_STEPS_MAX},
+      {"batch", settings->batch, 1, MO_TRAINING_BATCH_MAX},
+      {"held-out designs", settings->held_out_designs, 0, MO_TRAINING_DESIGNS_MAX},
+      {"held-out environments", settings->held_out_environments, 0, MO_HELD_OUT_ENVIRONMENTS_MAX},
+  };
+  for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
+    if (counts[i].value < counts[i].low || counts[i].value > counts[i].high)
+      return mo_fail(message, MO_ERR_RANGE, "%s: %u; it must be %u to %u", counts[i].name, counts[i].value,
+                     counts[i].low, counts[i].high);
+  const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
+  if (settings->kind == MO_TRAINING_PRETRAIN && bodies > MO_TRAINING_BODIES_MAX)
+    return mo_fail(message, MO_ERR_RANGE,
+                   "steps × batch is %" PRIu64 "; a pretraining may draw %" PRIu64
+                   " distinct bodies at most: lower the steps or the batch",
+                   bodies, MO_TRAINING_BODIES_MAX);
+  return MO_OK;
+}
+
+int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message)
+{
+  if (settings->kind != MO_TRAINING_PRETRAIN && settings->kind != MO_TRAINING_FINETUNE)
+    return mo_fail(message, MO_ERR_INVALID, "kind of training is %d; it must be %d (pretrain) or %d (finetune)",
+                   (int)settings->kind, (int)MO_TRAINING_PRETRAIN, (int)MO_TRAINING_FINETUNE);
+  if (settings->sensor != MO_SENSOR_INVERSE_SQRT && settings->sensor != MO_SENSOR_INVERSE_SQUARE)
+    return mo_fail(message, MO_ERR_INVALID, "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
+                   (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT, (int)MO_SENSOR_INVERSE_SQUARE);
+  int r = check_counts(settings, message);
+  if (r == MO_OK)
+    r = check_numbers(settings, message);
+  if (r == MO_OK)
+    r = mo_schedule_check(&settings->schedule, message);
+  if (r == MO_OK)
+    r = mo_physics_check(&settings->physics, message);
+  return r;
+}

@@ -1,0 +1,204 @@
+/* training.c: the state of a training from its creation to its last step. */
+#include "learning/internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
+{
+  for (size_t i = 0; i < n; i++) {
+    const uint64_t *design = designs + MO_DEFAULT_WORDS * i;
+    uint64_t placed[MO_DEFAULT_WORDS];
+    memcpy(placed, design, sizeof(placed));
+    if (design[MO_DEFAULT_WORDS - 1] >> (MO_DEFAULT_VOXELS % 64) != 0)
+      return mo_fail(message, MO_ERR_INVALID, "design %zu has bits past the last voxel", i);
+    const int whole = mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, design);
+    if (whole < 0)
+      return mo_fail(message, whole, "out of memory");
+    if (whole == 0)
+      return mo_fail(message, MO_ERR_INVALID, "design %zu is empty or not in one piece", i);
+    mo_genotype_place(MO_DEFAULT_WORKSPACE, placed);
+    if (memcmp(placed, design, sizeof(placed)) != 0)
+      return mo_fail(message, MO_ERR_INVALID, "design %zu is not placed in the middle of the workspace", i);
+  }
+  return MO_OK;
+}
+
+static int check_parent(const struct mo_controller *parent, struct mo_message *message)
+{
+  if (parent->workspace.nx != MO_DEFAULT_WORKSPACE.nx || parent->workspace.ny != MO_DEFAULT_WORKSPACE.ny ||
+      parent->workspace.nz != MO_DEFAULT_WORKSPACE.nz)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the controller is for a workspace of %ux%ux%u voxels; trainings need one for 6x6x4",
+                   parent->workspace.nx, parent->workspace.ny, parent->workspace.nz);
+  for (size_t i = 0; i < parent->n_parameters; i++)
+    if (!(fabsf(parent->parameters[i]) <= MO_WEIGHT_LIMIT))
+      return mo_fail(message, MO_ERR_INVALID, "parameter %zu of the controller is not finite or beyond ±%g", i,
+                     (double)MO_WEIGHT_LIMIT);
+  return MO_OK;
+}
+
+static int check_request(const struct mo_training_settings *settings, const struct mo_controller *parent,
+                         const uint64_t *designs, size_t n_designs, struct mo_message *message)
+{
+  int r = mo_training_settings_check(settings, message);
+  if (r < 0)
+    return r;
+  if (settings->kind == MO_TRAINING_FINETUNE) {
+    if (parent == NULL)
+      return mo_fail(message, MO_ERR_INVALID, "a finetuning needs a controller to start from");
+    if (designs == NULL || n_designs == 0)
+      return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on",
+                     MO_TRAINING_DESIGNS_MAX);
+    if (n_designs > MO_TRAINING_DESIGNS_MAX)
+      return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n_designs,
+                     MO_TRAINING_DESIGNS_MAX);
+    r = mo_training_check_designs(designs, n_designs, message);
+  } else if (designs != NULL || n_designs != 0) {
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a pretraining draws its own bodies; designs are for a finetuning: leave them out");
+  }
+  if (r == MO_OK && parent != NULL)
+    r = check_parent(parent, message);
+  return r;
+}
+
+int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs, struct mo_training **training)
+{
+  struct mo_training *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  made->settings = *settings;
+  made->n_designs = n_designs;
+  int r = mo_controller_create(MO_DEFAULT_WORKSPACE, settings->sensor, &made->controller);
+  if (r == MO_OK) {
+    made->adam.first = calloc(made->controller->n_parameters, sizeof(double));
+    made->adam.second = calloc(made->controller->n_parameters, sizeof(double));
+    if (n_designs > 0)
+      made->designs = calloc(n_designs, MO_DEFAULT_WORDS * sizeof(uint64_t));
+    if (made->adam.first == NULL || made->adam.second == NULL || (n_designs > 0 && made->designs == NULL))
+      r = MO_ERR_NO_MEMORY;
+  }
+  if (r < 0) {
+    mo_training_free(made);
+    return r;
+  }
+  mo_adam_count(&made->adam, settings, 0);
+  *training = made;
+  return MO_OK;
+}
+
+int mo_training_create(const struct mo_training_settings *settings, const struct mo_controller *parent,
+                       const uint64_t *designs, size_t n_designs, struct mo_training **training,
+                       struct mo_message *message)
+{
+  int r = check_request(settings, parent, designs, n_designs, message);
+  if (r < 0)
+    return r;
+  struct mo_training_settings settled = *settings;
+  if (parent != NULL)
+    settled.sensor = parent->sensor;
+  struct mo_training *made = NULL;
+  r = mo_training_allocate(&settled, (uint32_t)n_designs, &made);
+  if (r < 0)
+    return mo_fail(message, r, "the training does not fit in memory");
+  if (parent != NULL)
+    memcpy(made->controller->parameters, parent->parameters, parent->n_parameters * sizeof(float));
+  else
+    mo_controller_randomize(made->controller, settings->seed);
+  if (n_designs > 0)
+    memcpy(made->designs, designs, n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t));
+  *training = made;
+  return MO_OK;
+}
+
+void mo_training_free(struct mo_training *training)
+{
+  if (training == NULL)
+    return;
+  mo_training_draw_free(training);
+  mo_controller_free(training->controller);
+  free(training->adam.first);
+  free(training->adam.second);
+  free(training->designs);
+  free(training);
+}
+
+uint32_t mo_training_step(const struct mo_training *training)
+{
+  return training->step;
+}
+
+uint32_t mo_training_skipped(const struct mo_training *training)
+{
+  return training->skipped;
+}
+
+const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training)
+{
+  return &training->settings;
+}
+
+const struct mo_controller *mo_training_controller(const struct mo_training *training)
+{
+  return training->controller;
+}
+
+size_t mo_training_bytes(const struct mo_training *training)
+{
+  return sizeof(*training) + training->controller->n_parameters * (sizeof(float) + 2 * sizeof(double)) +
+         (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) + mo_training_draw_bytes(training);
+}
+
+static double share(uint64_t part, uint64_t whole)
+{
+  return whole > 0 ? (double)part / (double)whole : 0.0;
+}
+
+static struct mo_training_report report_of(const struct mo_training *training, const struct mo_outcome *outcomes,
+                                           const struct mo_gradient_counts *counts)
+{
+  const struct mo_training_settings *settings = &training->settings;
+  struct mo_training_report report = {
+      .step = training->step + 1,
+      .rate = mo_schedule_rate(&settings->schedule, training->step, settings->n_steps),
+      .clipped_share = share(counts->clipped_steps, counts->steps),
+      .clipped_robots_share = share(counts->clipped_robots, counts->robots),
+      .zeroed = (uint32_t)counts->zeroed_robots,
+  };
+  double sum = 0.0;
+  for (uint32_t i = 0; i < settings->batch; i++)
+    if (outcomes[i].diverged_step != 0 || !isfinite(outcomes[i].loss))
+      report.diverged++;
+    else
+      sum += outcomes[i].loss;
+  const uint32_t sound = settings->batch - report.diverged;
+  report.mean_loss = sound > 0 ? sum / sound : NAN;
+  return report;
+}
+
+int mo_training_apply(struct mo_training *training, const double *d_parameters, const struct mo_outcome *outcomes,
+                      const struct mo_gradient_counts *counts, struct mo_training_report *report)
+{
+  const struct mo_training_settings *settings = &training->settings;
+  if (!training->ready || training->step >= settings->n_steps)
+    return MO_ERR_CONFLICT;
+  struct mo_training_report made = report_of(training, outcomes, counts);
+  struct mo_controller *controller = training->controller;
+  const double norm = mo_gradient_norm(d_parameters, controller->n_parameters);
+  const double limit = settings->norm_limit;
+  const double scale = limit > 0.0 && norm > limit ? limit / norm : 1.0;
+  made.skipped = !isfinite(norm) || (uint64_t)made.diverged + made.zeroed >= settings->batch ||
+                 !mo_adam_update(&training->adam, settings, made.rate, scale, d_parameters, controller->parameters,
+                                 controller->n_parameters, &made.bounded);
+  made.gradient_norm = made.skipped ? 0.0 : norm;
+  training->skipped += made.skipped;
+  training->step++;
+  if (training->stream != NULL)
+    training->draws = mo_body_stream_draws(training->stream);
+  mo_training_forget_robots(training);
+  if (report != NULL)
+    *report = made;
+  return MO_OK;
+}
