@@ -4,7 +4,11 @@
 
 #include "../check.h"
 
+#include <pthread.h>
+#include <stdatomic.h>
 #include <stdbool.h>
+#include <time.h>
+#include <unistd.h>
 
 enum { ROBOTS = 150 };
 
@@ -37,6 +41,56 @@ static int setup(void)
   for (int k = 0; k < 2; k++)
     d_parameters[k] = malloc(controller->n_parameters * sizeof(double));
   return d_parameters[0] != NULL && d_parameters[1] != NULL;
+}
+
+static double now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+/* Stands in front of the real one: fails the block that begins with a certain robot, counts those that are inside. */
+static struct {
+  const struct mo_body *fail_at; /* NULL: none fails */
+  int status;
+  atomic_int begun, inside, most_inside;
+  atomic_int wrong_tags;
+} plan;
+
+int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
+                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
+                             struct mo_gradient_counts *counts);
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
+                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
+                             struct mo_gradient_counts *counts);
+
+int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
+                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
+                             struct mo_gradient_counts *counts)
+{
+  atomic_fetch_add(&plan.begun, 1);
+  const int inside = atomic_fetch_add(&plan.inside, 1) + 1;
+  int most = atomic_load(&plan.most_inside);
+  while (most < inside && !atomic_compare_exchange_weak(&plan.most_inside, &most, inside))
+    ;
+  int status = MO_OK;
+  if (mo_compute_current_tag() != 7)
+    atomic_fetch_add(&plan.wrong_tags, 1);
+  for (uint32_t i = 0; i < n && plan.fail_at != NULL; i++)
+    if (list[i].body == plan.fail_at)
+      status = plan.status;
+  if (status == MO_OK)
+    status =
+        __real_mo_gradient_block(memory, pack, list, n, physics, options, pause, profile, results, gradient, counts);
+  atomic_fetch_sub(&plan.inside, 1);
+  return status;
 }
 
 static struct mo_compute *make_compute(uint32_t n_workers)
@@ -144,8 +198,323 @@ static void it_is_the_mean(void)
   mo_compute_free(compute);
 }
 
+/* A call in a thread of its own. */
+struct call {
+  struct mo_gradient_state *state;
+  struct mo_gradient_batch batch;
+  pthread_t thread;
+  atomic_int returned;
+  int status;
+};
+
+static void *make_call(void *argument)
+{
+  struct call *call = argument;
+  call->status = mo_compute_gradient(call->state, &call->batch);
+  atomic_store(&call->returned, 1);
+  return NULL;
+}
+
+static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, uint32_t body, uint32_t steps)
+{
+  *block = (struct mo_block){.body = bodies[body],
+                             .controller = brain,
+                             .environments = {environments},
+                             .n_environments = 1,
+                             .physics = mo_default_physics(),
+                             .urgency = MO_INTERACTIVE,
+                             .tag = 9};
+  block->physics.n_steps = steps;
+}
+
+/* One worker: interactive scoring blocks come while it is inside a gradient, and neither notices the other. */
+static void urgent_blocks_overtake(void)
+{
+  REQUIRE(setup());
+  enum { N = 64, STEPS = 150, URGENT = 8 };
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = NULL;
+  struct call call = {0};
+  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &call.state) == MO_OK);
+  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  struct mo_block calm[URGENT], urgent[URGENT];
+  for (uint32_t i = 0; i < URGENT; i++)
+    fill_block(calm + i, brain, i, 20);
+  CHECK_INT(mo_compute_run(compute, calm, URGENT), MO_OK);
+  struct mo_gradient_batch batch = make_batch(N, STEPS, 0);
+  double start_s = now_s();
+  CHECK_INT(mo_compute_gradient(call.state, &batch), MO_OK);
+  const double whole_s = now_s() - start_s;
+
+  call.batch = make_batch(N, STEPS, 1);
+  atomic_store(&plan.begun, 0);
+  atomic_store(&plan.wrong_tags, 0);
+  REQUIRE(pthread_create(&call.thread, NULL, make_call, &call) == 0);
+  while (atomic_load(&plan.begun) == 0)
+    usleep(100);
+  double worst_s = 0;
+  for (uint32_t i = 0; i < URGENT; i++) {
+    fill_block(urgent + i, brain, i, 20);
+    start_s = now_s();
+    CHECK_INT(mo_compute_run(compute, urgent + i, 1), MO_OK);
+    worst_s = fmax(worst_s, now_s() - start_s);
+    CHECK(memcmp(urgent[i].outcomes, calm[i].outcomes, sizeof(calm[i].outcomes[0])) == 0);
+  }
+  CHECK(atomic_load(&call.returned) == 0);
+  pthread_join(call.thread, NULL);
+  CHECK_INT(call.status, MO_OK);
+  CHECK(same_results(N) && same_counts(&batch.counts, &call.batch.counts));
+  CHECK_INT(atomic_load(&plan.wrong_tags), 0);
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  CHECK(stats.blocks_preempted >= URGENT / 2); /* a few may fall between two gradient blocks */
+  printf("# slowest of %d urgent blocks: %.1f ms, inside gradient blocks of %.0f ms\n", URGENT, 1e3 * worst_s,
+         1e3 * whole_s / (N / MO_GRADIENT_ROBOTS));
+  CHECK(worst_s < 0.5 * whole_s / (N / MO_GRADIENT_ROBOTS));
+  mo_compute_controller_free(brain);
+  mo_gradient_state_free(call.state);
+  mo_compute_free(compute);
+}
+
+/* An urgent gradient waits for the block that runs and for none that waits. */
+static void urgent_gradients_go_first(void)
+{
+  REQUIRE(setup());
+  enum { CALM = 3 };
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = NULL;
+  struct call calls[2] = {{0}, {0}};
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  for (int i = 0; i < 2; i++) {
+    REQUIRE(mo_gradient_state_create(compute, &calls[i].state) == MO_OK);
+    calls[i].batch = make_batch(i == 0 ? ROBOTS : 3, 30, i);
+    calls[i].batch.urgency = i == 0 ? MO_BATCH : MO_INTERACTIVE;
+  }
+  atomic_store(&plan.begun, 0);
+  REQUIRE(pthread_create(&calls[0].thread, NULL, make_call, calls) == 0);
+  while (atomic_load(&plan.begun) == 0)
+    usleep(100);
+  CHECK_INT(mo_compute_gradient(calls[1].state, &calls[1].batch), MO_OK);
+  CHECK(atomic_load(&calls[0].returned) == 0);
+  pthread_join(calls[0].thread, NULL);
+  CHECK_INT(calls[0].status, MO_OK);
+  for (int i = 0; i < 2; i++)
+    mo_gradient_state_free(calls[i].state);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+static void cancelled_calls_come_back(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(2);
+  struct call call = {0};
+  int cancel = 0;
+  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &call.state) == MO_OK);
+  call.batch = make_batch(ROBOTS, 5000, 1); /* many seconds */
+  call.batch.cancel = &cancel;
+  atomic_store(&plan.begun, 0);
+  REQUIRE(pthread_create(&call.thread, NULL, make_call, &call) == 0);
+  while (atomic_load(&plan.begun) < 2)
+    usleep(100);
+  usleep(20000);
+  CHECK(atomic_load(&call.returned) == 0);
+  const double start_s = now_s();
+  __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
+  pthread_join(call.thread, NULL);
+  printf("# cancelled within %.0f ms\n", 1e3 * (now_s() - start_s));
+  CHECK_INT(call.status, MO_ERR_CANCELLED);
+  call.batch = make_batch(ROBOTS, 40, 1);
+  call.batch.cancel = &cancel;
+  atomic_store(&plan.begun, 0);
+  CHECK_INT(mo_compute_gradient(call.state, &call.batch), MO_ERR_CANCELLED);
+  CHECK_INT(atomic_load(&plan.begun), 0);
+  cancel = 0; /* and the state is as good as new */
+  CHECK_INT(mo_compute_gradient(call.state, &call.batch), MO_OK);
+  struct mo_gradient_batch batch = make_batch(ROBOTS, 40, 0);
+  CHECK_INT(mo_compute_gradient(call.state, &batch), MO_OK);
+  CHECK(same_results(ROBOTS) && same_counts(&batch.counts, &call.batch.counts));
+  mo_gradient_state_free(call.state);
+  mo_compute_free(compute);
+}
+
+/* A block that fails ends the call with its error, whichever block it is; the other blocks in work are waited for. */
+static void failed_blocks_end_the_call(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(2);
+  struct mo_gradient_state *state = NULL;
+  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  for (uint32_t robot = 0; robot < ROBOTS; robot += 37) {
+    struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
+    plan.fail_at = bodies[robot];
+    plan.status = MO_ERR_NO_MEMORY;
+    CHECK_INT(mo_compute_gradient(state, &batch), MO_ERR_NO_MEMORY);
+    CHECK_INT(atomic_load(&plan.inside), 0);
+  }
+  plan.fail_at = NULL;
+  CHECK(atomic_load(&plan.most_inside) <= 2 + 5); /* two here, seven in the first case */
+  struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
+  CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+  mo_gradient_state_free(state);
+  mo_compute_free(compute);
+}
+
+static void faults_are_refused(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(1);
+  struct mo_gradient_state *state = NULL;
+  struct mo_lattice *small = NULL;
+  struct mo_body *stranger = NULL;
+  struct mo_robot others[ROBOTS];
+  struct mo_environment bad = environments[0];
+  const uint64_t one = 1;
+  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  REQUIRE(mo_lattice_create((struct mo_workspace){2, 2, 2}, &small) == MO_OK);
+  REQUIRE(mo_body_create(small, &one, &stranger) == MO_OK);
+  bad.light_xy_m[1] = NAN;
+  enum { FAULTS = 15 };
+  for (int fault = 0; fault < FAULTS; fault++) {
+    struct mo_gradient_batch batch = make_batch(ROBOTS, 1, 0);
+    int expected = MO_ERR_INVALID;
+    memcpy(others, robots, sizeof(others));
+    batch.robots = others;
+    switch (fault) {
+    case 0: batch.n = 0, expected = MO_ERR_RANGE; break;
+    case 1: batch.n = MO_GRADIENT_BATCH_MAX + 1, expected = MO_ERR_RANGE; break;
+    case 2: batch.adjoint_bound = -1, expected = MO_ERR_RANGE; break;
+    case 3: batch.adjoint_bound = NAN; break;
+    case 4: batch.adjoint_bound = INFINITY; break;
+    case 5: batch.controller = NULL; break;
+    case 6: batch.robots = NULL; break;
+    case 7: batch.d_parameters = NULL; break;
+    case 8: batch.outcomes = NULL; break;
+    case 9: batch.urgency = (enum mo_urgency)2; break;
+    case 10: batch.physics.n_steps = 0; break;
+    case 11: others[ROBOTS - 1].body = NULL; break;
+    case 12: others[ROBOTS - 1].environment = NULL; break;
+    case 13: others[ROBOTS - 1].environment = &bad; break;
+    default: others[ROBOTS - 1].body = stranger; break;
+    }
+    CHECK_INT(mo_compute_gradient(state, &batch), expected);
+  }
+  struct mo_gradient_batch batch = make_batch(ROBOTS, 1, 0);
+  CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+  CHECK(strstr(mo_compute_gradient_fingerprint(compute), mo_isa_name(mo_isa_best())) != NULL);
+  CHECK(strcmp(mo_compute_gradient_fingerprint(compute), mo_compute_fingerprint(compute, MO_FLOAT32)) != 0);
+  mo_gradient_state_free(NULL);
+  mo_body_free(stranger);
+  mo_lattice_free(small);
+  mo_gradient_state_free(state);
+  mo_compute_free(compute);
+}
+
+/* One state serves controllers of different workspaces and sensors, one after the other; diverged robots are counted. */
+static void one_state_takes_any_controller(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(2);
+  struct mo_gradient_state *state = NULL;
+  struct mo_controller *other = NULL;
+  struct mo_lattice *large = NULL;
+  struct mo_body *body = NULL;
+  struct mo_outcome outcome;
+  REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  const struct mo_workspace workspace = {8, 5, 5};
+  uint64_t bits[8] = {0x3f};
+  REQUIRE(mo_lattice_create(workspace, &large) == MO_OK && mo_body_create(large, bits, &body) == MO_OK);
+  REQUIRE(mo_controller_create(workspace, MO_SENSOR_INVERSE_SQUARE, &other) == MO_OK);
+  mo_controller_randomize(other, 8);
+  double *gradient = malloc(other->n_parameters * sizeof(double));
+  REQUIRE(gradient != NULL && other->n_parameters > controller->n_parameters);
+  for (int round = 0; round < 4; round++) {
+    struct mo_gradient_batch batch = make_batch(34, 20, round / 2);
+    if (round % 2 == 1) {
+      const struct mo_robot alone = {body, environments};
+      batch.controller = other;
+      batch.robots = &alone;
+      batch.n = 1;
+      batch.d_parameters = gradient;
+      batch.outcomes = &outcome;
+      CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+      CHECK_INT(batch.counts.robots, 1);
+    } else {
+      CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+    }
+  }
+  CHECK(same_results(34));
+  struct mo_gradient_batch stiff = make_batch(34, 60, 0);
+  stiff.physics.stiffness_n_per_m = 1e6;
+  CHECK_INT(mo_compute_gradient(state, &stiff), MO_OK);
+  uint64_t diverged = 0;
+  size_t not_zero = 0;
+  for (uint32_t i = 0; i < 34; i++)
+    diverged += outcomes[0][i].diverged_step > 0;
+  for (size_t i = 0; i < controller->n_parameters; i++)
+    not_zero += d_parameters[0][i] != 0;
+  CHECK_INT(diverged, 34);
+  CHECK_INT(stiff.counts.diverged_robots, 34);
+  CHECK_INT(not_zero, 0);
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  CHECK_INT(stats.gradient_robots_diverged, 34);
+  free(gradient);
+  mo_controller_free(other);
+  mo_body_free(body);
+  mo_lattice_free(large);
+  mo_gradient_state_free(state);
+  mo_compute_free(compute);
+}
+
+/* What a worker holds at the default settings: 32 full lattices for 1000 steps, cancelled as soon as the scratch is there. */
+static int at_once(void *context)
+{
+  (void)context;
+  return 1;
+}
+
+static void memory_is_bounded(void)
+{
+  REQUIRE(setup());
+  uint64_t bits[MO_DEFAULT_WORDS] = {UINT64_MAX, UINT64_MAX, 0xffff};
+  struct mo_body *full = NULL;
+  struct mo_gradient_memory *memory = NULL;
+  struct mo_gradient_pack *pack = NULL;
+  struct mo_robot many[MO_GRADIENT_ROBOTS];
+  struct mo_outcome results[MO_GRADIENT_ROBOTS];
+  const struct mo_physics physics = mo_default_physics();
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  const struct mo_pause_point pause = {.interval = 1, .reached = at_once};
+  float *gradient = malloc(controller->n_parameters * sizeof(float));
+  REQUIRE(gradient != NULL && mo_body_create(lattice, bits, &full) == MO_OK);
+  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
+  REQUIRE(mo_gradient_pack_create(controller, mo_isa_best(), &pack) == MO_OK);
+  for (int i = 0; i < MO_GRADIENT_ROBOTS; i++)
+    many[i] = (struct mo_robot){full, environments + i};
+  CHECK_INT(__real_mo_gradient_block(memory, pack, many, MO_GRADIENT_ROBOTS, &physics, &options, &pause, NULL, results,
+                                     gradient, NULL),
+            MO_ERR_CANCELLED);
+  const size_t scratch = mo_gradient_memory_bytes(memory), scoring = (size_t)16 << 20,
+               slots = 2 * controller->n_parameters * sizeof(float);
+  printf("# scratch %.1f MiB, two results %.1f MiB, pack (shared) %.1f MiB; scoring takes at most 16 MiB\n",
+         (double)scratch / (1 << 20), (double)slots / (1 << 20), (double)mo_gradient_pack_bytes(pack) / (1 << 20));
+  CHECK(scratch > 0 && scratch + slots + scoring + mo_gradient_pack_bytes(pack) <= (size_t)512 << 20);
+  free(gradient);
+  mo_gradient_pack_free(pack);
+  mo_gradient_memory_free(memory);
+  mo_body_free(full);
+}
+
 static const struct check_case cases[] = {
     {"the same bits for any workers", same_bits_for_any_workers},
     {"it is the mean", it_is_the_mean},
+    {"urgent blocks overtake", urgent_blocks_overtake},
+    {"urgent gradients go first", urgent_gradients_go_first},
+    {"cancelled calls come back", cancelled_calls_come_back},
+    {"failed blocks end the call", failed_blocks_end_the_call},
+    {"faults are refused", faults_are_refused},
+    {"one state takes any controller", one_state_takes_any_controller},
+    {"memory is bounded", memory_is_bounded},
 };
 CHECK_MAIN(cases)
