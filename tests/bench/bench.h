@@ -19,6 +19,9 @@ struct bench_options {
 
 int bench_rollout(const struct bench_options *options);
 int bench_accuracy(const struct bench_options *options);
+int bench_gradient(const struct bench_options *options);
+int bench_gradient_accuracy(const struct bench_options *options);
+int bench_stability(const struct bench_options *options);
 int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
@@ -36,6 +39,17 @@ void bench_scene_create(struct bench_scene *scene, const struct bench_options *o
 void bench_scene_free(struct bench_scene *scene);
 /* A box of nx × ny × nz voxels in the middle of the default workspace. */
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
+
+/* One core's matrix products: the yardstick of the speeds of `rollout` and `gradient`. */
+struct bench_sgemm {
+  float *a, *b, *c;
+};
+void bench_sgemm_create(struct bench_sgemm *sgemm);
+void bench_sgemm_free(struct bench_sgemm *sgemm);
+/* Best rate of OpenBLAS on this thread over square sizes from 256 to 1024, FLOP per second. */
+double bench_sgemm_best(const struct bench_sgemm *sgemm);
+/* Arithmetic of one step of the controller restricted to the body's masses and springs. */
+double bench_controller_flop(const struct mo_body *body);
 
 double bench_now_s(void);
 double bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */

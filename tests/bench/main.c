@@ -7,9 +7,11 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|accuracy|load|space|store [OPTION…]\n"
+    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|load|space|store [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
+    "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; memory; the back end\n"
+    "  gradient-accuracy  float32 against float64 gradient of 256 rollouts\n"
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
     "  load      replies of a running morphod while it computes\n"
     "  space     speed of drawing, naming and varying random bodies\n"
@@ -23,7 +25,7 @@ static const char usage[] =
     "  --morphod PATH     `load`: the daemon (default build/src/daemon/morphod)\n"
     "  --csv PATH         `accuracy`: write the table here (default: standard output)\n"
     "  --svg PATH         `accuracy`: draw the table here\n"
-    "  --json             `rollout`: machine-readable result\n"
+    "  --json             `rollout`, `gradient`: machine-readable result\n"
     "  --quick            a tenth of the bodies\n";
 
 static uint64_t number(const char *text, uint64_t most)
@@ -88,6 +90,10 @@ int main(int argc, char **argv)
   const char *name = argv[optind];
   if (strcmp(name, "rollout") == 0)
     return bench_rollout(&options);
+  if (strcmp(name, "gradient") == 0)
+    return bench_gradient(&options);
+  if (strcmp(name, "gradient-accuracy") == 0)
+    return bench_gradient_accuracy(&options);
   if (strcmp(name, "accuracy") == 0)
     return bench_accuracy(&options);
   if (strcmp(name, "load") == 0)

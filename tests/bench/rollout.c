@@ -6,62 +6,10 @@
  * one thread that runs them. */
 #include "bench.h"
 
-#include <cblas.h>
 #include <stdlib.h>
 #include <string.h>
 
 enum { ROUNDS = 10, PAPER = MO_PAPER_TEST_COUNT };
-
-static double controller_flop(const struct mo_body *body)
-{
-  return 2.0 * ((body->n_masses + MO_CPG_INPUTS) * (double)MO_HIDDEN + 2.0 * MO_HIDDEN * MO_HIDDEN +
-                (double)MO_HIDDEN * body->n_springs);
-}
-
-/* ---- the yardstick ---- */
-
-struct sgemm {
-  float *a, *b, *c;
-};
-
-enum { SGEMM_MAX = 1024 };
-
-static void sgemm_create(struct sgemm *sgemm)
-{
-  float **matrices[] = {&sgemm->a, &sgemm->b, &sgemm->c};
-  for (int m = 0; m < 3; m++) {
-    *matrices[m] = aligned_alloc(64, sizeof(float) * SGEMM_MAX * SGEMM_MAX);
-    bench_check(*matrices[m] == NULL ? MO_ERR_NO_MEMORY : MO_OK, "matrices");
-    for (size_t i = 0; i < (size_t)SGEMM_MAX * SGEMM_MAX; i++)
-      (*matrices[m])[i] = (float)((i * 2654435761u >> 16) % 17) / 16.0f - 0.5f;
-  }
-  openblas_set_num_threads(1);
-}
-
-static void sgemm_free(struct sgemm *sgemm)
-{
-  free(sgemm->a);
-  free(sgemm->b);
-  free(sgemm->c);
-}
-
-/* Best rate over square sizes from 256 to 1024, FLOP per second. */
-static double sgemm_best(const struct sgemm *sgemm)
-{
-  static const int sizes[] = {256, 384, 512, 768, 1024};
-  double best = 0;
-  for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++) {
-    const int n = sizes[s];
-    for (int repeat = 0; repeat < (n <= 512 ? 8 : 3); repeat++) {
-      const double start = bench_thread_s();
-      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1.0f, sgemm->a, n, sgemm->b, n, 0.0f, sgemm->c,
-                  n);
-      const double rate = 2.0 * n * n * n / (bench_thread_s() - start);
-      best = rate > best ? rate : best;
-    }
-  }
-  return best;
-}
 
 /* ---- rollouts ---- */
 
@@ -124,13 +72,13 @@ struct report {
 static void measure_sample(struct report *report, const struct runner *runner, const struct bench_scene *scene,
                            const struct mo_physics *physics)
 {
-  struct sgemm sgemm;
-  sgemm_create(&sgemm);
-  (void)sgemm_best(&sgemm); /* warm-up */
+  struct bench_sgemm sgemm;
+  bench_sgemm_create(&sgemm);
+  (void)bench_sgemm_best(&sgemm); /* warm-up */
   (void)run_s(runner, runner->pack, scene, scene->bodies[0], PAPER, physics, NULL);
   const uint32_t rounds = scene->n_bodies < ROUNDS ? scene->n_bodies : ROUNDS;
   double rate[ROUNDS], sgemm_rate[ROUNDS], ratio[ROUNDS], total_s = 0, total_flop = 0, all_flop = 0;
-  double before = sgemm_best(&sgemm);
+  double before = bench_sgemm_best(&sgemm);
   report->sgemm_best = before;
   for (uint32_t round = 0; round < rounds; round++) {
     double round_s = 0, flop = 0;
@@ -138,13 +86,13 @@ static void measure_sample(struct report *report, const struct runner *runner, c
     for (uint32_t i = round; i < scene->n_bodies; i += rounds, n++) {
       const struct mo_body *body = scene->bodies[i];
       round_s += run_s(runner, runner->pack, scene, body, PAPER, physics, NULL);
-      flop += controller_flop(body) * PAPER * physics->n_steps;
+      flop += bench_controller_flop(body) * PAPER * physics->n_steps;
       all_flop += 2.0 * (double)scene->controller->n_parameters * PAPER * physics->n_steps;
       report->masses += body->n_masses / (double)scene->n_bodies;
       report->springs += body->n_springs / (double)scene->n_bodies;
       report->voxels += body->n_voxels / (double)scene->n_bodies;
     }
-    const double after = sgemm_best(&sgemm);
+    const double after = bench_sgemm_best(&sgemm);
     sgemm_rate[round] = before > after ? before : after;
     rate[round] = n * PAPER / round_s;
     ratio[round] = round_s / (flop / sgemm_rate[round]);
@@ -161,7 +109,7 @@ static void measure_sample(struct report *report, const struct runner *runner, c
   report->rollouts_per_s_best = bench_quantile(rate, rounds, 1.0);
   report->sgemm_median = bench_median(sgemm_rate, rounds);
   report->active_share = total_flop / all_flop;
-  sgemm_free(&sgemm);
+  bench_sgemm_free(&sgemm);
   const double start = bench_now_s(); /* the profile's clock */
   for (uint32_t i = 0; i < scene->n_bodies; i += 4)
     (void)run_s(runner, runner->pack, scene, scene->bodies[i], PAPER, physics, &report->profile);

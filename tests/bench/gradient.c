@@ -1,0 +1,377 @@
+/* gradient.c: how fast one core differentiates rollouts, and what memory it takes.
+ *
+ * The sample: the first distinct bodies of the seed's stream, each in one training environment, with the shipped controller and
+ * with random weights. The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would need
+ * for three times the arithmetic of the controller restricted to each body's masses and springs: once forward, and going back once
+ * for the inputs' and once for the weights' gradient. Blocks and products alternate, so that both see the same moods of the
+ * machine; both are counted in processor time of the one thread that runs them. */
+#include "bench.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { SAMPLE = 256, BUDGETS = 5 };
+
+#define RATIO_BOUND       1.7
+#define WORKER_MIB_BOUND  512.0
+#define URGENT_WAIT_BOUND 0.1
+
+struct sample {
+  const struct bench_scene *scene;
+  uint32_t n, n_blocks;
+  struct mo_environment *environments;
+  struct mo_robot *robots;  /* (n) as drawn */
+  struct mo_robot *ordered; /* (n) as arranged */
+  float *d_parameters;
+  struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
+  struct mo_gradient_options options;
+  struct mo_physics physics;
+};
+
+static void sample_create(struct sample *s, const struct bench_scene *scene, const struct bench_options *options)
+{
+  *s = (struct sample){.scene = scene, .n = scene->n_bodies, .physics = mo_default_physics()};
+  s->n_blocks = (s->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
+  s->options = (struct mo_gradient_options){MO_ADJOINT_BOUND, 1.0 / s->n};
+  s->environments = calloc(s->n, sizeof(*s->environments));
+  s->robots = calloc(s->n, sizeof(*s->robots));
+  s->ordered = calloc(s->n, sizeof(*s->ordered));
+  uint32_t *order = calloc(s->n, sizeof(*order));
+  s->d_parameters = calloc(scene->controller->n_parameters, sizeof(float));
+  bench_check(s->environments == NULL || s->robots == NULL || s->ordered == NULL || order == NULL ||
+                      s->d_parameters == NULL
+                  ? MO_ERR_NO_MEMORY
+                  : MO_OK,
+              "sample");
+  for (uint32_t i = 0; i < s->n; i++) {
+    mo_environment_training(options->seed, 0, i, s->environments + i);
+    s->robots[i] = (struct mo_robot){scene->bodies[i], s->environments + i};
+  }
+  bench_check(mo_gradient_arrange(s->robots, s->n, order), "order");
+  for (uint32_t i = 0; i < s->n; i++)
+    s->ordered[i] = s->robots[order[i]];
+  free(order);
+}
+
+static void sample_free(struct sample *s)
+{
+  free(s->environments);
+  free(s->robots);
+  free(s->ordered);
+  free(s->d_parameters);
+}
+
+static uint32_t block_size(const struct sample *s, uint32_t block)
+{
+  const uint32_t left = s->n - block * MO_GRADIENT_ROBOTS;
+  return left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
+}
+
+/* FLOP of three times the controller for one block. */
+static double block_flop(const struct sample *s, uint32_t block)
+{
+  double flop = 0;
+  for (uint32_t i = 0; i < block_size(s, block); i++)
+    flop += 3 * bench_controller_flop(s->ordered[block * MO_GRADIENT_ROBOTS + i].body) * s->physics.n_steps;
+  return flop;
+}
+
+static double run_block_s(struct sample *s, struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
+                          uint32_t block, struct mo_gradient_profile *profile, struct mo_gradient_counts *counts)
+{
+  const double start = bench_thread_s();
+  bench_check(mo_gradient_block(memory, pack, s->ordered + block * MO_GRADIENT_ROBOTS, block_size(s, block),
+                                &s->physics, &s->options, NULL, profile, s->outcomes, s->d_parameters, counts),
+              "gradient");
+  return bench_thread_s() - start;
+}
+
+struct report {
+  double ratio, ratio_median, ratio_worst, ms_per_robot, sgemm_best, mib;
+  struct mo_gradient_profile profile;
+  double profile_s;
+  struct mo_gradient_counts counts;
+};
+
+static void measure(struct report *report, struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
+                    const struct bench_sgemm *sgemm)
+{
+  struct mo_gradient_pack *pack = NULL;
+  struct mo_gradient_memory *memory = NULL;
+  *report = (struct report){0};
+  bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
+  bench_check(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory), "scratch");
+  double *ratio = calloc(s->n_blocks, sizeof(*ratio));
+  bench_check(ratio == NULL ? MO_ERR_NO_MEMORY : MO_OK, "times");
+  (void)run_block_s(s, memory, pack, 0, NULL, NULL); /* warm-up: touches the scratch */
+  double total_s = 0, total_flop = 0, before = bench_sgemm_best(sgemm);
+  report->sgemm_best = before;
+  for (uint32_t block = 0; block < s->n_blocks; block++) {
+    const double block_s = run_block_s(s, memory, pack, block, NULL, &report->counts);
+    const double after = bench_sgemm_best(sgemm), flop = block_flop(s, block);
+    ratio[block] = block_s / (flop / fmax(before, after));
+    before = after;
+    report->sgemm_best = fmax(report->sgemm_best, after);
+    total_s += block_s;
+    total_flop += flop;
+  }
+  report->ms_per_robot = 1e3 * total_s / s->n;
+  report->ratio = total_s / (total_flop / report->sgemm_best);
+  report->ratio_median = bench_median(ratio, s->n_blocks);
+  report->ratio_worst = bench_quantile(ratio, s->n_blocks, 1.0);
+  const double start = bench_now_s(); /* the profile's clock */
+  for (uint32_t block = 0; block < s->n_blocks; block += 2)
+    (void)run_block_s(s, memory, pack, block, &report->profile, NULL);
+  report->profile_s = bench_now_s() - start;
+  report->mib = (double)mo_gradient_memory_bytes(memory) / (1 << 20);
+  free(ratio);
+  mo_gradient_memory_free(memory);
+  mo_gradient_pack_free(pack);
+}
+
+static void print_report(const struct report *r, const char *name, bool json)
+{
+  const struct mo_gradient_profile *p = &r->profile;
+  const double rest = r->profile_s - p->pack_s - p->sense_s - p->control_s - p->physics_s - p->physics_back_s -
+                      p->control_back_s - p->parameters_s - p->repeat_s;
+  const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps, percent = 100 / r->profile_s;
+  if (json) {
+    printf(
+        " \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, \"ratio\": %.4f, "
+        "\"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
+        "  \"shares_percent\": {\"pack\": %.2f, \"sensing\": %.2f, \"control\": %.2f, \"physics\": %.2f, "
+        "\"physics_back\": %.2f, \"control_back\": %.2f, \"parameters\": %.2f, \"repeated\": %.2f, \"rest\": %.2f},\n"
+        "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, \"zeroed_robots\": "
+        "%llu, \"diverged_robots\": %llu},\n",
+        name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst, percent * p->pack_s,
+        percent * p->sense_s, percent * p->control_s, percent * p->physics_s, percent * p->physics_back_s,
+        percent * p->control_back_s, percent * p->parameters_s, percent * p->repeat_s, percent * rest, r->mib, clipped,
+        (unsigned long long)r->counts.clipped_robots, (unsigned long long)r->counts.zeroed_robots,
+        (unsigned long long)r->counts.diverged_robots);
+    return;
+  }
+  printf("\n%s\n", name);
+  printf("time per rollout with gradient, one core: %.2f ms\n", r->ms_per_robot);
+  printf("best sgemm rate of one core: %.1f GFLOP/s\n", 1e-9 * r->sgemm_best);
+  printf("ratio to three times the controller's arithmetic at that rate: %.3f (by block: median %.3f, worst %.3f)\n",
+         r->ratio, r->ratio_median, r->ratio_worst);
+  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, physics %.1f %%; back: physics and sensing %.1f %%, "
+         "control %.1f %%, parameters %.1f %%; repeated %.1f %%, rest %.1f %%\n",
+         percent * p->pack_s, percent * p->sense_s, percent * p->control_s, percent * p->physics_s,
+         percent * p->physics_back_s, percent * p->control_back_s, percent * p->parameters_s, percent * p->repeat_s,
+         percent * rest);
+  printf("scratch: %.1f MiB\n", r->mib);
+  printf("steps of the way back that were clipped: %.2f %%, in %llu robots; zeroed %llu, diverged %llu\n",
+         100 * clipped, (unsigned long long)r->counts.clipped_robots, (unsigned long long)r->counts.zeroed_robots,
+         (unsigned long long)r->counts.diverged_robots);
+}
+
+/* Smaller budgets: more is computed twice, and not a bit changes. Two blocks. False if a bit did. */
+static bool print_budgets(struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
+                          const struct bench_sgemm *sgemm, bool json)
+{
+  static const uint32_t budgets_mib[BUDGETS] = {384, 192, 96, 48, 24};
+  const size_t n = controller->n_parameters;
+  const uint32_t blocks = s->n_blocks < 2 ? s->n_blocks : 2;
+  struct mo_gradient_pack *pack = NULL;
+  float *first = calloc(blocks * n, sizeof(float));
+  bool same = true;
+  bench_check(first == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
+  bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
+  printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio   repeated, %% of the time\n");
+  for (int k = 0; k < BUDGETS; k++) {
+    struct mo_gradient_memory *memory = NULL;
+    struct mo_gradient_profile profile = {0};
+    double total_s = 0, total_flop = 0;
+    bench_check(mo_gradient_memory_create((size_t)budgets_mib[k] << 20, &memory), "scratch");
+    (void)run_block_s(s, memory, pack, 0, NULL, NULL);
+    const double before = bench_sgemm_best(sgemm);
+    const double start = bench_now_s();
+    for (uint32_t block = 0; block < blocks; block++) {
+      total_s += run_block_s(s, memory, pack, block, &profile, NULL);
+      total_flop += block_flop(s, block);
+      if (k == 0)
+        memcpy(first + block * n, s->d_parameters, n * sizeof(float));
+      same = same && memcmp(first + block * n, s->d_parameters, n * sizeof(float)) == 0;
+    }
+    const double wall_s = bench_now_s() - start;
+    const double rate = fmax(before, bench_sgemm_best(sgemm));
+    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f, \"repeated_percent\": %.2f}"
+                : "%s%11u %14.1f %7.3f %14.1f\n",
+           json && k > 0 ? ", " : "", budgets_mib[k], (double)mo_gradient_memory_bytes(memory) / (1 << 20),
+           total_s / (total_flop / rate), 100 * profile.repeat_s / wall_s);
+    mo_gradient_memory_free(memory);
+  }
+  printf(json ? "], \"same_bits_for_any_budget\": %s,\n" : "same bits for any budget: %s\n",
+         same ? (json ? "true" : "yes") : (json ? "false" : "NO"));
+  mo_gradient_pack_free(pack);
+  free(first);
+  return same;
+}
+
+/* While the workers differentiate: how long an urgent block of one step takes, waiting included. */
+struct urgent {
+  const struct sample *sample;
+  struct mo_compute *compute;
+  struct mo_compute_controller *controller;
+  atomic_bool stop;
+  uint32_t n;
+  double worst_s;
+};
+
+static void *submit_urgent(void *argument)
+{
+  struct urgent *urgent = argument;
+  for (; !atomic_load(&urgent->stop); urgent->n++) {
+    struct mo_block block = {.body = urgent->sample->scene->bodies[urgent->n % urgent->sample->n],
+                             .controller = urgent->controller,
+                             .environments = {urgent->sample->scene->list[0]},
+                             .n_environments = 1,
+                             .physics = urgent->sample->physics,
+                             .urgency = MO_INTERACTIVE};
+    block.physics.n_steps = 1;
+    const double start_s = bench_now_s();
+    bench_check(mo_compute_run(urgent->compute, &block, 1), "urgent block");
+    urgent->worst_s = fmax(urgent->worst_s, bench_now_s() - start_s);
+    usleep(13700);
+  }
+  return NULL;
+}
+
+/* The whole sample as one batch, by n workers; with `urgent`, while urgent blocks come. Seconds. */
+static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t workers, struct urgent *urgent,
+                          double *d_parameters, double *worker_mib)
+{
+  struct mo_compute *compute = NULL;
+  struct mo_gradient_state *state = NULL;
+  struct mo_outcome *outcomes = calloc(s->n, sizeof(*outcomes));
+  const struct mo_compute_config config = {.n_workers = workers, .isa = isa};
+  pthread_t thread;
+  bench_check(outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "outcomes");
+  bench_check(mo_compute_create_cpu(&config, &compute), "back end");
+  bench_check(mo_gradient_state_create(compute, &state), "state");
+  struct mo_gradient_batch batch = {.controller = s->scene->controller,
+                                    .robots = s->robots,
+                                    .n = s->n,
+                                    .physics = s->physics,
+                                    .adjoint_bound = MO_ADJOINT_BOUND,
+                                    .d_parameters = d_parameters,
+                                    .outcomes = outcomes};
+  if (urgent != NULL) {
+    *urgent = (struct urgent){.sample = s, .compute = compute};
+    bench_check(mo_compute_controller_create(compute, s->scene->controller, &urgent->controller), "controller");
+    bench_check(pthread_create(&thread, NULL, submit_urgent, urgent) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+  }
+  const double start_s = bench_now_s();
+  bench_check(mo_compute_gradient(state, &batch), "gradient");
+  const double seconds = bench_now_s() - start_s;
+  if (urgent != NULL) {
+    atomic_store(&urgent->stop, true);
+    pthread_join(thread, NULL);
+    mo_compute_controller_free(urgent->controller);
+  }
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  *worker_mib = (double)stats.worker_bytes_max / (1 << 20);
+  mo_gradient_state_free(state);
+  mo_compute_free(compute);
+  free(outcomes);
+  return seconds;
+}
+
+struct back_end {
+  double one_s, two_s, disturbed_s, worker_mib, urgent_worst_s;
+  uint32_t urgent;
+  bool same;
+};
+
+static void measure_back_end(struct back_end *b, const struct sample *s, enum mo_isa isa)
+{
+  const size_t n = s->scene->controller->n_parameters;
+  double *gradient[3];
+  struct urgent urgent;
+  for (int k = 0; k < 3; k++) {
+    gradient[k] = calloc(n, sizeof(double));
+    bench_check(gradient[k] == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
+  }
+  b->one_s = run_batch_s(s, isa, 1, NULL, gradient[0], &b->worker_mib);
+  b->two_s = run_batch_s(s, isa, 2, NULL, gradient[1], &b->worker_mib);
+  b->disturbed_s = run_batch_s(s, isa, 2, &urgent, gradient[2], &b->worker_mib);
+  b->urgent = urgent.n;
+  b->urgent_worst_s = urgent.worst_s;
+  b->same = memcmp(gradient[0], gradient[1], n * sizeof(double)) == 0 &&
+            memcmp(gradient[0], gradient[2], n * sizeof(double)) == 0;
+  for (int k = 0; k < 3; k++)
+    free(gradient[k]);
+}
+
+static void print_back_end(const struct back_end *b, const struct sample *s, bool json)
+{
+  if (json)
+    printf(" \"robots_per_second_1_worker\": %.2f, \"robots_per_second_2_workers\": %.2f, \"same_bits\": %s,\n"
+           " \"urgent_blocks\": %u, \"urgent_worst_ms\": %.2f, \"robots_per_second_beside_them\": %.2f, "
+           "\"worker_mib\": %.2f,\n",
+           s->n / b->one_s, s->n / b->two_s, b->same ? "true" : "false", b->urgent, 1e3 * b->urgent_worst_s,
+           s->n / b->disturbed_s, b->worker_mib);
+  else
+    printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the same bits: %s\n"
+           "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside them\n"
+           "a worker's scratch: %.1f MiB\n",
+           s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent, 1e3 * b->urgent_worst_s,
+           s->n / b->disturbed_s, b->worker_mib);
+}
+
+int bench_gradient(const struct bench_options *options)
+{
+  const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 64 : SAMPLE;
+  const bool json = options->json;
+  struct bench_scene scene;
+  struct bench_sgemm sgemm;
+  struct sample sample;
+  struct report shipped, random;
+  struct back_end back_end = {0};
+  struct mo_controller *fresh = NULL;
+  double masses = 0, springs = 0;
+  bench_scene_create(&scene, options, n);
+  sample_create(&sample, &scene, options);
+  bench_sgemm_create(&sgemm);
+  (void)bench_sgemm_best(&sgemm); /* warm-up */
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh), "controller");
+  mo_controller_randomize(fresh, options->seed);
+  for (uint32_t i = 0; i < n; i++) {
+    masses += scene.bodies[i]->n_masses / (double)n;
+    springs += scene.bodies[i]->n_springs / (double)n;
+  }
+  printf(
+      json ? "{\"isa\": \"%s\", \"robots\": %u, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
+           : "instruction set: %s\nsample: %u distinct random bodies, each in one training environment, 1000 steps; on "
+             "average %.1f masses, %.1f springs\n",
+      mo_isa_name(options->isa), n, masses, springs);
+  measure(&shipped, &sample, scene.controller, options->isa, &sgemm);
+  print_report(&shipped, json ? "trained" : "trained controller", json);
+  measure(&random, &sample, fresh, options->isa, &sgemm);
+  print_report(&random, json ? "random" : "random weights", json);
+  const bool same = print_budgets(&sample, scene.controller, options->isa, &sgemm, json);
+  measure_back_end(&back_end, &sample, options->isa);
+  print_back_end(&back_end, &sample, json);
+  const double ratio = fmax(shipped.ratio, random.ratio);
+  const bool kept = ratio <= RATIO_BOUND && back_end.worker_mib <= WORKER_MIB_BOUND &&
+                    back_end.urgent_worst_s <= URGENT_WAIT_BOUND && same && back_end.same;
+  if (json)
+    printf(" \"kept\": %s}\n", kept ? "true" : "false");
+  else
+    printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f ms ≤ 100 %s; same "
+           "bits %s\n",
+           ratio, ratio <= RATIO_BOUND ? "ok" : "MISSED", back_end.worker_mib,
+           back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
+           back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED", same && back_end.same ? "ok" : "MISSED");
+  mo_controller_free(fresh);
+  bench_sgemm_free(&sgemm);
+  sample_free(&sample);
+  bench_scene_free(&scene);
+  return kept ? 0 : 1;
+}

@@ -1,0 +1,65 @@
+/* gradient_accuracy.c: the float32 gradient of a batch against the float64 reference, at full size: distinct random bodies, each
+ * in one training environment, 1000 steps, trained and random controller, with clipping and without. */
+#include "bench.h"
+
+#include "../unit/compute/gradient-compare.h"
+
+#include <stdlib.h>
+#include <unistd.h>
+
+#define COSINE_BOUND 0.999
+
+static bool compare(const struct bench_scene *scene, const struct mo_controller *controller, const char *name,
+                    const struct mo_robot *robots, const struct bench_options *options, double bound)
+{
+  const struct mo_physics physics = mo_default_physics();
+  const long online = sysconf(_SC_NPROCESSORS_ONLN);
+  const uint32_t workers = options->workers > 0 ? options->workers : online > 0 ? (uint32_t)online : 1;
+  struct gradient_comparison c;
+  bench_check(gradient_compare(controller, robots, scene->n_bodies, &physics, bound, options->isa,
+                               workers < 64 ? workers : 64, &c),
+              "gradient");
+  printf("\n%s, adjoint bound %s: cosine %.6f (1 - cosine %.2e), norm %.6g against %.6g\n", name,
+         bound > 0 ? "2" : "off", c.all.cosine, 1 - c.all.cosine, c.all.norm_fast, c.all.norm_reference);
+  printf("  float32: steps clipped %.2f %% in %llu robots, zeroed %llu, diverged %llu, largest m %.2g; %.1f s\n"
+         "  float64: steps clipped %.2f %% in %llu robots, zeroed %llu, diverged %llu, largest m %.2g; %.1f s\n",
+         100 * (double)c.fast.clipped_steps / (double)c.fast.steps, (unsigned long long)c.fast.clipped_robots,
+         (unsigned long long)c.fast.zeroed_robots, (unsigned long long)c.fast.diverged_robots, c.fast.largest, c.fast_s,
+         100 * (double)c.reference.clipped_steps / (double)c.reference.steps,
+         (unsigned long long)c.reference.clipped_robots, (unsigned long long)c.reference.zeroed_robots,
+         (unsigned long long)c.reference.diverged_robots, c.reference.largest, c.reference_s);
+  printf("  difference in loss: median %.1e, p90 %.1e, most %.1e\n", c.loss_median, c.loss_p90, c.loss_most);
+  printf("  tensor          1 - cosine   norm float32   norm float64\n");
+  for (int t = 0; t < MO_CONTROLLER_TENSORS; t++)
+    printf("  %-14s %11.2e %14.6g %14.6g\n", gradient_tensor_names[t], 1 - c.tensor[t].cosine, c.tensor[t].norm_fast,
+           c.tensor[t].norm_reference);
+  return c.all.cosine >= COSINE_BOUND;
+}
+
+int bench_gradient_accuracy(const struct bench_options *options)
+{
+  const uint32_t n = options->bodies > 0 ? options->bodies : options->quick ? 26 : 256;
+  struct bench_scene scene;
+  struct mo_controller *fresh = NULL;
+  bench_scene_create(&scene, options, n);
+  struct mo_environment *environments = calloc(n, sizeof(*environments));
+  struct mo_robot *robots = calloc(n, sizeof(*robots));
+  bench_check(environments == NULL || robots == NULL ? MO_ERR_NO_MEMORY : MO_OK, "robots");
+  for (uint32_t i = 0; i < n; i++) {
+    mo_environment_training(options->seed, 0, i, environments + i);
+    robots[i] = (struct mo_robot){scene.bodies[i], environments + i};
+  }
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh), "controller");
+  mo_controller_randomize(fresh, options->seed);
+  printf("instruction set: %s; %u robots, 1000 steps\n", mo_isa_name(options->isa), n);
+  const bool trained = compare(&scene, scene.controller, "trained controller", robots, options, MO_ADJOINT_BOUND);
+  const bool random = compare(&scene, fresh, "random weights", robots, options, MO_ADJOINT_BOUND);
+  (void)compare(&scene, scene.controller, "trained controller", robots, options, 0);
+  (void)compare(&scene, fresh, "random weights", robots, options, 0);
+  printf("\nbound: cosine with clipping ≥ %.3f %s\n", COSINE_BOUND, trained && random ? "ok" : "MISSED");
+  mo_controller_free(fresh);
+  free(robots);
+  free(environments);
+  bench_scene_free(&scene);
+  return trained && random ? 0 : 1;
+}

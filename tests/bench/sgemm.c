@@ -1,0 +1,49 @@
+/* sgemm.c: how fast one core multiplies matrices, by OpenBLAS. */
+#include "bench.h"
+
+#include <cblas.h>
+#include <stdlib.h>
+
+enum { SGEMM_MAX = 1024 };
+
+double bench_controller_flop(const struct mo_body *body)
+{
+  return 2.0 * ((body->n_masses + MO_CPG_INPUTS) * (double)MO_HIDDEN + 2.0 * MO_HIDDEN * MO_HIDDEN +
+                (double)MO_HIDDEN * body->n_springs);
+}
+
+void bench_sgemm_create(struct bench_sgemm *sgemm)
+{
+  float **matrices[] = {&sgemm->a, &sgemm->b, &sgemm->c};
+  for (int m = 0; m < 3; m++) {
+    *matrices[m] = aligned_alloc(64, sizeof(float) * SGEMM_MAX * SGEMM_MAX);
+    bench_check(*matrices[m] == NULL ? MO_ERR_NO_MEMORY : MO_OK, "matrices");
+    for (size_t i = 0; i < (size_t)SGEMM_MAX * SGEMM_MAX; i++)
+      (*matrices[m])[i] = (float)((i * 2654435761u >> 16) % 17) / 16.0f - 0.5f;
+  }
+  openblas_set_num_threads(1);
+}
+
+void bench_sgemm_free(struct bench_sgemm *sgemm)
+{
+  free(sgemm->a);
+  free(sgemm->b);
+  free(sgemm->c);
+}
+
+double bench_sgemm_best(const struct bench_sgemm *sgemm)
+{
+  static const int sizes[] = {256, 384, 512, 768, 1024};
+  double best = 0;
+  for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++) {
+    const int n = sizes[s];
+    for (int repeat = 0; repeat < (n <= 512 ? 8 : 3); repeat++) {
+      const double start = bench_thread_s();
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1.0f, sgemm->a, n, sgemm->b, n, 0.0f, sgemm->c,
+                  n);
+      const double rate = 2.0 * n * n * n / (bench_thread_s() - start);
+      best = rate > best ? rate : best;
+    }
+  }
+  return best;
+}

@@ -1,0 +1,98 @@
+/* The float32 gradient of a batch against the float64 reference: direction, norm, and each tensor by itself, with clipping and
+ * without. `tools/bench gradient-accuracy` does the same at full size. */
+#include "gradient-compare.h"
+
+#include "../check.h"
+
+#include <stdlib.h>
+
+static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cosine)
+{
+  struct mo_controller *controller = NULL;
+  struct mo_lattice *lattice = NULL;
+  struct mo_body_stream *stream = NULL;
+  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
+  REQUIRE(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
+  if (trained) {
+    char path[4096];
+    const char *root = getenv("MORPHO_SOURCE_DIR");
+    snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors", root != NULL ? root : ".");
+    REQUIRE(mo_controller_read(path, &controller, NULL) == MO_OK);
+  } else {
+    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+    mo_controller_randomize(controller, 11);
+  }
+  struct mo_robot *robots = calloc(n, sizeof(*robots));
+  struct mo_body **bodies = calloc(n, sizeof(struct mo_body *));
+  struct mo_environment *environments = calloc(n, sizeof(*environments));
+  REQUIRE(robots != NULL && bodies != NULL && environments != NULL);
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t bits[MO_DEFAULT_WORDS];
+    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK && mo_body_create(lattice, bits, &bodies[i]) == MO_OK);
+    mo_environment_training(11, 0, i, environments + i);
+    robots[i] = (struct mo_robot){bodies[i], environments + i};
+  }
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = n_steps;
+  for (int off = 0; off < 2; off++) {
+    struct gradient_comparison c;
+    REQUIRE(gradient_compare(controller, robots, n, &physics, off ? 0 : MO_ADJOINT_BOUND, mo_isa_best(), 2, &c) ==
+            MO_OK);
+    double least = 1;
+    int least_at = 0;
+    for (int t = 0; t < MO_CONTROLLER_TENSORS; t++)
+      if (!(c.tensor[t].cosine >= least)) {
+        least = c.tensor[t].cosine;
+        least_at = t;
+      }
+    printf("# %s, bound %s, %u robots, %u steps: 1 - cosine %.2g, norms %.6g and %.6g; least of a tensor: 1 - cosine "
+           "%.2g (%s); loss off by %.1g, %.1g, %.1g (median, p90, most)\n",
+           trained ? "trained" : "random weights", off ? "off" : "2", n, n_steps, 1 - c.all.cosine, c.all.norm_fast,
+           c.all.norm_reference, 1 - least, gradient_tensor_names[least_at], c.loss_median, c.loss_p90, c.loss_most);
+    CHECK_INT(c.fast.robots, n);
+    CHECK_INT(c.fast.zeroed_robots + c.fast.diverged_robots, 0);
+    CHECK(c.all.norm_reference > 0);
+    if (off)
+      continue; /* one robot whose adjoint explodes is most of the sum: for comparison alone */
+    CHECK(c.all.cosine >= least_cosine);
+    CHECK(least >= least_cosine);
+    CHECK_NEAR(c.all.norm_fast / c.all.norm_reference, 1.0, 1 - least_cosine + 1e-3);
+    CHECK(c.loss_median <= 1e-3);
+  }
+  for (uint32_t i = 0; i < n; i++)
+    mo_body_free(bodies[i]);
+  free(bodies);
+  free(robots);
+  free(environments);
+  mo_controller_free(controller);
+  mo_body_stream_free(stream);
+  mo_lattice_free(lattice);
+}
+
+static void short_random(void)
+{
+  compare(48, 120, false, 0.9999);
+}
+
+static void short_trained(void)
+{
+  compare(48, 120, true, 0.9999);
+}
+
+static void whole_random(void)
+{
+  compare(12, 1000, false, 0.999);
+}
+
+static void whole_trained(void)
+{
+  compare(12, 1000, true, 0.999);
+}
+
+static const struct check_case cases[] = {
+    {"random weights, 120 steps", short_random},
+    {"trained controller, 120 steps", short_trained},
+    {"random weights, 1000 steps", whole_random},
+    {"trained controller, 1000 steps", whole_trained},
+};
+CHECK_MAIN(cases)

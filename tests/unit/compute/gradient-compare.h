@@ -1,0 +1,27 @@
+/* gradient-compare.h: a batch's gradient by the fast path and by the float64 reference. Used by a test and by a benchmark. */
+#ifndef MORPHO_TESTS_GRADIENT_COMPARE_H
+#define MORPHO_TESTS_GRADIENT_COMPARE_H
+
+#include <morpho/compute.h>
+
+struct gradient_likeness {
+  double cosine, norm_fast, norm_reference;
+};
+
+struct gradient_comparison {
+  struct gradient_likeness all, tensor[MO_CONTROLLER_TENSORS];
+  struct mo_gradient_counts fast, reference;
+  double loss_median, loss_p90, loss_most; /* |difference in loss| over the robots that neither path saw diverge */
+  uint32_t diverged_in_one;                /* robots that diverged in one of the two alone */
+  double fast_s, reference_s;              /* wall clock */
+};
+
+/* The names of the tensors, in file order. */
+extern const char *const gradient_tensor_names[MO_CONTROLLER_TENSORS];
+
+/* workers: 1 … 64. A negative mo_error. */
+int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
+                     const struct mo_physics *physics, double adjoint_bound, enum mo_isa isa, uint32_t workers,
+                     struct gradient_comparison *comparison);
+
+#endif
