@@ -2,13 +2,9 @@
  *
  * A file is written beside its place, synced, renamed, and its folder synced, before the row that speaks of it commits: a row
  * never refers to bytes that are not there. A file without a row is harmless: the next upload of the same content finds it. */
-#include <errno.h>
-#include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 #include "store/internal.h"
 
@@ -35,104 +31,19 @@ static char *file_path(const struct mo_store *store, const struct mo_sha256 *sha
   return path;
 }
 
-static int read_whole(const char *path, size_t size, uint8_t **ret)
-{
-  int fd = open(path, O_RDONLY | O_CLOEXEC);
-  size_t filled = 0;
-  uint8_t *bytes;
-  struct stat status;
-  if (fd < 0)
-    return errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO;
-  if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size) {
-    close(fd);
-    return MO_ERR_CORRUPT;
-  }
-  bytes = malloc(size > 0 ? size : 1);
-  if (bytes == NULL) {
-    close(fd);
-    return MO_ERR_NO_MEMORY;
-  }
-  while (filled < size) {
-    ssize_t n = read(fd, bytes + filled, size - filled);
-    if (n < 0 && errno == EINTR)
-      continue;
-    if (n <= 0)
-      break;
-    filled += (size_t)n;
-  }
-  close(fd);
-  if (filled < size) {
-    free(bytes);
-    return MO_ERR_IO;
-  }
-  *ret = bytes;
-  return MO_OK;
-}
-
-static int write_error(void)
-{
-  return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : MO_ERR_IO;
-}
-
-static int write_and_sync(int fd, const uint8_t *bytes, size_t size)
-{
-  size_t written = 0;
-  while (written < size) {
-    ssize_t n = write(fd, bytes + written, size - written);
-    if (n < 0 && errno == EINTR)
-      continue;
-    if (n < 0)
-      return write_error();
-    written += (size_t)n;
-  }
-  return fsync(fd) == 0 ? MO_OK : write_error();
-}
-
-static int sync_folder(const char *path)
-{
-  int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  int error = MO_OK;
-  if (fd < 0)
-    return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
-  if (fsync(fd) != 0)
-    error = MO_ERR_IO;
-  close(fd);
-  return error;
-}
-
 static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes, size_t size)
 {
   char *path = file_path(store, sha256);
-  size_t temporary_size = strlen(store->controllers_path) + 64;
-  char *temporary = malloc(temporary_size);
   uint8_t *there = NULL;
-  int fd;
-  int error = MO_OK;
-  if (path == NULL || temporary == NULL) {
-    error = MO_ERR_NO_MEMORY;
-    goto out;
-  }
-  if (read_whole(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0)
-    goto out; /* a row may be missing, the file is whole: a crash may have come between the two */
-  snprintf(temporary, temporary_size, "%s/.tmp-%u", store->controllers_path, atomic_fetch_add(&store->file_counter, 1));
-  fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-  if (fd < 0) {
-    error = write_error();
-    goto out;
-  }
-  error = write_and_sync(fd, bytes, size);
-  if (close(fd) != 0 && error == MO_OK)
-    error = write_error();
-  if (error == MO_OK && rename(temporary, path) != 0)
-    error = write_error();
-  if (error != MO_OK)
-    (void)unlink(temporary);
-out:
-  /* A later fsync of the folder may succeed without the name that this one lost, and the file is there for who looks. */
-  if (error == MO_OK && (error = sync_folder(store->controllers_path)) == MO_ERR_IO)
-    mo_store_declare_fatal(store, "the folder of controllers cannot be synced");
+  int error;
+  if (path == NULL)
+    return MO_ERR_NO_MEMORY;
+  /* A row may be missing, the file is whole: a crash may have come between the two. */
+  if (mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0)
+    error = mo_folder_sync(store, store->controllers_path);
+  else
+    error = mo_file_write(store, store->controllers_path, path, bytes, size);
   free(there);
-  free(temporary);
   free(path);
   return error;
 }
@@ -186,17 +97,7 @@ static char *metadata_json(const struct mo_controller *controller)
   return text;
 }
 
-struct put_arguments {
-  const char *name;
-  const struct mo_controller *controller;
-  const char *metadata;
-  struct mo_sha256 sha256;
-  size_t size;
-  struct mo_controller_record record;
-  bool created;
-};
-
-static int content_row(struct mo_connection *writer, const struct put_arguments *call, int64_t now_us, int64_t *row)
+static int content_row(struct mo_connection *writer, const struct mo_controller_put *call, int64_t now_us, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM controllers WHERE sha256=?1";
   static const char insert_sql[] =
@@ -229,18 +130,18 @@ static int content_row(struct mo_connection *writer, const struct put_arguments 
   return error;
 }
 
-static int put(struct mo_store *store, void *arguments)
+int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call)
 {
   static const char find_sql[] = "SELECT controller,version,stored_us FROM controller_names WHERE name=?1";
   static const char set_sql[] = "INSERT INTO controller_names(name,controller,version,stored_us) VALUES(?1,?2,?3,?4)"
                                 " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
-  struct put_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
   int64_t row = 0, known = 0, version = 0, now_us = mo_store_now_us();
   sqlite3_stmt *statement;
   int step;
   int error = content_row(writer, call, now_us, &row);
+  call->row = row;
   if (error != MO_OK)
     return error;
   statement = mo_sql(writer, find_sql, &error);
@@ -280,23 +181,39 @@ static int put(struct mo_store *store, void *arguments)
   return error;
 }
 
+static int put(struct mo_store *store, void *arguments)
+{
+  return mo_controller_put_row(store, arguments);
+}
+
+int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
+                            const struct mo_controller *controller, struct mo_controller_put *call)
+{
+  int error = mo_controller_name_check(name);
+  *call = (struct mo_controller_put){.name = name, .controller = controller, .size = size};
+  if (error != MO_OK)
+    return error;
+  call->metadata = metadata_json(controller);
+  if (call->metadata == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_sha256_of(bytes, size, &call->sha256);
+  return write_file(store, &call->sha256, bytes, size);
+}
+
+void mo_controller_put_end(struct mo_controller_put *call)
+{
+  free(call->metadata);
+  call->metadata = NULL;
+}
+
 int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
                             const struct mo_controller *controller, struct mo_controller_record *record, bool *created)
 {
-  struct put_arguments call = {.name = name, .controller = controller, .size = size};
-  char *metadata;
-  int error = mo_controller_name_check(name);
-  if (error != MO_OK)
-    return error;
-  metadata = metadata_json(controller);
-  if (metadata == NULL)
-    return MO_ERR_NO_MEMORY;
-  call.metadata = metadata;
-  mo_sha256_of(bytes, size, &call.sha256);
-  error = write_file(store, &call.sha256, bytes, size);
+  struct mo_controller_put call;
+  int error = mo_controller_put_begin(store, name, bytes, size, controller, &call);
   if (error == MO_OK)
     error = mo_write(store, put, &call);
-  free(metadata);
+  mo_controller_put_end(&call);
   if (error != MO_OK)
     return error;
   *record = (struct mo_controller_record){.version = call.record.version,
@@ -460,7 +377,7 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
   path = file_path(store, sha256);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
-  error = size >= 0 ? read_whole(path, (size_t)size, &bytes) : MO_ERR_CORRUPT;
+  error = size >= 0 ? mo_file_read(path, (size_t)size, &bytes) : MO_ERR_CORRUPT;
   free(path);
   if (error == MO_ERR_NOT_FOUND)
     error = MO_ERR_CORRUPT; /* the row is there, its file is not */

@@ -128,6 +128,68 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
+/* Version 1: the byte 1; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth, warm-up, held-out designs,
+ * held-out environments, impact's bisections; the 64-bit seed; doubles peak, floor, decay, beta1, beta2, epsilon, norm limit,
+ * adjoint bound; physics with precision and sensor. */
+void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES])
+{
+  const struct mo_schedule *schedule = &settings->schedule;
+  const uint32_t words[10] = {(uint32_t)settings->kind,    settings->n_steps,          settings->batch,
+                              (uint32_t)schedule->kind,    schedule->cycle_steps,      schedule->cycle_growth,
+                              schedule->warmup_steps,      settings->held_out_designs, settings->held_out_environments,
+                              settings->physics.bisections};
+  const double values[8] = {schedule->peak,  schedule->floor,   schedule->decay,      settings->beta1,
+                            settings->beta2, settings->epsilon, settings->norm_limit, settings->adjoint_bound};
+  uint8_t *at = bytes;
+  *at++ = 1;
+  for (size_t i = 0; i < 10; i++, at += 4)
+    put_u32(words[i], at);
+  put_u32((uint32_t)settings->seed, at);
+  put_u32((uint32_t)(settings->seed >> 32), at + 4);
+  mo_encode_doubles(values, 8, at + 8);
+  mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * 8);
+}
+
+int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings)
+{
+  uint32_t words[10];
+  double values[8];
+  enum mo_precision precision;
+  const uint8_t *at = bytes + 1;
+  uint64_t seed;
+  int error;
+  if (size != MO_TRAINING_BYTES || bytes[0] != 1)
+    return MO_ERR_CORRUPT;
+  for (size_t i = 0; i < 10; i++, at += 4)
+    words[i] = get_u32(at);
+  seed = (uint64_t)get_u32(at + 4) << 32 | get_u32(at);
+  mo_decode_doubles(at + 8, 8, values);
+  if (words[0] > MO_TRAINING_FINETUNE || words[3] > MO_SCHEDULE_CONSTANT)
+    return MO_ERR_CORRUPT;
+  memset(settings, 0, sizeof(*settings));
+  settings->kind = (enum mo_training_kind)words[0];
+  settings->seed = seed;
+  settings->n_steps = words[1];
+  settings->batch = words[2];
+  settings->schedule = (struct mo_schedule){.kind = (enum mo_schedule_kind)words[3],
+                                            .peak = values[0],
+                                            .floor = values[1],
+                                            .decay = values[2],
+                                            .cycle_steps = words[4],
+                                            .cycle_growth = words[5],
+                                            .warmup_steps = words[6]};
+  settings->beta1 = values[3];
+  settings->beta2 = values[4];
+  settings->epsilon = values[5];
+  settings->norm_limit = values[6];
+  settings->adjoint_bound = values[7];
+  settings->held_out_designs = words[7];
+  settings->held_out_environments = words[8];
+  error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision, &settings->sensor);
+  settings->physics.bisections = words[9];
+  return error;
+}
+
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES])
 {
   memset(bytes, 0, MO_BITS_BYTES);

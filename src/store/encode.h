@@ -4,11 +4,14 @@
 
 #include <stdint.h>
 
+#include <morpho/learning.h>
+
 #include "store/records.h"
 
 #define MO_ENVIRONMENT_BYTES (8 * (2 + MO_TERRAIN_HEIGHTS))
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
+#define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES)
 
 void mo_encode_double(double value, uint8_t bytes[8]);
 double mo_decode_double(const uint8_t bytes[8]);
@@ -25,6 +28,10 @@ void mo_encode_physics(const struct mo_physics *physics, enum mo_precision preci
 /* MO_ERR_CORRUPT: not an encoding of this version. */
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics, enum mo_precision *precision,
                       enum mo_sensor *sensor);
+
+/* All settings of a training, bit for bit; −0 is kept. */
+void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES]);
+int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
 
 /* The stored form of genotypes, as mo_genotype_to_bytes writes it. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);

@@ -5,16 +5,59 @@
 
 #include "store/internal.h"
 
+static int evaluation_from_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  int64_t n_environments = sqlite3_column_int64(row, 15), n_designs = sqlite3_column_int64(row, 16);
+  const void *encoding = sqlite3_column_blob(row, 17);
+  int record = sqlite3_column_int(row, 19);
+  int error;
+  if (encoding == NULL || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX || n_designs < 1 ||
+      n_designs > MO_DESIGNS_MAX)
+    return MO_ERR_CORRUPT;
+  mo_column_text(row, 12, job->controller_name, sizeof(job->controller_name));
+  mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
+  job->n_environments = (uint32_t)n_environments;
+  job->n_designs = (uint32_t)n_designs;
+  error = mo_column_hash(row, 13, &job->controller_sha256);
+  if (error == MO_OK)
+    error = mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17), &job->physics, &job->precision,
+                              &job->sensor);
+  job->verify = sqlite3_column_int(row, 18) != 0;
+  job->record_com = (record & 1) != 0;
+  job->record_masses = (record & 2) != 0;
+  job->record_stride = (uint32_t)sqlite3_column_int64(row, 20);
+  job->rollouts_total = (uint64_t)n_designs * (uint64_t)n_environments;
+  job->rollouts_done = (uint64_t)sqlite3_column_int64(row, 21);
+  job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, 22);
+  job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, 23);
+  return error;
+}
+
+static int training_from_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  struct mo_training_settings settings;
+  const void *encoding = sqlite3_column_blob(row, 26);
+  int error = encoding == NULL ? MO_ERR_CORRUPT
+                               : mo_decode_training(encoding, (size_t)sqlite3_column_bytes(row, 26), &settings);
+  if (error == MO_OK && sqlite3_column_type(row, 13) != SQLITE_NULL)
+    error = mo_column_hash(row, 13, &job->controller_sha256);
+  if (error != MO_OK)
+    return error;
+  mo_column_text(row, 24, job->controller_name, sizeof(job->controller_name));
+  job->n_designs = (uint32_t)sqlite3_column_int64(row, 25);
+  job->physics = settings.physics;
+  job->sensor = settings.sensor;
+  job->precision = MO_FLOAT32;
+  job->steps_total = settings.n_steps;
+  job->steps_done = (uint32_t)sqlite3_column_int64(row, 27);
+  return MO_OK;
+}
+
 int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   int kind = sqlite3_column_int(row, 2), state = sqlite3_column_int(row, 3), priority = sqlite3_column_int(row, 4);
-  int64_t n_environments = sqlite3_column_int64(row, 15), n_designs = sqlite3_column_int64(row, 16);
-  int record = sqlite3_column_int(row, 19);
-  int error;
   memset(job, 0, sizeof(*job));
-  if (kind != MO_JOB_EVALUATION || state < 0 || state >= MO_JOB_STATES || priority < MO_BATCH ||
-      priority > MO_INTERACTIVE || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX || n_designs < 1 ||
-      n_designs > MO_DESIGNS_MAX)
+  if (state < 0 || state >= MO_JOB_STATES || priority < MO_BATCH || priority > MO_INTERACTIVE)
     return MO_ERR_CORRUPT;
   job->id = sqlite3_column_int64(row, 0);
   job->version = sqlite3_column_int64(row, 1);
@@ -29,26 +72,11 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   job->attempts = (uint32_t)sqlite3_column_int64(row, 9);
   job->error = sqlite3_column_int(row, 10);
   mo_column_text(row, 11, job->error_text, sizeof(job->error_text));
-  mo_column_text(row, 12, job->controller_name, sizeof(job->controller_name));
-  error = mo_column_hash(row, 13, &job->controller_sha256);
-  mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
-  job->n_environments = (uint32_t)n_environments;
-  job->n_designs = (uint32_t)n_designs;
-  if (error == MO_OK) {
-    const void *encoding = sqlite3_column_blob(row, 17);
-    error = encoding == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17), &job->physics,
-                                                 &job->precision, &job->sensor);
+  switch (kind) {
+  case MO_JOB_EVALUATION: return evaluation_from_row(row, job);
+  case MO_JOB_TRAINING: return training_from_row(row, job);
+  default: return MO_ERR_CORRUPT;
   }
-  job->verify = sqlite3_column_int(row, 18) != 0;
-  job->record_com = (record & 1) != 0;
-  job->record_masses = (record & 2) != 0;
-  job->record_stride = (uint32_t)sqlite3_column_int64(row, 20);
-  job->rollouts_total = (uint64_t)n_designs * (uint64_t)n_environments;
-  job->rollouts_done = (uint64_t)sqlite3_column_int64(row, 21);
-  job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, 22);
-  job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, 23);
-  return error;
 }
 
 static int get_job(struct mo_connection *connection, int64_t id, struct mo_job *job)

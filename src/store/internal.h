@@ -9,9 +9,10 @@
 #include "store/encode.h"
 #include "store/runner.h"
 #include "store/store.h"
+#include "store/trainings.h"
 
 #define MO_APPLICATION_ID    0x6D727068 /* "mrph" */
-#define MO_STATEMENTS_MAX    96
+#define MO_STATEMENTS_MAX    192
 #define MO_CHECKPOINT_FRAMES 2000
 #define MO_WAL_FRAMES_LONG   8000
 #define MO_BUSY_MS           5000
@@ -67,7 +68,7 @@ struct mo_operation {
 };
 
 struct mo_store {
-  char *path, *database_path, *controllers_path, *vfs;
+  char *path, *database_path, *controllers_path, *trainings_path, *vfs;
   int lock_fd;
   int64_t epoch;
   uint64_t events_kept;
@@ -134,12 +135,54 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 #define MO_JOB_COLUMNS                                                                                                 \
   "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
   "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \
-  "e.record_stride,e.done,e.cached,e.diverged"
+  "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step"
 #define MO_JOB_TABLES                                                                                                  \
-  " FROM jobs j JOIN evaluations e ON e.job=j.id JOIN controllers c ON c.id=e.controller"                              \
-  " JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s ON s.id=e.environment_set "
-#define MO_JOB_N_COLUMNS 24
+  " FROM jobs j LEFT JOIN evaluations e ON e.job=j.id LEFT JOIN trainings t ON t.job=j.id"                             \
+  " LEFT JOIN controllers c ON c.id=coalesce(e.controller,t.parent)"                                                   \
+  " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s ON s.id=e.environment_set "
+#define MO_JOB_N_COLUMNS 28
 int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
+int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
+                     enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
+
+/* A design and one of its orientations, by content: found, or made. */
+int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
+                    int64_t now_us, int64_t *row);
+/* The job of a key. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: of another body. */
+int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
+int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
+                  int64_t id);
+/* The sensor of a controller. MO_ERR_UNSUPPORTED: it is not of the default workspace. */
+int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
+
+/* A file of weights, then its row and name: begin, on any thread; row, in an operation; end always. */
+struct mo_controller_put {
+  const char *name;
+  const struct mo_controller *controller;
+  char *metadata;
+  struct mo_sha256 sha256;
+  size_t size;
+  struct mo_controller_record record;
+  bool created;
+  int64_t row; /* result */
+};
+int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
+                            const struct mo_controller *controller, struct mo_controller_put *call);
+int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call);
+void mo_controller_put_end(struct mo_controller_put *call);
+
+/* ---- files ---- */
+
+/* The bytes of a file (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of another size. */
+int mo_file_read(const char *path, size_t size, uint8_t **bytes);
+/* Atomic and durable: `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed. */
+int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size);
+int mo_folder_sync(struct mo_store *store, const char *path); /* MO_ERR_IO is fatal to the store */
+int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
+/* Removes what interrupted writes left, and the files that are not to be kept (keep NULL: all are). */
+int mo_folder_clean(const char *path, bool (*keep)(void *context, const char *name), void *context);
+/* Removes files of trainings of which no row speaks. Before the writer starts. */
+int mo_trainings_clean(struct mo_store *store);
 
 /* Row of a controller by name or "sha256:…". MO_ERR_NOT_FOUND. */
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);

@@ -2,7 +2,6 @@
  *
  * Order: lock, database, application id and version, quick_check after an unclean stop, migrations, epoch, readers, writer. The
  * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. */
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -45,21 +44,14 @@ static int lock_folder(struct mo_store *store, struct mo_message *message)
   return error;
 }
 
-/* The folder of weights; what an interrupted write left there is removed. */
-static int prepare_controllers(struct mo_store *store, struct mo_message *message)
+/* A folder of files; what an interrupted write left there is removed. */
+static int prepare_folder(struct mo_store *store, const char *path, struct mo_message *message)
 {
-  struct dirent *entry;
-  DIR *folder;
-  if (mkdir(store->controllers_path, 0700) != 0 && errno != EEXIST)
-    return mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "cannot create %s: %s",
-                   store->controllers_path, strerrordesc_np(errno));
-  folder = opendir(store->controllers_path);
-  if (folder == NULL)
-    return mo_fail(message, MO_ERR_IO, "cannot read %s: %s", store->controllers_path, strerrordesc_np(errno));
-  while ((entry = readdir(folder)) != NULL) /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
-    if (strncmp(entry->d_name, ".tmp-", 5) == 0)
-      (void)unlinkat(dirfd(folder), entry->d_name, 0);
-  closedir(folder);
+  int error = mo_folder_make(store, store->path, path);
+  if (error != MO_OK)
+    return mo_fail(message, error, "cannot create %s: %s", path, strerrordesc_np(errno));
+  if (mo_folder_clean(path, NULL, NULL) != MO_OK)
+    return mo_fail(message, MO_ERR_IO, "cannot read %s: %s", path, strerrordesc_np(errno));
   return MO_OK;
 }
 
@@ -245,6 +237,7 @@ static void free_store(struct mo_store *store)
   free(store->path);
   free(store->database_path);
   free(store->controllers_path);
+  free(store->trainings_path);
   free(store->vfs);
   free(store);
 }
@@ -273,10 +266,11 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->path = strdup(config->path);
   store->database_path = join(config->path, "morphod.db");
   store->controllers_path = join(config->path, "controllers");
+  store->trainings_path = join(config->path, "trainings");
   store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
   store->readers = calloc(store->n_readers, sizeof(*store->readers));
   if (store->path == NULL || store->database_path == NULL || store->controllers_path == NULL ||
-      store->readers == NULL || (config->vfs != NULL && store->vfs == NULL)) {
+      store->trainings_path == NULL || store->readers == NULL || (config->vfs != NULL && store->vfs == NULL)) {
     free_store(store);
     return NULL;
   }
@@ -296,9 +290,13 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, s
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   error = lock_folder(store, message);
   if (error == MO_OK)
-    error = prepare_controllers(store, message);
+    error = prepare_folder(store, store->controllers_path, message);
+  if (error == MO_OK)
+    error = prepare_folder(store, store->trainings_path, message);
   if (error == MO_OK)
     error = prepare_database(store, message);
+  if (error == MO_OK)
+    error = mo_trainings_clean(store);
   if (error == MO_OK)
     error = open_readers(store);
   if (error == MO_OK)

@@ -28,7 +28,7 @@ struct mo_bits {
   uint64_t words[MO_DEFAULT_WORDS];
 };
 
-enum mo_job_kind { MO_JOB_EVALUATION = 0 };
+enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1 };
 enum mo_job_state {
   MO_JOB_QUEUED = 0,
   MO_JOB_RUNNING = 1,
@@ -40,14 +40,15 @@ enum mo_job_state {
 #define MO_JOB_STATES 6
 const char *mo_job_state_name(enum mo_job_state state);                 /* "queued" … "cancelled" */
 int mo_job_state_from_name(const char *name, enum mo_job_state *state); /* MO_ERR_NOT_FOUND */
-const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation" */
+const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation", "training" */
 int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind);    /* MO_ERR_NOT_FOUND */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* A job and, for an evaluation, all of it but its results. Owns nothing: copy freely. */
+/* A job and, for an evaluation, all of it but its results; for a training what a list shows (the rest: store/trainings.h). Owns
+ * nothing: copy freely. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
@@ -60,7 +61,7 @@ struct mo_job {
   uint32_t attempts; /* crashes and runner errors so far */
   int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt */
   char error_text[256];
-  /* Evaluation. */
+  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights), sensor, physics, n_designs. */
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as asked for at submission; "" if asked by hash */
   struct mo_sha256 controller_sha256;
   enum mo_sensor sensor;
@@ -70,7 +71,10 @@ struct mo_job {
   enum mo_precision precision;
   bool verify, record_com, record_masses;
   uint32_t record_stride;
-  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged; /* done includes cached */
+  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged; /* done includes cached; 0 in a
+                                                                                 training */
+  /* Training. */
+  uint32_t steps_total, steps_done;
 };
 
 struct mo_event {
@@ -79,7 +83,8 @@ struct mo_event {
   int64_t job; /* 0: not about a job */
   char type
       [32]; /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
-                       "controller.stored", "controller.removed" */
+                       "training.progress", "training.validation", "training.checkpoint", "controller.stored",
+                       "controller.removed" */
   char data[512]; /* a JSON object */
 };
 

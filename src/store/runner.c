@@ -15,21 +15,27 @@ struct change_arguments {
   enum mo_job_state before;
 };
 
-static int get_state(struct mo_connection *connection, int64_t id, enum mo_job_state *state)
+int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state, enum mo_job_kind *kind)
 {
-  static const char sql[] = "SELECT state FROM jobs WHERE id=?1";
-  int64_t found;
+  static const char sql[] = "SELECT state,kind FROM jobs WHERE id=?1";
+  int64_t found, found_kind;
   int error = MO_OK;
+  int step;
   sqlite3_stmt *statement = mo_sql(connection, sql, &error);
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, id);
-  error = mo_sql_integer(connection, statement, &found);
-  if (error == MO_OK && (found < 0 || found >= MO_JOB_STATES))
-    error = MO_ERR_CORRUPT;
-  if (error == MO_OK)
-    *state = (enum mo_job_state)found;
-  return error;
+  step = mo_sql_step(connection, statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  found = sqlite3_column_int64(statement, 0);
+  found_kind = sqlite3_column_int64(statement, 1);
+  (void)sqlite3_reset(statement);
+  if (found < 0 || found >= MO_JOB_STATES)
+    return MO_ERR_CORRUPT;
+  *state = (enum mo_job_state)found;
+  *kind = (enum mo_job_kind)found_kind;
+  return MO_OK;
 }
 
 static int change_job(struct mo_store *store, void *arguments)
@@ -40,9 +46,10 @@ static int change_job(struct mo_store *store, void *arguments)
   struct change_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state target = targets[call->change];
+  enum mo_job_kind kind = MO_JOB_EVALUATION;
   sqlite3_stmt *statement;
   char data[128];
-  int error = get_state(writer, call->id, &call->before);
+  int error = mo_job_state_get(writer, call->id, &call->before, &kind);
   if (error != MO_OK)
     return error;
   if (mo_job_state_is_final(call->before))
@@ -59,8 +66,8 @@ static int change_job(struct mo_store *store, void *arguments)
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"%s\"}", (long long)call->id,
-           mo_job_state_name(target));
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}", (long long)call->id,
+           mo_job_kind_name(kind), mo_job_state_name(target));
   return mo_writer_event(store, call->id, types[call->change], data);
 }
 
@@ -91,6 +98,7 @@ static int requeue(struct mo_store *store, void *arguments)
   struct requeue_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;
+  enum mo_job_kind kind = MO_JOB_EVALUATION;
   sqlite3_stmt *statement;
   char data[128];
   int error = MO_OK;
@@ -105,10 +113,10 @@ static int requeue(struct mo_store *store, void *arguments)
     sqlite3_bind_int64(statement, 5, mo_store_now_us());
     error = mo_sql_run(writer, statement);
     (void)sqlite3_clear_bindings(statement);
-    if (error == MO_OK && sqlite3_changes(writer->db) > 0 && get_state(writer, call->crashed, &state) == MO_OK &&
-        state == MO_JOB_FAILED) {
-      snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"failed\"}",
-               (long long)call->crashed);
+    if (error == MO_OK && sqlite3_changes(writer->db) > 0 &&
+        mo_job_state_get(writer, call->crashed, &state, &kind) == MO_OK && state == MO_JOB_FAILED) {
+      snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"failed\"}", (long long)call->crashed,
+               mo_job_kind_name(kind));
       error = mo_writer_event(store, call->crashed, "job.finished", data);
     }
   }
@@ -161,7 +169,7 @@ int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
   static const char sql[] = "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
-                            " JOIN evaluations e ON e.job=j.id WHERE j.state<=2";
+                            " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=2";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -183,7 +191,8 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, int64_t *ids, size_t limit)
 {
   static const char sql[] =
-      "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND priority=?1 AND id>?2 ORDER BY id LIMIT ?3";
+      "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND priority=?1 AND id>?2 AND kind=0"
+      " ORDER BY id LIMIT ?3";
   struct mo_connection *reader = &store->runner;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -216,6 +225,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
   if (step <= 0)
     return step < 0 ? step : MO_ERR_NOT_FOUND;
   error = mo_job_from_row(statement, &work->job);
+  if (error == MO_OK && work->job.kind != MO_JOB_EVALUATION)
+    error = MO_ERR_NOT_FOUND;
   work->controller = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS);
   work->physics = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS + 1);
   work->environment_set = sqlite3_column_int64(statement, MO_JOB_N_COLUMNS + 2);

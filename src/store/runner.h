@@ -44,12 +44,12 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
  * one, and at max_attempts it fails with `text`; also when its start was not written before the crash. */
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts, const char *text);
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id);
-/* Open jobs and their rollouts. */
+/* Open jobs of every kind, and the rollouts of evaluations. */
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts);
 
 /* ---- the scheduler's reads: on a connection of their own, from one thread at a time ---- */
 
-/* Ids of queued jobs of a priority, ascending, > after. Returns their number or an error. */
+/* Ids of queued evaluations of a priority, ascending, > after. Returns their number or an error. */
 int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, int64_t *ids, size_t limit);
 
 /* One evaluation, ready to run. */

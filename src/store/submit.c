@@ -50,8 +50,8 @@ static int physics_row(struct mo_connection *writer, const struct mo_physics *ph
   return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
-static int genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
-                        int64_t now_us, int64_t *row)
+int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
+                    int64_t now_us, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   static const char find_design_sql[] = "SELECT id FROM designs WHERE form=?1";
@@ -177,7 +177,7 @@ int mo_register_paper_test(struct mo_store *store)
 
 /* ---- submission ---- */
 
-static int find_key(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id)
+int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id)
 {
   static const char sql[] = "SELECT job,body_sha256 FROM idempotency_keys WHERE key=?1";
   struct mo_sha256 known;
@@ -202,7 +202,7 @@ static int find_key(struct mo_connection *connection, const char *key, const str
 int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256, int64_t *id)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  int error = find_key(reader, key, body_sha256, id);
+  int error = mo_key_find(reader, key, body_sha256, id);
   mo_reader_release(store, reader);
   return error;
 }
@@ -218,32 +218,38 @@ struct setting {
   uint32_t n_environments;
 };
 
-/* Resolves what is named, and makes rows of what is given. */
-static int resolve(struct mo_connection *writer, const struct mo_submission *submission, struct setting *setting)
+int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor)
 {
   static const char sql[] = "SELECT sensor,nx,ny,nz FROM controllers WHERE id=?1";
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
-  sqlite3_stmt *statement;
-  int64_t sensor, n = 0;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
   bool fits;
   int step;
-  int error = mo_controller_find(writer, submission->controller, &setting->controller);
-  if (error != MO_OK)
-    return error;
-  statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
     return error;
-  sqlite3_bind_int64(statement, 1, setting->controller);
-  step = mo_sql_step(writer, statement);
+  sqlite3_bind_int64(statement, 1, row);
+  step = mo_sql_step(connection, statement);
   if (step <= 0)
     return step < 0 ? step : MO_ERR_CORRUPT;
-  sensor = sqlite3_column_int64(statement, 0);
+  *sensor = (enum mo_sensor)sqlite3_column_int(statement, 0);
   fits = sqlite3_column_int64(statement, 1) == workspace.nx && sqlite3_column_int64(statement, 2) == workspace.ny &&
          sqlite3_column_int64(statement, 3) == workspace.nz;
   (void)sqlite3_reset(statement);
-  if (!fits)
-    return MO_ERR_UNSUPPORTED;
-  error = physics_row(writer, &submission->physics, submission->precision, (enum mo_sensor)sensor, &setting->physics);
+  return fits ? MO_OK : MO_ERR_UNSUPPORTED;
+}
+
+/* Resolves what is named, and makes rows of what is given. */
+static int resolve(struct mo_connection *writer, const struct mo_submission *submission, struct setting *setting)
+{
+  enum mo_sensor sensor;
+  int64_t n = 0;
+  int error = mo_controller_find(writer, submission->controller, &setting->controller);
+  if (error == MO_OK)
+    error = mo_controller_sensor(writer, setting->controller, &sensor);
+  if (error != MO_OK)
+    return error;
+  error = physics_row(writer, &submission->physics, submission->precision, sensor, &setting->physics);
   setting->set = 0;
   setting->n_environments = submission->n_environments;
   if (error == MO_OK && submission->environment_set != NULL) {
@@ -331,7 +337,7 @@ static int insert_designs(struct mo_connection *writer, const struct mo_submissi
   int64_t row = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < submission->n_designs && error == MO_OK; i++) {
-    error = genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
+    error = mo_genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
     if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
       sqlite3_bind_int64(statement, 1, id);
       sqlite3_bind_int64(statement, 2, i);
@@ -342,15 +348,16 @@ static int insert_designs(struct mo_connection *writer, const struct mo_submissi
   return error;
 }
 
-static int insert_key(struct mo_connection *writer, const struct mo_submission *submission, int64_t now_us, int64_t id)
+int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
+                  int64_t id)
 {
   static const char sql[] = "INSERT INTO idempotency_keys(key,body_sha256,job,created_us) VALUES(?1,?2,?3,?4)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
     return error;
-  sqlite3_bind_text(statement, 1, submission->idempotency_key, -1, SQLITE_STATIC);
-  mo_bind_hash(statement, 2, &submission->body_sha256);
+  sqlite3_bind_text(statement, 1, key, -1, SQLITE_STATIC);
+  mo_bind_hash(statement, 2, body);
   sqlite3_bind_int64(statement, 3, id);
   sqlite3_bind_int64(statement, 4, now_us);
   error = mo_sql_run(writer, statement);
@@ -369,7 +376,7 @@ static int submit(struct mo_store *store, void *arguments)
   int error;
   call->replayed = false;
   if (submission->idempotency_key != NULL) {
-    error = find_key(writer, submission->idempotency_key, &submission->body_sha256, &call->id);
+    error = mo_key_find(writer, submission->idempotency_key, &submission->body_sha256, &call->id);
     call->replayed = error == MO_OK;
     if (error != MO_ERR_NOT_FOUND)
       return error;
@@ -382,7 +389,7 @@ static int submit(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_designs(writer, submission, now_us, call->id);
   if (error == MO_OK && submission->idempotency_key != NULL)
-    error = insert_key(writer, submission, now_us, call->id);
+    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
   if (error == MO_OK) {
     snprintf(data, sizeof(data),
              "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",

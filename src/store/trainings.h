@@ -95,28 +95,31 @@ int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits
 /* A checkpoint's bytes (malloc), checked against the hash: MO_ERR_CORRUPT. step 0: the newest. */
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step, uint8_t **bytes,
                                        size_t *size);
-/* The placed genotypes of a finished evaluation, best score first (malloc); at most `best` of them (0: all). MO_ERR_NOT_FOUND: no such
- * evaluation; MO_ERR_CONFLICT: it has not succeeded. Designs that diverged are left out. */
+/* The placed genotypes of a finished evaluation, best score first (malloc); at most `best` of them (0: all), each once.
+ * MO_ERR_NOT_FOUND: no such evaluation; MO_ERR_CONFLICT: it has not succeeded. Designs that diverged are left out: *n may be 0. */
 int mo_store_population(struct mo_store *store, int64_t evaluation, uint32_t best, struct mo_bits **genotypes,
                         uint32_t *n);
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 
 int64_t mo_store_queued_trainings(struct mo_store *store, int64_t *ids, size_t limit); /* ascending */
+/* All of them but the start give MO_ERR_CONFLICT when the training is over, or was not started under this opening of the store. */
 int mo_store_training_start(struct mo_store *store, int64_t id); /* queued → running; MO_ERR_CONFLICT */
 /* Rows of steps and validations; event "training.progress" of the last one, or quiet. */
 int mo_store_training_progress(struct mo_store *store, int64_t id, const struct mo_training_step_row *steps,
                                size_t n_steps, const struct mo_training_validation_row *validation /* nullable */,
                                const char *event_data /* JSON object; nullable: quiet */);
-/* Writes the file, then the row, then drops all but the newest `keep` (rows, then files). Event "training.checkpoint". MO_ERR_NO_SPACE:
+/* Writes the file, then the row, then drops all but the newest `keep` (rows, then files), and those of later steps: they are not of
+ * the run that is at `step` now. step ≥ 1. Event "training.checkpoint". MO_ERR_NO_SPACE:
  * nothing changed, try again when there is room. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step, const uint8_t *bytes, size_t size,
                                  uint32_t keep);
 /* running → succeeded with its controller under its name, in one transaction (file first). */
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name, const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller);
-/* running → queued (park: a stop; attempts stay) or, with an error, one attempt more; at max_attempts → failed. */
-int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text,
-                           uint32_t max_attempts);
+/* running → queued (park: a stop; attempts stay) or, with an error, one attempt more; at max_attempts → failed. One that is not
+ * running stays as it is. *after (nullable): the state it is in then. */
+int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
+                           enum mo_job_state *after);
 
 #endif

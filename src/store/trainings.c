@@ -1,0 +1,492 @@
+/* trainings.c: trainings as they are asked for and read: settings, curve, checkpoints, the designs of populations. */
+#include "store/trainings.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "store/internal.h"
+
+/* ---- submission ---- */
+
+struct submit_arguments {
+  const struct mo_training_submission *submission;
+  int64_t id;
+  bool replayed;
+};
+
+static int insert_job(struct mo_connection *writer, const struct mo_training_submission *submission, int64_t now_us,
+                      int64_t *id)
+{
+  static const char sql[] =
+      "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error)"
+      " VALUES(1,0,?1,1,0,0,?2,?3,0,0,0)";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, submission->priority);
+  sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 3, now_us);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  *id = sqlite3_last_insert_rowid(writer->db);
+  return error;
+}
+
+static int insert_training(struct mo_connection *writer, const struct mo_training_submission *submission,
+                           int64_t parent, const struct mo_training_settings *settings, int64_t id)
+{
+  static const char sql[] =
+      "INSERT INTO trainings(job,kind,settings,name,parent,parent_name,n_designs,population,n_steps,"
+      "validate_every_steps,checkpoint_every_steps,checkpoint_every_s,checkpoints_kept,step)"
+      " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,?11,?12,?13,0)";
+  const struct mo_training_record *record = &submission->record;
+  bool named = submission->parent != NULL && strncmp(submission->parent, "sha256:", 7) != 0;
+  uint8_t bytes[MO_TRAINING_BYTES];
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  mo_encode_training(settings, bytes);
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, settings->kind);
+  sqlite3_bind_blob(statement, 3, bytes, sizeof(bytes), SQLITE_STATIC);
+  sqlite3_bind_text(statement, 4, record->name, -1, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 5, parent);
+  sqlite3_bind_text(statement, 6, named ? submission->parent : "", -1, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 7, record->n_designs);
+  sqlite3_bind_int64(statement, 8, record->population);
+  sqlite3_bind_int64(statement, 9, settings->n_steps);
+  sqlite3_bind_int64(statement, 10, record->validate_every_steps);
+  sqlite3_bind_int64(statement, 11, record->checkpoint_every_steps);
+  sqlite3_bind_int64(statement, 12, record->checkpoint_every_s);
+  sqlite3_bind_int64(statement, 13, record->checkpoints_kept);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+static int insert_designs(struct mo_connection *writer, const struct mo_training_submission *submission, int64_t now_us,
+                          int64_t id)
+{
+  static const char sql[] = "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
+  sqlite3_stmt *statement;
+  int64_t row = 0;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < submission->record.n_designs && error == MO_OK; i++) {
+    error = mo_genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
+    if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
+      sqlite3_bind_int64(statement, 1, id);
+      sqlite3_bind_int64(statement, 2, i);
+      sqlite3_bind_int64(statement, 3, row);
+      error = mo_sql_run(writer, statement);
+    }
+  }
+  return error;
+}
+
+static int submit(struct mo_store *store, void *arguments)
+{
+  struct submit_arguments *call = arguments;
+  const struct mo_training_submission *submission = call->submission;
+  struct mo_training_settings settings = submission->record.settings;
+  struct mo_connection *writer = &store->writer;
+  int64_t parent = 0, now_us = mo_store_now_us();
+  char data[160];
+  int error = MO_OK;
+  call->replayed = false;
+  if (submission->idempotency_key != NULL) {
+    error = mo_key_find(writer, submission->idempotency_key, &submission->body_sha256, &call->id);
+    call->replayed = error == MO_OK;
+    if (error != MO_ERR_NOT_FOUND)
+      return error;
+    error = MO_OK;
+  }
+  if (submission->parent != NULL) {
+    error = mo_controller_find(writer, submission->parent, &parent);
+    if (error == MO_OK)
+      error = mo_controller_sensor(writer, parent, &settings.sensor);
+  }
+  if (error == MO_OK)
+    error = insert_job(writer, submission, now_us, &call->id);
+  if (error == MO_OK)
+    error = insert_training(writer, submission, parent, &settings, call->id);
+  if (error == MO_OK)
+    error = insert_designs(writer, submission, now_us, call->id);
+  if (error == MO_OK && submission->idempotency_key != NULL)
+    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
+  if (error == MO_OK) {
+    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
+             (long long)call->id, (unsigned)settings.n_steps);
+    error = mo_writer_event(store, call->id, "job.created", data);
+  }
+  return error;
+}
+
+int mo_store_submit_training(struct mo_store *store, const struct mo_training_submission *submission, int64_t *id,
+                             bool *replayed)
+{
+  struct submit_arguments call = {.submission = submission};
+  int error = mo_write(store, submit, &call);
+  if (error == MO_OK) {
+    *id = call.id;
+    *replayed = call.replayed;
+  }
+  return error;
+}
+
+/* ---- one training ---- */
+
+static double column_number(sqlite3_stmt *row, int column)
+{
+  return sqlite3_column_type(row, column) == SQLITE_NULL ? NAN : sqlite3_column_double(row, column);
+}
+
+#define STEP_COLUMNS                                                                                                   \
+  "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,bounded,seconds"
+
+static void step_from_row(sqlite3_stmt *row, struct mo_training_step_row *step)
+{
+  *step = (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
+                                                   .mean_loss = column_number(row, 1),
+                                                   .rate = column_number(row, 2),
+                                                   .gradient_norm = column_number(row, 3),
+                                                   .clipped_share = column_number(row, 4),
+                                                   .clipped_robots_share = column_number(row, 5),
+                                                   .diverged = (uint32_t)sqlite3_column_int64(row, 6),
+                                                   .zeroed = (uint32_t)sqlite3_column_int64(row, 7),
+                                                   .skipped = sqlite3_column_int(row, 8) != 0,
+                                                   .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
+                                        .seconds = column_number(row, 10)};
+}
+
+#define VALIDATION_COLUMNS "step,rollouts,diverged,mean_score,standard_error"
+
+static void validation_from_row(sqlite3_stmt *row, struct mo_training_validation_row *validation)
+{
+  *validation = (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
+                                                    .rollouts = (uint32_t)sqlite3_column_int64(row, 1),
+                                                    .diverged = (uint32_t)sqlite3_column_int64(row, 2),
+                                                    .mean_score = column_number(row, 3),
+                                                    .standard_error = column_number(row, 4)};
+}
+
+static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
+{
+  static const char sql[] = "SELECT " MO_JOB_COLUMNS
+                            ",t.name,t.population,t.validate_every_steps,t.checkpoint_every_steps,t.checkpoint_every_s,"
+                            "t.checkpoints_kept,r.sha256,t.parent IS NOT NULL" MO_JOB_TABLES
+                            "LEFT JOIN controllers r ON r.id=t.result WHERE j.id=?1 AND j.kind=1";
+  struct mo_training_record *record = &status->record;
+  const void *settings;
+  int error = MO_OK;
+  int step;
+  sqlite3_stmt *row = mo_sql(reader, sql, &error);
+  if (row == NULL)
+    return error;
+  sqlite3_bind_int64(row, 1, id);
+  step = mo_sql_step(reader, row);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  error = mo_job_from_row(row, &status->job);
+  settings = sqlite3_column_blob(row, 26);
+  if (error == MO_OK)
+    error = settings == NULL ? MO_ERR_CORRUPT
+                             : mo_decode_training(settings, (size_t)sqlite3_column_bytes(row, 26), &record->settings);
+  mo_column_text(row, 24, record->parent_name, sizeof(record->parent_name));
+  record->n_designs = status->job.n_designs;
+  status->step = status->job.steps_done;
+  mo_column_text(row, MO_JOB_N_COLUMNS, record->name, sizeof(record->name));
+  record->population = sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 1);
+  record->validate_every_steps = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 2);
+  record->checkpoint_every_steps = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 3);
+  record->checkpoint_every_s = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 4);
+  record->checkpoints_kept = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 5);
+  status->has_result = sqlite3_column_type(row, MO_JOB_N_COLUMNS + 6) != SQLITE_NULL;
+  if (error == MO_OK && status->has_result)
+    error = mo_column_hash(row, MO_JOB_N_COLUMNS + 6, &status->result_sha256);
+  record->has_parent = sqlite3_column_int(row, MO_JOB_N_COLUMNS + 7) != 0;
+  record->parent_sha256 = status->job.controller_sha256;
+  (void)sqlite3_reset(row);
+  return error;
+}
+
+/* 1: a row; 0: none; negative: an error. The statement is left on its row. */
+static int first_row(struct mo_connection *reader, const char *sql, int64_t id, sqlite3_stmt **row)
+{
+  int error = MO_OK;
+  *row = mo_sql(reader, sql, &error);
+  if (*row == NULL)
+    return error;
+  sqlite3_bind_int64(*row, 1, id);
+  return mo_sql_step(reader, *row);
+}
+
+static int load_status(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
+{
+  static const char step_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  static const char validation_sql[] =
+      "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  static const char checkpoint_sql[] = "SELECT step FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  sqlite3_stmt *row;
+  int found;
+  int error;
+  memset(status, 0, sizeof(*status));
+  error = load_head(reader, id, status);
+  if (error != MO_OK)
+    return error;
+  found = first_row(reader, step_sql, id, &row);
+  if (found > 0) {
+    step_from_row(row, &status->last);
+    (void)sqlite3_reset(row);
+  }
+  if (found >= 0 && (found = first_row(reader, validation_sql, id, &row)) > 0) {
+    status->has_validation = true;
+    validation_from_row(row, &status->validation);
+    (void)sqlite3_reset(row);
+  }
+  if (found >= 0 && (found = first_row(reader, checkpoint_sql, id, &row)) > 0) {
+    status->checkpoint_step = (uint32_t)sqlite3_column_int64(row, 0);
+    (void)sqlite3_reset(row);
+  }
+  return found < 0 ? found : MO_OK;
+}
+
+int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_training_status found;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = load_status(reader, id, &found);
+  mo_reader_release(store, reader);
+  if (error == MO_OK)
+    *status = found;
+  return error;
+}
+
+/* ---- lists ---- */
+
+static int64_t list_ids(struct mo_connection *reader, int64_t before, int state, int64_t *ids, size_t limit)
+{
+  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
+                            " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
+  int error = MO_OK;
+  int64_t n = 0;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, before > 0 ? before : INT64_MAX);
+  sqlite3_bind_int64(statement, 2, state);
+  sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+  while ((step = mo_sql_step(reader, statement)) > 0)
+    ids[n++] = sqlite3_column_int64(statement, 0);
+  return step < 0 ? step : n;
+}
+
+int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, struct mo_training_status *statuses,
+                           size_t limit)
+{
+  int64_t ids[MO_PAGE_MAX];
+  struct mo_connection *reader;
+  int64_t n;
+  int error;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  error = mo_sql_exec(reader, "BEGIN");
+  n = error == MO_OK ? list_ids(reader, before, state, ids, limit) : error;
+  for (int64_t i = 0; i < n && error == MO_OK; i++)
+    error = load_status(reader, ids[i], &statuses[i]);
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
+                                struct mo_training_step_row *rows, size_t limit)
+{
+  static const char sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2 AND step%?3=0"
+                            " ORDER BY step LIMIT ?4";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, after);
+    sqlite3_bind_int64(statement, 3, stride > 0 ? stride : 1);
+    sqlite3_bind_int64(statement, 4, (sqlite3_int64)limit);
+    while ((step = mo_sql_step(reader, statement)) > 0)
+      step_from_row(statement, &rows[n++]);
+    error = step;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
+                                      struct mo_training_validation_row *rows, size_t limit)
+{
+  static const char sql[] =
+      "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2 ORDER BY step LIMIT ?3";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, after);
+    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+    while ((step = mo_sql_step(reader, statement)) > 0)
+      validation_from_row(statement, &rows[n++]);
+    error = step;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id, struct mo_training_checkpoint_row *rows,
+                                      size_t limit)
+{
+  static const char sql[] = "SELECT step,sha256,size,stored_us FROM training_checkpoints WHERE job=?1"
+                            " ORDER BY step DESC LIMIT ?2";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step = 0;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+      struct mo_training_checkpoint_row *row = &rows[n++];
+      row->step = (uint32_t)sqlite3_column_int64(statement, 0);
+      error = mo_column_hash(statement, 1, &row->sha256);
+      row->size = (uint64_t)sqlite3_column_int64(statement, 2);
+      row->stored_us = sqlite3_column_int64(statement, 3);
+    }
+    if (step < 0)
+      error = step;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **ret, uint32_t *ret_n)
+{
+  static const char sql[] = "SELECT x.position,g.bits FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
+                            " WHERE x.job=?1 ORDER BY x.position";
+  struct mo_training_status status;
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_bits *genotypes = NULL;
+  sqlite3_stmt *statement = NULL;
+  uint32_t n = 0;
+  int step = 0;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = load_head(reader, id, memset(&status, 0, sizeof(status)));
+  if (error == MO_OK) {
+    genotypes = calloc(status.record.n_designs > 0 ? status.record.n_designs : 1, sizeof(*genotypes));
+    error = genotypes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  }
+  if (error == MO_OK)
+    statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, id);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+      if (n == status.record.n_designs || sqlite3_column_int64(statement, 0) != n)
+        error = MO_ERR_CORRUPT;
+      else
+        error = mo_column_bits(statement, 1, &genotypes[n++]);
+    }
+    if (step < 0)
+      error = step;
+    if (error == MO_OK && n != status.record.n_designs)
+      error = MO_ERR_CORRUPT;
+  }
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    free(genotypes);
+    return error;
+  }
+  *ret = genotypes;
+  *ret_n = n;
+  return MO_OK;
+}
+
+/* ---- populations ---- */
+
+struct ranked {
+  double score;
+  struct mo_bits genotype;
+};
+
+/* By score, then by bits: equal genotypes have equal scores and become neighbours. */
+static int compare_ranked(const void *a, const void *b)
+{
+  const struct ranked *first = a, *second = b;
+  if (first->score != second->score)
+    return first->score < second->score ? -1 : 1;
+  for (int w = 0; w < MO_DEFAULT_WORDS; w++)
+    if (first->genotype.words[w] != second->genotype.words[w])
+      return first->genotype.words[w] < second->genotype.words[w] ? -1 : 1;
+  return 0;
+}
+
+int mo_store_population(struct mo_store *store, int64_t evaluation, uint32_t best, struct mo_bits **ret,
+                        uint32_t *ret_n)
+{
+  struct mo_evaluation_results *results = NULL;
+  struct mo_bits *genotypes = NULL;
+  struct ranked *ranked = NULL;
+  struct mo_job job;
+  uint32_t n_ranked = 0, n = 0;
+  int error = mo_store_job(store, evaluation, &job);
+  if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
+    error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK && job.state != MO_JOB_SUCCEEDED)
+    error = MO_ERR_CONFLICT;
+  if (error == MO_OK)
+    error = mo_store_results(store, evaluation, &results);
+  if (error != MO_OK)
+    return error;
+  ranked = calloc(results->n_designs, sizeof(*ranked));
+  genotypes = calloc(results->n_designs, sizeof(*genotypes));
+  if (ranked == NULL || genotypes == NULL)
+    error = MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < results->n_designs && error == MO_OK; i++)
+    if (isfinite(results->scores[i]))
+      ranked[n_ranked++] = (struct ranked){results->scores[i], results->genotypes[i]};
+  if (n_ranked > 0)
+    qsort(ranked, n_ranked, sizeof(*ranked), compare_ranked);
+  for (uint32_t i = 0; i < n_ranked && (best == 0 || n < best); i++)
+    if (i == 0 || compare_ranked(&ranked[i - 1], &ranked[i]) != 0)
+      genotypes[n++] = ranked[i].genotype;
+  free(ranked);
+  mo_evaluation_results_free(results);
+  if (error != MO_OK) {
+    free(genotypes);
+    return error;
+  }
+  *ret = genotypes;
+  *ret_n = n;
+  return MO_OK;
+}

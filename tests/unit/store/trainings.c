@@ -1,0 +1,647 @@
+/* trainings.c: what the store keeps of trainings, and the way there from a database without them. */
+#include <dirent.h>
+#include <math.h>
+#include <pthread.h>
+#include <signal.h>
+#include <sqlite3.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+
+#include "../check.h"
+#include "fixture.h"
+#include "store/trainings.h"
+
+static const struct mo_job_query any_job = {0, -1, -1};
+
+static struct mo_training_submission submission_of(uint32_t n_steps)
+{
+  return (struct mo_training_submission){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                                                                 .seed = UINT64_C(0xFEDCBA9876543210),
+                                                                 .n_steps = n_steps,
+                                                                 .batch = 16,
+                                                                 .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                                                                              .peak = 1e-3,
+                                                                              .floor = 1e-5,
+                                                                              .decay = 0.7,
+                                                                              .cycle_steps = 10,
+                                                                              .cycle_growth = 2,
+                                                                              .warmup_steps = 3},
+                                                                 .beta1 = 0.9,
+                                                                 .beta2 = 0.999,
+                                                                 .epsilon = 1e-8,
+                                                                 .norm_limit = 1,
+                                                                 .adjoint_bound = 2,
+                                                                 .physics = mo_default_physics(),
+                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
+                                                                 .held_out_designs = 5,
+                                                                 .held_out_environments = 7},
+                                                    .name = "walker",
+                                                    .validate_every_steps = 11,
+                                                    .checkpoint_every_steps = 12,
+                                                    .checkpoint_every_s = 13,
+                                                    .checkpoints_kept = 2},
+                                         .priority = MO_BATCH,
+                                         .label = "a label"};
+}
+
+static int64_t submit(struct fixture *fixture, const struct mo_training_submission *submission)
+{
+  int64_t id = 0;
+  bool replayed = true;
+  int error = mo_store_submit_training(fixture->store, submission, &id, &replayed);
+  return error != MO_OK ? error : id;
+}
+
+static enum mo_job_state state_of(struct fixture *fixture, int64_t id)
+{
+  struct mo_job job = {.state = MO_JOB_FAILED};
+  (void)mo_store_job(fixture->store, id, &job);
+  return job.state;
+}
+
+static bool same_settings(const struct mo_training_settings *a, const struct mo_training_settings *b)
+{
+  return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps && a->batch == b->batch &&
+         a->schedule.kind == b->schedule.kind && a->schedule.peak == b->schedule.peak &&
+         a->schedule.floor == b->schedule.floor && a->schedule.decay == b->schedule.decay &&
+         a->schedule.cycle_steps == b->schedule.cycle_steps && a->schedule.cycle_growth == b->schedule.cycle_growth &&
+         a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 && a->beta2 == b->beta2 &&
+         a->epsilon == b->epsilon && a->norm_limit == b->norm_limit && a->adjoint_bound == b->adjoint_bound &&
+         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
+         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
+         a->held_out_designs == b->held_out_designs && a->held_out_environments == b->held_out_environments;
+}
+
+/* ---- cases ---- */
+
+static char *read_text(const char *path)
+{
+  FILE *file = fopen(path, "r");
+  char *text = calloc(1, 1 << 16);
+  if (file == NULL || text == NULL || fread(text, 1, (1 << 16) - 1, file) == 0) {
+    free(text);
+    text = NULL;
+  }
+  if (file != NULL)
+    fclose(file);
+  return text;
+}
+
+/* Makes the database one of schema 1 with the same data: the first migration alone, and every row copied. */
+static int downgrade(const struct fixture *fixture)
+{
+  char now[512], old[512], migration[512], sql[1024];
+  char *schema;
+  sqlite3 *db = NULL;
+  sqlite3_stmt *tables = NULL;
+  int result;
+  snprintf(now, sizeof(now), "%s/morphod.db", fixture->path);
+  snprintf(old, sizeof(old), "%s/old.db", fixture->path);
+  snprintf(migration, sizeof(migration), "%s/schema/migrations/0001_initial.sql", getenv("MORPHO_SOURCE_DIR"));
+  schema = read_text(migration);
+  if (schema == NULL)
+    return SQLITE_CANTOPEN;
+  result = sqlite3_open(old, &db);
+  if (result == SQLITE_OK)
+    result = sqlite3_exec(db, schema, NULL, NULL, NULL);
+  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=1; ATTACH '%s' AS new", 0x6D727068, now);
+  if (result == SQLITE_OK)
+    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
+  if (result == SQLITE_OK)
+    result = sqlite3_prepare_v2(
+        db, "SELECT name FROM main.sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'", -1, &tables, NULL);
+  while (result == SQLITE_OK && sqlite3_step(tables) == SQLITE_ROW) {
+    snprintf(sql, sizeof(sql), "INSERT INTO main.%s SELECT * FROM new.%s", sqlite3_column_text(tables, 0),
+             sqlite3_column_text(tables, 0));
+    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
+  }
+  sqlite3_finalize(tables);
+  sqlite3_close(db);
+  free(schema);
+  return result == SQLITE_OK && rename(old, now) == 0 ? SQLITE_OK : SQLITE_ERROR;
+}
+
+static void migrates_an_old_database(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission evaluation;
+  struct mo_training_submission training = submission_of(10);
+  struct mo_training_status status;
+  struct mo_evaluation_results *results = NULL;
+  struct mo_job job;
+  uint64_t n_designs = 0;
+  int64_t id = 0, trained;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 20, &forms, &genotypes) == MO_OK);
+  evaluation = fixture_submission(forms, genotypes, 20);
+  evaluation.label = "from before";
+  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  REQUIRE(downgrade(&fixture) == SQLITE_OK);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+  CHECK_TEXT(job.label, "from before");
+  CHECK_INT(job.n_designs, 20);
+  CHECK_INT(job.kind, MO_JOB_EVALUATION);
+  CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);
+  CHECK_INT(n_designs, 20);
+  CHECK_INT(mo_store_results(fixture.store, id, &results), MO_OK);
+  CHECK(results != NULL && memcmp(results->genotypes, genotypes, 20 * sizeof(*genotypes)) == 0);
+  mo_evaluation_results_free(results);
+  trained = submit(&fixture, &training);
+  CHECK(trained > id);
+  CHECK_INT(mo_store_training(fixture.store, trained, &status), MO_OK);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void submits_and_reads_back(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes, *found = NULL;
+  struct mo_training_submission submission = submission_of(1000), tune = submission_of(60);
+  struct mo_training_status status, page[5];
+  struct mo_controller_record record;
+  struct mo_controller *small = NULL;
+  struct mo_job job, jobs[5];
+  uint64_t counts[MO_JOB_STATES];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t id, second, again = 0;
+  bool replayed = false, created;
+  uint32_t n = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 20, &forms, &genotypes) == MO_OK);
+  submission.idempotency_key = "key";
+  id = submit(&fixture, &submission);
+  REQUIRE(id > 0);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK(same_settings(&status.record.settings, &submission.record.settings));
+  CHECK_TEXT(status.record.name, "walker");
+  CHECK(!status.record.has_parent && !status.has_validation && !status.has_result);
+  CHECK_INT(status.record.validate_every_steps, 11);
+  CHECK_INT(status.record.checkpoint_every_steps, 12);
+  CHECK_INT(status.record.checkpoint_every_s, 13);
+  CHECK_INT(status.record.checkpoints_kept, 2);
+  CHECK_INT(status.job.kind, MO_JOB_TRAINING);
+  CHECK_TEXT(mo_job_kind_name(status.job.kind), "training");
+  CHECK_INT(status.job.state, MO_JOB_QUEUED);
+  CHECK_TEXT(status.job.label, "a label");
+  CHECK_INT(status.job.steps_total, 1000);
+  CHECK_INT(status.job.rollouts_total, 0);
+  CHECK_INT(status.step, 0);
+  CHECK_INT(status.checkpoint_step, 0);
+  /* The same key again. */
+  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed), MO_OK);
+  CHECK(replayed && again == id);
+  mo_sha256_of("x", 1, &submission.body_sha256);
+  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
+  /* With a parent and designs. */
+  tune.record.settings.kind = MO_TRAINING_FINETUNE;
+  tune.record.n_designs = 20;
+  tune.record.name[0] = '\0';
+  tune.forms = forms;
+  tune.genotypes = genotypes;
+  tune.parent = "default";
+  second = submit(&fixture, &tune);
+  REQUIRE(second > id);
+  CHECK_INT(mo_store_training(fixture.store, second, &status), MO_OK);
+  CHECK_INT(mo_store_controller(fixture.store, "default", &record), MO_OK);
+  CHECK(status.record.has_parent && mo_sha256_equal(&status.record.parent_sha256, &record.sha256));
+  CHECK_TEXT(status.record.parent_name, "default");
+  CHECK_INT(status.record.settings.sensor, MO_SENSOR_INVERSE_SQRT); /* the parent's */
+  CHECK_INT(mo_store_training_designs(fixture.store, second, &found, &n), MO_OK);
+  CHECK_INT(n, 20);
+  CHECK(found != NULL && memcmp(found, genotypes, 20 * sizeof(*found)) == 0);
+  free(found);
+  CHECK_INT(mo_store_training_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
+  tune.parent = "nobody";
+  CHECK_INT(submit(&fixture, &tune), MO_ERR_NOT_FOUND);
+  REQUIRE(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small) == MO_OK);
+  REQUIRE(mo_controller_encode(small, &bytes, &size) == MO_OK);
+  REQUIRE(mo_store_controller_put(fixture.store, "small", bytes, size, small, &record, &created) == MO_OK);
+  free(bytes);
+  mo_controller_free(small);
+  tune.parent = "small";
+  CHECK_INT(submit(&fixture, &tune), MO_ERR_UNSUPPORTED);
+  /* Lists. */
+  CHECK_INT(mo_store_trainings(fixture.store, 0, -1, page, 5), 2);
+  CHECK(page[0].job.id == second && page[1].job.id == id);
+  CHECK_INT(mo_store_trainings(fixture.store, second, MO_JOB_QUEUED, page, 5), 1);
+  CHECK_INT(mo_store_trainings(fixture.store, 0, MO_JOB_RUNNING, page, 5), 0);
+  CHECK_INT(mo_store_jobs(fixture.store, &any_job, jobs, 5), 2);
+  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_TRAINING}, jobs, 5), 2);
+  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 5), 0);
+  CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
+  CHECK_INT(counts[MO_JOB_QUEUED], 2);
+  CHECK_INT(mo_store_job(fixture.store, second, &job), MO_OK);
+  CHECK_TEXT(job.controller_name, "default");
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void keeps_the_queues_apart(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission evaluation;
+  struct mo_training_submission training = submission_of(10);
+  struct mo_evaluation_results *results = NULL;
+  struct mo_work *work = NULL;
+  int64_t ids[5] = {0}, first, second, id = 0;
+  uint64_t jobs = 0, rollouts = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 3, &forms, &genotypes) == MO_OK);
+  evaluation = fixture_submission(forms, genotypes, 3);
+  first = submit(&fixture, &training);
+  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  second = submit(&fixture, &training);
+  CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, ids, 5), 1);
+  CHECK_INT(ids[0], id);
+  CHECK_INT(mo_store_queued_trainings(fixture.store, ids, 5), 2);
+  CHECK(ids[0] == first && ids[1] == second);
+  CHECK_INT(mo_store_open_work(fixture.store, &jobs, &rollouts), MO_OK);
+  CHECK_INT(jobs, 3);
+  CHECK_INT(rollouts, 30);
+  CHECK_INT(mo_store_load_work(fixture.store, first, &work), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_results(fixture.store, first, &results), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static struct mo_training_step_row row_of(uint32_t step)
+{
+  return (struct mo_training_step_row){.report = {.step = step,
+                                                  .mean_loss = step == 3 ? NAN : 1.0 / (step + 2),
+                                                  .rate = 1e-3 / step,
+                                                  .gradient_norm = 0.1 * step,
+                                                  .clipped_share = 0.25,
+                                                  .clipped_robots_share = 0.5,
+                                                  .diverged = step,
+                                                  .zeroed = step + 1,
+                                                  .skipped = step == 3,
+                                                  .bounded = step + 2},
+                                       .seconds = 0.125};
+}
+
+static void keeps_the_curve(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_step_row rows[10], found[10];
+  struct mo_training_validation_row validation = {5, 80, 2, 0.75, 0.01}, validations[5];
+  struct mo_training_status status;
+  struct mo_event events[20];
+  int64_t id, n;
+  int progress = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  for (uint32_t i = 0; i < 10; i++)
+    rows[i] = row_of(i + 1);
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, NULL), MO_ERR_CONFLICT); /* not started */
+  CHECK_INT(mo_store_training_start(fixture.store, id), MO_OK);
+  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, "{\"id\":\"1\"}"), MO_OK);
+  CHECK_INT(mo_store_training_progress(fixture.store, id, NULL, 0, &validation, NULL), MO_OK);
+  /* Steps 5 to 7 are run again: nothing changes but their times. */
+  rows[4].seconds = 7;
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows + 4, 3, NULL, NULL), MO_OK);
+  CHECK_INT(mo_store_training_steps(fixture.store, id, 0, 1, found, 10), 10);
+  for (uint32_t i = 0; i < 10; i++) {
+    CHECK(memcmp(&found[i].report.mean_loss, &rows[i].report.mean_loss, sizeof(double)) == 0 ||
+          (isnan(found[i].report.mean_loss) && isnan(rows[i].report.mean_loss)));
+    CHECK(found[i].report.rate == rows[i].report.rate &&
+          found[i].report.gradient_norm == rows[i].report.gradient_norm && found[i].seconds == rows[i].seconds &&
+          found[i].report.diverged == rows[i].report.diverged && found[i].report.zeroed == rows[i].report.zeroed &&
+          found[i].report.skipped == rows[i].report.skipped && found[i].report.bounded == rows[i].report.bounded);
+  }
+  CHECK_INT(mo_store_training_steps(fixture.store, id, 3, 2, found, 2), 2);
+  CHECK(found[0].report.step == 4 && found[1].report.step == 6);
+  CHECK_INT(mo_store_training_validations(fixture.store, id, -1, validations, 5), 1);
+  CHECK_INT(mo_store_training_validations(fixture.store, id, 5, validations, 5), 0);
+  CHECK(memcmp(&validations[0].mean_score, &validation.mean_score, sizeof(double)) == 0);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.step, 10);
+  CHECK_INT(status.last.report.step, 10);
+  CHECK(status.has_validation && status.validation.rollouts == 80 && status.validation.diverged == 2);
+  n = mo_store_events(fixture.store, 0, id, events, 20, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
+    progress += strcmp(events[i].type, "training.progress") == 0;
+  CHECK_INT(progress, 1);
+  CHECK(n > 0 && strcmp(events[n - 1].type, "training.validation") == 0);
+  CHECK_TEXT(events[n - 1].data, "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
+                                 "\"rollouts\":80,\"diverged\":2}");
+  /* Paused: what was under way is taken still. Cancelled: nothing any more. */
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_OK);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2), MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 11, (const uint8_t *)"eleven", 6, 2), MO_ERR_CONFLICT);
+  fixture_end(&fixture);
+}
+
+static int files_of(const struct fixture *fixture, int64_t id)
+{
+  char path[512];
+  struct dirent *entry;
+  DIR *folder;
+  int n = 0;
+  snprintf(path, sizeof(path), "%s/trainings/%lld", fixture->path, (long long)id);
+  folder = opendir(path);
+  while (folder != NULL && (entry = readdir(folder)) != NULL)
+    n += entry->d_name[0] != '.' || strncmp(entry->d_name, ".tmp-", 5) == 0;
+  if (folder != NULL)
+    closedir(folder);
+  return n;
+}
+
+static int put_file(const struct fixture *fixture, const char *name, const char *text)
+{
+  char path[512];
+  FILE *file;
+  snprintf(path, sizeof(path), "%s/trainings/%s", fixture->path, name);
+  file = fopen(path, "w");
+  if (file == NULL)
+    return -1;
+  fputs(text, file);
+  return fclose(file);
+}
+
+static void keeps_checkpoints(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_checkpoint_row rows[5];
+  struct mo_training_status status;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  char name[512];
+  int64_t id;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NOT_FOUND);
+  for (uint32_t step = 10; step <= 40; step += 10) {
+    snprintf(name, sizeof(name), "state after %u", (unsigned)step);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)name, strlen(name), 2), MO_OK);
+  }
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
+  CHECK_INT(files_of(&fixture, id), 2);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  CHECK(size == 14 && memcmp(bytes, "state after 40", 14) == 0);
+  free(bytes);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 30, &bytes, &size), MO_OK);
+  free(bytes);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size), MO_ERR_NOT_FOUND);
+  /* Damage is noticed: another byte, another length, no file. */
+  snprintf(name, sizeof(name), "%lld/40.checkpoint", (long long)id);
+  REQUIRE(put_file(&fixture, name, "state after 41") == 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  REQUIRE(put_file(&fixture, name, "state") == 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK(rows[0].step == 35 && rows[1].step == 30);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.checkpoint_step, 35);
+  /* A file that a crash left without its row, an unfinished one, and a folder of nobody. */
+  snprintf(name, sizeof(name), "%lld/36.checkpoint", (long long)id);
+  REQUIRE(put_file(&fixture, name, "36") == 0);
+  snprintf(name, sizeof(name), "%lld/.tmp-7", (long long)id);
+  REQUIRE(put_file(&fixture, name, "half") == 0);
+  snprintf(name, sizeof(name), "%s/trainings/77", fixture.path);
+  REQUIRE(mkdir(name, 0700) == 0 && put_file(&fixture, "77/5.checkpoint", "5") == 0);
+  CHECK_INT(files_of(&fixture, id), 4);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(files_of(&fixture, id), 2);
+  CHECK(access(name, F_OK) != 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
+  free(bytes);
+  /* Of an earlier life of the process: not this one's to write. */
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2), MO_ERR_CONFLICT);
+  CHECK_INT(files_of(&fixture, id), 2);
+  fixture_end(&fixture);
+}
+
+/* Files larger than a limit cannot be written: as on a full disk, but for small ones. */
+static void survives_a_full_disk(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_checkpoint_row rows[5];
+  struct rlimit before, small;
+  size_t size = 4 << 20;
+  uint8_t *bytes = calloc(1, size);
+  int64_t id;
+  REQUIRE(bytes != NULL && fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 1, bytes, 1000, 2), MO_OK);
+  signal(SIGXFSZ, SIG_IGN);
+  getrlimit(RLIMIT_FSIZE, &before);
+  small = before;
+  small.rlim_cur = 3 << 20;
+  setrlimit(RLIMIT_FSIZE, &small);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_ERR_NO_SPACE);
+  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 1);
+  setrlimit(RLIMIT_FSIZE, &before);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  free(bytes);
+  fixture_end(&fixture);
+}
+
+static void finishes_with_its_controller(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_status status;
+  struct mo_controller_record record;
+  struct mo_controller *controller = NULL;
+  struct mo_event events[10];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t id, n;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+  mo_controller_randomize(controller, 77);
+  REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
+  id = submit(&fixture, &submission);
+  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
+  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_OK);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.job.state, MO_JOB_SUCCEEDED);
+  CHECK(status.job.finished_us > 0);
+  CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_OK);
+  CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
+  n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
+  CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
+  CHECK(n > 0 && strstr(events[n - 1].data, "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\""));
+  CHECK_INT(mo_store_controller_remove(fixture.store, "walker"), MO_OK); /* its content stays */
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  free(bytes);
+  mo_controller_free(controller);
+  fixture_end(&fixture);
+}
+
+static void parks_and_requeues(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_event events[10];
+  enum mo_job_state after = MO_JOB_CANCELLED;
+  struct mo_job job;
+  int64_t id, n;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_QUEUED);
+  /* A process that dies leaves it running; the next one queues it again. */
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(state_of(&fixture, id), MO_JOB_RUNNING);
+  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
+  CHECK_INT(state_of(&fixture, id), MO_JOB_QUEUED);
+  /* An error, a crash, an error: the third is the last. */
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_QUEUED);
+  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+  CHECK_INT(job.attempts, 1);
+  CHECK_TEXT(job.error_text, "out of memory");
+  CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_FAILED);
+  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
+  CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
+  CHECK(n > 0 && strstr(events[n - 1].data, "\"kind\":\"training\",\"state\":\"failed\"") != NULL);
+  /* One that is paused stays so. */
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_PAUSED);
+  CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  fixture_end(&fixture);
+}
+
+struct waiter {
+  pthread_mutex_t mutex;
+  pthread_cond_t changed;
+  bool done;
+};
+
+static void save_done(struct mo_save *save, int status)
+{
+  struct waiter *waiter = save->context;
+  pthread_mutex_lock(&waiter->mutex);
+  waiter->done = true;
+  CHECK_INT(status, MO_OK);
+  pthread_cond_signal(&waiter->changed);
+  pthread_mutex_unlock(&waiter->mutex);
+}
+
+/* Ends an evaluation of 6 designs with losses of which design i's are losses[i]. */
+static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
+{
+  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
+  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START}, {.job = id, .step = MO_STEP_SUCCEED}};
+  struct mo_saved_score scores[6 * MO_PAPER_TEST_COUNT];
+  struct mo_save save = {.scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
+  struct mo_work *work = NULL;
+  int64_t fingerprint = 0;
+  int error = mo_store_fingerprint(fixture->store, "by hand", &fingerprint);
+  if (error == MO_OK)
+    error = mo_store_load_work(fixture->store, id, &work);
+  for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
+    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+      scores[n * MO_PAPER_TEST_COUNT + k] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
+                                                                    .controller = work->controller,
+                                                                    .physics = work->physics,
+                                                                    .environment = work->environment_rows[k],
+                                                                    .fingerprint = fingerprint,
+                                                                    .loss = losses[n],
+                                                                    .diverged_step = isinf(losses[n]) ? 3 : 0};
+  save.n_scores = 6 * MO_PAPER_TEST_COUNT;
+  if (error == MO_OK)
+    error = mo_store_save(fixture->store, &save);
+  pthread_mutex_lock(&waiter.mutex);
+  while (!waiter.done && error == MO_OK)
+    pthread_cond_wait(&waiter.changed, &waiter.mutex);
+  pthread_mutex_unlock(&waiter.mutex);
+  mo_work_free(work);
+  return error;
+}
+
+static void ranks_a_population(void)
+{
+  static const double losses[6] = {0.5, 0.25, INFINITY, 0.75, 0.125, 0.25};
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes, *best = NULL;
+  struct mo_submission evaluation;
+  struct mo_training_submission training = submission_of(10);
+  int64_t id = 0;
+  uint32_t n = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 6, &forms, &genotypes) == MO_OK);
+  forms[5] = forms[1]; /* asked for twice */
+  genotypes[5] = genotypes[1];
+  evaluation = fixture_submission(forms, genotypes, 6);
+  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_population(fixture.store, id + 1, 0, &best, &n), MO_ERR_NOT_FOUND);
+  REQUIRE(evaluate(&fixture, id, losses) == MO_OK);
+  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_OK);
+  CHECK_INT(n, 4);
+  CHECK(n == 4 && memcmp(&best[0], &genotypes[4], sizeof(*best)) == 0 &&
+        memcmp(&best[1], &genotypes[1], sizeof(*best)) == 0 && memcmp(&best[2], &genotypes[0], sizeof(*best)) == 0 &&
+        memcmp(&best[3], &genotypes[3], sizeof(*best)) == 0);
+  free(best);
+  CHECK_INT(mo_store_population(fixture.store, id, 2, &best, &n), MO_OK);
+  CHECK_INT(n, 2);
+  free(best);
+  CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"migrates an old database", migrates_an_old_database},
+    {"submits and reads back", submits_and_reads_back},
+    {"keeps the queues apart", keeps_the_queues_apart},
+    {"keeps the learning curve", keeps_the_curve},
+    {"keeps checkpoints", keeps_checkpoints},
+    {"survives a full disk", survives_a_full_disk},
+    {"finishes with its controller", finishes_with_its_controller},
+    {"parks and requeues", parks_and_requeues},
+    {"ranks a population", ranks_a_population},
+};
+CHECK_MAIN(cases)
