@@ -34,41 +34,18 @@ void mo_loss_write(struct mo_text *text, double loss)
   mo_text_json_number(text, loss); /* null when diverged */
 }
 
-static void word(struct mo_text *text, const char *name, const char *value)
+void mo_physics_write(struct mo_text *text, const struct mo_physics *physics)
 {
-  mo_text_format(text, ",\"%s\":", name);
-  mo_text_json_string(text, value, strlen(value));
-}
-
-static void number(struct mo_text *text, const char *name, double value)
-{
-  mo_text_format(text, ",\"%s\":", name);
-  mo_text_json_number(text, value);
-}
-
-static void count(struct mo_text *text, const char *name, uint64_t value)
-{
-  mo_text_format(text, ",\"%s\":%llu", name, (unsigned long long)value);
-}
-
-static void write_time(struct mo_text *text, const char *name, int64_t time_us)
-{
-  mo_text_format(text, ",\"%s\":", name);
-  mo_text_json_time(text, time_us);
-}
-
-static void write_physics(struct mo_text *text, const struct mo_physics *physics)
-{
-  mo_text_format(text, ",\"physics\":{\"n_steps\":%u", physics->n_steps);
-  number(text, "dt_s", physics->dt_s);
-  number(text, "stiffness_n_per_m", physics->stiffness_n_per_m);
-  number(text, "mass_kg", physics->mass_kg);
-  number(text, "drag_per_s", physics->drag_per_s);
-  number(text, "gravity_m_per_s2", physics->gravity_m_per_s2);
-  number(text, "actuation", physics->actuation);
-  number(text, "friction", physics->friction);
-  number(text, "friction_cap", physics->friction_cap);
-  number(text, "drop_height_m", physics->drop_height_m);
+  mo_text_format(text, "{\"n_steps\":%u", physics->n_steps);
+  mo_text_member_number(text, "dt_s", physics->dt_s);
+  mo_text_member_number(text, "stiffness_n_per_m", physics->stiffness_n_per_m);
+  mo_text_member_number(text, "mass_kg", physics->mass_kg);
+  mo_text_member_number(text, "drag_per_s", physics->drag_per_s);
+  mo_text_member_number(text, "gravity_m_per_s2", physics->gravity_m_per_s2);
+  mo_text_member_number(text, "actuation", physics->actuation);
+  mo_text_member_number(text, "friction", physics->friction);
+  mo_text_member_number(text, "friction_cap", physics->friction_cap);
+  mo_text_member_number(text, "drop_height_m", physics->drop_height_m);
   if (physics->impact == MO_IMPACT_EXACT)
     mo_text_add(text, ",\"impact\":\"exact\"}");
   else
@@ -120,28 +97,33 @@ static void write_results(struct mo_text *text, const struct mo_evaluation_resul
   mo_text_bytes(text, "]", 1);
 }
 
-void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct mo_evaluation_results *results)
+void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo_job_state state)
 {
-  mo_text_format(text, "{\"id\":\"%lld\"", (long long)job->id);
-  word(text, "kind", mo_job_kind_name(job->kind));
-  word(text, "state", mo_job_state_name(job->state));
-  word(text, "priority", job->priority == MO_INTERACTIVE ? "interactive" : "batch");
+  mo_text_member(text, "state", mo_job_state_name(state));
+  mo_text_member(text, "priority", job->priority == MO_INTERACTIVE ? "interactive" : "batch");
   if (job->has_label)
-    word(text, "label", job->label);
+    mo_text_member(text, "label", job->label);
   else
     mo_text_add(text, ",\"label\":null");
-  write_time(text, "created_at", job->created_us);
-  write_time(text, "started_at", job->started_us);
-  write_time(text, "finished_at", job->finished_us);
-  count(text, "attempts", job->attempts);
+  mo_text_member_time(text, "created_at", job->created_us);
+  mo_text_member_time(text, "started_at", job->started_us);
+  mo_text_member_time(text, "finished_at", job->finished_us);
+  mo_text_member_count(text, "attempts", job->attempts);
   if (job->state == MO_JOB_FAILED) {
     mo_text_add(text, ",\"error\":{\"detail\":");
     mo_text_json_string(text, job->error_text, strlen(job->error_text));
-    word(text, "code", mo_error_name(job->error));
+    mo_text_member(text, "code", mo_error_name(job->error));
     mo_text_add(text, "}");
   } else {
     mo_text_add(text, ",\"error\":null");
   }
+}
+
+void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct mo_evaluation_results *results)
+{
+  mo_text_format(text, "{\"id\":\"%lld\"", (long long)job->id);
+  mo_text_member(text, "kind", mo_job_kind_name(job->kind));
+  mo_job_write_common(text, job, job->state);
   mo_text_add(text, ",\"controller\":{\"name\":");
   if (job->controller_name[0] != '\0')
     mo_text_json_string(text, job->controller_name, strlen(job->controller_name));
@@ -151,20 +133,21 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct m
   mo_hash_write(text, &job->controller_sha256);
   mo_text_add(text, "}");
   if (job->environment_set[0] != '\0')
-    word(text, "environments", job->environment_set);
+    mo_text_member(text, "environments", job->environment_set);
   else
     mo_text_format(text, ",\"environments\":{\"count\":%u}", job->n_environments);
-  write_physics(text, &job->physics);
-  word(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_text_add(text, ",\"physics\":");
+  mo_physics_write(text, &job->physics);
+  mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
   mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
                  job->record_com && job->record_masses ? "," : "", job->record_masses ? "\"masses\"" : "");
-  count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
+  mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
   mo_text_format(text, ",\"verify\":%s", job->verify ? "true" : "false");
-  count(text, "n_designs", job->n_designs);
-  count(text, "rollouts_total", job->rollouts_total);
-  count(text, "rollouts_done", job->rollouts_done);
-  count(text, "rollouts_cached", job->rollouts_cached);
-  count(text, "rollouts_diverged", job->rollouts_diverged);
+  mo_text_member_count(text, "n_designs", job->n_designs);
+  mo_text_member_count(text, "rollouts_total", job->rollouts_total);
+  mo_text_member_count(text, "rollouts_done", job->rollouts_done);
+  mo_text_member_count(text, "rollouts_cached", job->rollouts_cached);
+  mo_text_member_count(text, "rollouts_diverged", job->rollouts_diverged);
   if (results != NULL)
     write_results(text, results);
   mo_text_bytes(text, "}", 1);

@@ -210,6 +210,41 @@ void mo_text_json_time(struct mo_text *text, int64_t time_us)
                  parts.tm_hour, parts.tm_min, parts.tm_sec, (int)(time_us / 1000 % 1000));
 }
 
+static void begin_member(struct mo_text *text, const char *name)
+{
+  mo_text_bytes(text, ",\"", 2);
+  mo_text_add(text, name);
+  mo_text_bytes(text, "\":", 2);
+}
+
+void mo_text_member(struct mo_text *text, const char *name, const char *words)
+{
+  begin_member(text, name);
+  mo_text_json_string(text, words, strlen(words));
+}
+
+void mo_text_member_number(struct mo_text *text, const char *name, double value)
+{
+  begin_member(text, name);
+  mo_text_json_number(text, value);
+}
+
+void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value)
+{
+  mo_text_format(text, ",\"%s\":%llu", name, (unsigned long long)value);
+}
+
+void mo_text_member_bool(struct mo_text *text, const char *name, bool value)
+{
+  mo_text_format(text, ",\"%s\":%s", name, value ? "true" : "false");
+}
+
+void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us)
+{
+  begin_member(text, name);
+  mo_text_json_time(text, time_us);
+}
+
 void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n)
 {
   static const char digits[] = "0123456789abcdef";

@@ -28,6 +28,12 @@ void mo_text_json_float(struct mo_text *text, float value); /* the same for floa
 void mo_text_json_integer(struct mo_text *text, int64_t value);
 /* "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
 void mo_text_json_time(struct mo_text *text, int64_t time_us);
+/* Members of an object that has one already: ,"name":value. */
+void mo_text_member(struct mo_text *text, const char *name, const char *words);
+void mo_text_member_number(struct mo_text *text, const char *name, double value); /* null if it is not finite */
+void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value);
+void mo_text_member_bool(struct mo_text *text, const char *name, bool value);
+void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us);
 /* Lower-case hexadecimal digits, without quotes. */
 void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n);
 

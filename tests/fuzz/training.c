@@ -1,0 +1,60 @@
+/* training.c: the body of POST /v1/trainings. What is accepted must be complete and valid, what is not must have a fault, and what
+ * is JSON is jansson's to say, as in evaluation.c. */
+#include "target.h"
+
+#include <jansson.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/training_request.h"
+
+static void check_accepted(const struct mo_training_request *request)
+{
+  const struct mo_training_record *record = &request->record;
+  bool finetune = record->settings.kind == MO_TRAINING_FINETUNE;
+  FUZZ_PROMISE(mo_training_settings_check(&record->settings, NULL) == MO_OK);
+  FUZZ_PROMISE(record->settings.held_out_designs >= 1 && record->settings.held_out_environments >= 1);
+  FUZZ_PROMISE(record->checkpoints_kept >= 1 && record->checkpoints_kept <= MO_CHECKPOINTS_KEPT_MAX);
+  FUZZ_PROMISE(record->name[0] == '\0' || mo_controller_name_check(record->name) == MO_OK);
+  FUZZ_PROMISE(finetune == (record->n_designs > 0 || request->population > 0));
+  FUZZ_PROMISE(record->n_designs == 0 || request->population == 0);
+  FUZZ_PROMISE(!finetune || request->parent != NULL);
+  FUZZ_PROMISE(request->parent == NULL || strlen(request->parent) <= MO_NAME_BYTES_MAX + 7);
+  FUZZ_PROMISE(request->label == NULL || strlen(request->label) <= MO_LABEL_BYTES_MAX);
+  FUZZ_PROMISE(record->n_designs <= MO_TRAINING_DESIGNS_MAX);
+  for (uint32_t i = 0; i < record->n_designs; i++)
+    FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+  struct mo_parsed_training parsed;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  char *text = malloc(size + 1);
+  if (faults == NULL || text == NULL) {
+    free(faults);
+    free(text);
+    return 0;
+  }
+  if (size > 0)
+    memcpy(text, data, size);
+  text[size] = '\0';
+  int code = mo_training_parse(text, size, &parsed, faults);
+  if (code == MO_OK)
+    check_accepted(&parsed.request);
+  else if (code != MO_ERR_NO_MEMORY)
+    FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
+  for (unsigned i = 0; i < faults->n; i++)
+    FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
+  mo_training_parsed_free(&parsed);
+  if (memchr(text, '\0', size) == NULL && size < 100000) {
+    json_error_t error;
+    json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
+    if (code == MO_OK)
+      FUZZ_PROMISE(tree != NULL || json_error_code(&error) == json_error_numeric_overflow);
+    json_decref(tree);
+  }
+  free(text);
+  free(faults);
+  return 0;
+}
