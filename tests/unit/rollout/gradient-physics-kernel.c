@@ -1,0 +1,263 @@
+/* gradient-physics-kernel.c: see gradient-physics.h. MO_FAST_ISA names the instruction set. */
+#define MO_FAST_DOUBLE    0
+#define MO_JOIN3(a, b, c) a##b##c
+#define MO_JOIN(a, b, c)  MO_JOIN3(a, b, c)
+#include "rollout/gradient_physics.inc"
+
+#include <stdlib.h>
+#include <x86intrin.h>
+
+#include "gradient-physics.h"
+
+struct machine {
+  struct phys_robot robot;
+  void *memory;
+  REAL *arrays; /* one allocation */
+  REAL *sensors, *slots, *d_slots, *velocity, *adjoint, *scratch;
+  REAL *records; /* (n_records, n_record_reals) */
+};
+
+static REAL *take(REAL **at, size_t n)
+{
+  REAL *piece = *at;
+  *at += n;
+  return piece;
+}
+
+static bool create(struct machine *k, const struct physics_scene *scene, size_t n_records)
+{
+  *k = (struct machine){0};
+  k->memory = aligned_alloc(64, phys_bytes(scene->body));
+  if (k->memory == NULL)
+    return false;
+  struct phys_robot *r = &k->robot;
+  phys_prepare(r, scene->body, scene->environment, scene->physics, scene->sensor, k->memory);
+  const size_t reals = r->n_sensor_reals + 2 * (size_t)r->n_slot_reals + 9 * (size_t)r->n_sites + r->n_scratch_reals +
+                       n_records * r->n_record_reals;
+  k->arrays = aligned_alloc(64, (reals * sizeof(REAL) + 63) / 64 * 64);
+  if (k->arrays == NULL) {
+    free(k->memory);
+    return false;
+  }
+  for (size_t i = 0; i < reals; i++) /* nothing may depend on what was there */
+    k->arrays[i] = i % 3 == 0 ? (REAL)NAN : i % 3 == 1 ? (REAL)INFINITY : (REAL)-1e30;
+  REAL *at = k->arrays;
+  k->sensors = take(&at, r->n_sensor_reals);
+  k->slots = take(&at, r->n_slot_reals);
+  k->d_slots = take(&at, r->n_slot_reals);
+  k->velocity = take(&at, 3 * (size_t)r->n_sites);
+  k->adjoint = take(&at, 6 * (size_t)r->n_sites);
+  k->scratch = take(&at, r->n_scratch_reals);
+  k->records = take(&at, n_records * r->n_record_reals);
+  return true;
+}
+
+static void destroy(struct machine *k)
+{
+  free(k->memory);
+  free(k->arrays);
+}
+
+/* Between (n_masses, 3) and (3, sites). */
+static void put(const struct machine *k, const double *from, double centre, REAL *to)
+{
+  for (uint32_t m = 0; m < k->robot.n_masses; m++)
+    for (uint32_t axis = 0; axis < 3; axis++)
+      to[axis * k->robot.n_sites + k->robot.mass_site[m]] = (REAL)(from[3 * m + axis] - (axis < 2 ? centre : 0));
+}
+
+static void get(const struct machine *k, const REAL *from, double centre, double *to)
+{
+  for (uint32_t m = 0; m < k->robot.n_masses; m++)
+    for (uint32_t axis = 0; axis < 3; axis++)
+      to[3 * m + axis] = from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? centre : 0);
+}
+
+static void put_slots(const struct machine *k, const float *activation)
+{
+  for (uint32_t i = 0; i < k->robot.n_springs; i++)
+    k->slots[i] = activation[k->robot.slot_spring[i]];
+}
+
+static bool step(const struct physics_scene *scene, struct physics_step *s)
+{
+  struct machine k;
+  if (!create(&k, scene, 2))
+    return false;
+  struct phys_robot *r = &k.robot;
+  struct mo_outcome outcome;
+  REAL *next = k.records + r->n_record_reals;
+  phys_start(r, k.records, k.velocity, &outcome);
+  put(&k, s->position_m, MO_WORLD_CENTRE_M, k.records);
+  put(&k, s->velocity_m_per_s, 0, k.velocity);
+  for (uint32_t i = 0; i < r->n_springs; i++)
+    k.slots[i] = (REAL)s->activation[r->slot_spring[i]];
+  phys_sense(r, k.records, k.sensors);
+  s->sane = phys_step(r, k.records, k.slots, k.velocity, next, k.scratch);
+  for (uint32_t i = 0; i < r->n_masses; i++)
+    s->sensors[r->sensor_mass[i]] = k.sensors[i];
+  for (uint32_t i = r->n_masses; i < r->n_sensor_reals; i++)
+    s->sane &= k.sensors[i] == 0; /* as promised */
+  get(&k, k.records + 3 * (size_t)r->n_sites, 0, s->middle_m_per_s);
+  get(&k, next, MO_WORLD_CENTRE_M, s->next_m);
+  get(&k, k.velocity, 0, s->next_m_per_s);
+  s->hits = 0;
+  for (uint32_t v = 0; v < r->n_vectors; v++)
+    s->hits += (uint32_t)__builtin_popcount(record_hits(r, k.records)[v]);
+
+  phys_back_start(r, &outcome, k.adjoint); /* 0 where there is no mass */
+  put(&k, s->d_position, 0, k.adjoint);
+  put(&k, s->d_velocity, 0, k.adjoint + 3 * (size_t)r->n_sites);
+  phys_step_back(r, k.records, k.slots, k.adjoint, k.d_slots, k.scratch);
+  for (uint32_t i = 0; i < r->n_springs; i++)
+    s->d_activation[r->slot_spring[i]] = k.d_slots[i];
+  for (uint32_t i = r->n_springs; i < r->n_slot_reals; i++)
+    s->sane &= k.d_slots[i] == 0;
+  for (uint32_t i = 0; i < r->n_sensor_reals; i++)
+    k.sensors[i] = i < r->n_masses ? (REAL)s->d_sensors[r->sensor_mass[i]] : (REAL)NAN;
+  phys_sense_back(r, k.records, k.sensors, k.adjoint);
+  get(&k, k.adjoint, 0, s->d_position);
+  get(&k, k.adjoint + 3 * (size_t)r->n_sites, 0, s->d_velocity);
+  /* Sites without a mass stay out of it. */
+  for (uint32_t i = 0; i < 3 * r->n_sites; i++)
+    if ((r->present[i % r->n_sites / MO_VL] >> i % MO_VL & 1) == 0)
+      s->sane &=
+          k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && k.velocity[i] == 0 && next[i] == r->start[i];
+  destroy(&k);
+  return true;
+}
+
+static bool live(const struct physics_scene *scene, struct physics_life *life)
+{
+  struct machine k;
+  const uint32_t n_steps = scene->physics->n_steps;
+  if (!create(&k, scene, (size_t)n_steps + 1))
+    return false;
+  struct phys_robot *r = &k.robot;
+  double *d = malloc(6 * (size_t)r->n_masses * sizeof(double));
+  if (d == NULL) {
+    destroy(&k);
+    return false;
+  }
+  uint32_t n = 0;
+  phys_start(r, k.records, k.velocity, &life->outcome);
+  for (; n < n_steps && life->outcome.diverged_step == 0; n++) {
+    REAL *record = k.records + n * r->n_record_reals;
+    put_slots(&k, life->activation + (size_t)n * r->n_springs);
+    if (!phys_step(r, record, k.slots, k.velocity, record + r->n_record_reals, k.scratch))
+      life->outcome.diverged_step = (int32_t)n + 1;
+  }
+  phys_finish(r, k.records + n * r->n_record_reals, &life->outcome);
+  phys_back_start(r, &life->outcome, k.adjoint);
+  life->finite = life->outcome.diverged_step == 0;
+  life->largest = 0;
+  life->clipped = 0;
+  for (; n > 0 && life->finite; n--) {
+    if (life->adjoint != NULL) {
+      get(&k, k.adjoint, 0, d);
+      get(&k, k.adjoint + 3 * (size_t)r->n_sites, 0, d + 3 * (size_t)r->n_masses);
+      life->adjoint(life->context, n, d, d + 3 * (size_t)r->n_masses);
+    }
+    double m;
+    bool clipped;
+    life->finite = phys_clip(r, life->bound, k.adjoint, &m, &clipped);
+    if (!life->finite)
+      break;
+    life->largest = fmax(life->largest, m);
+    life->clipped += clipped;
+    put_slots(&k, life->activation + (size_t)(n - 1) * r->n_springs);
+    phys_step_back(r, k.records + (n - 1) * r->n_record_reals, k.slots, k.adjoint, k.d_slots, k.scratch);
+  }
+  free(d);
+  destroy(&k);
+  return true;
+}
+
+static bool clip(const struct physics_scene *scene, double bound, double *d_position, double *d_velocity, double *m,
+                 bool *clipped, bool *finite)
+{
+  struct machine k;
+  if (!create(&k, scene, 1))
+    return false;
+  memset(k.adjoint, 0, 6 * (size_t)k.robot.n_sites * sizeof(REAL));
+  put(&k, d_position, 0, k.adjoint);
+  put(&k, d_velocity, 0, k.adjoint + 3 * (size_t)k.robot.n_sites);
+  *finite = phys_clip(&k.robot, bound, k.adjoint, m, clipped);
+  get(&k, k.adjoint, 0, d_position);
+  get(&k, k.adjoint + 3 * (size_t)k.robot.n_sites, 0, d_velocity);
+  destroy(&k);
+  return true;
+}
+
+static bool start(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m, double *d_position)
+{
+  struct machine k;
+  if (!create(&k, scene, 1))
+    return false;
+  phys_start(&k.robot, k.records, k.velocity, outcome);
+  get(&k, k.records, MO_WORLD_CENTRE_M, position_m);
+  phys_finish(&k.robot, k.records, outcome);
+  phys_back_start(&k.robot, outcome, k.adjoint);
+  get(&k, k.adjoint, 0, d_position);
+  destroy(&k);
+  return true;
+}
+
+/* A rollout's averages; the least of several rounds. */
+static bool time_functions(const struct physics_scene *scene, const float *activation, struct physics_times *times,
+                           uint32_t counts[4])
+{
+  struct machine k;
+  const uint32_t n_steps = scene->physics->n_steps;
+  if (!create(&k, scene, (size_t)n_steps + 1))
+    return false;
+  struct phys_robot *r = &k.robot;
+  counts[0] = r->n_vectors;
+  counts[1] = counts[2] = 0;
+  for (uint32_t i = 0; i < r->n_vectors * PHYS_DIRECTIONS; i++) {
+    counts[1] += r->tiles[i].mask != 0;
+    counts[2] += r->arrivals[i] != 0;
+  }
+  counts[3] = (uint32_t)r->n_record_reals;
+  double *const each[5] = {&times->sense, &times->step, &times->clip, &times->step_back, &times->sense_back};
+  for (int i = 0; i < 5; i++)
+    *each[i] = INFINITY;
+  for (int round = 0; round < 5; round++) {
+    uint64_t sum[5] = {0};
+    struct mo_outcome outcome;
+    phys_start(r, k.records, k.velocity, &outcome);
+    for (uint32_t n = 0; n < n_steps; n++) {
+      REAL *record = k.records + n * r->n_record_reals;
+      put_slots(&k, activation + (size_t)n * r->n_springs);
+      const uint64_t t0 = __rdtsc();
+      phys_sense(r, record, k.sensors);
+      const uint64_t t1 = __rdtsc();
+      phys_step(r, record, k.slots, k.velocity, record + r->n_record_reals, k.scratch);
+      sum[0] += t1 - t0;
+      sum[1] += __rdtsc() - t1;
+    }
+    phys_finish(r, k.records + n_steps * r->n_record_reals, &outcome);
+    phys_back_start(r, &outcome, k.adjoint);
+    for (uint32_t n = n_steps; n-- > 0;) {
+      const REAL *record = k.records + n * r->n_record_reals;
+      double m;
+      bool clipped;
+      put_slots(&k, activation + (size_t)n * r->n_springs);
+      const uint64_t t0 = __rdtsc();
+      phys_clip(r, 2, k.adjoint, &m, &clipped);
+      const uint64_t t1 = __rdtsc();
+      phys_step_back(r, record, k.slots, k.adjoint, k.d_slots, k.scratch);
+      const uint64_t t2 = __rdtsc();
+      phys_sense_back(r, record, k.sensors, k.adjoint);
+      sum[2] += t1 - t0;
+      sum[3] += t2 - t1;
+      sum[4] += __rdtsc() - t2;
+    }
+    for (int i = 0; i < 5; i++)
+      *each[i] = fmin(*each[i], (double)sum[i] / n_steps);
+  }
+  destroy(&k);
+  return true;
+}
+
+const struct physics_functions MO_JOIN(physics_, MO_FAST_ISA, ) = {step, live, clip, start, time_functions};

@@ -1,0 +1,523 @@
+/* gradient-physics.c: the float32 physics of the fast gradient, function by function, against the float64 reference.
+ *
+ * The two may disagree about a comparison whose sides differ by less than float32 resolves: whether a mass strikes, in which
+ * cell, which friction applies, whether an impact comes at once. Such masses are counted; there must be few of them, and they are
+ * the only ones that may be off. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include <morpho/random.h>
+
+#include "../check.h"
+#include "gradient-cases.h"
+#include "gradient-physics.h"
+#include "rollout/adjoint.h"
+#include "rollout/contact.h"
+#include "rollout/scene.h"
+
+static const struct physics_functions *const functions[MO_ISA_COUNT] = {&physics_baseline, &physics_avx2,
+                                                                        &physics_avx512};
+
+/* ---- one step ---- */
+
+/* Reference and fast path side by side. All arrays are (n_masses, 3) but the last three. */
+struct both {
+  const struct gradient_case *c;
+  struct physics_scene scene;
+  struct mo_reference reference;
+  struct mo_step_tape tape;
+  struct mo_adjoint adjoint;
+  double *position, *velocity, *d_position, *d_velocity;
+  struct physics_step fast;
+  double *d_sensors, *fast_sensors, *fast_d_activation;
+  bool *astray; /* (n_masses) took another branch */
+  double *memory;
+};
+
+static bool both_create(const struct gradient_case *c, struct both *b)
+{
+  const size_t n = 3 * (size_t)c->body->n_masses, springs = c->body->n_springs;
+  *b = (struct both){.c = c};
+  b->scene = (struct physics_scene){c->body, &c->environment, &c->physics, c->controller->sensor};
+  if (mo_reference_init(&b->reference, c->body, c->controller, &c->environment, &c->physics) < 0)
+    return false;
+  const size_t tape = mo_controller_tape_doubles(c->controller, c->body->n_springs);
+  b->memory = calloc(17 * n + tape + 3 * springs + c->controller->n_inputs, sizeof(double));
+  b->astray = calloc(c->body->n_masses, sizeof(bool));
+  if (b->memory == NULL || b->astray == NULL)
+    return false;
+  double *at = b->memory;
+  double **vectors[] = {&b->position,
+                        &b->velocity,
+                        &b->d_position,
+                        &b->d_velocity,
+                        &b->adjoint.d_position,
+                        &b->adjoint.d_velocity,
+                        &b->adjoint.d_impulse,
+                        &b->tape.position_m,
+                        &b->tape.velocity_m_per_s,
+                        &b->fast.middle_m_per_s,
+                        &b->fast.next_m,
+                        &b->fast.next_m_per_s,
+                        &b->fast.d_position,
+                        &b->fast.d_velocity,
+                        &b->d_sensors,
+                        &b->fast_sensors};
+  for (size_t i = 0; i < sizeof(vectors) / sizeof(vectors[0]); i++, at += n)
+    *vectors[i] = at;
+  b->adjoint.d_activation = at;
+  b->fast_d_activation = at + springs;
+  b->adjoint.d_input = at + 2 * springs;
+  b->tape.control =
+      mo_controller_tape_place(c->controller, c->body->n_springs, at + 2 * springs + c->controller->n_inputs);
+  b->reference.tape = &b->tape;
+  return true;
+}
+
+static void both_free(struct both *b)
+{
+  mo_reference_done(&b->reference);
+  free(b->memory);
+  free(b->astray);
+}
+
+/* What float32 can hold. */
+static double rounded(double x)
+{
+  return (double)(float)x;
+}
+
+/* A state near the ground anywhere on the map and beyond it, in which some masses strike. */
+static void make_state(struct both *b, struct mo_random *random)
+{
+  const struct gradient_case *c = b->c;
+  const uint32_t n = c->body->n_masses;
+  const bool far = mo_random_below(random, 3) == 0;
+  const double shift[2] = {(far ? 6 : 0.5) * (mo_random_uniform(random) - 0.5),
+                           (far ? 6 : 0.5) * (mo_random_uniform(random) - 0.5)};
+  const double speed = mo_random_below(random, 2) == 0 ? 0.1 : 1.0,
+               noise = mo_random_below(random, 2) == 0 ? 0.002 : 0.02;
+  double lowest = INFINITY;
+  mo_scene_start(c->body, &c->environment, &c->physics, b->position);
+  for (uint32_t m = 0; m < n; m++) {
+    double *p = b->position + 3 * m;
+    for (int axis = 0; axis < 3; axis++)
+      p[axis] += noise * (mo_random_uniform(random) - 0.5) + (axis < 2 ? shift[axis] : 0);
+    lowest = fmin(lowest, p[2] - mo_terrain_height(c->environment.terrain_heights_m, p[0], p[1]));
+  }
+  const double sink = lowest + 0.03 * mo_random_uniform(random) - 0.003;
+  for (uint32_t m = 0; m < n; m++)
+    for (int axis = 0; axis < 3; axis++) {
+      const uint32_t i = 3 * m + (uint32_t)axis;
+      const double centre = axis < 2 ? MO_WORLD_CENTRE_M : 0;
+      b->position[i] = rounded(b->position[i] - (axis == 2 ? sink : centre)) + centre;
+      b->velocity[i] = rounded(speed * mo_random_normal(random));
+      b->d_position[i] = rounded(mo_random_normal(random));
+      b->d_velocity[i] = rounded(0.1 * mo_random_normal(random));
+    }
+}
+
+static bool run_both(struct both *b, const struct physics_functions *f, uint32_t step)
+{
+  const struct gradient_case *c = b->c;
+  const size_t bytes = 3 * (size_t)c->body->n_masses * sizeof(double);
+  struct mo_reference *r = &b->reference;
+  memcpy(r->position_m, b->position, bytes);
+  memcpy(r->velocity_m_per_s, b->velocity, bytes);
+  if (!mo_reference_step(r, step))
+    return false;
+  memcpy(b->adjoint.d_position, b->d_position, bytes);
+  memcpy(b->adjoint.d_velocity, b->d_velocity, bytes);
+  memcpy(b->fast.d_position, b->d_position, bytes);
+  memcpy(b->fast.d_velocity, b->d_velocity, bytes);
+  mo_adjoint_step(r, &b->tape, &b->adjoint);
+  for (uint32_t m = 0; m < c->body->n_masses; m++)
+    b->d_sensors[m] = b->adjoint.d_input[c->body->mass_lattice[m]];
+  b->fast.position_m = b->position;
+  b->fast.velocity_m_per_s = b->velocity;
+  b->fast.activation = b->tape.control.output;
+  b->fast.sensors = b->fast_sensors;
+  b->fast.d_sensors = b->d_sensors;
+  b->fast.d_activation = b->fast_d_activation;
+  return f->step(&b->scene, &b->fast);
+}
+
+/* Largest magnitude. */
+static double size_of(const double *x, size_t n)
+{
+  double most = 0;
+  for (size_t i = 0; i < n; i++)
+    most = fmax(most, fabs(x[i]));
+  return most;
+}
+
+struct tally {
+  uint32_t steps, masses, hits, astray;
+  double sensor, velocity, position, d_velocity, d_position,
+      d_activation; /* largest errors of masses that are not astray */
+};
+
+static double distance(const double *a, const double *b)
+{
+  return fmax(fmax(fabs(a[0] - b[0]), fabs(a[1] - b[1])), fabs(a[2] - b[2]));
+}
+
+static void compare(struct both *b, struct tally *t)
+{
+  const struct mo_body *body = b->c->body;
+  const struct mo_reference *r = &b->reference;
+  const size_t n = 3 * (size_t)body->n_masses;
+  const double d_velocity = size_of(b->adjoint.d_velocity, n), d_position = size_of(b->adjoint.d_position, n);
+  const double d_activation = size_of(b->adjoint.d_activation, body->n_springs);
+  t->steps++;
+  t->masses += body->n_masses;
+  t->hits += b->fast.hits;
+  CHECK(b->fast.sane);
+  for (uint32_t m = 0; m < body->n_masses; m++) {
+    const size_t at = 3 * (size_t)m;
+    const double sensor = b->tape.control.input[body->mass_lattice[m]];
+    t->sensor = fmax(t->sensor, fabs(b->fast_sensors[m] - sensor) / fmax(1, fabs(sensor)));
+    t->velocity = fmax(t->velocity, distance(b->fast.middle_m_per_s + at, b->tape.velocity_m_per_s + at));
+    const double moved = distance(b->fast.next_m + at, r->position_m + at);
+    const double turned = distance(b->fast.next_m_per_s + at, r->velocity_m_per_s + at);
+    const double pulled = distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) / d_velocity;
+    b->astray[m] = !(moved < 2e-6 && turned < 2e-4 && pulled < 1e-3);
+    t->astray += b->astray[m];
+    if (b->astray[m])
+      continue;
+    t->position = fmax(t->position, moved);
+    t->velocity = fmax(t->velocity, turned);
+    t->d_velocity = fmax(t->d_velocity, pulled);
+  }
+  /* Springs carry an error on to their other ends. */
+  for (uint32_t s = 0; s < body->n_springs; s++)
+    if (!b->astray[body->spring_a[s]] && !b->astray[body->spring_b[s]])
+      t->d_activation =
+          fmax(t->d_activation, fabs(b->fast_d_activation[s] - b->adjoint.d_activation[s]) / d_activation);
+  for (uint32_t m = 0; m < body->n_masses; m++) {
+    const size_t at = 3 * (size_t)m;
+    bool touched = b->astray[m];
+    for (uint32_t s = 0; s < body->n_springs && !touched; s++)
+      touched = (body->spring_a[s] == m && b->astray[body->spring_b[s]]) ||
+                (body->spring_b[s] == m && b->astray[body->spring_a[s]]);
+    if (touched)
+      continue;
+    const double pushed = distance(b->fast.d_position + at, b->adjoint.d_position + at) / d_position;
+    if (pushed < 1e-4)
+      t->d_position = fmax(t->d_position, pushed);
+    else
+      t->astray++; /* struck at time 0, or just after it */
+  }
+}
+
+static void one_step(void)
+{
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    struct tally t = {0};
+    for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+      struct gradient_case c;
+      struct both b;
+      struct mo_random random;
+      REQUIRE(gradient_case_create(k, &c) == 0);
+      REQUIRE(both_create(&c, &b));
+      mo_random_init(&random, 5, MO_PURPOSE_CHECK, 1, k);
+      for (uint32_t i = 0; i < 40; i++) {
+        make_state(&b, &random);
+        if (!run_both(&b, functions[isa], i)) {
+          printf("# case %u, state %u: the reference diverged\n", k, i);
+          continue;
+        }
+        compare(&b, &t);
+      }
+      both_free(&b);
+      gradient_case_free(&c);
+    }
+    printf("# %s: %u steps, %u masses, %u of them struck, %u of those at a kink\n", mo_isa_name((enum mo_isa)isa),
+           t.steps, t.masses, t.hits, t.astray);
+    printf("#   largest errors: sensors %.1e, velocities %.1e m/s, positions %.1e m\n", t.sensor, t.velocity,
+           t.position);
+    printf("#   adjoints, of the robot's largest: velocities %.1e, positions %.1e, activations %.1e\n", t.d_velocity,
+           t.d_position, t.d_activation);
+    CHECK(t.hits > t.masses / 50);
+    CHECK(t.astray <= t.hits / 100);
+    CHECK(t.sensor < 1e-5);
+    CHECK(t.velocity < 2e-4);
+    CHECK(t.position < 2e-6);
+    CHECK(t.d_velocity < 1e-3);
+    CHECK(t.d_position < 1e-4);
+    CHECK(t.d_activation < 1e-4);
+  }
+}
+
+/* ---- start and clip ---- */
+
+static void start_and_clip(void)
+{
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+      struct gradient_case c;
+      struct both b;
+      struct mo_random random;
+      REQUIRE(gradient_case_create(k, &c) == 0);
+      REQUIRE(both_create(&c, &b));
+      const uint32_t n = c.body->n_masses;
+      struct mo_outcome outcome;
+      REQUIRE(functions[isa]->start(&b.scene, &outcome, b.fast.next_m, b.fast.d_position));
+      mo_adjoint_start(&b.reference, &outcome, &b.adjoint);
+      double com[3];
+      mo_scene_com(b.reference.position_m, n, com);
+      const double size = size_of(b.adjoint.d_position, 3 * n);
+      CHECK_NEAR(outcome.loss, 1, 1e-5);
+      for (uint32_t i = 0; i < 3 * n; i++) {
+        CHECK_NEAR(b.fast.next_m[i], b.reference.position_m[i], 3e-7);
+        CHECK_NEAR(b.fast.d_position[i], b.adjoint.d_position[i], 1e-6 * size);
+      }
+      for (int axis = 0; axis < 3; axis++)
+        CHECK(outcome.com_start_m[axis] == com[axis]);
+
+      const double scale_m = hypot(com[0] - c.environment.light_xy_m[0], com[1] - c.environment.light_xy_m[1]) + 1e-8;
+      mo_random_init(&random, 6, MO_PURPOSE_CHECK, 1, k);
+      for (uint32_t round = 0; round < 8; round++) {
+        static const double sizes[] = {1e-3, 1, 1e3, 1e25, 1e-25};
+        const double bound = round == 0 ? 0 : 2;
+        double x = 0, v = 0, m;
+        bool clipped, finite;
+        for (uint32_t i = 0; i < 3 * n; i++) {
+          b.fast.d_position[i] = b.d_position[i] = rounded(sizes[round % 5] * mo_random_normal(&random));
+          b.fast.d_velocity[i] = b.d_velocity[i] = rounded(sizes[round * 2 % 5] * mo_random_normal(&random));
+          x += b.d_position[i] * b.d_position[i];
+          v += b.d_velocity[i] * b.d_velocity[i];
+        }
+        const double expected = scale_m * fmax(sqrt(x), MO_ADJOINT_RATE_PER_S * sqrt(v));
+        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m, &clipped, &finite));
+        CHECK(finite);
+        CHECK_NEAR(m, expected, 1e-5 * expected);
+        CHECK(clipped == (bound > 0 && expected > bound));
+        const double factor = clipped ? bound / expected : 1;
+        for (uint32_t i = 0; i < 3 * n; i++) {
+          CHECK_NEAR(b.fast.d_position[i], factor * b.d_position[i], 1e-5 * fabs(factor * b.d_position[i]) + 1e-37);
+          CHECK_NEAR(b.fast.d_velocity[i], factor * b.d_velocity[i], 1e-5 * fabs(factor * b.d_velocity[i]) + 1e-37);
+        }
+        b.fast.d_velocity[round % n] = round % 2 == 0 ? (double)NAN : (double)INFINITY;
+        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m, &clipped, &finite));
+        CHECK(!finite);
+      }
+      both_free(&b);
+      gradient_case_free(&c);
+    }
+}
+
+/* ---- divergence ---- */
+
+static void divergence(void)
+{
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    struct gradient_case c;
+    struct both b;
+    REQUIRE(gradient_case_create(4, &c) == 0);
+    REQUIRE(both_create(&c, &b));
+    const struct {
+      double value, up_m;
+      bool position, sane;
+    } cases[] = {{900, 10, false, true},
+                 {1200, 10, false, false},
+                 {(double)NAN, 10, false, false},
+                 {900, 0, false, true},
+                 {(double)INFINITY, 0, false, false},
+                 {(double)NAN, 0, true, false},
+                 {(double)INFINITY, 0, true, false}};
+    for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++)
+      for (uint32_t m = 0; m < c.body->n_masses; m += 7)
+        for (int axis = 0; axis < 3; axis++) {
+          mo_scene_start(c.body, &c.environment, &c.physics, b.position);
+          for (uint32_t j = 0; j < 3 * c.body->n_masses; j++) {
+            b.position[j] += j % 3 == 2 ? cases[i].up_m : 0;
+            b.velocity[j] = 0;
+          }
+          (cases[i].position ? b.position : b.velocity)[3 * m + (uint32_t)axis] = cases[i].value;
+          b.fast.position_m = b.position;
+          b.fast.velocity_m_per_s = b.velocity;
+          b.fast.activation = b.tape.control.output;
+          b.fast.sensors = b.fast_sensors;
+          b.fast.d_sensors = b.d_sensors;
+          b.fast.d_activation = b.fast_d_activation;
+          memset(b.fast.d_position, 0, 3 * c.body->n_masses * sizeof(double));
+          memset(b.fast.d_velocity, 0, 3 * c.body->n_masses * sizeof(double));
+          REQUIRE(functions[isa]->step(&b.scene, &b.fast));
+          if (cases[i].sane != b.fast.sane)
+            printf("# %s: case %zu, mass %u, axis %d\n", mo_isa_name((enum mo_isa)isa), i, m, axis);
+          CHECK(b.fast.sane == cases[i].sane);
+        }
+    both_free(&b);
+    gradient_case_free(&c);
+  }
+}
+
+/* ---- whole rollouts ---- */
+
+/* Both ways along rollouts whose activations do not depend on the state: the weights of the sensors are 0, so that the reference's
+ * gradient has nothing that the physics does not. The adjoints of all velocities, at every 10th step, are one long vector. */
+#define KEPT_EVERY 10
+
+struct walk {
+  const struct gradient_case *c;
+  double *kept; /* (n_steps / KEPT_EVERY, n_masses, 3) */
+};
+
+static void keep(void *context, uint32_t step, double *dx, double *dv)
+{
+  const struct walk *w = context;
+  const size_t n = 3 * (size_t)w->c->body->n_masses;
+  (void)dx;
+  if (step % KEPT_EVERY == 0)
+    memcpy(w->kept + (step / KEPT_EVERY - 1) * n, dv, n * sizeof(double));
+}
+
+static bool open_loop(const struct gradient_case *c, float *activation)
+{
+  const struct mo_controller *controller = c->controller;
+  double *input = calloc(controller->n_inputs + 2 * MO_HIDDEN + c->body->n_springs, sizeof(double));
+  if (input == NULL)
+    return false;
+  double *output = input + controller->n_inputs + 2 * MO_HIDDEN;
+  for (uint32_t o = 0; o < MO_HIDDEN; o++)
+    memset(controller->weight[0] + (size_t)o * controller->n_inputs, 0, controller->n_masses * sizeof(float));
+  for (uint32_t step = 0; step < c->physics.n_steps; step++) {
+    for (int i = 0; i < MO_CPG_INPUTS; i++)
+      input[controller->n_masses + (uint32_t)i] =
+          sin(MO_CPG_RAD_PER_S * step * c->physics.dt_s + 2.0 * M_PI * i / MO_CPG_INPUTS);
+    mo_controller_forward(controller, input, c->body->spring_lattice, c->body->n_springs, output,
+                          input + controller->n_inputs);
+    for (uint32_t s = 0; s < c->body->n_springs; s++)
+      activation[(size_t)step * c->body->n_springs + s] = (float)output[s];
+  }
+  free(input);
+  return true;
+}
+
+static int whole_rollout(struct gradient_case *c, double bound, const struct physics_functions *f, double sums[3])
+{
+  const size_t kept = c->physics.n_steps / KEPT_EVERY * 3 * (size_t)c->body->n_masses;
+  float *activation = malloc((size_t)c->physics.n_steps * c->body->n_springs * sizeof(float));
+  double *memory = calloc(2 * kept + c->controller->n_parameters, sizeof(double));
+  if (activation == NULL || memory == NULL || !open_loop(c, activation))
+    return -1;
+  struct walk reference = {c, memory}, fast = {c, memory + kept};
+  const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 1};
+  const struct mo_gradient_probe probe = {.before = keep, .context = &reference};
+  struct mo_outcome outcome;
+  struct mo_gradient_counts counts = {0};
+  struct physics_life life = {.activation = activation, .bound = bound, .adjoint = keep, .context = &fast};
+  const struct physics_scene scene = {c->body, &c->environment, &c->physics, c->controller->sensor};
+  if (mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome,
+                         memory + 2 * kept, &counts) < 0 ||
+      !f->live(&scene, &life))
+    return -1;
+  double dot = 0, a = 0, b = 0;
+  for (size_t i = 0; i < kept; i++) {
+    dot += reference.kept[i] * fast.kept[i];
+    a += reference.kept[i] * reference.kept[i];
+    b += fast.kept[i] * fast.kept[i];
+  }
+  sums[0] += dot;
+  sums[1] += a;
+  sums[2] += b;
+  printf("#   %u masses: cosine %.6f, size %.4f, losses %.6f %.6f, largest %.3g %.3g, clipped %u %u\n",
+         c->body->n_masses, dot / sqrt(a * b), sqrt(b / a), outcome.loss, life.outcome.loss, counts.largest,
+         life.largest, (unsigned)counts.clipped_steps, life.clipped);
+  free(activation);
+  free(memory);
+  return life.finite ? 0 : 1;
+}
+
+/* Most rollouts agree closely; one that came by a kink on the other side does not. */
+static void rollouts(uint32_t n_steps, uint32_t least_close, double least_cosine)
+{
+  const enum mo_isa isa = mo_isa_best();
+  double sums[3] = {0, 0, 0};
+  uint32_t close = 0;
+  for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+    struct gradient_case c;
+    double own[3] = {0, 0, 0};
+    REQUIRE(gradient_case_create(k, &c) == 0);
+    c.physics.n_steps = n_steps;
+    CHECK_INT(whole_rollout(&c, MO_ADJOINT_BOUND, functions[isa], own), 0);
+    close += own[0] >= 0.9999 * sqrt(own[1] * own[2]);
+    for (int i = 0; i < 3; i++)
+      sums[i] += own[i];
+    gradient_case_free(&c);
+  }
+  const double cosine = sums[0] / sqrt(sums[1] * sums[2]);
+  printf("# %s, %u steps: cosine of all %.6f; %u of %d are above 0.9999\n", mo_isa_name(isa), n_steps, cosine, close,
+         GRADIENT_CASES);
+  CHECK(close >= least_close);
+  CHECK(cosine >= least_cosine);
+}
+
+static void rollouts_100(void)
+{
+  rollouts(100, 20, 0.99999);
+}
+
+static void rollouts_1000(void)
+{
+  rollouts(1000, 17, 0.97);
+}
+
+/* ---- times ---- */
+
+static void times(void)
+{
+  enum { BODIES = 64 };
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  struct mo_lattice *lattice = NULL;
+  struct mo_body_stream *stream = NULL;
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = 100;
+  REQUIRE(mo_lattice_create(workspace, &lattice) == 0);
+  REQUIRE(mo_body_stream_create(workspace, 1, &stream) == 0);
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    double sum[5] = {0}, masses = 0, springs = 0, counts[4] = {0};
+    for (int k = 0; k < BODIES; k++) {
+      uint64_t bits[MO_DEFAULT_WORDS];
+      struct mo_body *body = NULL;
+      struct mo_environment environment;
+      REQUIRE(mo_body_stream_next(stream, bits) == 0);
+      REQUIRE(mo_body_create(lattice, bits, &body) == 0);
+      mo_environment_training(1, 0, (uint64_t)k, &environment);
+      float *activation = malloc((size_t)physics.n_steps * body->n_springs * sizeof(float));
+      REQUIRE(activation != NULL);
+      for (uint32_t i = 0; i < physics.n_steps; i++)
+        for (uint32_t s = 0; s < body->n_springs; s++)
+          activation[(size_t)i * body->n_springs + s] = (float)sin(0.04 * i + s);
+      const struct physics_scene scene = {body, &environment, &physics, MO_SENSOR_INVERSE_SQRT};
+      struct physics_times t;
+      uint32_t n[4];
+      REQUIRE(functions[isa]->time(&scene, activation, &t, n));
+      const double each[5] = {t.sense, t.step, t.clip, t.step_back, t.sense_back};
+      for (int i = 0; i < 5; i++)
+        sum[i] += each[i] / BODIES;
+      for (int i = 0; i < 4; i++)
+        counts[i] += (double)n[i] / BODIES;
+      masses += (double)body->n_masses / BODIES;
+      springs += (double)body->n_springs / BODIES;
+      free(activation);
+      mo_body_free(body);
+    }
+    printf("# %s: %.0f masses, %.0f springs in %.1f vectors, %.1f tiles, %.1f arrivals; a record has %.0f bytes\n",
+           mo_isa_name((enum mo_isa)isa), masses, springs, counts[0], counts[1], counts[2], 4 * counts[3]);
+    printf("#   ticks per step: sense %.0f, step %.0f; clip %.0f, step back %.0f, sense back %.0f\n", sum[0], sum[1],
+           sum[2], sum[3], sum[4]);
+  }
+  mo_body_stream_free(stream);
+  mo_lattice_free(lattice);
+}
+
+static const struct check_case cases[] = {{"one step and back", one_step},
+                                          {"the start, its derivative and the bound", start_and_clip},
+                                          {"divergence", divergence},
+                                          {"rollouts of 100 steps", rollouts_100},
+                                          {"rollouts of 1000 steps", rollouts_1000},
+                                          {"times", times}};
+CHECK_MAIN(cases)

@@ -1,0 +1,60 @@
+/* gradient-physics.h: src/rollout/gradient_physics.inc, compiled once per instruction set for its test, behind plain doubles in the
+ * order of the body's masses and springs. */
+#ifndef MORPHO_TESTS_GRADIENT_PHYSICS_H
+#define MORPHO_TESTS_GRADIENT_PHYSICS_H
+
+#include <stdbool.h>
+
+#include <morpho/gradient.h>
+
+struct physics_scene {
+  const struct mo_body *body;
+  const struct mo_environment *environment;
+  const struct mo_physics *physics;
+  enum mo_sensor sensor;
+};
+
+/* One step from a given state and back. Vectors are (n_masses, 3). */
+struct physics_step {
+  const double *position_m, *velocity_m_per_s, *activation; /* before the step; float32 rounds them */
+  double *sensors;                                          /* (n_masses) */
+  double *middle_m_per_s;                                   /* velocities before contact */
+  double *next_m, *next_m_per_s;
+  bool sane;
+  uint32_t hits;
+  /* In: ∂loss/∂ the state after the step, and ∂loss/∂ the sensors (n_masses). Out: ∂loss/∂ the state before it. */
+  double *d_position, *d_velocity;
+  const double *d_sensors;
+  double *d_activation; /* (n_springs) out */
+};
+
+/* A rollout from the start with given activations (n_steps, n_springs), and back. `adjoint`: NULL, or called as
+ * mo_gradient_probe's `before` is. */
+struct physics_life {
+  const float *activation;
+  double bound;
+  void (*adjoint)(void *context, uint32_t step, double *d_position, double *d_velocity);
+  void *context;
+  struct mo_outcome outcome;
+  double largest;
+  uint32_t clipped;
+  bool finite;
+};
+
+/* Time stamps per call, the least of some. */
+struct physics_times {
+  double sense, step, clip, step_back, sense_back;
+};
+
+struct physics_functions {
+  bool (*step)(const struct physics_scene *scene, struct physics_step *step); /* false: no memory */
+  bool (*live)(const struct physics_scene *scene, struct physics_life *life);
+  bool (*clip)(const struct physics_scene *scene, double bound, double *d_position, double *d_velocity, double *m,
+               bool *clipped, bool *finite);
+  bool (*start)(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m, double *d_position);
+  bool (*time)(const struct physics_scene *scene, const float *activation, struct physics_times *times,
+               uint32_t counts[4]); /* vectors, tiles, vectors of arrivals, reals of a record */
+};
+extern const struct physics_functions physics_baseline, physics_avx2, physics_avx512;
+
+#endif
