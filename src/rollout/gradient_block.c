@@ -1,24 +1,89 @@
-/* gradient_block.c: the gradient of a block of robots, one after the other in float64 by mo_gradient_reference, rounded to
- * float32 at the end. */
-#include <morpho/gradient.h>
-
-#include "rollout/reference.h"
+/* gradient_block.c: packs, one worker's scratch, and the way from mo_gradient_block into the kernels. */
+#include "rollout/fast.h"
+#include "rollout/gradient_fast.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <time.h>
+#include <x86intrin.h>
 
-struct mo_gradient_pack {
-  struct mo_controller *controller;
-  enum mo_isa isa;
-};
+enum { ALIGNMENT = 64 };
+#define HUGE_PAGE ((size_t)2 << 20)
 
-struct mo_gradient_memory {
-  size_t budget_bytes;
-  size_t n;
-  double *sum; /* (n) */
-};
+/* ---- packs ---- */
+
+static float *carve(char *base, size_t *used, size_t n)
+{
+  float *piece = base != NULL ? (float *)(void *)(base + *used) : NULL;
+  *used += (n * sizeof(float) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+  return piece;
+}
+
+/* Places the arrays of `pack` from `base` on (NULL: only counts). Returns the bytes. */
+static size_t lay_out(struct mo_gradient_pack *pack, char *base)
+{
+  size_t used = 0;
+  pack->input_weight = carve(base, &used, (size_t)pack->n_masses * MO_HIDDEN);
+  pack->cpg_weight = carve(base, &used, (size_t)MO_CPG_INPUTS * MO_HIDDEN);
+  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
+    pack->forward_weight[l] = carve(base, &used, (size_t)MO_HIDDEN * MO_HIDDEN);
+    pack->backward_weight[l] = carve(base, &used, (size_t)MO_HIDDEN * MO_HIDDEN);
+  }
+  pack->output_weight = carve(base, &used, (size_t)pack->n_springs * MO_HIDDEN);
+  pack->output_bias = carve(base, &used, pack->n_springs);
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    pack->bias[l] = carve(base, &used, MO_HIDDEN);
+    pack->gain[l] = carve(base, &used, MO_HIDDEN);
+    pack->shift[l] = carve(base, &used, MO_HIDDEN);
+  }
+  return used;
+}
+
+/* (256 outputs, n inputs) row-major, inputs on the way in, to panels of outputs: (256 / panel, n, panel). */
+static void pack_panels(const float *weight, size_t row, size_t n, size_t panel, float *panels)
+{
+  for (size_t o = 0; o < MO_HIDDEN; o++)
+    for (size_t k = 0; k < n; k++)
+      panels[((o / panel) * n + k) * panel + o % panel] = weight[o * row + k];
+}
+
+/* The same with inputs and outputs exchanged. */
+static void pack_transposed(const float *weight, size_t panel, float *panels)
+{
+  for (size_t o = 0; o < MO_HIDDEN; o++)
+    for (size_t k = 0; k < MO_HIDDEN; k++)
+      panels[((k / panel) * MO_HIDDEN + o) * panel + k % panel] = weight[o * MO_HIDDEN + k];
+}
+
+/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen (kernel_tiles.inc). */
+static void pack_plain(const float *values, size_t n, float *to)
+{
+  for (size_t i = 0; i < n; i++)
+    to[i] = values[i] + 0.0f;
+}
+
+static void fill(struct mo_gradient_pack *pack, const struct mo_controller *controller)
+{
+  const size_t n_inputs = controller->n_inputs, n_masses = controller->n_masses, panel = pack->panel;
+  pack_panels(controller->weight[0], n_inputs, n_masses, panel, pack->input_weight);
+  for (size_t i = 0; i < MO_CPG_INPUTS; i++)
+    for (size_t o = 0; o < MO_HIDDEN; o++)
+      pack->cpg_weight[i * MO_HIDDEN + o] = controller->weight[0][o * n_inputs + n_masses + i];
+  for (int l = 0; l < MO_HIDDEN_LAYERS - 1; l++) {
+    pack_panels(controller->weight[l + 1], MO_HIDDEN, MO_HIDDEN, panel, pack->forward_weight[l]);
+    pack_transposed(controller->weight[l + 1], panel, pack->backward_weight[l]);
+  }
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    pack_plain(controller->bias[l], MO_HIDDEN, pack->bias[l]);
+    pack_plain(controller->norm_gain[l], MO_HIDDEN, pack->gain[l]);
+    pack_plain(controller->norm_shift[l], MO_HIDDEN, pack->shift[l]);
+  }
+  memcpy(pack->output_weight, controller->weight[MO_HIDDEN_LAYERS],
+         (size_t)controller->n_springs * MO_HIDDEN * sizeof(float));
+  pack_plain(controller->bias[MO_HIDDEN_LAYERS], controller->n_springs, pack->output_bias);
+}
 
 static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
 {
@@ -29,42 +94,45 @@ int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa 
 {
   if ((unsigned)isa >= MO_ISA_COUNT || isa > mo_isa_best())
     return MO_ERR_UNSUPPORTED;
-  struct mo_gradient_pack *pack = calloc(1, sizeof(*pack));
-  if (pack == NULL)
+  struct mo_gradient_pack pack = {.isa = isa,
+                                  .workspace = controller->workspace,
+                                  .sensor = controller->sensor,
+                                  .n_masses = controller->n_masses,
+                                  .n_springs = controller->n_springs,
+                                  .n_inputs = controller->n_inputs,
+                                  .n_parameters = controller->n_parameters,
+                                  .panel = 2 * mo_isa_vector_bytes(isa) / (uint32_t)sizeof(float)};
+  const size_t head = (sizeof(pack) + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+  pack.bytes = head + lay_out(&pack, NULL);
+  struct mo_gradient_pack *made = aligned_alloc(ALIGNMENT, pack.bytes);
+  if (made == NULL)
     return MO_ERR_NO_MEMORY;
-  pack->isa = isa;
-  int status = mo_controller_create(controller->workspace, controller->sensor, &pack->controller);
-  if (status == MO_OK)
-    status = mo_gradient_pack_update(pack, controller);
-  if (status != MO_OK) {
-    mo_gradient_pack_free(pack);
-    return status;
-  }
-  *ret = pack;
+  lay_out(&pack, (char *)made + head);
+  fill(&pack, controller);
+  *made = pack;
+  *ret = made;
   return MO_OK;
 }
 
 int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller)
 {
-  if (!same_workspace(pack->controller->workspace, controller->workspace) ||
-      pack->controller->sensor != controller->sensor)
+  if (!same_workspace(pack->workspace, controller->workspace) || pack->sensor != controller->sensor)
     return MO_ERR_UNSUPPORTED;
-  memcpy(pack->controller->parameters, controller->parameters, controller->n_parameters * sizeof(float));
+  fill(pack, controller);
   return MO_OK;
 }
 
 void mo_gradient_pack_free(struct mo_gradient_pack *pack)
 {
-  if (pack == NULL)
-    return;
-  mo_controller_free(pack->controller);
   free(pack);
 }
 
 size_t mo_gradient_pack_bytes(const struct mo_gradient_pack *pack)
 {
-  return sizeof(*pack) + pack->controller->n_parameters * sizeof(float);
+  return pack->bytes;
 }
+
+/* ---- scratch ---- */
 
 int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **memory)
 {
@@ -80,21 +148,41 @@ void mo_gradient_memory_free(struct mo_gradient_memory *memory)
 {
   if (memory == NULL)
     return;
-  free(memory->sum);
+  free(memory->block.base);
+  free(memory->tiling.base);
+  free(memory->work.base);
   free(memory);
 }
 
 size_t mo_gradient_memory_bytes(const struct mo_gradient_memory *memory)
 {
-  return sizeof(*memory) + memory->n * sizeof(double);
+  return sizeof(*memory) + memory->block.size + memory->tiling.size + memory->work.size;
 }
 
-int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
+int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes)
 {
-  (void)robots;
-  for (size_t i = 0; i < n; i++)
-    order[i] = (uint32_t)i;
+  if (bytes <= buffer->size)
+    return MO_OK;
+  /* The old one goes first: both at once could be too much. */
+  free(buffer->base);
+  *buffer = (struct mo_gradient_buffer){NULL, 0};
+  const size_t unit = bytes < HUGE_PAGE ? ALIGNMENT : HUGE_PAGE, size = (bytes + unit - 1) / unit * unit;
+  char *base = aligned_alloc(unit, size);
+  if (base == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (unit == HUGE_PAGE)
+    (void)madvise(base, size, MADV_HUGEPAGE); /* a wish: a tape is walked once forth and once back */
+  *buffer = (struct mo_gradient_buffer){base, size};
   return MO_OK;
+}
+
+/* ---- blocks ---- */
+
+mo_gradient_function *mo_gradient_find(enum mo_isa isa)
+{
+  static mo_gradient_function *const functions[MO_ISA_COUNT] = {mo_gradient_baseline, mo_gradient_avx2,
+                                                                mo_gradient_avx512};
+  return functions[isa];
 }
 
 static double now_s(void)
@@ -104,40 +192,75 @@ static double now_s(void)
   return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
 }
 
+/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
+static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
+{
+  struct mo_gradient_profile *total = run->profile, block = {0};
+  run->profile = &block;
+  const double start_s = now_s();
+  const uint64_t start = __rdtsc();
+  const int status = function(run);
+  const double tick_s = (now_s() - start_s) / (double)(__rdtsc() - start);
+  total->pack_s += block.pack_s * tick_s;
+  total->sense_s += block.sense_s * tick_s;
+  total->control_s += block.control_s * tick_s;
+  total->physics_s += block.physics_s * tick_s;
+  total->physics_back_s += block.physics_back_s * tick_s;
+  total->control_back_s += block.control_back_s * tick_s;
+  total->parameters_s += block.parameters_s * tick_s;
+  total->repeat_s += block.repeat_s * tick_s;
+  total->robot_steps += block.robot_steps;
+  return status;
+}
+
+static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
+{
+  sum->robots += counts->robots;
+  sum->steps += counts->steps;
+  sum->clipped_steps += counts->clipped_steps;
+  sum->clipped_robots += counts->clipped_robots;
+  sum->zeroed_robots += counts->zeroed_robots;
+  sum->diverged_robots += counts->diverged_robots;
+  sum->largest = fmax(sum->largest, counts->largest);
+}
+
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
                       struct mo_gradient_profile *profile, struct mo_outcome *outcomes, float *d_parameters,
                       struct mo_gradient_counts *counts)
 {
-  const size_t n_parameters = pack->controller->n_parameters;
-  if (n < 1 || n > MO_GRADIENT_ROBOTS)
+  if (n < 1 || n > MO_GRADIENT_ROBOTS || !isfinite(options->weight) || !isfinite(options->adjoint_bound) ||
+      options->adjoint_bound < 0)
     return MO_ERR_INVALID;
   for (uint32_t i = 0; i < n; i++)
-    if (!same_workspace(robots[i].body->workspace, pack->controller->workspace))
+    if (!same_workspace(robots[i].body->workspace, pack->workspace))
       return MO_ERR_INVALID;
-  if (memory->n < n_parameters) {
-    double *larger = realloc(memory->sum, n_parameters * sizeof(double));
-    if (larger == NULL)
-      return MO_ERR_NO_MEMORY;
-    memory->sum = larger;
-    memory->n = n_parameters;
-  }
-  memset(memory->sum, 0, n_parameters * sizeof(double));
-  const double start_s = now_s();
-  for (uint32_t i = 0; i < n; i++) {
-    const int status = mo_gradient_reference(robots[i].body, pack->controller, robots[i].environment, physics, options,
-                                             outcomes + i, memory->sum, counts);
-    if (status != MO_OK)
-      return status;
-    if (pause != NULL && pause->interval > 0 && pause->reached(pause->context) != 0)
-      return MO_ERR_CANCELLED;
-  }
-  for (size_t i = 0; i < n_parameters; i++)
-    d_parameters[i] = (float)memory->sum[i];
-  if (profile != NULL) {
-    profile->parameters_s += now_s() - start_s;
-    profile->robot_steps += (uint64_t)n * physics->n_steps;
-  }
+  struct mo_gradient_counts block = {0};
+  struct mo_gradient_run run = {.memory = memory,
+                                .pack = pack,
+                                .robots = robots,
+                                .n = n,
+                                .physics = physics,
+                                .options = options,
+                                .pause = pause,
+                                .profile = profile,
+                                .outcomes = outcomes,
+                                .d_parameters = d_parameters,
+                                .counts = &block};
+  mo_gradient_function *const function = mo_gradient_find(pack->isa);
+  const int status = profile != NULL ? run_profiled(&run, function) : function(&run);
+  if (status == MO_OK && counts != NULL)
+    add_counts(counts, &block);
+  return status;
+}
+
+/* ---- arrangement ---- */
+
+int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
+{
+  (void)robots;
+  for (size_t i = 0; i < n; i++)
+    order[i] = (uint32_t)i;
   return MO_OK;
 }
