@@ -192,7 +192,7 @@ static void it_is_the_mean(void)
   printf("# %d robots, %d steps: 1 - cosine %.2g, norm %.9g against %.9g\n", N, STEPS, 1 - ab / sqrt(aa * bb), sqrt(aa),
          sqrt(bb));
   CHECK(bb > 0);
-  CHECK(ab / sqrt(aa * bb) > 0.99999);
+  CHECK(ab / sqrt(aa * bb) > 0.999); /* float32: a mass touches a step earlier or later */
   CHECK_NEAR(sqrt(aa / bb), 1.0, 1e-3);
   mo_gradient_state_free(state);
   mo_compute_free(compute);
