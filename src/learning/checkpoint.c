@@ -254,23 +254,27 @@ int mo_training_write(const struct mo_training *training, const char *path, stru
   return r;
 }
 
+static int read_open(int fd, uint64_t size, struct mo_training **training, struct mo_message *message)
+{
+  if (size > MO_CHECKPOINT_BYTES_MAX)
+    return mo_fail(message, MO_ERR_FORMAT, "the file has %" PRIu64 " bytes, more than any checkpoint", size);
+  uint8_t *bytes = malloc(size + 1);
+  if (bytes == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "the checkpoint does not fit in memory");
+  int r = mo_file_read_at(fd, bytes, size, 0, message);
+  if (r == MO_OK)
+    r = mo_training_decode(bytes, size, training, message);
+  free(bytes);
+  return r;
+}
+
 int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message)
 {
   uint64_t size = 0;
   const int fd = mo_file_open(path, &size, message);
   if (fd < 0)
     return fd;
-  uint8_t *bytes = NULL;
-  int r = MO_OK;
-  if (size > MO_CHECKPOINT_BYTES_MAX)
-    r = mo_fail(message, MO_ERR_FORMAT, "%s has %" PRIu64 " bytes, more than any checkpoint", path, size);
-  else if ((bytes = malloc(size + 1)) == NULL)
-    r = mo_fail(message, MO_ERR_NO_MEMORY, "%s does not fit in memory", path);
-  if (r == MO_OK)
-    r = mo_file_read_at(fd, bytes, size, 0, message);
+  const int r = read_open(fd, size, training, message);
   close(fd);
-  if (r == MO_OK)
-    r = mo_training_decode(bytes, size, training, message);
-  free(bytes);
   return r;
 }

@@ -33,7 +33,7 @@ static bool is_cancelled(const struct mo_training *training, const volatile int 
 static int replay(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)
 {
   const uint64_t before = (uint64_t)training->step * training->settings.batch;
-  if (training->taken >= before)
+  if (training->taken > before) /* bodies of this step were drawn already */
     return MO_OK;
   while (training->taken < before) {
     uint64_t body[MO_DEFAULT_WORDS];

@@ -9,10 +9,10 @@
 #define NUMBER_BYTES   32
 #define SETTINGS_BYTES 2048
 
-/* The shortest text that reads back as the same number, with a point whatever the locale. */
+/* A short text that reads back as the same number, with a point whatever the locale. */
 static const char *spell(double value, char text[NUMBER_BYTES])
 {
-  for (int digits = 1; digits <= 17; digits++) {
+  for (int digits = 6; digits <= 17; digits++) {
     snprintf(text, NUMBER_BYTES, "%.*g", digits, value);
     if (strtod(text, NULL) == value)
       break;

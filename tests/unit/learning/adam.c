@@ -1,0 +1,295 @@
+/* adam.c: the optimizer against a plain one in float64, its guards, and what a step reports. */
+#include "fixture.h"
+
+#include "learning/internal.h"
+
+#include <float.h>
+
+/* Adam as its paper states it, with the norm clip, in float64 throughout. */
+struct plain {
+  size_t n;
+  uint32_t t;
+  double *m, *v, *w;
+};
+
+static int plain_create(struct plain *plain, const float *weights, size_t n)
+{
+  *plain = (struct plain){
+      .n = n, .m = calloc(n, sizeof(double)), .v = calloc(n, sizeof(double)), .w = calloc(n, sizeof(double))};
+  for (size_t i = 0; plain->w != NULL && i < n; i++)
+    plain->w[i] = weights[i];
+  return plain->m != NULL && plain->v != NULL && plain->w != NULL ? 0 : -1;
+}
+
+static void plain_free(struct plain *plain)
+{
+  free(plain->m);
+  free(plain->v);
+  free(plain->w);
+}
+
+static double plain_step(struct plain *plain, const double *gradient, double rate, double limit)
+{
+  long double sum = 0;
+  for (size_t i = 0; i < plain->n; i++)
+    sum += (long double)gradient[i] * gradient[i];
+  const double norm = (double)sqrtl(sum);
+  plain->t++;
+  for (size_t i = 0; i < plain->n; i++) {
+    const double g = norm > limit ? gradient[i] * limit / norm : gradient[i];
+    plain->m[i] = 0.9 * plain->m[i] + 0.1 * g;
+    plain->v[i] = 0.999 * plain->v[i] + 0.001 * g * g;
+    const double m_hat = plain->m[i] / (1.0 - pow(0.9, plain->t));
+    const double v_hat = plain->v[i] / (1.0 - pow(0.999, plain->t));
+    plain->w[i] -= rate * m_hat / (sqrt(v_hat) + 1e-8);
+  }
+  return norm;
+}
+
+static void against_plain(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
+  settings.n_steps = 20;
+  struct mo_training *training = NULL;
+  struct made_up made_up;
+  struct plain plain;
+  REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+  REQUIRE(made_up_create(&made_up, training) == 0);
+  const struct mo_controller *controller = mo_training_controller(training);
+  REQUIRE(plain_create(&plain, controller->parameters, controller->n_parameters) == 0);
+  uint32_t clipped = 0;
+  double worst = 0.0, moved = 0.0;
+  for (uint32_t step = 0; step < settings.n_steps; step++) {
+    struct mo_training_report report;
+    REQUIRE(advance(training, &made_up, &report) == MO_OK);
+    const double norm = plain_step(&plain, made_up.gradient, report.rate, 1.0);
+    clipped += norm > 1.0;
+    CHECK_NEAR(report.gradient_norm, norm, 1e-12 * norm);
+    CHECK_INT(report.step, step + 1);
+    CHECK(!report.skipped && report.bounded == 0);
+    CHECK(report.rate == mo_schedule_rate(&settings.schedule, step, settings.n_steps));
+  }
+  for (size_t i = 0; i < plain.n; i++) {
+    worst = fmax(worst, fabs(controller->parameters[i] - plain.w[i]));
+    moved = fmax(moved, fabs(plain.m[i]));
+  }
+  /* Weights are rounded to float32 at every step. */
+  printf("# largest difference after 20 steps %g; %u steps clipped\n", worst, clipped);
+  CHECK(worst < 20 * FLT_EPSILON && moved > 1e-4);
+  CHECK(clipped > 0 && clipped < 20);
+  CHECK_INT(mo_training_skipped(training), 0);
+  plain_free(&plain);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+static void norms(void)
+{
+  double g[4] = {3.0, 0.0, -4.0, 0.0};
+  CHECK(mo_gradient_norm(g, 4) == 5.0);
+  CHECK(mo_gradient_norm(g, 0) == 0.0);
+  g[0] = 3e200, g[2] = 4e200; /* squares overflow */
+  CHECK_NEAR(mo_gradient_norm(g, 4) / 5e200, 1.0, 1e-15);
+  g[0] = 3e-200, g[2] = 4e-200; /* squares underflow */
+  CHECK_NEAR(mo_gradient_norm(g, 4) / 5e-200, 1.0, 1e-15);
+  g[0] = g[2] = DBL_MAX;
+  CHECK(isinf(mo_gradient_norm(g, 4)));
+  g[0] = NAN;
+  CHECK(isnan(mo_gradient_norm(g, 4)));
+  g[0] = -INFINITY;
+  CHECK(!isfinite(mo_gradient_norm(g, 4)));
+}
+
+static void clip(void)
+{
+  for (int limited = 0; limited < 2; limited++) {
+    struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
+    settings.norm_limit = limited ? 1.0 : 0.0;
+    struct mo_training *training = NULL;
+    struct made_up made_up;
+    REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+    REQUIRE(made_up_create(&made_up, training) == 0);
+    const struct mo_robot *robots;
+    struct mo_training_report report;
+    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+    make_up(&made_up, training, robots);
+    memset(made_up.gradient, 0, made_up.n * sizeof(double));
+    made_up.gradient[3] = 6.0;
+    made_up.gradient[made_up.n - 1] = -8.0;
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+    CHECK(report.gradient_norm == 10.0); /* as it was */
+    CHECK_NEAR(training->adam.first[3], limited ? 0.06 : 0.6, 1e-15);
+    CHECK_NEAR(training->adam.second[made_up.n - 1], limited ? 0.00064 : 0.064, 1e-16);
+    made_up_free(&made_up);
+    mo_training_free(training);
+  }
+}
+
+struct state {
+  size_t n;
+  float *weights;
+  double *first, *second;
+};
+
+static struct state copy_state(const struct mo_training *training)
+{
+  const size_t n = training->controller->n_parameters;
+  struct state s = {n, malloc(n * sizeof(float)), malloc(n * sizeof(double)), malloc(n * sizeof(double))};
+  if (s.weights == NULL || s.first == NULL || s.second == NULL)
+    exit(1);
+  memcpy(s.weights, training->controller->parameters, n * sizeof(float));
+  memcpy(s.first, training->adam.first, n * sizeof(double));
+  memcpy(s.second, training->adam.second, n * sizeof(double));
+  return s;
+}
+
+static bool same_state(const struct mo_training *training, const struct state *s)
+{
+  return memcmp(training->controller->parameters, s->weights, s->n * sizeof(float)) == 0 &&
+         memcmp(training->adam.first, s->first, s->n * sizeof(double)) == 0 &&
+         memcmp(training->adam.second, s->second, s->n * sizeof(double)) == 0;
+}
+
+static void free_state(struct state *s)
+{
+  free(s->weights);
+  free(s->first);
+  free(s->second);
+}
+
+/* Gradients that must not reach the weights: the step counts, and nothing else changes. */
+static void skipped(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
+  settings.norm_limit = 0.0; /* else the clip saves the huge ones */
+  struct mo_training *training = NULL;
+  struct made_up made_up;
+  REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+  REQUIRE(made_up_create(&made_up, training) == 0);
+  struct mo_training_report report;
+  REQUIRE(advance(training, &made_up, &report) == MO_OK);
+  struct state before = copy_state(training);
+  const double power = training->adam.beta2_power;
+  for (int kind = 0; kind < 6; kind++) {
+    const struct mo_robot *robots;
+    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+    make_up(&made_up, training, robots);
+    if (kind < 4)
+      made_up.gradient[kind == 3 ? 0 : made_up.n - 1] = (const double[]){NAN, INFINITY, -INFINITY, 1e300}[kind];
+    for (int i = 0; i < 5; i++)
+      if (kind == 4 || (kind == 5 && i < 2))
+        made_up.outcomes[i] = (struct mo_outcome){.loss = INFINITY, .diverged_step = 3};
+    if (kind == 5)
+      made_up.counts.zeroed_robots = 3;
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+    CHECK(report.skipped && report.gradient_norm == 0.0 && report.bounded == 0);
+    CHECK_INT(report.step, kind + 2);
+    CHECK_INT(mo_training_skipped(training), kind + 1);
+    CHECK(same_state(training, &before) && training->adam.beta2_power == power);
+    CHECK_INT(report.diverged, kind == 4 ? 5 : kind == 5 ? 2 : 0);
+    CHECK(kind == 4 ? isnan(report.mean_loss) : kind == 5 ? fabs(report.mean_loss - 0.8) < 1e-15 : true);
+  }
+  REQUIRE(advance(training, &made_up, &report) == MO_OK); /* and it goes on */
+  CHECK(!report.skipped && !same_state(training, &before));
+  free_state(&before);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+static void reported(void)
+{
+  const struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
+  struct mo_training *training = NULL;
+  struct made_up made_up;
+  REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+  REQUIRE(made_up_create(&made_up, training) == 0);
+  struct mo_training_report report;
+  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  REQUIRE(advance(training, &made_up, &report) == MO_OK);
+  CHECK_NEAR(report.mean_loss, 0.7, 1e-15);
+  CHECK_NEAR(report.clipped_share, 20.0 / 5000.0, 1e-18);
+  CHECK_NEAR(report.clipped_robots_share, 0.4, 1e-15);
+  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  while (mo_training_step(training) < settings.n_steps)
+    REQUIRE(advance(training, &made_up, NULL) == MO_OK);
+  const struct mo_robot *robots;
+  CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_CONFLICT);
+  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+/* The highest rate, and weights next to their limit, pushed outwards. */
+static void bounded(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  settings.schedule = (struct mo_schedule){
+      .kind = MO_SCHEDULE_CONSTANT, .peak = 1, .floor = 1, .decay = 1, .cycle_steps = 1, .cycle_growth = 1};
+  struct mo_training *training = finetuning(&settings, 3, 1.0F);
+  REQUIRE(training != NULL);
+  struct made_up made_up;
+  REQUIRE(made_up_create(&made_up, training) == 0);
+  float *weights = training->controller->parameters;
+  weights[0] = MO_WEIGHT_LIMIT;
+  weights[1] = -MO_WEIGHT_LIMIT;
+  weights[2] = MO_WEIGHT_LIMIT;
+  const struct mo_robot *robots;
+  struct mo_training_report report;
+  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+  memset(made_up.gradient, 0, made_up.n * sizeof(double));
+  made_up.gradient[0] = -1e-3; /* up */
+  made_up.gradient[1] = 1e-3;  /* down */
+  made_up.gradient[2] = 1e-3;  /* down, into the bounds */
+  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+  CHECK(!report.skipped);
+  CHECK_INT(report.bounded, 2);
+  CHECK(weights[0] == MO_WEIGHT_LIMIT && weights[1] == -MO_WEIGHT_LIMIT && weights[2] < MO_WEIGHT_LIMIT);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+/* Weights a hundred times as large, real gradients: nothing that is not finite anywhere. */
+static void weights_times_100(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  settings.physics.n_steps = 60;
+  settings.n_steps = 2;
+  settings.batch = 2;
+  settings.adjoint_bound = 0.0;
+  struct mo_training *training = finetuning(&settings, 2, 100.0F);
+  REQUIRE(training != NULL);
+  struct made_up made_up;
+  REQUIRE(made_up_create(&made_up, training) == 0);
+  const struct mo_gradient_options options = {0.0, 0.5};
+  for (int step = 0; step < 2; step++) {
+    const struct mo_robot *robots;
+    struct mo_training_report report;
+    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+    memset(made_up.gradient, 0, made_up.n * sizeof(double));
+    made_up.counts = (struct mo_gradient_counts){0};
+    for (int i = 0; i < 2; i++)
+      REQUIRE(mo_gradient_reference(robots[i].body, training->controller, robots[i].environment, &settings.physics,
+                                    &options, &made_up.outcomes[i], made_up.gradient, &made_up.counts) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+    printf("# norm %g, skipped %d, diverged %u, zeroed %u\n", report.gradient_norm, report.skipped, report.diverged,
+           report.zeroed);
+  }
+  bool finite = true;
+  for (size_t i = 0; i < made_up.n; i++)
+    finite &= fabsf(training->controller->parameters[i]) <= MO_WEIGHT_LIMIT && isfinite(training->adam.first[i]) &&
+              isfinite(training->adam.second[i]);
+  CHECK(finite);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+static const struct check_case cases[] = {
+    {"20 steps against plain Adam in float64", against_plain},
+    {"norms without overflow", norms},
+    {"the norm clip", clip},
+    {"a step with a bad gradient is skipped", skipped},
+    {"what a step reports, and the order of calls", reported},
+    {"weights stay within their limit", bounded},
+    {"weights times 100", weights_times_100},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,386 @@
+/* checkpoint.c: a training saved at any step goes on to the same bytes; nothing damaged is read; files; lineage. */
+#include "fixture.h"
+
+#include "learning/internal.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+struct blob {
+  uint8_t *bytes;
+  size_t size;
+};
+
+static struct blob encoded(const struct mo_training *training)
+{
+  struct blob blob = {NULL, 0};
+  if (mo_training_encode(training, &blob.bytes, &blob.size) < 0)
+    exit(1);
+  return blob;
+}
+
+static bool same(const struct blob *a, const struct blob *b)
+{
+  return a->size == b->size && memcmp(a->bytes, b->bytes, a->size) == 0;
+}
+
+static struct mo_training *decoded(const struct blob *blob)
+{
+  struct mo_training *training = NULL;
+  struct mo_message message = {""};
+  if (mo_training_decode(blob->bytes, blob->size, &training, &message) < 0) {
+    printf("# %s\n", message.text);
+    return NULL;
+  }
+  return training;
+}
+
+static struct mo_training *begin(enum mo_training_kind kind)
+{
+  struct mo_training_settings settings = small_settings(kind);
+  struct mo_training *training = NULL;
+  settings.physics.impact = MO_IMPACT_BISECTION;
+  settings.sensor = MO_SENSOR_INVERSE_SQUARE;
+  if (kind == MO_TRAINING_FINETUNE)
+    return finetuning(&settings, 4, 1.0F);
+  return mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK ? training : NULL;
+}
+
+/* Advances by one; step 5's gradient is not finite. */
+static int advance_one(struct mo_training *training, struct made_up *made_up)
+{
+  const struct mo_robot *robots = NULL;
+  const int r = mo_training_draw(training, NULL, NULL, &robots);
+  if (r < 0)
+    return r;
+  make_up(made_up, training, robots);
+  if (mo_training_step(training) == 5)
+    made_up->gradient[9] = NAN;
+  return mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts, NULL);
+}
+
+static void resume(void)
+{
+  for (int kind = 0; kind < 2; kind++) {
+    struct mo_training *whole = begin((enum mo_training_kind)kind), *broken = begin((enum mo_training_kind)kind);
+    struct made_up made_up;
+    REQUIRE(whole != NULL && broken != NULL && made_up_create(&made_up, whole) == 0);
+    const uint32_t n = mo_training_settings_of(whole)->n_steps;
+    for (uint32_t step = 0; step < n; step++) {
+      /* The one is never saved; the other is saved and restored at every step, drawn or not. */
+      const struct mo_robot *robots;
+      if (step % 3 == 1)
+        REQUIRE(mo_training_draw(broken, NULL, NULL, &robots) == MO_OK);
+      struct blob blob = encoded(broken);
+      mo_training_free(broken);
+      broken = decoded(&blob);
+      REQUIRE(broken != NULL);
+      struct blob again = encoded(broken);
+      CHECK(same(&blob, &again));
+      free(blob.bytes);
+      free(again.bytes);
+      REQUIRE(advance_one(whole, &made_up) == MO_OK && advance_one(broken, &made_up) == MO_OK);
+    }
+    struct blob a = encoded(whole), b = encoded(broken);
+    CHECK(same(&a, &b));
+    CHECK_INT(mo_training_step(broken), n);
+    CHECK_INT(mo_training_skipped(broken), 1);
+    CHECK(a.size < MO_CHECKPOINT_BYTES_MAX);
+    free(a.bytes);
+    free(b.bytes);
+    made_up_free(&made_up);
+    mo_training_free(whole);
+    mo_training_free(broken);
+  }
+}
+
+/* Every setting survives. */
+static void settings_kept(void)
+{
+  struct mo_training_settings s = {.kind = MO_TRAINING_PRETRAIN,
+                                   .seed = UINT64_MAX - 5,
+                                   .n_steps = 101,
+                                   .batch = 7,
+                                   .schedule = {MO_SCHEDULE_RESTARTS, 0.01, 0.002, 0.6, 11, 3, 4},
+                                   .beta1 = 0.85,
+                                   .beta2 = 0.99,
+                                   .epsilon = 1e-7,
+                                   .norm_limit = 2.5,
+                                   .adjoint_bound = 3.5,
+                                   .physics = mo_default_physics(),
+                                   .sensor = MO_SENSOR_INVERSE_SQUARE,
+                                   .held_out_designs = 12,
+                                   .held_out_environments = 13};
+  s.physics.dt_s = 0.003, s.physics.n_steps = 77, s.physics.stiffness_n_per_m = 1e4, s.physics.mass_kg = 1.25;
+  s.physics.drag_per_s = 14, s.physics.gravity_m_per_s2 = 9, s.physics.actuation = 0.15, s.physics.friction = 0.8;
+  s.physics.friction_cap = 0.9, s.physics.drop_height_m = 0.5, s.physics.impact = MO_IMPACT_BISECTION;
+  s.physics.bisections = 9;
+  struct mo_training *training = NULL;
+  REQUIRE(mo_training_create(&s, NULL, NULL, 0, &training, NULL) == MO_OK);
+  struct blob blob = encoded(training);
+  mo_training_free(training);
+  training = decoded(&blob);
+  REQUIRE(training != NULL);
+  const struct mo_training_settings *k = mo_training_settings_of(training);
+  CHECK(k->kind == s.kind && k->seed == s.seed && k->n_steps == s.n_steps && k->batch == s.batch);
+  CHECK(k->schedule.kind == s.schedule.kind && k->schedule.peak == s.schedule.peak);
+  CHECK(k->schedule.floor == s.schedule.floor && k->schedule.decay == s.schedule.decay);
+  CHECK(k->schedule.cycle_steps == 11 && k->schedule.cycle_growth == 3 && k->schedule.warmup_steps == 4);
+  CHECK(k->beta1 == s.beta1 && k->beta2 == s.beta2 && k->epsilon == s.epsilon);
+  CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound && k->sensor == s.sensor);
+  CHECK(k->held_out_designs == 12 && k->held_out_environments == 13);
+  const struct mo_physics *p = &k->physics, *q = &s.physics;
+  CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps && p->stiffness_n_per_m == q->stiffness_n_per_m);
+  CHECK(p->mass_kg == q->mass_kg && p->drag_per_s == q->drag_per_s && p->gravity_m_per_s2 == q->gravity_m_per_s2);
+  CHECK(p->actuation == q->actuation && p->friction == q->friction && p->friction_cap == q->friction_cap);
+  CHECK(p->drop_height_m == q->drop_height_m && p->impact == q->impact && p->bisections == q->bisections);
+  free(blob.bytes);
+  mo_training_free(training);
+}
+
+static void expect_refused(const uint8_t *bytes, size_t size, const char *says)
+{
+  struct mo_training *training = NULL;
+  struct mo_message message = {""};
+  CHECK_INT(mo_training_decode(bytes, size, &training, &message), MO_ERR_FORMAT);
+  CHECK(training == NULL);
+  if (strstr(message.text, says) == NULL) {
+    printf("# \"%s\" lacks \"%s\"\n", message.text, says);
+    CHECK(0);
+  }
+}
+
+/* Bytes all over the header and the rest, changed in one bit; and cut short anywhere. */
+static void damaged(void)
+{
+  struct mo_training *training = begin(MO_TRAINING_FINETUNE);
+  REQUIRE(training != NULL);
+  struct blob blob = encoded(training);
+  for (size_t i = 0; i < blob.size; i += i < 16 ? 1 : i < 400 ? 7 : blob.size / 40) {
+    blob.bytes[i] ^= (uint8_t)(1 << i % 8);
+    expect_refused(blob.bytes, blob.size,
+                   i < 8    ? "not a checkpoint"
+                   : i < 12 ? "this program reads version 1"
+                            : "checksum is wrong");
+    blob.bytes[i] ^= (uint8_t)(1 << i % 8);
+  }
+  blob.bytes[blob.size - 1] ^= 128;
+  expect_refused(blob.bytes, blob.size, "checksum is wrong");
+  blob.bytes[blob.size - 1] ^= 128;
+  const size_t cuts[] = {0, 7, 8, 100, 243, 244, 5000, blob.size / 2, blob.size - 1};
+  for (size_t i = 0; i < sizeof(cuts) / sizeof(cuts[0]); i++) {
+    uint8_t *cut = malloc(cuts[i] + 1); /* of its size, for the sanitizer */
+    REQUIRE(cut != NULL);
+    memcpy(cut, blob.bytes, cuts[i]);
+    expect_refused(cut, cuts[i], cuts[i] < 8 ? "not a checkpoint" : "damaged");
+    free(cut);
+  }
+  struct mo_training *good = decoded(&blob);
+  CHECK(good != NULL);
+  mo_training_free(good);
+  free(blob.bytes);
+  mo_training_free(training);
+}
+
+/* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile file. */
+static void wrong_contents(void)
+{
+  enum { STEP = 208, SKIPPED = 212, DRAWS = 216, N_DESIGNS = 224, N_PARAMETERS = 228, ARRAYS = 236 };
+  const size_t designs = (size_t)4 * MO_DEFAULT_WORDS * 8;
+  const size_t n = 620912, first = ARRAYS + designs + 4 * n, second = first + 8 * n;
+  const double nan = NAN, minus = -1.0;
+  const float huge = 2e6F, infinite = INFINITY;
+  const uint32_t zero = 0, many = 13, most = UINT32_MAX, kind = 2;
+  const uint64_t one = 1, all = UINT64_MAX;
+  const struct {
+    size_t at, size;
+    const void *value;
+    const char *says;
+  } cases[] = {
+      {12, 4, &kind, "kind of training is 2"},
+      {24, 4, &zero, "steps: 0"},
+      {28, 4, &most, "batch: 4294967295"},
+      {36, 8, &nan, "peak is not finite"},
+      {STEP, 4, &many, "more steps than its training"},
+      {SKIPPED, 4, &many, "more steps than its training"},
+      {DRAWS, 8, &one, "stream of bodies"},
+      {N_DESIGNS, 4, &zero, "number of its designs"},
+      {N_DESIGNS, 4, &most, "number of its designs"},
+      {N_DESIGNS, 4, &many, "size does not agree"},
+      {N_PARAMETERS, 8, &all, "another number of parameters"},
+      {ARRAYS + 16, 8, &all, "design 0 has bits past"},
+      {ARRAYS + designs, 4, &infinite, "a weight is not finite"},
+      {ARRAYS + designs + 4 * (n - 1), 4, &huge, "a weight is not finite or beyond"},
+      {first, 8, &nan, "a moment is not finite"},
+      {second + 8 * (n - 1), 8, &nan, "a moment is not finite"},
+      {second, 8, &minus, "a second moment is negative"},
+  };
+  struct mo_training *training = begin(MO_TRAINING_FINETUNE);
+  REQUIRE(training != NULL);
+  struct blob blob = encoded(training);
+  CHECK_INT(blob.size, second + 8 * n + 8);
+  uint8_t *copy = malloc(blob.size);
+  REQUIRE(copy != NULL);
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    memcpy(copy, blob.bytes, blob.size);
+    memcpy(copy + cases[i].at, cases[i].value, cases[i].size);
+    const uint64_t sum = mo_checksum(copy, blob.size - 8);
+    memcpy(copy + blob.size - 8, &sum, 8);
+    expect_refused(copy, blob.size, cases[i].says);
+  }
+  free(copy);
+  free(blob.bytes);
+  mo_training_free(training);
+}
+
+static void checksum(void)
+{
+  /* The check value that the catalogues give for CRC-64/XZ. */
+  CHECK(mo_checksum((const uint8_t *)"123456789", 9) == UINT64_C(0x995DC9BBDF1939FA));
+  CHECK(mo_checksum((const uint8_t *)"", 0) == 0);
+  uint8_t bytes[64], bitwise_ok = 1;
+  for (int i = 0; i < 64; i++)
+    bytes[i] = (uint8_t)(37 * i + 11);
+  for (size_t n = 0; n <= 64; n++) {
+    uint64_t crc = ~UINT64_C(0);
+    for (size_t i = 0; i < n; i++) {
+      crc ^= bytes[i];
+      for (int bit = 0; bit < 8; bit++)
+        crc = crc >> 1 ^ (crc & 1 ? UINT64_C(0xC96C5795D7870F42) : 0);
+    }
+    bitwise_ok &= mo_checksum(bytes, n) == ~crc;
+  }
+  CHECK(bitwise_ok);
+}
+
+static int files_in(const char *folder)
+{
+  int n = 0;
+  DIR *dir = opendir(folder);
+  for (const struct dirent *e; dir != NULL && (e = readdir(dir)) != NULL;)
+    n += e->d_name[0] != '.';
+  if (dir != NULL)
+    closedir(dir);
+  return n;
+}
+
+static void files(void)
+{
+  const char *base = getenv("TMPDIR");
+  char folder[256], path[300], missing[300];
+  snprintf(folder, sizeof(folder), "%s/morpho-learning-XXXXXX", base != NULL ? base : "/tmp");
+  REQUIRE(mkdtemp(folder) != NULL);
+  snprintf(path, sizeof(path), "%s/a.checkpoint", folder);
+  snprintf(missing, sizeof(missing), "%s/none/a.checkpoint", folder);
+  struct mo_training *training = begin(MO_TRAINING_PRETRAIN), *read = NULL;
+  struct made_up made_up;
+  struct mo_message message = {""};
+  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
+  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_NOT_FOUND);
+  CHECK(strstr(message.text, path) != NULL);
+  CHECK_INT(mo_training_read(folder, &read, &message), MO_ERR_IO);
+  CHECK_INT(mo_training_write(training, missing, &message), MO_ERR_IO);
+  REQUIRE(mo_training_write(training, path, &message) == MO_OK);
+  REQUIRE(advance_one(training, &made_up) == MO_OK);
+  struct blob now = encoded(training);
+  /* A write that fails half way leaves the old file, and nothing beside it. */
+  struct rlimit old, small = {.rlim_cur = 1 << 20};
+  REQUIRE(getrlimit(RLIMIT_FSIZE, &old) == 0);
+  small.rlim_max = old.rlim_max;
+  signal(SIGXFSZ, SIG_IGN);
+  REQUIRE(setrlimit(RLIMIT_FSIZE, &small) == 0);
+  CHECK_INT(mo_training_write(training, path, &message), MO_ERR_IO);
+  REQUIRE(setrlimit(RLIMIT_FSIZE, &old) == 0);
+  CHECK_INT(files_in(folder), 1);
+  REQUIRE(mo_training_read(path, &read, &message) == MO_OK);
+  CHECK_INT(mo_training_step(read), 0);
+  mo_training_free(read);
+  /* One that succeeds replaces it. */
+  REQUIRE(mo_training_write(training, path, &message) == MO_OK);
+  REQUIRE(mo_training_read(path, &read, &message) == MO_OK);
+  struct blob back = encoded(read);
+  CHECK(same(&now, &back));
+  CHECK_INT(files_in(folder), 1);
+  mo_training_free(read);
+  REQUIRE(truncate(path, 17 << 20) == 0);
+  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_FORMAT);
+  CHECK(strstr(message.text, "more than any checkpoint") != NULL);
+  REQUIRE(truncate(path, 1000) == 0);
+  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_FORMAT);
+  unlink(path);
+  rmdir(folder);
+  free(now.bytes);
+  free(back.bytes);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+static void lineage(void)
+{
+  struct mo_training *training = begin(MO_TRAINING_FINETUNE);
+  struct made_up made_up;
+  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
+  REQUIRE(advance_one(training, &made_up) == MO_OK);
+  struct mo_controller *c = NULL;
+  REQUIRE(mo_training_export(training, "ab12", "1.2.3", &c) == MO_OK);
+  CHECK(memcmp(c->parameters, mo_training_controller(training)->parameters, c->n_parameters * sizeof(float)) == 0);
+  CHECK_INT(c->sensor, MO_SENSOR_INVERSE_SQUARE);
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.kind"), "finetune");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.parent"), "ab12");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.seed"), "1");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.step"), "1");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.version"), "1.2.3");
+  CHECK_TEXT(
+      mo_controller_get_metadata(c, "morphod.settings"),
+      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"restarts\",\"peak\":0.00035,\"floor\":3.5e-05,\"decay\":1,"
+      "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
+      "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"physics\":{\"dt_s\":0.004,\"n_steps\":1000,"
+      "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
+      "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
+  const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
+  CHECK(designs != NULL && strlen(designs) == 16);
+  /* The file reads back, and equal trainings give equal files. */
+  struct mo_controller *again = NULL, *read = NULL;
+  struct blob blob = encoded(training), file = {NULL, 0}, file2 = {NULL, 0};
+  struct mo_training *other = decoded(&blob);
+  REQUIRE(other != NULL && mo_training_export(other, "ab12", "1.2.3", &again) == MO_OK);
+  REQUIRE(mo_controller_encode(c, &file.bytes, &file.size) == MO_OK);
+  REQUIRE(mo_controller_encode(again, &file2.bytes, &file2.size) == MO_OK);
+  CHECK(same(&file, &file2));
+  REQUIRE(mo_controller_decode(file.bytes, file.size, &read, NULL) == MO_OK);
+  CHECK_TEXT(mo_controller_get_metadata(read, "morphod.step"), "1");
+  mo_controller_free(again);
+  again = NULL;
+  CHECK_INT(mo_training_export(training, "\xff", "1", &again), MO_ERR_INVALID);
+  CHECK(again == NULL);
+  mo_training_free(other);
+  other = begin(MO_TRAINING_PRETRAIN);
+  REQUIRE(other != NULL && mo_training_export(other, NULL, "1.2.3", &again) == MO_OK);
+  CHECK_TEXT(mo_controller_get_metadata(again, "morphod.parent"), "random");
+  CHECK_TEXT(mo_controller_get_metadata(again, "morphod.kind"), "pretrain");
+  CHECK(mo_controller_get_metadata(again, "morphod.designs_crc64") == NULL);
+  free(blob.bytes);
+  free(file.bytes);
+  free(file2.bytes);
+  mo_controller_free(read);
+  mo_controller_free(again);
+  mo_controller_free(c);
+  mo_training_free(other);
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
+static const struct check_case cases[] = {
+    {"saved and restored at every step, the same bytes at the end", resume},
+    {"every setting survives", settings_kept},
+    {"the checksum", checksum},
+    {"damaged bytes are refused", damaged},
+    {"wrong contents under a right checksum are refused", wrong_contents},
+    {"files", files},
+    {"lineage", lineage},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,183 @@
+/* schedule.c: learning rates against figures of the paper and figures worked out by hand. */
+#include "../check.h"
+
+#include <morpho/learning.h>
+
+static void paper_pretraining(void)
+{
+  const struct mo_schedule s = mo_schedule_paper_pretrain();
+  /* Cycles of 10, 20, 40, … steps start at steps 0, 10, 30, 70, 150, 310, 630, 1270, each with a peak of 0.7 times the last. */
+  const struct {
+    uint32_t step;
+    double rate;
+  } starts[] = {{0, 1e-3},       {10, 7e-4},       {30, 4.9e-4},      {70, 3.43e-4},
+                {150, 2.401e-4}, {310, 1.6807e-4}, {630, 1.17649e-4}, {1270, 8.23543e-5}};
+  for (size_t i = 0; i < sizeof(starts) / sizeof(starts[0]); i++)
+    CHECK_NEAR(mo_schedule_rate(&s, starts[i].step, 1400), starts[i].rate, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 5, 1400), 5.05e-4, 1e-17); /* half way: the mean of peak and floor */
+  CHECK_NEAR(mo_schedule_rate(&s, 20, 1400), 3.55e-4, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 40, 1400), 1e-5 + 4.8e-4 * (1.0 + sqrt(0.5)) / 2.0, 1e-17); /* a quarter */
+  CHECK_NEAR(mo_schedule_rate(&s, 60, 1400), 1e-5 + 4.8e-4 * (1.0 - sqrt(0.5)) / 2.0, 1e-17);
+  CHECK(mo_schedule_rate(&s, 9, 1400) < 1e-5 + 0.03 * 1e-3); /* nearly at the floor before it restarts */
+  CHECK(mo_schedule_rate(&s, 9, 10) == mo_schedule_rate(&s, 9, 1400));
+}
+
+static void paper_finetuning(void)
+{
+  const struct mo_schedule s = mo_schedule_paper_finetune();
+  CHECK_NEAR(mo_schedule_rate(&s, 0, 60), 3.5e-4, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 50, 60), 1.925e-4, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 59, 60), 1.5e-4, 0.05e-4); /* the paper's "effective minimum learning rate" */
+  CHECK_NEAR(mo_schedule_rate(&s, 100, 200), 3.5e-4, 1e-18);
+}
+
+static void paper_simultaneous(void)
+{
+  const struct mo_schedule s = mo_schedule_paper_simultaneous();
+  CHECK_NEAR(mo_schedule_rate(&s, 10, 360), 6.5e-4, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 30, 360), 4.225e-4, 1e-17);
+}
+
+static void one_cosine(void)
+{
+  const struct mo_schedule s = mo_schedule_one_cosine();
+  CHECK_NEAR(mo_schedule_rate(&s, 0, 110), 2e-4, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 4, 110), 1e-3, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 9, 110), 2e-3, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 10, 110), 2e-3, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 60, 110), 1.005e-3, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 10 + 25, 110), 1e-5 + 1.99e-3 * (1.0 + sqrt(0.5)) / 2.0, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 109, 110), 1e-5, 1e-6);
+  CHECK(mo_schedule_rate(&s, 110, 110) == 1e-5);
+  for (uint32_t step = 11; step < 110; step++)
+    CHECK(mo_schedule_rate(&s, step, 110) < mo_schedule_rate(&s, step - 1, 110));
+  CHECK_NEAR(mo_schedule_rate(&s, 4, 5), 1e-3, 1e-18); /* shorter than its warm-up: on the way up */
+}
+
+static void corners(void)
+{
+  struct mo_schedule s = {.kind = MO_SCHEDULE_CONSTANT,
+                          .peak = 1e-3,
+                          .floor = 1e-5,
+                          .decay = 0.5,
+                          .cycle_steps = 1,
+                          .cycle_growth = 1,
+                          .warmup_steps = 2};
+  CHECK(mo_schedule_check(&s, NULL) == MO_OK);
+  CHECK_NEAR(mo_schedule_rate(&s, 0, 10), 5e-4, 1e-18);
+  CHECK(mo_schedule_rate(&s, 2, 10) == 1e-3);
+  CHECK(mo_schedule_rate(&s, 9, 10) == 1e-3);
+  s.kind = MO_SCHEDULE_RESTARTS; /* cycles of one step: only peaks, until they are below the floor */
+  CHECK_NEAR(mo_schedule_rate(&s, 3, 10), 5e-4, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 8, 10), 1e-3 / 64, 1e-18);
+  CHECK(mo_schedule_rate(&s, 9, 10) == 1e-5);
+  CHECK(mo_schedule_rate(&s, MO_TRAINING_STEPS_MAX - 1, MO_TRAINING_STEPS_MAX) == 1e-5);
+  s.cycle_steps = MO_TRAINING_STEPS_MAX;
+  s.cycle_growth = 1000;
+  CHECK(mo_schedule_check(&s, NULL) == MO_OK);
+  CHECK(mo_schedule_rate(&s, MO_TRAINING_STEPS_MAX - 1, MO_TRAINING_STEPS_MAX) > 1e-5);
+}
+
+/* Against the C library's cosine, for every step of cycles of many lengths. */
+static void cosine(void)
+{
+  struct mo_schedule s = {.kind = MO_SCHEDULE_COSINE, .peak = 1.0, .floor = 1e-300};
+  double worst = 0.0;
+  for (uint32_t n = 1; n < 3000; n += 7)
+    for (uint32_t step = 0; step < n; step++) {
+      const double expected = (1.0 + cos(3.14159265358979323846 * step / n)) / 2.0;
+      worst = fmax(worst, fabs(mo_schedule_rate(&s, step, n) - expected));
+    }
+  printf("# largest difference from the C library: %g\n", worst);
+  CHECK(worst < 5e-16);
+}
+
+/* The bits are part of the format: a restored training must go on with the same rates. */
+static void bits(void)
+{
+  const struct mo_schedule s = mo_schedule_one_cosine(), p = mo_schedule_paper_pretrain();
+  uint64_t hash = 0;
+  for (uint32_t step = 0; step < 1400; step++) {
+    const double rates[2] = {mo_schedule_rate(&s, step, 1400), mo_schedule_rate(&p, step, 1400)};
+    for (int i = 0; i < 2; i++) {
+      uint64_t word;
+      memcpy(&word, &rates[i], sizeof(word));
+      hash = (hash ^ word) * UINT64_C(0x9e3779b97f4a7c15);
+      hash ^= hash >> 29;
+    }
+  }
+  printf("# hash of 2800 rates: %016llx\n", (unsigned long long)hash);
+  CHECK(hash == UINT64_C(0x5729012fd3ea6147));
+}
+
+static void refused(void)
+{
+  const struct {
+    struct mo_schedule schedule;
+    int code;
+    const char *says;
+  } cases[] = {
+      {{.kind = (enum mo_schedule_kind)3, .peak = 1, .floor = 1, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_INVALID,
+       "schedule kind is 3"},
+      {{.peak = NAN, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_INVALID,
+       "peak is not finite"},
+      {{.peak = -1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "peak is -0.001"},
+      {{.peak = 1.5, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "at most 1"},
+      {{.peak = 1e-3, .floor = 0, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "floor is 0"},
+      {{.peak = 1e-3, .floor = INFINITY, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_INVALID,
+       "floor is not finite"},
+      {{.peak = 1e-3, .floor = 2e-3, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "lower the floor"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 0, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "decay is 0"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1.1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "decay is 1.1"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 0, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "cycle_steps is 0"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 0},
+       MO_ERR_RANGE,
+       "cycle_growth is 0"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1001}, MO_ERR_RANGE, "1 to 1000"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1, .warmup_steps = 1000001},
+       MO_ERR_RANGE,
+       "warmup_steps is 1000001"},
+  };
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_message message = {""};
+    CHECK_INT(mo_schedule_check(&cases[i].schedule, &message), cases[i].code);
+    if (strstr(message.text, cases[i].says) == NULL) {
+      printf("# \"%s\" lacks \"%s\"\n", message.text, cases[i].says);
+      CHECK(0);
+    }
+  }
+}
+
+static void names(void)
+{
+  for (int i = 0; i < 3; i++) {
+    enum mo_schedule_kind kind;
+    CHECK_INT(mo_schedule_from_name(mo_schedule_name((enum mo_schedule_kind)i), &kind), MO_OK);
+    CHECK_INT(kind, i);
+  }
+  enum mo_schedule_kind kind;
+  CHECK_INT(mo_schedule_from_name("linear", &kind), MO_ERR_NOT_FOUND);
+  CHECK_TEXT(mo_schedule_name((enum mo_schedule_kind)7), "unknown");
+  const struct mo_schedule all[] = {mo_schedule_paper_pretrain(), mo_schedule_paper_finetune(),
+                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine()};
+  for (int i = 0; i < 4; i++)
+    CHECK_INT(mo_schedule_check(&all[i], NULL), MO_OK);
+}
+
+static const struct check_case cases[] = {
+    {"the paper's pretraining", paper_pretraining},
+    {"the paper's finetuning", paper_finetuning},
+    {"the paper's simultaneous co-design", paper_simultaneous},
+    {"one cosine with a warm-up", one_cosine},
+    {"constant rates, short cycles, long cycles", corners},
+    {"the cosine against the C library's", cosine},
+    {"the same bits everywhere", bits},
+    {"bad schedules are refused with a reason", refused},
+    {"names", names},
+};
+CHECK_MAIN(cases)

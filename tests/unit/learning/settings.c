@@ -1,0 +1,164 @@
+/* settings.c: defaults, and requests that must be refused with a reason. */
+#include "fixture.h"
+
+static void defaults(void)
+{
+  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
+  const struct mo_training_settings finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
+  CHECK_INT(mo_training_settings_check(&pretrain, NULL), MO_OK);
+  CHECK_INT(mo_training_settings_check(&finetune, NULL), MO_OK);
+  CHECK(pretrain.n_steps == 1400 && pretrain.batch == 256 && finetune.n_steps == 60);
+  CHECK(pretrain.schedule.kind == MO_SCHEDULE_COSINE && pretrain.adjoint_bound == 2.0 && pretrain.norm_limit == 1.0);
+  CHECK(pretrain.beta1 == 0.9 && pretrain.beta2 == 0.999);
+}
+
+static void expect(int actual, int code, const struct mo_message *message, const char *says)
+{
+  CHECK_INT(actual, code);
+  if (strstr(message->text, says) == NULL) {
+    printf("# \"%s\" lacks \"%s\"\n", message->text, says);
+    CHECK(0);
+  }
+}
+
+static void refused_settings(void)
+{
+  static const struct {
+    enum { KIND, STEPS, BATCH, BETA1, BETA2, EPSILON, NORM, BOUND, SENSOR, DESIGNS, ENVIRONMENTS, PEAK, DT } what;
+    double value;
+    int code;
+    const char *says;
+  } cases[] = {
+      {KIND, 2, MO_ERR_INVALID, "kind of training is 2"},
+      {STEPS, 0, MO_ERR_RANGE, "steps: 0; it must be 1 to 1000000"},
+      {STEPS, 1e9, MO_ERR_RANGE, "steps: 1000000000"},
+      {BATCH, 0, MO_ERR_RANGE, "batch: 0; it must be 1 to 65536"},
+      {BATCH, 65537, MO_ERR_RANGE, "batch: 65537"},
+      {BATCH, 65536, MO_OK, ""},
+      {BETA1, 1, MO_ERR_RANGE, "beta1 is 1; it must be at least 0 and below 1"},
+      {BETA1, -0.1, MO_ERR_RANGE, "beta1 is -0.1"},
+      {BETA1, NAN, MO_ERR_INVALID, "beta1 is not finite"},
+      {BETA2, 1.5, MO_ERR_RANGE, "beta2 is 1.5"},
+      {EPSILON, 0, MO_ERR_RANGE, "epsilon is 0; it must be above 0"},
+      {NORM, -1, MO_ERR_RANGE, "gradient_norm_limit is -1"},
+      {NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
+      {NORM, 0, MO_OK, ""},
+      {BOUND, -2, MO_ERR_RANGE, "adjoint_bound is -2"},
+      {BOUND, NAN, MO_ERR_INVALID, "adjoint_bound is not finite"},
+      {SENSOR, 2, MO_ERR_INVALID, "inverse_sqrt"},
+      {DESIGNS, 10001, MO_ERR_RANGE, "held-out designs: 10001"},
+      {ENVIRONMENTS, 65, MO_ERR_RANGE, "held-out environments: 65"},
+      {ENVIRONMENTS, 0, MO_OK, ""},
+      {PEAK, -1e-3, MO_ERR_RANGE, "peak is -0.001"},
+      {DT, 1, MO_ERR_RANGE, "dt_s is 1"},
+  };
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
+    struct mo_message message = {""};
+    const double value = cases[i].value;
+    switch (cases[i].what) {
+    case KIND: s.kind = (enum mo_training_kind)value; break;
+    case STEPS: s.n_steps = (uint32_t)value; break;
+    case BATCH: s.batch = (uint32_t)value; break;
+    case BETA1: s.beta1 = value; break;
+    case BETA2: s.beta2 = value; break;
+    case EPSILON: s.epsilon = value; break;
+    case NORM: s.norm_limit = value; break;
+    case BOUND: s.adjoint_bound = value; break;
+    case SENSOR: s.sensor = (enum mo_sensor)value; break;
+    case DESIGNS: s.held_out_designs = (uint32_t)value; break;
+    case ENVIRONMENTS: s.held_out_environments = (uint32_t)value; break;
+    case PEAK: s.schedule.peak = value; break;
+    case DT: s.physics.dt_s = value; break;
+    }
+    expect(mo_training_settings_check(&s, &message), cases[i].code, &message, cases[i].says);
+    struct mo_training *training = NULL;
+    if (cases[i].code != MO_OK) {
+      CHECK_INT(mo_training_create(&s, NULL, NULL, 0, &training, NULL), cases[i].code);
+      CHECK(training == NULL);
+    }
+  }
+  struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
+  struct mo_message message = {""};
+  s.n_steps = MO_TRAINING_STEPS_MAX;
+  CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
+  s.batch = 8192;
+  expect(mo_training_settings_check(&s, &message), MO_ERR_RANGE, &message, "steps × batch is 8192000000");
+  s.kind = MO_TRAINING_FINETUNE; /* draws no bodies */
+  CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
+}
+
+static void refused_requests(void)
+{
+  const struct mo_training_settings pretrain = mo_training_defaults(MO_TRAINING_PRETRAIN);
+  const struct mo_training_settings finetune = mo_training_defaults(MO_TRAINING_FINETUNE);
+  struct mo_training *training = NULL;
+  struct mo_controller *parent = NULL, *tiny = NULL;
+  struct mo_message message = {""};
+  uint64_t designs[2 * MO_DEFAULT_WORDS];
+  REQUIRE(mo_held_out_designs(1, 2, designs) == MO_OK);
+  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &parent) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT, &tiny) == MO_OK);
+  expect(mo_training_create(&finetune, NULL, designs, 2, &training, &message), MO_ERR_INVALID, &message,
+         "needs a controller to start from");
+  expect(mo_training_create(&finetune, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message,
+         "needs 1 to 10000 designs");
+  expect(mo_training_create(&finetune, parent, designs, 10001, &training, &message), MO_ERR_RANGE, &message,
+         "10001 designs");
+  expect(mo_training_create(&pretrain, NULL, designs, 2, &training, &message), MO_ERR_INVALID, &message,
+         "draws its own bodies");
+  expect(mo_training_create(&pretrain, tiny, NULL, 0, &training, &message), MO_ERR_UNSUPPORTED, &message,
+         "1x2x3 voxels; trainings need one for 6x6x4");
+  expect(mo_training_create(&finetune, tiny, designs, 2, &training, &message), MO_ERR_UNSUPPORTED, &message, "1x2x3");
+  const uint64_t good = designs[MO_DEFAULT_WORDS];
+  memset(designs + MO_DEFAULT_WORDS, 0, MO_DEFAULT_WORDS * sizeof(uint64_t));
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
+         "design 1 is empty or not in one piece");
+  designs[MO_DEFAULT_WORDS] = UINT64_C(1); /* a corner of the workspace */
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
+         "design 1 is not placed");
+  designs[2 * MO_DEFAULT_WORDS - 1] = UINT64_C(1) << 63;
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
+         "design 1 has bits past the last voxel");
+  designs[MO_DEFAULT_WORDS] = good;
+  parent->parameters[17] = NAN;
+  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message, "parameter 17");
+  parent->parameters[17] = -2e6F;
+  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message, "parameter 17");
+  CHECK(training == NULL);
+  parent->parameters[17] = 0.25F; /* a good one keeps its weights and its sensor, whatever the settings say */
+  REQUIRE(mo_training_create(&pretrain, parent, NULL, 0, &training, &message) == MO_OK);
+  CHECK(mo_training_controller(training)->parameters[17] == 0.25F);
+  CHECK_INT(mo_training_controller(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
+  CHECK_INT(mo_training_settings_of(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
+  mo_training_free(training);
+  mo_controller_free(parent);
+  mo_controller_free(tiny);
+  mo_training_free(NULL);
+}
+
+/* Random weights come from the seed: the same seed, the same weights; another one, others. */
+static void initial_weights(void)
+{
+  struct mo_training *trainings[3];
+  for (int i = 0; i < 3; i++) {
+    struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
+    s.seed = i == 2 ? 9 : 8;
+    REQUIRE(mo_training_create(&s, NULL, NULL, 0, &trainings[i], NULL) == MO_OK);
+  }
+  const struct mo_controller *c[3] = {mo_training_controller(trainings[0]), mo_training_controller(trainings[1]),
+                                      mo_training_controller(trainings[2])};
+  CHECK(memcmp(c[0]->parameters, c[1]->parameters, c[0]->n_parameters * sizeof(float)) == 0);
+  CHECK(memcmp(c[0]->parameters, c[2]->parameters, c[0]->n_parameters * sizeof(float)) != 0);
+  CHECK(c[0]->norm_gain[1][5] == 1.0F && c[0]->bias[2][7] == 0.0F);
+  for (int i = 0; i < 3; i++)
+    mo_training_free(trainings[i]);
+}
+
+static const struct check_case cases[] = {
+    {"defaults", defaults},
+    {"bad settings are refused with a reason", refused_settings},
+    {"bad requests are refused with a reason", refused_requests},
+    {"initial weights", initial_weights},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,99 @@
+/* train.c: a tiny training with real gradients: three designs, 80 time steps, 10 steps of learning. The mean loss of all its robots
+ * goes down, and an interrupted training ends with the same bytes. */
+#include "fixture.h"
+
+enum { DESIGNS = 3, STEPS = 10, BATCH = 4 };
+
+/* Mean loss of the robots of all steps with these weights. */
+static double loss_of(const struct mo_controller *controller, const struct mo_body *const bodies[DESIGNS],
+                      const struct mo_physics *physics)
+{
+  double sum = 0.0;
+  for (uint32_t step = 0; step < STEPS; step++)
+    for (uint32_t i = 0; i < BATCH; i++) {
+      struct mo_environment environment;
+      struct mo_outcome outcome = {.loss = NAN};
+      mo_environment_training(1, step, i, &environment);
+      mo_rollout_reference(bodies[(step * BATCH + i) % DESIGNS], controller, &environment, physics, NULL, &outcome);
+      sum += outcome.loss / (STEPS * BATCH);
+    }
+  return sum;
+}
+
+static struct mo_training *begin(void)
+{
+  struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_FINETUNE);
+  settings.n_steps = STEPS;
+  settings.batch = BATCH;
+  settings.physics.n_steps = 80;
+  settings.schedule = mo_schedule_one_cosine();
+  settings.schedule.warmup_steps = 2;
+  return finetuning(&settings, DESIGNS, 1.0F);
+}
+
+static int learn(struct mo_training *training, struct made_up *made_up, bool save)
+{
+  const struct mo_training_settings *settings = mo_training_settings_of(training);
+  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch};
+  const struct mo_robot *robots;
+  int r = mo_training_draw(training, NULL, NULL, &robots);
+  memset(made_up->gradient, 0, made_up->n * sizeof(double));
+  made_up->counts = (struct mo_gradient_counts){0};
+  for (uint32_t i = 0; i < settings->batch && r == MO_OK; i++)
+    r = mo_gradient_reference(robots[i].body, mo_training_controller(training), robots[i].environment,
+                              &settings->physics, &options, &made_up->outcomes[i], made_up->gradient, &made_up->counts);
+  struct mo_training_report report = {0};
+  if (r == MO_OK)
+    r = mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts, &report);
+  if (save)
+    printf("# step %u: loss %.6f, gradient norm %.3g, rate %.3g\n", report.step, report.mean_loss, report.gradient_norm,
+           report.rate);
+  return report.skipped ? MO_ERR_INVALID : r;
+}
+
+static void learns(void)
+{
+  struct mo_training *training = begin(), *again = begin();
+  struct mo_lattice *lattice = NULL;
+  struct mo_body *bodies[DESIGNS] = {NULL};
+  uint64_t designs[DESIGNS * MO_DEFAULT_WORDS];
+  struct made_up made_up;
+  REQUIRE(training != NULL && again != NULL && made_up_create(&made_up, training) == 0);
+  REQUIRE(mo_held_out_designs(1, DESIGNS, designs) == MO_OK);
+  REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
+  for (int i = 0; i < DESIGNS; i++)
+    REQUIRE(mo_body_create(lattice, designs + (size_t)MO_DEFAULT_WORDS * i, &bodies[i]) == MO_OK);
+  const struct mo_physics *physics = &mo_training_settings_of(training)->physics;
+  const double before = loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  for (uint32_t step = 0; step < STEPS; step++) {
+    REQUIRE(learn(training, &made_up, true) == MO_OK);
+    if (step == 4) { /* the other one is interrupted here and there */
+      uint8_t *bytes = NULL;
+      size_t size = 0;
+      REQUIRE(mo_training_encode(again, &bytes, &size) == MO_OK);
+      mo_training_free(again);
+      again = NULL;
+      REQUIRE(mo_training_decode(bytes, size, &again, NULL) == MO_OK);
+      free(bytes);
+    }
+    REQUIRE(learn(again, &made_up, false) == MO_OK);
+  }
+  const double after = loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  printf("# loss of all %d robots: %.6f before, %.6f after\n", STEPS * BATCH, before, after);
+  CHECK(after < before - 0.001);
+  uint8_t *a = NULL, *b = NULL;
+  size_t n = 0, m = 0;
+  REQUIRE(mo_training_encode(training, &a, &n) == MO_OK && mo_training_encode(again, &b, &m) == MO_OK);
+  CHECK(n == m && memcmp(a, b, n) == 0);
+  free(a);
+  free(b);
+  for (int i = 0; i < DESIGNS; i++)
+    mo_body_free(bodies[i]);
+  mo_lattice_free(lattice);
+  made_up_free(&made_up);
+  mo_training_free(training);
+  mo_training_free(again);
+}
+
+static const struct check_case cases[] = {{"a tiny training lowers its loss", learns}};
+CHECK_MAIN(cases)
