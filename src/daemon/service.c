@@ -185,7 +185,10 @@ static void log_events(void *context, const struct mo_event *events, size_t n)
 {
   (void)context;
   for (size_t i = 0; i < n; i++) {
-    enum log_level level = strcmp(events[i].type, "job.progress") == 0 ? LOG_LEVEL_DEBUG : LOG_LEVEL_INFO;
+    enum log_level level =
+        strcmp(events[i].type, "job.progress") == 0 || strcmp(events[i].type, "training.progress") == 0
+            ? LOG_LEVEL_DEBUG
+            : LOG_LEVEL_INFO;
     if (log_enabled(level))
       log_event(level, &events[i]);
   }
@@ -377,6 +380,7 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   struct mo_jobs_config jobs = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
                                 .max_open_rollouts = settings->max_open_rollouts,
                                 .max_recorded_bytes = settings->max_recorded_bytes,
+                                .version = MORPHOD_VERSION,
                                 .crash_marker = last_marker,
                                 .warn = job_has_failed};
   error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);

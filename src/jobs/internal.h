@@ -16,6 +16,7 @@
 #include <stdio.h>
 
 #include "jobs/jobs.h"
+#include "jobs/trainings.h"
 #include "store/runner.h"
 
 #define MO_ROLLOUT_BUCKETS 4096
@@ -108,6 +109,21 @@ struct mo_wish {
   struct mo_wish *next;
 };
 
+/* What a running training is asked to do; the larger one counts. */
+enum mo_trainer_wish { MO_WISH_NONE = 0, MO_WISH_PAUSE, MO_WISH_STOP, MO_WISH_CANCEL };
+
+/* A thread that runs one training after the other. Fields under trainers_mutex, but for the flags that the back end reads. */
+struct mo_trainer {
+  struct mo_jobs *jobs;
+  pthread_t thread;
+  bool thread_started;
+  int64_t id; /* 0: it runs none */
+  enum mo_trainer_wish wish;
+  struct mo_training_live live;
+  volatile int interrupt;     /* set with every wish */
+  volatile uint64_t replayed; /* written by the draw */
+};
+
 struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by who may touch what */
   struct mo_store *store;
   struct mo_compute *compute;
@@ -137,6 +153,16 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   bool abandon; /* stop waiting for saves that do not succeed */
   pthread_cond_t stop_done;
 
+  /* Trainings. */
+  pthread_mutex_t trainers_mutex;
+  pthread_cond_t trainers_news; /* wishes, queued trainings, ends of threads */
+  struct mo_trainer *trainers;  /* (config.max_active_trainings) */
+  uint32_t trainers_alive;      /* threads that have not ended */
+  uint64_t trainers_look;       /* grows when there may be queued ones */
+  bool trainers_stopping;
+  atomic_bool trainers_unsaved; /* one was stopped for which there was no room */
+  char *code_version;
+
   /* The scheduler's own. */
   pthread_t thread;
   bool thread_started;
@@ -159,11 +185,45 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
 
   atomic_uint_fast64_t active_batch, active_interactive, blocks_in_flight;
   atomic_uint_fast64_t computed, cached, shared, diverged, submitted, succeeded, failed, cancelled;
+  atomic_uint_fast64_t active_trainings, training_steps, training_robots, training_diverged, training_zeroed,
+      training_validations, training_checkpoints, training_ns;
   atomic_int_fast64_t heartbeat_us;
   atomic_bool no_space, is_stopping;
 };
 
 int64_t mo_jobs_clock_us(void); /* monotonic */
+
+extern _Thread_local volatile int64_t mo_trainer_tag; /* the training that this thread runs, or −1 */
+
+/* ---- submit.c ---- */
+/* Places every genotype and finds its canonical form. MO_ERR_INVALID with the first that is none. */
+int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,
+                     struct mo_message *message);
+int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message); /* MO_ERR_BUSY */
+int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message);
+
+/* ---- trainings.c ---- */
+int mo_trainers_start(struct mo_jobs *jobs);
+void mo_trainers_stop(struct mo_jobs *jobs);                                  /* asks; does not wait */
+bool mo_trainers_wait(struct mo_jobs *jobs, const struct timespec *deadline); /* true: all have ended */
+void mo_trainers_free(struct mo_jobs *jobs);                                  /* stops, waits, frees */
+void mo_trainers_wake(struct mo_jobs *jobs);
+void mo_trainers_wish(struct mo_jobs *jobs, int64_t id, enum mo_trainer_wish wish);
+enum mo_trainer_wish mo_trainer_wished(struct mo_trainer *trainer);
+/* Sleeps until the time is over or a wish of at least `least` has come. */
+void mo_trainer_sleep(struct mo_trainer *trainer, uint32_t ms, enum mo_trainer_wish least);
+
+/* ---- training_run.c ---- */
+/* Runs a training that was started, to its end or until a wish; tells the store what came of it. Returns whether it ended an attempt
+ * with an error. */
+bool mo_training_run(struct mo_trainer *trainer, int64_t id);
+
+/* ---- training_held_out.c ---- */
+int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status, struct mo_held_out *held_out);
+/* Scores it with weights as they are. MO_ERR_CANCELLED; MO_ERR_NO_MEMORY and other errors of blocks. */
+int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
+                      const struct mo_physics *physics, int64_t tag, const volatile int *cancel,
+                      struct mo_training_validation_row *row);
 
 /* ---- scheduler.c ---- */
 void *mo_scheduler_loop(void *jobs);

@@ -24,6 +24,10 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
     config->max_active_batch = 8;
   if (config->max_active_interactive == 0)
     config->max_active_interactive = 64;
+  if (config->max_active_trainings == 0)
+    config->max_active_trainings = 1;
+  if (config->max_active_trainings > 16)
+    config->max_active_trainings = 16;
   if (config->window_batch == 0)
     config->window_batch = 2 * n_workers;
   if (config->window_interactive == 0)
@@ -34,7 +38,8 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
     config->max_attempts = 3;
   if (config->save_interval_ms == 0)
     config->save_interval_ms = 100;
-  config->crash_marker = NULL; /* read by now; the caller's text is not kept */
+  config->crash_marker = NULL; /* read by now; the callers' texts are not kept */
+  config->version = NULL;
 }
 
 /* ---- the marker ---- */
@@ -112,9 +117,23 @@ int mo_jobs_recount(struct mo_jobs *jobs)
   return MO_OK;
 }
 
-static int prepare(struct mo_jobs *jobs, const char *marker)
+/* What the bits of a trained controller depend on besides its settings. */
+static int name_code(struct mo_jobs *jobs, const char *version)
+{
+  const char *fingerprint = mo_compute_gradient_fingerprint(jobs->compute);
+  size_t size = strlen(version) + strlen(fingerprint) + 2;
+  jobs->code_version = malloc(size);
+  if (jobs->code_version == NULL)
+    return MO_ERR_NO_MEMORY;
+  snprintf(jobs->code_version, size, "%s%s%s", version, version[0] != '\0' ? " " : "", fingerprint);
+  return MO_OK;
+}
+
+static int prepare(struct mo_jobs *jobs, const char *marker, const char *version)
 {
   int error = mo_lattice_create(MO_DEFAULT_WORKSPACE, &jobs->lattice);
+  if (error == MO_OK)
+    error = name_code(jobs, version != NULL ? version : "");
   for (int precision = 0; precision < 2 && error == MO_OK; precision++)
     error = mo_store_fingerprint(jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
                                  &jobs->fingerprints[precision]);
@@ -135,6 +154,8 @@ static void init_locks(struct mo_jobs *jobs)
   pthread_mutex_init(&jobs->admission_mutex, NULL);
   pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->mutex, NULL);
+  pthread_mutex_init(&jobs->trainers_mutex, NULL);
+  pthread_cond_init(&jobs->trainers_news, &monotonic);
   pthread_cond_init(&jobs->ended, &monotonic);
   pthread_cond_init(&jobs->news, &monotonic);
   pthread_cond_init(&jobs->stop_done, &monotonic);
@@ -165,6 +186,9 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_actives_free_all(jobs);
   mo_loaded_free_all(jobs);
   mo_lattice_free(jobs->lattice);
+  free(jobs->code_version);
+  pthread_mutex_destroy(&jobs->trainers_mutex);
+  pthread_cond_destroy(&jobs->trainers_news);
   pthread_mutex_destroy(&jobs->admission_mutex);
   pthread_mutex_destroy(&jobs->wait_mutex);
   pthread_mutex_destroy(&jobs->mutex);
@@ -190,10 +214,13 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const str
   init_locks(jobs);
   jobs->look = true;
   atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
-  error = prepare(jobs, config->crash_marker);
+  error = prepare(jobs, config->crash_marker, config->version);
+  if (error == MO_OK)
+    error = mo_trainers_start(jobs);
   if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
     error = MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
+    mo_trainers_free(jobs);
     free_jobs(jobs);
     return mo_fail(message, error, "the scheduler cannot start: %s", mo_error_text(error));
   }
@@ -220,6 +247,7 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   struct timespec deadline = after_ms(deadline_ms);
   bool stopped;
   atomic_store(&jobs->is_stopping, true);
+  mo_trainers_stop(jobs);
   pthread_mutex_lock(&jobs->mutex);
   jobs->stopping = true;
   jobs->look = true;
@@ -229,7 +257,8 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
       break;
   stopped = jobs->stopped;
   pthread_mutex_unlock(&jobs->mutex);
-  return stopped && !atomic_load(&jobs->no_space) ? MO_OK : MO_ERR_BUSY;
+  stopped = mo_trainers_wait(jobs, &deadline) && stopped;
+  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainers_unsaved) ? MO_OK : MO_ERR_BUSY;
 }
 
 void mo_jobs_free(struct mo_jobs *jobs)
@@ -243,6 +272,7 @@ void mo_jobs_free(struct mo_jobs *jobs)
   jobs->look = true;
   pthread_cond_signal(&jobs->news);
   pthread_mutex_unlock(&jobs->mutex);
+  mo_trainers_free(jobs);
   pthread_join(jobs->thread, NULL);
   free_jobs(jobs);
 }
@@ -268,9 +298,14 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     atomic_fetch_add(&jobs->cancelled, 1);
     mo_jobs_closed(jobs, job.rollouts_total);
   }
-  if (change_to == MO_CHANGE_RESUME) {
+  if (job.kind == MO_JOB_TRAINING || change_to == MO_CHANGE_RESUME) {
     free(wish);
-    mo_jobs_wake(jobs);
+    if (change_to != MO_CHANGE_RESUME)
+      mo_trainers_wish(jobs, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
+    else if (job.kind == MO_JOB_TRAINING)
+      mo_trainers_wake(jobs);
+    else
+      mo_jobs_wake(jobs);
     return MO_OK;
   }
   wish->id = id;
@@ -336,6 +371,14 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .jobs_succeeded = atomic_load(&jobs->succeeded),
       .jobs_failed = atomic_load(&jobs->failed),
       .jobs_cancelled = atomic_load(&jobs->cancelled),
+      .active_trainings = atomic_load(&jobs->active_trainings),
+      .training_steps = atomic_load(&jobs->training_steps),
+      .training_robots = atomic_load(&jobs->training_robots),
+      .training_diverged = atomic_load(&jobs->training_diverged),
+      .training_zeroed = atomic_load(&jobs->training_zeroed),
+      .training_validations = atomic_load(&jobs->training_validations),
+      .training_checkpoints = atomic_load(&jobs->training_checkpoints),
+      .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),

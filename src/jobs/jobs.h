@@ -1,4 +1,4 @@
-/* jobs.h: accepts evaluations, runs them on a compute back end, keeps their results in the store.
+/* jobs.h: accepts evaluations and trainings (jobs/trainings.h), runs them on a compute back end, keeps their results in the store.
  *
  * A scheduler thread claims queued jobs, cuts them into blocks (one design, up to MO_BLOCK_LANES environments), keeps a small
  * window of blocks in flight in the back end, and saves losses in grouped writes as they come. Interactive jobs go first; jobs
@@ -23,13 +23,16 @@ struct mo_jobs_config {
   uint64_t max_recorded_bytes;     /* of one evaluation; 0: 64 MiB */
   uint32_t max_active_batch;       /* jobs that run side by side; 0: 8 */
   uint32_t max_active_interactive; /* 0: 64 */
+  uint32_t max_active_trainings;   /* trainings that run side by side, ≤ 16; 0: 1 */
   uint32_t window_batch;           /* blocks in flight; 0: 2 per worker */
   uint32_t window_interactive;     /* 0: 4 per worker */
   uint32_t controllers_kept;       /* controllers kept ready for the back end, least recently used go; 0: 8 */
   uint32_t max_attempts;           /* crashes or errors until a job is parked as failed; 0: 3 */
   uint32_t save_interval_ms;       /* losses wait at most this long for their commit; 0: 100 */
+  const char *version;             /* of the product, for the lineage of trained controllers; NULL: "" */
   const char *crash_marker; /* file that mo_jobs_crash_note wrote in an earlier life; NULL: none. Read, then emptied */
-  /* Told of every error that ends an attempt of a job, for the log; on the scheduler's thread. Nullable. */
+  /* Told, for the log, of every error that ends an attempt of a job, of a damaged checkpoint that is passed over, and of a
+   * training that waits for room (once each time); on the scheduler's or a training's thread. Nullable. */
   void (*warn)(void *context, int64_t job, int error, const char *text);
   void *warn_context;
 };
@@ -39,7 +42,7 @@ struct mo_jobs_config {
 int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const struct mo_jobs_config *config,
                    struct mo_jobs **jobs, struct mo_message *message);
 
-/* Parks: nothing new starts, blocks in flight are cancelled, what is computed is saved, running jobs become queued. Returns
+/* Parks: nothing new starts, blocks in flight are cancelled, what is computed is saved, trainings write a checkpoint, running jobs become queued. Returns
  * MO_OK when all is saved, MO_ERR_BUSY when `deadline_ms` passed first (the process may end all the same: nothing acknowledged
  * is lost). Submissions give MO_ERR_CANCELLED from now on. */
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
@@ -91,16 +94,20 @@ struct mo_jobs_stats {
       rollouts_diverged;                                                /* since the start; shared: computed once for
                                                                                        several jobs */
   uint64_t jobs_submitted, jobs_succeeded, jobs_failed, jobs_cancelled; /* since the start */
-  int64_t heartbeat_us; /* monotonic clock: when the scheduler last came round (at least once per s) */
-  bool no_space;        /* running jobs wait for room on the disk; they go on by themselves */
+  uint64_t active_trainings;                                            /* running or being prepared */
+  uint64_t training_steps, training_robots, training_diverged, training_zeroed, training_validations,
+      training_checkpoints; /* since the start */
+  double training_step_s;   /* sum of the wall time of these steps */
+  int64_t heartbeat_us;     /* monotonic clock: when the scheduler last came round (at least once per s) */
+  bool no_space;            /* running jobs wait for room on the disk; they go on by themselves */
   bool stopping;
 };
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats); /* lock-free */
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a marker file that was opened
- * beforehand, where tag is mo_compute_current_tag(), the id of the job that the faulting thread was working on. Writes nothing on
- * threads that are not inside a block. Async-signal-safe. Pass the file's path as `crash_marker` at the next start. */
+ * beforehand, where tag is mo_compute_current_tag(), the id of the job that the faulting thread was working on (of a training's own
+ * thread: that training). Writes nothing on threads that work for no job. Async-signal-safe. Pass the file's path as `crash_marker` at the next start. */
 void mo_jobs_crash_note(int fd, int signal_number);
 
 #endif

@@ -6,6 +6,15 @@
 
 #define INTERACTIVE_ROLLOUTS 64
 
+int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message)
+{
+  if (label != NULL && strlen(label) > MO_LABEL_BYTES_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "the label is longer than %d bytes", MO_LABEL_BYTES_MAX);
+  if (idempotency_key != NULL && (idempotency_key[0] == '\0' || strlen(idempotency_key) > MO_IDEMPOTENCY_BYTES_MAX))
+    return mo_fail(message, MO_ERR_RANGE, "an idempotency key has 1 to %d bytes", MO_IDEMPOTENCY_BYTES_MAX);
+  return MO_OK;
+}
+
 static int check_request(const struct mo_evaluation_request *request, struct mo_message *message)
 {
   uint32_t where;
@@ -31,11 +40,9 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
     return mo_fail(message, MO_ERR_INVALID, "no such precision");
   if (request->priority < -1 || request->priority > MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  if (request->label != NULL && strlen(request->label) > MO_LABEL_BYTES_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "the label is longer than %d bytes", MO_LABEL_BYTES_MAX);
-  if (request->idempotency_key != NULL &&
-      (request->idempotency_key[0] == '\0' || strlen(request->idempotency_key) > MO_IDEMPOTENCY_BYTES_MAX))
-    return mo_fail(message, MO_ERR_RANGE, "an idempotency key has 1 to %d bytes", MO_IDEMPOTENCY_BYTES_MAX);
+  error = mo_submission_check_texts(request->label, request->idempotency_key, message);
+  if (error != MO_OK)
+    return error;
   if ((request->record_com || request->record_masses) &&
       (request->record_stride < 1 || request->record_stride > request->physics.n_steps))
     return mo_fail(message, MO_ERR_RANGE, "the stride of a recording is 1 to the number of steps (%u), not %u",
@@ -43,13 +50,12 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
   return MO_OK;
 }
 
-/* Places every genotype and finds its canonical form. */
-static int place_all(const struct mo_evaluation_request *request, struct mo_bits *forms, struct mo_bits *genotypes,
+int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,
                      struct mo_message *message)
 {
-  for (uint32_t i = 0; i < request->n_designs; i++) {
+  for (uint32_t i = 0; i < n; i++) {
     int contiguous;
-    genotypes[i] = request->genotypes[i];
+    genotypes[i] = asked[i];
     if (mo_genotype_count(MO_DEFAULT_WORKSPACE, genotypes[i].words) == 0)
       return mo_fail(message, MO_ERR_INVALID, "design %u is empty", (unsigned)i);
     contiguous = mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, genotypes[i].words);
@@ -89,7 +95,7 @@ static int check_recording(struct mo_jobs *jobs, const struct mo_submission *sub
   return MO_OK;
 }
 
-static int admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message)
+int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message)
 {
   int error = MO_OK;
   pthread_mutex_lock(&jobs->admission_mutex);
@@ -124,7 +130,7 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *sub
                            struct mo_message *message)
 {
   uint64_t rollouts = (uint64_t)submission->n_designs * submission->n_environments;
-  int error = admit(jobs, rollouts, message);
+  int error = mo_jobs_admit(jobs, rollouts, message);
   if (error != MO_OK)
     return error;
   error = mo_store_submit(jobs->store, submission, id, replayed);
@@ -190,7 +196,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   }
   submission.forms = forms;
   submission.genotypes = genotypes;
-  error = place_all(request, forms, genotypes, message);
+  error = mo_designs_place(request->genotypes, request->n_designs, forms, genotypes, message);
   if (error == MO_OK && (request->record_com || request->record_masses))
     error = check_recording(jobs, &submission, message);
   if (error == MO_OK)

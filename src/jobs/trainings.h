@@ -53,4 +53,16 @@ struct mo_training_live {
 int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id,
                           struct mo_training_live *live); /* idle if it does not run */
 
+/* What validation scores: every design in every environment, with the settings' physics, in float32. A pretraining: bodies of the
+ * held-out stream of its seed; a finetuning: the first of its designs, which it learns on, too, but in other environments. Both arrays
+ * belong to the caller (malloc). MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
+struct mo_held_out {
+  struct mo_bits *genotypes; /* (n_designs) placed */
+  uint32_t n_designs;
+  struct mo_environment *environments; /* (n_environments) */
+  uint32_t n_environments;
+};
+int mo_jobs_training_held_out(struct mo_jobs *jobs, int64_t id, struct mo_held_out *held_out);
+void mo_held_out_free(struct mo_held_out *held_out); /* what it holds; NULL-safe */
+
 #endif

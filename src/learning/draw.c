@@ -27,7 +27,7 @@ static int take(struct mo_training *training, uint64_t *body)
 
 static bool is_cancelled(const struct mo_training *training, const volatile int *cancel)
 {
-  return cancel != NULL && training->taken % ASK_EVERY == 0 && *cancel != 0;
+  return cancel != NULL && training->taken % ASK_EVERY == 0 && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
 }
 
 static int replay(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)
@@ -41,7 +41,7 @@ static int replay(struct mo_training *training, const volatile int *cancel, vola
     if (r < 0)
       return r;
     if (replayed != NULL)
-      *replayed = training->taken;
+      __atomic_store_n(replayed, training->taken, __ATOMIC_RELAXED);
   }
   return mo_body_stream_draws(training->stream) == training->draws ? MO_OK : MO_ERR_CORRUPT;
 }

@@ -224,6 +224,69 @@ int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n
   return n > 0 ? blocks[0].status : MO_OK;
 }
 
+/* ---- gradients ---- */
+
+struct mo_gradient_state {
+  struct mo_compute *compute;
+};
+
+int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **ret)
+{
+  *ret = calloc(1, sizeof(**ret));
+  if (*ret == NULL)
+    return MO_ERR_NO_MEMORY;
+  (*ret)->compute = compute;
+  return MO_OK;
+}
+
+void mo_gradient_state_free(struct mo_gradient_state *state)
+{
+  free(state);
+}
+
+void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
+                   double *d_parameters, struct mo_outcome *outcomes, struct mo_gradient_counts *counts)
+{
+  uint64_t all = UINT64_C(0xCBF29CE484222325);
+  *counts = (struct mo_gradient_counts){.robots = n, .steps = 100 * (uint64_t)n, .clipped_steps = n};
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t h = mix(UINT64_C(0xCBF29CE484222325), robots[i].environment, sizeof(*robots[i].environment));
+    h = mix(h, robots[i].body->mass_lattice, robots[i].body->n_masses * sizeof(*robots[i].body->mass_lattice));
+    h = mix(h, controller->parameters, 64 * sizeof(float));
+    outcomes[i] = (struct mo_outcome){.loss = (double)(h >> 11) * 0x1p-53};
+    all = mix(all, &h, sizeof(h));
+  }
+  for (size_t i = 0; i < controller->n_parameters; i++)
+    d_parameters[i] = 1e-3 * ((double)((all + i * UINT64_C(0x9E3779B97F4A7C15)) >> 11) * 0x1p-53 - 0.5) +
+                      1e-3 * (double)controller->parameters[i];
+}
+
+int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
+{
+  int delay_us = atomic_load(&fake_plan.gradient_delay_us);
+  (void)state;
+  pthread_mutex_lock(&history_mutex);
+  if (n_history < HISTORY_MAX)
+    history[n_history++] = batch->tag;
+  pthread_mutex_unlock(&history_mutex);
+  for (int waited = 0; waited <= delay_us; waited += 200) {
+    if (batch->cancel != NULL && __atomic_load_n(batch->cancel, __ATOMIC_RELAXED) != 0)
+      return MO_ERR_CANCELLED;
+    if (delay_us > 0)
+      usleep(200);
+  }
+  if (atomic_load(&fake_plan.gradient_status) != 0 && atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)
+    return atomic_load(&fake_plan.gradient_status);
+  fake_gradient(batch->controller, batch->robots, batch->n, batch->d_parameters, batch->outcomes, &batch->counts);
+  return MO_OK;
+}
+
+const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
+{
+  (void)compute;
+  return "fake gradient";
+}
+
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
 {
   *stats = (struct mo_compute_stats){.n_workers = compute->n_workers,

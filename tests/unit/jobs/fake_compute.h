@@ -15,6 +15,9 @@ struct fake_plan {
   atomic_int fail_times;          /* blocks left to fail */
   atomic_bool poison;             /* losses are NaN */
   atomic_int skew;                /* added to losses: as if the code had changed */
+  atomic_int gradient_delay_us;   /* of one batch; it looks at its cancel flag every 200 µs */
+  atomic_int gradient_status;     /* 0, or what the next `gradient_fails` batches end with */
+  atomic_int gradient_fails;
 };
 extern struct fake_plan fake_plan;
 
@@ -23,7 +26,11 @@ struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_control
                                const struct mo_environment *environment, const struct mo_physics *physics,
                                enum mo_precision precision);
 
-/* Order in which blocks were started: their tags. */
+/* The fake gradient of a batch: a function of the robots and of the weights, with a loss per robot. */
+void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
+                   double *d_parameters, struct mo_outcome *outcomes, struct mo_gradient_counts *counts);
+
+/* Order in which blocks and batches of gradients were started: their tags. */
 size_t fake_history(int64_t *tags, size_t room);
 void fake_forget(void);
 

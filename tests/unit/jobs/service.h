@@ -37,6 +37,8 @@ static inline int service_start(struct service *service)
   fake_plan.fail_status = 0;
   fake_plan.skew = 0;
   fake_plan.poison = false;
+  fake_plan.gradient_delay_us = 0;
+  fake_plan.gradient_status = 0;
   fake_forget();
   if (fixture_folder(&service->fixture) != 0)
     return -1;
