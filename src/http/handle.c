@@ -15,6 +15,19 @@ enum mo_handled mo_handle(struct mo_request *request)
   case MO_ROUTE_EVALUATIONS: return mo_handle_evaluations_post(request);
   case MO_ROUTE_EVALUATION: return mo_handle_evaluation_get(request);
   case MO_ROUTE_TRAJECTORY: mo_handle_trajectory(request); break;
+  case MO_ROUTE_TRAININGS:
+    if (request->method == MO_POST)
+      mo_handle_trainings_post(request);
+    else
+      mo_handle_trainings(request);
+    break;
+  case MO_ROUTE_TRAINING: return mo_handle_training(request);
+  case MO_ROUTE_TRAINING_STEPS: mo_handle_training_steps(request); break;
+  case MO_ROUTE_TRAINING_VALIDATIONS: mo_handle_training_validations(request); break;
+  case MO_ROUTE_TRAINING_CHECKPOINTS: mo_handle_training_checkpoints(request); break;
+  case MO_ROUTE_TRAINING_CONTROLLER: mo_handle_training_controller(request); break;
+  case MO_ROUTE_TRAINING_HELD_OUT: mo_handle_training_held_out(request); break;
+  case MO_ROUTE_HELD_OUT: mo_handle_held_out(request); break;
   case MO_ROUTE_JOBS: mo_handle_jobs(request); break;
   case MO_ROUTE_JOB:
     if (request->method != MO_DELETE)
@@ -110,6 +123,17 @@ bool mo_query_limit(struct mo_request *request, const struct mo_query_value *val
   return true;
 }
 
+bool mo_query_number(struct mo_request *request, const char *name, const struct mo_query_value *value, int64_t min,
+                     int64_t max, int64_t *number)
+{
+  char detail[96];
+  if (!value->present || mo_decimal(value->text, strlen(value->text), min, max, number))
+    return true;
+  snprintf(detail, sizeof(detail), "an integer from %lld to %lld is expected", (long long)min, (long long)max);
+  bad_parameter(request, name, detail);
+  return false;
+}
+
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
 {
   const char *text = request->parameters[parameter];
@@ -187,7 +211,8 @@ static const char index_page[] =
     "<style>body{font-family:sans-serif;max-width:40em;margin:3em auto;line-height:1.5}</style></head>\n"
     "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable and the same for ever.</p>\n<ul>\n"
     "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
-    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/designs\">designs</a>, <a "
+    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/trainings\">trainings</a>, <a href=\"/v1/designs\">designs</a>, "
+    "<a "
     "href=\"/v1/controllers\">controllers</a>, "
     "<a href=\"/v1/workers\">workers</a></li>\n"
     "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a href=\"/metrics\">metrics</a></li>\n"

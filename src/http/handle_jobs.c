@@ -7,11 +7,11 @@
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
+#include "http/training_json.h"
 
 #define WAIT_MAX_S 60
 
-/* Prefer: wait=N; false: the 400 is made. */
-static bool read_wait(struct mo_request *request)
+bool mo_read_wait(struct mo_request *request)
 {
   request->wait_s = mo_prefer_wait(request->framing.prefer, WAIT_MAX_S);
   if (request->wait_s != -2)
@@ -30,32 +30,54 @@ static void tag(struct mo_request *request, const char *what, const struct mo_jo
   mo_reply_etag(request, "%s-%lld-%lld", what, (long long)job->id, (long long)job->version);
 }
 
+/* An item of the list of jobs, or what is told of a job by its id. */
+static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job)
+{
+  if (job->kind != MO_JOB_TRAINING) {
+    mo_job_write(text, job, NULL);
+    return MO_OK;
+  }
+  struct mo_training_live live;
+  struct mo_training_status *training = malloc(sizeof(*training));
+  int code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
+  if (code == MO_OK)
+    mo_training_json_job(text, training, &live);
+  free(training);
+  return code;
+}
+
 /* Writes the evaluation (with results if there are any) or the job, as `status`. */
 static void reply_job(struct mo_request *request, unsigned status, const struct mo_job *job, bool with_results)
 {
   struct mo_evaluation_results *results = NULL;
-  if (with_results && job->state == MO_JOB_SUCCEEDED) {
-    int code = mo_store_results(request->http->services.store, job->id, &results);
-    if (code != MO_OK) {
-      mo_reply_error(request, code, "evaluation");
-      return;
-    }
-  }
   struct mo_text text = {0};
-  mo_job_write(&text, job, results);
+  int code = MO_OK;
+  if (with_results && job->state == MO_JOB_SUCCEEDED)
+    code = mo_store_results(request->http->services.store, job->id, &results);
+  if (code == MO_OK && with_results)
+    mo_job_write(&text, job, results);
+  else if (code == MO_OK)
+    code = write_job(request->http, &text, job);
   mo_evaluation_results_free(results);
+  if (code != MO_OK) {
+    mo_text_free(&text);
+    mo_reply_error(request, code, with_results ? "evaluation" : "job");
+    return;
+  }
   mo_reply_json(request, status, &text);
   if (request->reply.status != status)
     return;
-  tag(request, with_results ? "evaluation" : "job", job);
+  if (job->kind == MO_JOB_TRAINING)
+    mo_reply_etag_of_body(request); /* its progress is not in the row */
+  else
+    tag(request, with_results ? "evaluation" : "job", job);
   if (request->wait_s >= 0)
     snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
   if (!mo_job_state_is_final(job->state))
     request->reply.retry_after_s = 1;
 }
 
-/* Reads the job; parks the request while the job is not final and there is time. *job is filled in unless parked. */
-static enum mo_handled await(struct mo_request *request, int64_t id, struct mo_job *job, int *code)
+enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_job *job, int *code)
 {
   struct mo_store *store = request->http->services.store;
   bool may_wait = request->wait_s > 0 && !request->wait_over;
@@ -108,7 +130,7 @@ static void submission_error(struct mo_request *request, int code, const struct 
   free(faults);
 }
 
-static bool check_content(struct mo_request *request, const char *expected, const char *also)
+bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
 {
   char type[64], charset[32];
   const char *field = request->framing.content_type;
@@ -123,11 +145,6 @@ static bool check_content(struct mo_request *request, const char *expected, cons
   else
     return true;
   return false;
-}
-
-bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
-{
-  return check_content(request, expected, also);
 }
 
 /* Parses and stores; false: a reply is made. */
@@ -167,8 +184,8 @@ enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
 {
   struct mo_query_value none;
   if (request->submitted == 0) {
-    if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !read_wait(request) ||
-        !check_content(request, "application/json", NULL))
+    if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request) ||
+        !mo_check_content(request, "application/json", NULL))
       return MO_HANDLED;
     if (!atomic_load(&request->http->ready)) {
       mo_reply_error(request, MO_ERR_CANCELLED, "evaluation");
@@ -187,7 +204,7 @@ enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
   }
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;
-  if (job != NULL && await(request, request->submitted, job, &code) == MO_PARKED) {
+  if (job != NULL && mo_await_job(request, request->submitted, job, &code) == MO_PARKED) {
     free(job);
     return MO_PARKED;
   }
@@ -213,13 +230,13 @@ static enum mo_handled get_job(struct mo_request *request, bool with_results)
   struct mo_query_value none;
   int64_t id;
   if (!request->wait_over &&
-      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !read_wait(request)))
+      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request)))
     return MO_HANDLED;
   if (!mo_path_id(request, 0, &id))
     return MO_HANDLED;
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;
-  if (job != NULL && await(request, id, job, &code) == MO_PARKED) {
+  if (job != NULL && mo_await_job(request, id, job, &code) == MO_PARKED) {
     free(job);
     return MO_PARKED;
   }
@@ -259,7 +276,7 @@ void mo_handle_jobs(struct mo_request *request)
     return;
   }
   if (values[1].present && mo_job_kind_from_name(values[1].text, &kind) != MO_OK) {
-    mo_reply_bad_parameter(request, "kind", "evaluation is expected");
+    mo_reply_bad_parameter(request, "kind", "evaluation or training is expected");
     return;
   }
   if (values[3].present && !mo_decimal(values[3].text, strlen(values[3].text), 1, INT64_MAX, &query.before)) {
@@ -278,23 +295,25 @@ void mo_handle_jobs(struct mo_request *request)
     return;
   }
   struct mo_text text = {0};
+  int code = MO_OK;
   mo_text_add(&text, "{\"items\":[");
-  uint64_t hash = UINT64_C(14695981039346656037); /* of ids and versions: the page's tag */
-  for (int64_t i = 0; i < n; i++) {
+  for (int64_t i = 0; i < n && code == MO_OK; i++) {
     if (i > 0)
       mo_text_bytes(&text, ",", 1);
-    mo_job_write(&text, &jobs[i], NULL);
-    hash =
-        ((hash ^ (uint64_t)jobs[i].id) * UINT64_C(1099511628211) ^ (uint64_t)jobs[i].version) * UINT64_C(1099511628211);
+    code = write_job(request->http, &text, &jobs[i]);
   }
   if ((size_t)n == limit)
     mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)jobs[n - 1].id);
   else
     mo_text_add(&text, "],\"next_cursor\":null}");
   free(jobs);
+  if (code != MO_OK) {
+    mo_text_free(&text);
+    mo_reply_error(request, code, "page");
+    return;
+  }
   mo_reply_json(request, 200, &text);
-  if (request->reply.status == 200)
-    mo_reply_etag(request, "jobs-%lld-%016llx", (long long)n, (unsigned long long)hash);
+  mo_reply_etag_of_body(request);
 }
 
 /* ---- control ---- */

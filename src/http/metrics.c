@@ -138,6 +138,25 @@ static void write_jobs(struct mo_http *http, struct mo_text *text)
         j.rollouts_shared);
 }
 
+static void write_trainings(struct mo_http *http, struct mo_text *text)
+{
+  struct mo_jobs_stats j;
+  mo_jobs_get_stats(http->services.jobs, &j);
+  whole(text, "morphod_trainings_running", "gauge", "Trainings that run or are being prepared.", j.active_trainings);
+  whole(text, "morphod_training_steps_total", "counter", "Steps of learning since the start.", j.training_steps);
+  real(text, "morphod_training_step_seconds_total", "counter",
+       "Time of these steps: over their number, seconds per step.", j.training_step_s);
+  whole(text, "morphod_training_robots_total", "counter", "Robots of these steps, each with its gradient.",
+        j.training_robots);
+  whole(text, "morphod_training_robots_diverged_total", "counter", "Of these, robots whose rollout diverged.",
+        j.training_diverged);
+  whole(text, "morphod_training_robots_zeroed_total", "counter", "Of these, robots whose gradient was not finite.",
+        j.training_zeroed);
+  whole(text, "morphod_training_validations_total", "counter", "Validations since the start.", j.training_validations);
+  whole(text, "morphod_training_checkpoints_total", "counter", "Checkpoints written since the start.",
+        j.training_checkpoints);
+}
+
 static void write_store(struct mo_http *http, struct mo_text *text)
 {
   struct mo_store_stats s;
@@ -167,5 +186,6 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_http(http, text);
   write_compute(http, text);
   write_jobs(http, text);
+  write_trainings(http, text);
   write_store(http, text);
 }

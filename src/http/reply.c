@@ -172,7 +172,8 @@ static bool add_headers(struct mo_request *request, struct MHD_Response *respons
               add(response, "Preference-Applied", reply->applied) &&
               add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
               add(response, "Connection", reply->close ? "close" : "");
-  if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY)
+  if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY ||
+      request->route == MO_ROUTE_TRAINING_STEPS || request->route == MO_ROUTE_TRAINING_VALIDATIONS)
     good = good && add(response, "Vary", "Accept");
   if (request->route == MO_ROUTE_INDEX)
     good = good && add(response, "Content-Security-Policy",

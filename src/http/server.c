@@ -74,10 +74,16 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
   free(faults);
 }
 
+/* Whether it brings work. */
+static bool submits(const struct mo_request *request)
+{
+  return request->method == MO_POST && (request->route == MO_ROUTE_EVALUATIONS || request->route == MO_ROUTE_TRAININGS);
+}
+
 static uint64_t body_limit(const struct mo_request *request)
 {
   const struct mo_http_config *config = &request->http->config;
-  if (request->route == MO_ROUTE_EVALUATIONS && request->method == MO_POST)
+  if (submits(request))
     return config->max_body_bytes;
   if (request->route == MO_ROUTE_CONTROLLER && request->method == MO_PUT)
     return config->max_controller_bytes;
@@ -259,9 +265,9 @@ static enum MHD_Result dispatch(struct mo_request *request)
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
-  if (request->route == MO_ROUTE_EVALUATIONS &&
+  if (submits(request) &&
       !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s, mo_http_clock_us())) {
-    mo_reply_problem(request, 429, NULL, "This client has submitted more than %u evaluations in a second.",
+    mo_reply_problem(request, 429, NULL, "This client has submitted more than %u jobs in a second.",
                      http->config.client_rate_per_s);
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);

@@ -23,6 +23,7 @@
 #include "http/route.h"
 #include "http/text.h"
 #include "jobs/jobs.h"
+#include "jobs/trainings.h"
 #include "store/store.h"
 
 #define MO_NEVER INT64_MAX
@@ -155,6 +156,16 @@ bool mo_query_limit(struct mo_request *request, const struct mo_query_value *val
 /* A job's id in a path parameter; false: the 404 is made (no job has such an id). */
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id);
 void mo_reply_bad_parameter(struct mo_request *request, const char *name, const char *detail); /* 400 */
+/* An integer parameter within bounds; *number stays if it is absent. False: the 400 is made. */
+bool mo_query_number(struct mo_request *request, const char *name, const struct mo_query_value *value, int64_t min,
+                     int64_t max, int64_t *number);
+/* Prefer: wait=N into request->wait_s; false: the 400 is made. */
+bool mo_read_wait(struct mo_request *request);
+/* Reads the job; parks the request while the job is not final and there is time. *job is filled in unless parked. */
+enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_job *job, int *code);
+/* A training, as it is stored and as it runs. MO_ERR_NOT_FOUND. */
+int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
+                     struct mo_training_live *live);
 /* Content-Type must be `expected` or `also` (nullable), without a coding; false: the 415 is made. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
 
@@ -164,6 +175,15 @@ void mo_handle_trajectory(struct mo_request *request);
 void mo_handle_jobs(struct mo_request *request);
 enum mo_handled mo_handle_job_get(struct mo_request *request);
 void mo_handle_job_change(struct mo_request *request);
+void mo_handle_trainings_post(struct mo_request *request);
+void mo_handle_trainings(struct mo_request *request);
+enum mo_handled mo_handle_training(struct mo_request *request);
+void mo_handle_training_steps(struct mo_request *request);
+void mo_handle_training_validations(struct mo_request *request);
+void mo_handle_training_checkpoints(struct mo_request *request);
+void mo_handle_training_controller(struct mo_request *request);
+void mo_handle_training_held_out(struct mo_request *request);
+void mo_handle_held_out(struct mo_request *request);
 void mo_handle_designs(struct mo_request *request);
 void mo_handle_design(struct mo_request *request);
 void mo_handle_controllers(struct mo_request *request);

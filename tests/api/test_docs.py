@@ -21,5 +21,7 @@ def test_examples(start, tmp_path):
     done = subprocess.run(["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     assert '"pointer":"/designs/0/cells/1/2"' in done.stdout and "Morphod-Shape: 11,8,3" in done.stdout
-    assert "event: job.finished" in done.stdout
+    assert "event: job.finished" in done.stdout and '"type":"training.validation"' in done.stdout
+    assert (tmp_path / "curve.csv").read_text().count("\n") == 5
+    assert (tmp_path / "tuned.safetensors").stat().st_size > 620912 * 4
     assert (tmp_path / "masses.f32").stat().st_size == 11 * 8 * 3 * 4

@@ -1,0 +1,175 @@
+/* handle_learned.c: what a training gives and is measured by: its controller so far, and held-out designs and environments. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/field.h"
+#include "http/server.h"
+#include "http/training_json.h"
+
+#define HELD_OUT_DESIGNS_MAX 1000
+#define HELD_OUT_PLACES_MAX  64
+#define SEED_MAX             INT64_C(9007199254740991)
+
+/* ---- the controller ---- */
+
+/* The controller of a checkpoint (step 0: the newest) as a file. *at: its step. */
+static int export_checkpoint(struct mo_http *http, const struct mo_training_status *status, uint32_t step,
+                             uint8_t **bytes, size_t *size, uint32_t *at)
+{
+  struct mo_training *training = NULL;
+  struct mo_controller *controller = NULL;
+  struct mo_message message = {""};
+  uint8_t *stored = NULL;
+  size_t n = 0;
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(&status->record.parent_sha256, digits);
+  int code = mo_store_training_checkpoint_bytes(http->services.store, status->job.id, step, &stored, &n);
+  if (code == MO_OK)
+    code = mo_training_decode(stored, n, &training, &message);
+  free(stored);
+  if (code == MO_OK) {
+    *at = mo_training_step(training);
+    code = mo_training_export(training, status->record.has_parent ? digits : NULL, http->version, &controller);
+  }
+  if (code == MO_OK)
+    code = mo_controller_encode(controller, bytes, size);
+  mo_controller_free(controller);
+  mo_training_free(training);
+  return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
+}
+
+void mo_handle_training_controller(struct mo_request *request)
+{
+  static const char *const names[] = {"step"};
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors"};
+  struct mo_http *http = request->http;
+  struct mo_query_value value;
+  int64_t id, step = 0;
+  if (!mo_query_read(request, names, &value, 1))
+    return;
+  int form = mo_accept_choose(request->framing.accept, types, 2);
+  if (form < 0) {
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives application/octet-stream, which the Accept field does not allow.");
+    return;
+  }
+  if (!mo_query_number(request, "step", &value, 1, MO_TRAINING_STEPS_MAX, &step) || !mo_path_id(request, 0, &id))
+    return;
+  struct mo_training_status *status = malloc(sizeof(*status));
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  uint32_t at = 0;
+  int code = status != NULL ? mo_store_training(http->services.store, id, status) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "training");
+    free(status);
+    return;
+  }
+  uint32_t n_steps = status->record.settings.n_steps;
+  if (status->has_result && (!value.present || step == n_steps)) {
+    at = n_steps;
+    code = mo_store_controller_bytes(http->services.store, &status->result_sha256, &bytes, &size);
+  } else {
+    code = export_checkpoint(http, status, (uint32_t)step, &bytes, &size, &at);
+  }
+  if (code == MO_ERR_NOT_FOUND && value.present)
+    mo_reply_problem(request, 404, NULL,
+                     "The training keeps no checkpoint of step %lld; GET /v1/trainings/%lld/checkpoints lists them.",
+                     (long long)step, (long long)id);
+  else if (code == MO_ERR_NOT_FOUND)
+    mo_reply_problem(request, 404, NULL, "The training has no checkpoint yet.");
+  else if (code == MO_ERR_CORRUPT)
+    mo_reply_problem(request, 500, NULL, "The file of the %s in the state folder of the service is missing or damaged.",
+                     status->has_result && at == n_steps ? "controller" : "checkpoint");
+  else if (code != MO_OK)
+    mo_reply_error(request, code, "controller");
+  else {
+    struct mo_sha256 hash;
+    char digits[MO_SHA256_DIGITS + 1];
+    mo_sha256_of(bytes, size, &hash);
+    mo_sha256_to_hex(&hash, digits);
+    mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
+    mo_reply_extra(request, "Morphod-Step", "%u", at);
+    mo_reply_etag(request, "%s", digits);
+  }
+  free(status);
+}
+
+/* ---- held-out sets ---- */
+
+static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes, uint32_t n_designs,
+                           uint64_t seed, uint32_t n_environments, const struct mo_physics *physics)
+{
+  struct mo_environment *environments = calloc(n_environments, sizeof(*environments));
+  struct mo_text text = {0};
+  if (environments == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "set");
+    return;
+  }
+  mo_held_out_environments(seed, n_environments, environments);
+  mo_held_out_write(&text, genotypes, n_designs, environments, n_environments, physics);
+  free(environments);
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
+{
+  struct mo_bits *drawn = calloc(n, sizeof(*drawn));
+  _Static_assert(sizeof(*drawn) == MO_DEFAULT_WORDS * sizeof(uint64_t), "genotypes lie one behind the other");
+  int code = drawn != NULL ? mo_held_out_designs(seed, n, (uint64_t *)drawn) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK)
+    free(drawn);
+  else
+    *genotypes = drawn;
+  return code;
+}
+
+void mo_handle_training_held_out(struct mo_request *request)
+{
+  struct mo_query_value none;
+  int64_t id;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id))
+    return;
+  struct mo_store *store = request->http->services.store;
+  struct mo_training_status *status = malloc(sizeof(*status));
+  struct mo_bits *genotypes = NULL;
+  uint32_t n = 0;
+  int code = status != NULL ? mo_store_training(store, id, status) : MO_ERR_NO_MEMORY;
+  if (code == MO_OK) {
+    const struct mo_training_settings *settings = &status->record.settings;
+    if (settings->kind == MO_TRAINING_FINETUNE)
+      code = mo_store_training_designs(store, id, &genotypes, &n);
+    else if ((n = settings->held_out_designs) > 0)
+      code = draw(settings->seed, n, &genotypes);
+    if (n > settings->held_out_designs)
+      n = settings->held_out_designs;
+  }
+  if (code != MO_OK)
+    mo_reply_error(request, code, "training");
+  else
+    reply_held_out(request, genotypes, n, status->record.settings.seed, status->record.settings.held_out_environments,
+                   &status->record.settings.physics);
+  free(genotypes);
+  free(status);
+}
+
+void mo_handle_held_out(struct mo_request *request)
+{
+  static const char *const names[] = {"seed", "designs", "environments"};
+  struct mo_query_value values[3];
+  int64_t seed = 1, designs = 64, environments = 8;
+  if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
+      !mo_query_number(request, "seed", &values[0], 0, SEED_MAX, &seed) ||
+      !mo_query_number(request, "designs", &values[1], 1, HELD_OUT_DESIGNS_MAX, &designs) ||
+      !mo_query_number(request, "environments", &values[2], 1, HELD_OUT_PLACES_MAX, &environments))
+    return;
+  struct mo_bits *genotypes = NULL;
+  int code = draw((uint64_t)seed, (uint32_t)designs, &genotypes);
+  if (code != MO_OK)
+    mo_reply_error(request, code, "set");
+  else
+    reply_held_out(request, genotypes, (uint32_t)designs, (uint64_t)seed, (uint32_t)environments, NULL);
+  free(genotypes);
+}

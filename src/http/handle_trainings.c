@@ -1,0 +1,438 @@
+/* handle_trainings.c: trainings: submission, state, lists, curves, checkpoints. What a training gives and is measured by (its
+ * controller, its held-out set) is in handle_learned.c. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/field.h"
+#include "http/server.h"
+#include "http/training_json.h"
+#include "http/training_request.h"
+#include "store/runner.h"
+
+#define CSV_ROWS_MAX 100000 /* of one reply that was not asked for a limit */
+
+/* ---- POST /v1/trainings ---- */
+
+/* What the request names must be there: both faults are told at once, besides those of the body itself. */
+static void look_up(struct mo_store *store, const struct mo_parsed_training *parsed, struct mo_faults *faults)
+{
+  struct mo_controller_record controller;
+  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
+  const char *parent = parsed->request.parent;
+  int code = parent != NULL ? mo_store_controller(store, parent, &controller) : MO_OK;
+  if (code == MO_ERR_NOT_FOUND)
+    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
+                  "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected", parent);
+  else if (parent != NULL && code == MO_OK &&
+           (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
+            controller.workspace.nz != ours.nz))
+    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
+                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u × %u is expected",
+                  parent, controller.workspace.nx, controller.workspace.ny, controller.workspace.nz, ours.nx, ours.ny,
+                  ours.nz);
+  if (parsed->request.population > 0) {
+    struct mo_job *job = malloc(sizeof(*job));
+    code = job != NULL ? mo_store_job(store, parsed->request.population, job) : MO_ERR_NO_MEMORY;
+    if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job->kind != MO_JOB_EVALUATION))
+      mo_faults_add(faults, MO_FAULT_BODY, "/population/evaluation",
+                    "there is no evaluation %lld; the id of one that has succeeded is expected",
+                    (long long)parsed->request.population);
+    free(job);
+  }
+}
+
+/* Whether the key was used with another body, which is told like a conflict with the population. */
+static bool key_conflicts(struct mo_store *store, const struct mo_training_request *training)
+{
+  int64_t id;
+  return training->idempotency_key != NULL &&
+         mo_store_replay(store, training->idempotency_key, &training->body_sha256, &id) == MO_ERR_CONFLICT;
+}
+
+static void submission_error(struct mo_request *request, const struct mo_parsed_training *parsed, int code,
+                             const struct mo_message *message, struct mo_faults *faults)
+{
+  struct mo_store *store = request->http->services.store;
+  const char *words = message->text[0] != '\0' ? message->text : mo_error_text(code);
+  switch (code) {
+  case MO_ERR_NOT_FOUND:
+  case MO_ERR_UNSUPPORTED:
+    look_up(store, parsed, faults);
+    if (faults->n == 0)
+      mo_faults_add(faults, MO_FAULT_BODY, "", "%s", words);
+    mo_reply_problem(request, 422, faults, NULL);
+    break;
+  case MO_ERR_INVALID:
+  case MO_ERR_RANGE:
+  case MO_ERR_LIMIT:
+    mo_faults_add(faults, MO_FAULT_BODY, "", "%s", words);
+    mo_reply_problem(request, 422, faults, NULL);
+    break;
+  case MO_ERR_EMPTY:
+    mo_faults_add(faults, MO_FAULT_BODY, parsed->request.population > 0 ? "/population" : "/designs", "%s", words);
+    mo_reply_problem(request, 422, faults, NULL);
+    break;
+  case MO_ERR_CONFLICT:
+    if (key_conflicts(store, &parsed->request) || parsed->request.population == 0) {
+      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
+      mo_reply_problem(request, 422, faults,
+                       "The Idempotency-Key was used with another body; use a new key for a new request.");
+    } else {
+      mo_faults_add(faults, MO_FAULT_BODY, "/population/evaluation", "%s", words);
+      mo_reply_problem(request, 409, faults, NULL);
+    }
+    break;
+  case MO_ERR_BUSY:
+    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
+    request->reply.retry_after_s = 10;
+    break;
+  default: mo_reply_error(request, code, "training"); break;
+  }
+}
+
+int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status, struct mo_training_live *live)
+{
+  int code = mo_store_training(http->services.store, id, status);
+  *live = (struct mo_training_live){.seconds_left = -1};
+  if (code == MO_OK && !mo_job_state_is_final(status->job.state)) {
+    code = mo_jobs_training_live(http->services.jobs, id, live);
+    if (code == MO_ERR_NOT_FOUND)
+      code = MO_OK;
+  }
+  return code;
+}
+
+static void reply_training(struct mo_request *request, unsigned http_status, int64_t id)
+{
+  struct mo_training_status *status = malloc(sizeof(*status));
+  struct mo_training_live live;
+  struct mo_text text = {0};
+  int code = status != NULL ? mo_read_training(request->http, id, status, &live) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "training");
+    free(status);
+    return;
+  }
+  bool final = mo_job_state_is_final(status->job.state);
+  mo_training_json_write(&text, status, &live);
+  free(status);
+  mo_reply_json(request, http_status, &text);
+  if (request->reply.status != http_status)
+    return;
+  mo_reply_etag_of_body(request);
+  if (request->wait_s >= 0 && http_status == 200)
+    snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
+  if (!final)
+    request->reply.retry_after_s = 1;
+}
+
+/* Parses and stores; false: a reply is made. */
+static bool submit(struct mo_request *request, struct mo_faults *faults)
+{
+  struct mo_http *http = request->http;
+  char key[256];
+  if (request->framing.idempotency_key != NULL && !mo_idempotency_key(request->framing.idempotency_key, key)) {
+    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
+    mo_reply_problem(request, 400, faults, NULL);
+    return false;
+  }
+  struct mo_parsed_training *parsed = malloc(sizeof(*parsed));
+  if (parsed == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "training");
+    return false;
+  }
+  int code = mo_training_parse(request->body, request->body_size, parsed, faults);
+  if (code == MO_OK) {
+    struct mo_message message = {""};
+    bool replayed;
+    if (request->framing.idempotency_key != NULL) {
+      parsed->request.idempotency_key = key;
+      mo_sha256_of(request->body, request->body_size, &parsed->request.body_sha256);
+    }
+    code = mo_jobs_submit_training(http->services.jobs, &parsed->request, &request->submitted, &replayed, &message);
+    if (code != MO_OK)
+      submission_error(request, parsed, code, &message, faults);
+  } else if (code == MO_ERR_FORMAT) {
+    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
+  } else if (code == MO_ERR_INVALID) {
+    look_up(http->services.store, parsed, faults);
+    mo_reply_problem(request, 422, faults, NULL);
+  } else {
+    mo_reply_error(request, code, "training");
+  }
+  mo_training_parsed_free(parsed);
+  free(parsed);
+  return code == MO_OK;
+}
+
+void mo_handle_trainings_post(struct mo_request *request)
+{
+  struct mo_query_value none;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_check_content(request, "application/json", NULL))
+    return;
+  if (!atomic_load(&request->http->ready)) {
+    mo_reply_error(request, MO_ERR_CANCELLED, "training");
+    return;
+  }
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  if (faults == NULL) {
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "training");
+    return;
+  }
+  bool stored = submit(request, faults);
+  free(faults);
+  if (!stored)
+    return;
+  mo_request_drop_body(request);
+  reply_training(request, 202, request->submitted);
+  if (request->reply.status == 202)
+    snprintf(request->reply.location, sizeof(request->reply.location), "/v1/trainings/%lld",
+             (long long)request->submitted);
+}
+
+/* ---- reading ---- */
+
+enum mo_handled mo_handle_training(struct mo_request *request)
+{
+  struct mo_query_value none;
+  int64_t id;
+  if (!request->wait_over &&
+      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request)))
+    return MO_HANDLED;
+  if (!mo_path_id(request, 0, &id))
+    return MO_HANDLED;
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = MO_ERR_NO_MEMORY;
+  enum mo_handled handled = job != NULL ? mo_await_job(request, id, job, &code) : MO_HANDLED;
+  if (handled == MO_HANDLED) {
+    if (code == MO_OK && job->kind != MO_JOB_TRAINING)
+      code = MO_ERR_NOT_FOUND;
+    if (code != MO_OK)
+      mo_reply_error(request, code, "training");
+    else
+      reply_training(request, 200, id);
+  }
+  free(job);
+  return handled;
+}
+
+void mo_handle_trainings(struct mo_request *request)
+{
+  static const char *const names[] = {"state", "limit", "cursor"};
+  struct mo_http *http = request->http;
+  struct mo_query_value values[3];
+  enum mo_job_state state;
+  int64_t before = 0;
+  size_t limit;
+  if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
+      !mo_query_limit(request, &values[1], &limit))
+    return;
+  if (values[0].present && mo_job_state_from_name(values[0].text, &state) != MO_OK) {
+    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
+    return;
+  }
+  if (values[2].present && !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &before)) {
+    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+    return;
+  }
+  struct mo_training_status *page = malloc(limit * sizeof(*page));
+  int64_t n = page != NULL
+                  ? mo_store_trainings(http->services.store, before, values[0].present ? (int)state : -1, page, limit)
+                  : MO_ERR_NO_MEMORY;
+  struct mo_text text = {0};
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    struct mo_training_live live = {.seconds_left = -1};
+    if (page[i].job.state == MO_JOB_RUNNING)
+      mo_jobs_training_live(http->services.jobs, page[i].job.id, &live);
+    if (i > 0)
+      mo_text_bytes(&text, ",", 1);
+    mo_training_json_write(&text, &page[i], &live);
+  }
+  if (n > 0 && (size_t)n == limit)
+    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)page[n - 1].job.id);
+  else
+    mo_text_add(&text, "],\"next_cursor\":null}");
+  free(page);
+  if (n < 0) {
+    mo_text_free(&text);
+    mo_reply_error(request, (int)n, "page");
+    return;
+  }
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+/* ---- curves ---- */
+
+/* One page of either curve; the two differ in their rows alone. */
+struct curve {
+  struct mo_store *store;
+  bool validations;
+  int64_t id, after; /* after −1: from step 0 */
+  uint32_t stride;
+  union {
+    struct mo_training_step_row *steps;
+    struct mo_training_validation_row *validations;
+    void *any;
+  } rows;
+};
+
+static int64_t read_rows(const struct curve *curve, size_t limit)
+{
+  return curve->validations
+             ? mo_store_training_validations(curve->store, curve->id, curve->after, curve->rows.validations, limit)
+             : mo_store_training_steps(curve->store, curve->id, curve->after > 0 ? (uint32_t)curve->after : 0,
+                                       curve->stride, curve->rows.steps, limit);
+}
+
+static int64_t step_of_row(const struct curve *curve, int64_t i)
+{
+  return curve->validations ? curve->rows.validations[i].step : curve->rows.steps[i].report.step;
+}
+
+static void write_row(struct mo_text *text, const struct curve *curve, int64_t i, bool csv)
+{
+  if (curve->validations && csv)
+    mo_training_csv_validation(text, &curve->rows.validations[i]);
+  else if (curve->validations)
+    mo_training_json_validation(text, &curve->rows.validations[i]);
+  else if (csv)
+    mo_training_csv_step(text, &curve->rows.steps[i]);
+  else
+    mo_training_json_step(text, &curve->rows.steps[i]);
+}
+
+/* Rows up to `limit`, page by page. *more: there may be others behind them. */
+static int write_rows(struct mo_text *text, struct curve *curve, size_t limit, bool csv, bool *more)
+{
+  size_t written = 0;
+  *more = true;
+  while (written < limit) {
+    size_t wanted = limit - written < MO_PAGE_MAX ? limit - written : MO_PAGE_MAX;
+    int64_t n = read_rows(curve, wanted);
+    if (n < 0)
+      return (int)n;
+    for (int64_t i = 0; i < n; i++, written++) {
+      if (!csv && written > 0)
+        mo_text_bytes(text, ",", 1);
+      write_row(text, curve, i, csv);
+    }
+    if (n > 0)
+      curve->after = step_of_row(curve, n - 1);
+    if ((size_t)n < wanted) {
+      *more = false;
+      break;
+    }
+  }
+  return MO_OK;
+}
+
+static void reply_curve(struct mo_request *request, struct curve *curve, size_t limit, bool csv)
+{
+  struct mo_text text = {0};
+  bool more;
+  mo_text_add(&text, !csv ? "{\"items\":[" : curve->validations ? mo_training_csv_validations : mo_training_csv_steps);
+  int code = write_rows(&text, curve, limit, csv, &more);
+  if (code != MO_OK || (csv && text.failed)) {
+    mo_text_free(&text);
+    mo_reply_error(request, code != MO_OK ? code : MO_ERR_NO_MEMORY, "page");
+    return;
+  }
+  if (csv) {
+    mo_reply_bytes(request, 200, "text/csv; charset=utf-8; header=present", text.data, text.size);
+    if (more)
+      mo_reply_extra(request, "Morphod-Next-After", "%lld", (long long)curve->after);
+  } else {
+    if (curve->after >= 0)
+      mo_text_format(&text, "],\"next_after\":%lld,\"more\":%s}", (long long)curve->after, more ? "true" : "false");
+    else
+      mo_text_add(&text, "],\"next_after\":null,\"more\":false}");
+    mo_reply_json(request, 200, &text);
+  }
+  mo_reply_etag_of_body(request);
+}
+
+/* A training's id in the path; false: the 404 is made. */
+static bool is_training(struct mo_request *request, int64_t id)
+{
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
+  if (code == MO_OK && job->kind != MO_JOB_TRAINING)
+    code = MO_ERR_NOT_FOUND;
+  free(job);
+  if (code != MO_OK)
+    mo_reply_error(request, code, "training");
+  return code == MO_OK;
+}
+
+static void handle_curve(struct mo_request *request, bool validations)
+{
+  static const char *const names[] = {"after", "limit", "stride"};
+  static const char *const types[] = {"application/json", "text/csv"};
+  struct mo_query_value values[3] = {0};
+  int64_t id, after = validations ? -1 : 0, stride = 1, limit = MO_PAGE_MAX;
+  if (!mo_query_read(request, names, values, validations ? 2 : 3))
+    return;
+  int form = mo_accept_choose(request->framing.accept, types, 2);
+  if (form < 0) {
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives application/json or text/csv, which the Accept field does not allow.");
+    return;
+  }
+  if (form == 1)
+    limit = CSV_ROWS_MAX;
+  if (!mo_query_number(request, "after", &values[0], 0, UINT32_MAX, &after) ||
+      !mo_query_number(request, "limit", &values[1], 1, MO_PAGE_MAX, &limit) ||
+      !mo_query_number(request, "stride", &values[2], 1, MO_TRAINING_STEPS_MAX, &stride) ||
+      !mo_path_id(request, 0, &id) || !is_training(request, id))
+    return;
+  struct curve curve = {.store = request->http->services.store,
+                        .validations = validations,
+                        .id = id,
+                        .after = after,
+                        .stride = (uint32_t)stride};
+  curve.rows.any = malloc(MO_PAGE_MAX * (validations ? sizeof(*curve.rows.validations) : sizeof(*curve.rows.steps)));
+  if (curve.rows.any == NULL)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "page");
+  else
+    reply_curve(request, &curve, (size_t)limit, form == 1);
+  free(curve.rows.any);
+}
+
+void mo_handle_training_steps(struct mo_request *request)
+{
+  handle_curve(request, false);
+}
+
+void mo_handle_training_validations(struct mo_request *request)
+{
+  handle_curve(request, true);
+}
+
+void mo_handle_training_checkpoints(struct mo_request *request)
+{
+  struct mo_query_value none;
+  struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
+  int64_t id;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
+      !is_training(request, id))
+    return;
+  int64_t n = mo_store_training_checkpoints(request->http->services.store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
+  if (n < 0) {
+    mo_reply_error(request, (int)n, "page");
+    return;
+  }
+  struct mo_text text = {0};
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    if (i > 0)
+      mo_text_bytes(&text, ",", 1);
+    mo_training_json_checkpoint(&text, &rows[i]);
+  }
+  mo_text_add(&text, "]}");
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
