@@ -30,6 +30,7 @@ struct mo_gradient_pack {
 struct mo_gradient_buffer {
   char *base;
   size_t size;
+  bool mapped; /* by mmap */
 };
 
 struct mo_gradient_memory {
@@ -37,7 +38,8 @@ struct mo_gradient_memory {
   struct mo_gradient_buffer block, tiling, work;
 };
 
-/* At least `bytes` at buffer->base, 64-byte aligned; what was there is lost. MO_ERR_NO_MEMORY. */
+/* At least `bytes` at buffer->base, 64-byte aligned; what was there is lost. MO_ERR_NO_MEMORY: the
+ * buffer is as it was, or empty. */
 int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes);
 
 struct mo_gradient_run {
