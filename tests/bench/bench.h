@@ -24,6 +24,8 @@ int bench_gradient_accuracy(const struct bench_options *options);
 int bench_stability(const struct bench_options *options);
 int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
+int bench_stream(int argc, char **argv);
+int bench_learning(int argc, char **argv);
 int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */

@@ -7,7 +7,7 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|load|space|store [OPTION…]\n"
+    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|load|space|store|stream|learning [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
     "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; memory; the back end\n"
@@ -16,6 +16,8 @@ static const char usage[] =
     "  load      replies of a running morphod while it computes\n"
     "  space     speed of drawing, naming and varying random bodies\n"
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
+    "  stream    the distinct bodies of a pretraining: time and memory\n"
+    "  learning  trainings from random weights, and finetuning; `morpho-bench learning --help`\n"
     "\n"
     "  --bodies N         another number of bodies\n"
     "  --seed N           seed of the bodies' stream (default 1)\n"
@@ -57,6 +59,8 @@ int main(int argc, char **argv)
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   const char *morphod = "build/src/daemon/morphod";
+  if (argc > 1 && strcmp(argv[1], "learning") == 0) /* has options of its own */
+    return bench_learning(argc - 1, argv + 1);
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
     switch (option) {
@@ -80,6 +84,8 @@ int main(int argc, char **argv)
     }
   if (optind < argc && strcmp(argv[optind], "space") == 0)
     return bench_space(argc - optind, argv + optind);
+  if (optind < argc && strcmp(argv[optind], "stream") == 0)
+    return bench_stream(argc - optind, argv + optind);
   if (optind < argc && strcmp(argv[optind], "store") == 0)
     return bench_store(argc - optind, argv + optind);
   if (optind + 1 != argc) {

@@ -1,0 +1,54 @@
+/* stream.c: the distinct bodies of a pretraining; `morpho-bench stream [bodies]`. Draws as a training does, held-out forms left out, and
+ * reports the time and the memory that the set of bodies seen takes. */
+#include "bench.h"
+
+#include <morpho/learning.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define REPORTS 10
+
+/* Largest resident memory of this process so far, in bytes; 0: unknown. */
+static double peak_bytes(void)
+{
+  FILE *file = fopen("/proc/self/status", "r");
+  char line[256];
+  double kib = 0.0;
+  while (file != NULL && fgets(line, sizeof(line), file) != NULL)
+    if (strncmp(line, "VmHWM:", 6) == 0)
+      kib = strtod(line + 6, NULL);
+  if (file != NULL)
+    fclose(file);
+  return kib * 1024.0;
+}
+
+int bench_stream(int argc, char **argv)
+{
+  const long n = argc > 1 ? strtol(argv[1], NULL, 10) : 10500000;
+  if (n < REPORTS || n > 1000000000) {
+    fprintf(stderr, "morpho-bench stream [bodies]: between %d and 1000000000 bodies, 10500000 by default\n", REPORTS);
+    return EXIT_FAILURE;
+  }
+  struct mo_body_stream *stream = NULL;
+  bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 1, &stream), "body stream");
+  printf("%12s %14s %10s %14s %16s\n", "bodies", "draws", "s", "set, MiB", "process, MiB");
+  const double start = bench_now_s();
+  long held_out = 0;
+  for (long i = 0, next = n / REPORTS; i < n;) {
+    uint64_t body[MO_DEFAULT_WORDS], form[MO_DEFAULT_WORDS];
+    bench_check(mo_body_stream_next(stream, body), "body stream");
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
+    if (mo_held_out_form(form)) {
+      held_out++;
+      continue;
+    }
+    if (++i == next || i == n) {
+      printf("%12ld %14llu %10.1f %14.1f %16.1f\n", i, (unsigned long long)mo_body_stream_draws(stream),
+             bench_now_s() - start, (double)mo_body_stream_bytes(stream) / 0x1p20, peak_bytes() / 0x1p20);
+      next += n / REPORTS;
+    }
+  }
+  printf("%ld more were held out (%.2f %%)\n", held_out, 100.0 * (double)held_out / (double)(n + held_out));
+  mo_body_stream_free(stream);
+  return EXIT_SUCCESS;
+}
