@@ -33,10 +33,14 @@ static void mean_line(FILE *file, const struct curves_group *group, uint32_t n_s
   fprintf(file, "<polyline class=\"mean\" stroke=\"%s\" points=\"", colour);
   for (uint32_t i = 1; i <= n_steps; i++) {
     double sum = 0.0;
+    int n = 0;
     for (size_t r = 0; r < group->n_runs; r++)
-      sum += group->runs[r].loss[i];
-    if (!isnan(sum))
-      fprintf(file, "%.1f,%.1f ", across(i, n_steps), up(sum / (double)group->n_runs));
+      if (!isnan(group->runs[r].loss[i])) {
+        sum += group->runs[r].loss[i];
+        n++;
+      }
+    if (n > 0)
+      fprintf(file, "%.1f,%.1f ", across(i, n_steps), up(sum / n));
   }
   fprintf(file, "\"/>\n");
 }

@@ -1,7 +1,7 @@
 /* learning.c: trainings from random weights, step by step, and what their losses were; `morpho-bench learning`.
  *
- * Every combination of sensor, schedule, clipping and seed asked for is one training. They run one after the other, the
- * most telling ones first. Each step is a row of the CSV file; every ten steps a checkpoint is written beside it. So the program may be
+ * Every combination of sensor, schedule, clipping and seed asked for is one training. They run one after the other: the first recipe
+ * with all its seeds, then all others with the first seed, and so on. Each step is a row of the CSV file; every ten steps a checkpoint is written beside it. So the program may be
  * stopped at any time: it goes on where it was, and gives the same numbers. */
 #include "learning.h"
 
@@ -164,6 +164,8 @@ static struct mo_training *open_training(const struct learning_run *run, const c
 static void run_one(struct learning_machine *machine, struct learning_run *run, const char *folder, FILE *rows)
 {
   char path[1024], name[LEARNING_KEY_BYTES];
+  if (run->known == run->settings.n_steps)
+    return;
   snprintf(name, sizeof(name), "%s", run->key);
   for (char *c = name; *c != '\0'; c++)
     if (*c == ',')
@@ -228,7 +230,7 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   return run;
 }
 
-/* In order of importance: recipe by recipe, with all its seeds. */
+/* Recipe by recipe, each with all its seeds. */
 static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_MAX], struct curves_group groups[8])
 {
   size_t n = 0, n_groups = 0;
@@ -250,16 +252,23 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
 
 /* ---- what came of it ---- */
 
+/* The mean over the seeds whose training has come so far, and each of them. */
 static void cell(const struct curves_group *group, uint32_t step)
 {
   double sum = 0.0;
+  int n = 0;
   char each[256] = "";
   for (size_t s = 0; s < group->n_runs; s++) {
-    const double loss = step <= group->runs[s].settings.n_steps ? group->runs[s].loss[step] : NAN;
+    const double loss = group->runs[s].loss[step];
+    if (isnan(loss))
+      continue;
     sum += loss;
-    snprintf(each + strlen(each), sizeof(each) - strlen(each), "%s%.3f", s > 0 ? ", " : "", loss);
+    snprintf(each + strlen(each), sizeof(each) - strlen(each), "%s%.3f", n++ > 0 ? ", " : "", loss);
   }
-  printf(" **%.3f** (%s) |", sum / (double)group->n_runs, each);
+  if (n > 0)
+    printf(" **%.3f** (%s) |", sum / n, each);
+  else
+    printf(" – |");
 }
 
 static void print_table(const struct plan *plan, const struct curves_group *groups, size_t n_groups)
@@ -443,9 +452,12 @@ static int learn(const struct plan *plan, const struct bench_options *options)
     learning_machine_create(&machine, options, plan->batch);
     printf("%s\n", mo_compute_gradient_fingerprint(machine.compute));
     FILE *rows = open_rows(csv);
-    for (size_t r = 0; r < n_runs; r++)
-      if (runs[r].known < runs[r].settings.n_steps)
-        run_one(&machine, &runs[r], folder, rows);
+    /* The first recipe with all its seeds, then the others with the first seed, the second, … */
+    for (size_t seed = 0; seed < plan->n_seeds; seed++)
+      run_one(&machine, &runs[seed], folder, rows);
+    for (size_t seed = 0; seed < plan->n_seeds; seed++)
+      for (size_t g = 1; g < n_groups; g++)
+        run_one(&machine, &runs[g * plan->n_seeds + seed], folder, rows);
     fclose(rows);
     learning_machine_free(&machine);
   }
