@@ -1,5 +1,4 @@
 /* cmd_controller.c: controller list, info, get, put, delete. */
-#include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -109,12 +108,7 @@ int run_controller_get(struct ctl *ctl)
     status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
                             &reply);
   if (status == STATUS_OK) {
-    FILE *file = standard ? stdout : fopen(output, "we");
-    bool ok = file != NULL && fwrite(reply.body, 1, reply.body_bytes, file) == reply.body_bytes && fflush(file) == 0;
-    if (!ok)
-      status = complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
-    if (file != NULL && !standard && fclose(file) != 0 && ok)
-      status = complain(STATUS_ERROR, "%s: %s", output, strerror(errno));
+    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
     if (status == STATUS_OK && !standard && !ctl->quiet)
       fprintf(stderr, "%s: %zu bytes\n", output, reply.body_bytes);
   }

@@ -9,17 +9,13 @@
 
 int run_job_list(struct ctl *ctl)
 {
-  static const char *const states[] = {"queued", "running", "paused", "succeeded", "failed", "cancelled"};
   const char *state = option_text(ctl, "state", NULL);
   int64_t limit = 50;
   if (!option_number(ctl, "limit", 1, 1000000, &limit))
     return STATUS_USAGE;
   if (option_is_set(ctl, "all"))
     limit = 0;
-  bool known = state == NULL;
-  for (size_t i = 0; i < 6 && !known; i++)
-    known = strcmp(states[i], state) == 0;
-  if (!known)
+  if (state != NULL && !is_state(state))
     return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
                     state);
   char path[64];
@@ -36,17 +32,21 @@ int run_job_list(struct ctl *ctl)
     struct table table;
     size_t i;
     const json_t *job;
-    table_open(&table, ">job|state|priority|>designs|>rollouts|>done|created|label");
+    table_open(&table, ">job|kind|state|priority|>designs|>work|>done|created|label");
     json_array_foreach(items, i, job)
     {
-      char designs[32], rollouts[32], done[16], time[32];
-      int64_t total = number_of(job, "rollouts_total");
-      snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * number_of(job, "rollouts_done") / total) : 0);
+      char designs[32], count[32], work[48], done[16], time[32];
+      const json_t *training = json_object_get(job, "training");
+      int64_t total = training != NULL ? number_of(training, "steps") : number_of(job, "rollouts_total");
+      int64_t so_far = training != NULL ? number_of(training, "step") : number_of(job, "rollouts_done");
+      snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
+      snprintf(work, sizeof(work), "%s %s", count_text(total, count), training != NULL ? "steps" : "rollouts");
       const char *cells[] = {text_of(job, "id"),
+                             training != NULL ? text_of(training, "kind") : text_of(job, "kind"),
                              text_of(job, "state"),
                              text_of(job, "priority"),
-                             count_text(number_of(job, "n_designs"), designs),
-                             count_text(total, rollouts),
+                             training != NULL ? "" : count_text(number_of(job, "n_designs"), designs),
+                             work,
                              done,
                              time_text(json_object_get(job, "created_at"), time),
                              text_of(job, "label")};

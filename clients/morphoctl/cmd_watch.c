@@ -4,19 +4,18 @@
 #include <string.h>
 
 #include "commands.h"
-#include "sse.h"
+#include "follow.h"
 #include "table.h"
 #include "transport.h"
 
 struct watch {
   struct ctl *ctl;
-  struct sse sse;
   const char *job; /* NULL: everything */
   struct progress progress;
   bool finished, failed, reset;
 };
 
-static int show_event(void *context, const char *type, const char *id, const char *data)
+static int show_event(void *context, const char *type, const char *data)
 {
   struct watch *watch = context;
   struct ctl *ctl = watch->ctl;
@@ -57,14 +56,7 @@ static int show_event(void *context, const char *type, const char *id, const cha
     watch->failed = strcmp(state, "succeeded") != 0;
   }
   json_decref(event);
-  (void)id;
   return watch->finished;
-}
-
-static int feed(void *context, const char *bytes, size_t n)
-{
-  struct watch *watch = context;
-  return sse_feed(&watch->sse, bytes, n, show_event, watch);
 }
 
 /* Whether the watched job has ended, by asking for it. */
@@ -82,6 +74,19 @@ static int ask(struct watch *watch)
   return status;
 }
 
+/* After a break: events that are no longer kept may have told of the end. */
+static int look_again(void *context)
+{
+  struct watch *watch = context;
+  return watch->job != NULL && watch->reset ? ask(watch) : STATUS_OK;
+}
+
+static bool is_finished(void *context)
+{
+  const struct watch *watch = context;
+  return watch->finished;
+}
+
 int run_watch(struct ctl *ctl)
 {
   struct watch watch = {.ctl = ctl, .job = ctl->n_operands > 0 ? ctl->operands[0] : NULL};
@@ -91,45 +96,18 @@ int run_watch(struct ctl *ctl)
   if (watch.job != NULL && !check_job_id(watch.job))
     return STATUS_USAGE;
   int status = watch.job != NULL ? ask(&watch) : STATUS_OK; /* there must be such a job */
-  bool was_over = watch.finished;
-  watch.finished = false;
+  watch.finished = false;                                   /* its events are shown all the same */
+  struct follow follow = {.ctl = ctl,
+                          .job = watch.job,
+                          .after = after,
+                          .event = show_event,
+                          .broken = look_again,
+                          .ended = is_finished,
+                          .context = &watch};
   catch_interrupts();
-  double pause = 0.2, broken_since = monotonic_s();
-  while (status == STATUS_OK && !watch.finished) {
-    char path[128], header[64] = "";
-    int n = snprintf(path, sizeof(path), "/v1/events%s%s", watch.job != NULL ? "?job=" : "",
-                     watch.job != NULL ? watch.job : "");
-    if (*watch.sse.last_id != 0)
-      snprintf(header, sizeof(header), "Last-Event-ID: %s", watch.sse.last_id);
-    else if (after >= 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64, watch.job != NULL ? '&' : '?', after);
-    char before[32];
-    memcpy(before, watch.sse.last_id, sizeof(before));
-    double begin = monotonic_s();
-    sse_reset(&watch.sse);
-    status = transport_stream(ctl, path, *header != 0 ? header : NULL, feed, &watch);
-    if (status != STATUS_CONNECTION || watch.finished)
-      break;
-    /* Broken: go on where it was, for as long as --retry allows without a sign of life. */
-    double limit = ctl->retry_s >= 0 ? ctl->retry_s : *watch.sse.last_id != 0 ? 60 : 5;
-    if (strcmp(before, watch.sse.last_id) != 0 || monotonic_s() - begin > 10) {
-      broken_since = monotonic_s();
-      pause = 0.2;
-    }
-    if (monotonic_s() - broken_since > limit) {
-      status = complain(STATUS_CONNECTION, "%s: the event stream ended", ctl->server);
-      break;
-    }
-    pause_s(pause);
-    pause = pause * 2 > 5 ? 5 : pause * 2;
-    status = interrupted() ? STATUS_INTERRUPTED : STATUS_OK;
-    if (status == STATUS_OK && watch.job != NULL && watch.reset)
-      status = ask(&watch);
-  }
-  if (status == STATUS_OK && watch.job != NULL && !watch.finished && was_over)
-    watch.finished = true;
+  if (status == STATUS_OK)
+    status = follow_events(&follow);
   progress_end(&watch.progress);
-  sse_free(&watch.sse);
   if (status == STATUS_OK && watch.failed)
     status = STATUS_NEGATIVE;
   return status;

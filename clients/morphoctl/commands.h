@@ -19,6 +19,12 @@ int run_job_cancel(struct ctl *ctl);
 int run_job_pause(struct ctl *ctl);
 int run_job_resume(struct ctl *ctl);
 int run_watch(struct ctl *ctl);
+int run_train_start(struct ctl *ctl);
+int run_train_list(struct ctl *ctl);
+int run_train_show(struct ctl *ctl);
+int run_train_watch(struct ctl *ctl);
+int run_train_export(struct ctl *ctl);
+int run_train_compare(struct ctl *ctl);
 int run_controller_list(struct ctl *ctl);
 int run_controller_info(struct ctl *ctl);
 int run_controller_get(struct ctl *ctl);
@@ -43,6 +49,11 @@ int request_fill(const struct ctl *ctl, json_t *request);
 /* One "key=value" of --physics into `physics`. */
 int request_physics(json_t *physics, const char *text);
 
+/* The --physics options into "physics" of a request. */
+int request_fill_physics(const struct ctl *ctl, json_t *request);
+/* Posts a job under the key of --idempotency-key, or a new one, so that it is safe to repeat. *job: what the server says of it. */
+int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s, json_t **job);
+
 /* Posts an evaluation. With `wait`, waits to its end with progress; *evaluation is then the final one with results. */
 int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation);
 /* STATUS_OK if it succeeded, else STATUS_NEGATIVE and a complaint. */
@@ -53,6 +64,12 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, char *const 
 /* A fact per line: "controller   default (sha256 …)". */
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...) __attribute__((format(printf, 3, 4)));
 void print_job_facts(const struct ctl *ctl, const json_t *job);
+void print_job_times(const struct ctl *ctl, const json_t *job); /* created, started, finished */
+
+/* A job's state, in its colour. */
+void print_state(const struct ctl *ctl, const char *state);
+/* Writes the bytes of a reply to a file, or to standard output ("-"). */
+int save_output(const char *path, const void *bytes, size_t n);
 
 /* JSON as it came from the API, indented on a terminal. */
 void print_json(const json_t *json);
@@ -63,6 +80,7 @@ int show_json(struct ctl *ctl, const char *path);
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
 
 bool is_final(const char *state);
+bool is_state(const char *word); /* "queued", "running", … */
 /* Whether an operand is the decimal id of a job; complains if not. */
 bool check_job_id(const char *text);
 

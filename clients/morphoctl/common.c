@@ -1,4 +1,5 @@
 /* common.c: helpers of several commands: facts, results, paged lists. */
+#include <errno.h>
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -25,6 +26,15 @@ bool is_final(const char *state)
   return strcmp(state, "succeeded") == 0 || strcmp(state, "failed") == 0 || strcmp(state, "cancelled") == 0;
 }
 
+bool is_state(const char *word)
+{
+  static const char *const states[] = {"queued", "running", "paused", "succeeded", "failed", "cancelled"};
+  bool known = false;
+  for (size_t i = 0; i < 6 && !known; i++)
+    known = strcmp(states[i], word) == 0;
+  return known;
+}
+
 bool check_job_id(const char *text)
 {
   size_t length = strlen(text);
@@ -49,6 +59,19 @@ int show_json(struct ctl *ctl, const char *path)
     print_json(json);
   json_decref(json);
   return status;
+}
+
+int save_output(const char *path, const void *bytes, size_t n)
+{
+  bool standard = strcmp(path, "-") == 0;
+  FILE *file = standard ? stdout : fopen(path, "we");
+  bool ok = file != NULL && fwrite(bytes, 1, n, file) == n && fflush(file) == 0;
+  int error = errno;
+  if (file != NULL && !standard && fclose(file) != 0 && ok) {
+    ok = false;
+    error = errno;
+  }
+  return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
@@ -101,8 +124,7 @@ void print_fact(const struct ctl *ctl, const char *name, const char *format, ...
   putchar('\n');
 }
 
-/* The state in its colour. */
-static void print_state(const struct ctl *ctl, const char *state)
+void print_state(const struct ctl *ctl, const char *state)
 {
   const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m" : strcmp(state, "failed") == 0 ? "\033[31m" : NULL;
   if (!ctl->colour)
@@ -113,12 +135,22 @@ static void print_state(const struct ctl *ctl, const char *state)
   puts(colour != NULL ? "\033[0m" : "");
 }
 
+void print_job_times(const struct ctl *ctl, const json_t *job)
+{
+  char time[32];
+  print_fact(ctl, "created", "%s", time_text(json_object_get(job, "created_at"), time));
+  print_fact(ctl, "started", "%s", time_text(json_object_get(job, "started_at"), time));
+  print_fact(ctl, "finished", "%s", time_text(json_object_get(job, "finished_at"), time));
+}
+
 void print_job_facts(const struct ctl *ctl, const json_t *job)
 {
   char a[32], b[32];
   const char *state = text_of(job, "state");
   print_fact(ctl, "job", "%s (%s, %s)", text_of(job, "id"), text_of(job, "kind"), text_of(job, "priority"));
   print_state(ctl, state);
+  if (*text_of(job, "reason") != 0)
+    print_fact(ctl, "reason", "%s", text_of(job, "reason"));
   if (*text_of(job, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(job, "label"));
   const json_t *error = json_object_get(job, "error");
@@ -126,6 +158,15 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
     print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
   if (number_of(job, "attempts") > 0)
     print_fact(ctl, "attempts", "%" PRId64, number_of(job, "attempts"));
+  const json_t *training = json_object_get(job, "training");
+  if (json_is_object(training)) {
+    print_fact(ctl, "name", "%s", text_of(training, "name"));
+    print_fact(ctl, "progress", "step %s of %s; morphoctl train show %s tells more",
+               count_text(number_of(training, "step"), a), count_text(number_of(training, "steps"), b),
+               text_of(job, "id"));
+    print_job_times(ctl, job);
+    return;
+  }
   const json_t *controller = json_object_get(job, "controller");
   const char *name = text_of(controller, "name");
   print_fact(ctl, "controller", "%s%ssha256:%s", name, *name != 0 ? ", " : "", text_of(controller, "sha256"));
@@ -145,9 +186,7 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
     print_fact(ctl, "from store", "%s", count_text(number_of(job, "rollouts_cached"), a));
   if (number_of(job, "rollouts_diverged") > 0)
     print_fact(ctl, "diverged", "%s", count_text(number_of(job, "rollouts_diverged"), a));
-  print_fact(ctl, "created", "%s", time_text(json_object_get(job, "created_at"), a));
-  print_fact(ctl, "started", "%s", time_text(json_object_get(job, "started_at"), a));
-  print_fact(ctl, "finished", "%s", time_text(json_object_get(job, "finished_at"), a));
+  print_job_times(ctl, job);
 }
 
 /* ---- results ---- */

@@ -47,6 +47,19 @@ int request_physics(json_t *physics, const char *text)
   return STATUS_OK;
 }
 
+int request_fill_physics(const struct ctl *ctl, json_t *request)
+{
+  json_t *physics = json_object();
+  int status = physics != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
+    if (strcmp(ctl->given[i].name, "physics") == 0)
+      status = request_physics(physics, ctl->given[i].value);
+  if (json_object_size(physics) > 0)
+    json_object_set(request, "physics", physics);
+  json_decref(physics);
+  return status;
+}
+
 static int fill_environments(const struct ctl *ctl, json_t *request)
 {
   const char *name = option_text(ctl, "environments", NULL);
@@ -91,14 +104,7 @@ int request_fill(const struct ctl *ctl, json_t *request)
       return complain(STATUS_USAGE, "--precision: \"%s\" is not float32 or float64", precision);
     json_object_set_new(request, "precision", json_string(precision));
   }
-  json_t *physics = json_object();
-  int status = STATUS_OK;
-  for (size_t i = 0; i < ctl->n_given && status == STATUS_OK; i++)
-    if (strcmp(ctl->given[i].name, "physics") == 0)
-      status = request_physics(physics, ctl->given[i].value);
-  if (json_object_size(physics) > 0)
-    json_object_set(request, "physics", physics);
-  json_decref(physics);
+  int status = request_fill_physics(ctl, request);
   return status == STATUS_OK ? fill_environments(ctl, request) : status;
 }
 
@@ -134,11 +140,11 @@ static int wait_for(struct ctl *ctl, const char *id)
   return status;
 }
 
-int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation)
+int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s, json_t **job)
 {
   char generated[33], *key_header = NULL;
   const char *key = option_text(ctl, "idempotency-key", NULL);
-  *evaluation = NULL;
+  *job = NULL;
   if (key == NULL) {
     int status = random_key(generated);
     if (status != STATUS_OK)
@@ -151,19 +157,25 @@ int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluat
     return complain(STATUS_ERROR, "out of memory");
   }
   struct request post = {.method = "POST",
-                         .path = "/v1/evaluations",
+                         .path = path,
                          .content_type = "application/json",
                          .body = body,
                          .body_bytes = strlen(body),
                          .headers = {key_header},
-                         .wait_s = wait ? 1 : 0};
+                         .wait_s = wait_s};
   struct reply reply;
   int status = transport_send(ctl, &post, &reply);
   free(body);
   free(key_header);
-  if (status == STATUS_OK && (*evaluation = reply_json(&reply)) == NULL)
+  if (status == STATUS_OK && (*job = reply_json(&reply)) == NULL)
     status = STATUS_ERROR;
   reply_free(&reply);
+  return status;
+}
+
+int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation)
+{
+  int status = post_job(ctl, "/v1/evaluations", request, wait ? 1 : 0, evaluation);
   if (status != STATUS_OK || !wait || is_final(text_of(*evaluation, "state")))
     return status;
   char path[64], id[24];

@@ -40,6 +40,64 @@ static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "Th
                                                       {NULL, 0, NULL, NULL}};
 static const struct option_spec watch_options[] = {
     {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL, 0, NULL, NULL}};
+static const struct option_spec train_start_options[] = {
+    {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id)."},
+    {"controller", 'c', "NAME",
+     "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: default)."},
+    {"sensor", 0, "inverse_sqrt|inverse_square", "Sensor of a controller from random weights (default: inverse_sqrt)."},
+    {"random", 0, "N", "finetune: N random bodies (besides those given)."},
+    {"random-seed", 0, "SEED", "Seed of these bodies (default: 1)."},
+    {"population", 0, "EVALUATION", "finetune: the designs of an evaluation that has succeeded, best first."},
+    {"best", 0, "N", "Only the N best of the population (default: all)."},
+    {"steps", 'n', "N", "Steps of learning, 1 to 1,000,000 (default: 1400; finetune: 60)."},
+    {"batch", 'b', "N", "Robots of a step, 1 to 65,536 (default: 256)."},
+    {"seed", 0, "SEED", "Seed of bodies, environments and random weights (default: 1)."},
+    {"schedule", 0, "NAME",
+     "Learning rate: one-cosine (default), paper-pretrain, paper-finetune (default of finetune), paper-simultaneous; "
+     "or "
+     "restarts, cosine or constant, with the options below."},
+    {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},
+    {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},
+    {"decay", 0, "FACTOR", "restarts: of the peak from one cycle to the next (default: 0.7)."},
+    {"cycle-steps", 0, "N", "restarts: steps of the first cycle (default: 10)."},
+    {"cycle-growth", 0, "N", "restarts: of the length from one cycle to the next (default: 2)."},
+    {"warmup-steps", 0, "N", "Steps in which the rate grows to its peak (default: 10 for cosine, else 0)."},
+    {"beta1", 0, "X", "Adam's decay of the mean of gradients (default: 0.9)."},
+    {"beta2", 0, "X", "Adam's decay of the mean of their squares (default: 0.999)."},
+    {"epsilon", 0, "X", "Adam's smallest divisor (default: 1e-8)."},
+    {"gradient-norm-limit", 0, "X", "Largest norm of a step's gradient; 0: off (default: 1)."},
+    {"adjoint-bound", 0, "X", "Bound of each robot's adjoint on the way back; 0: off (default: 2)."},
+    {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {"validate-every", 0, "STEPS", "Score the held-out set every so many steps; 0: never (default: 50)."},
+    {"validation-designs", 0, "N", "Designs of the held-out set (default: 64)."},
+    {"validation-environments", 0, "N", "Environments of the held-out set (default: 8)."},
+    {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: by time alone (default: 0)."},
+    {"checkpoint-seconds", 0, "N", "Save the state every N seconds; 0: by steps alone (default: 60)."},
+    {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3)."},
+    {"priority", 0, "batch|interactive", "Default: batch."},
+    {"label", 'l', "TEXT", "A label to find the job by."},
+    {"watch", 'w', NULL, "Watch it to its end, as train watch does."},
+    {"idempotency-key", 0, "KEY",
+     "Repeating the same request with the same key gives the same training (default: a new key)."},
+    {NULL, 0, NULL, NULL}};
+static const struct option_spec train_list_options[] = {
+    {"state", 0, "STATE", "Only trainings that are queued, running, paused, succeeded, failed or cancelled."},
+    {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
+    {"all", 'a', NULL, "No limit."},
+    {NULL, 0, NULL, NULL}};
+static const struct option_spec train_export_options[] = {
+    {"output", 'o', "FILE",
+     "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
+    {"step", 0, "N", "The controller of the checkpoint of this step (default: the result, or the newest checkpoint)."},
+    {"curve", 0, "FILE", "The curve as CSV, a line per step; -: standard output. Alone: no controller."},
+    {"validations", 0, "FILE", "The validations as CSV; -: standard output. Alone: no controller."},
+    {NULL, 0, NULL, NULL}};
+static const struct option_spec train_compare_options[] = {
+    {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
+    {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
+    {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 8)."},
+    {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {NULL, 0, NULL, NULL}};
 static const struct option_spec controller_get_options[] = {
     {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."}, {NULL, 0, NULL, NULL}};
 
@@ -80,6 +138,29 @@ const struct command commands[] = {
      "succeeded, 3 "
      "if not.",
      watch_options, 0, 1, run_watch},
+    {"train start", "pretrain|finetune [DESIGN]...", "Let a controller learn.",
+     "pretrain: from random weights or a controller, on an endless stream of distinct random bodies. finetune: a "
+     "controller, on the designs given (as those of eval), on random ones, or on a population. The training is a job "
+     "of the server, which goes on without morphoctl, and after a crash where it was.",
+     train_start_options, 1, MANY, run_train_start},
+    {"train list", "", "List trainings, newest first.", NULL, train_list_options, 0, 0, run_train_list},
+    {"train show", "ID", "Show a training with its curve.", NULL, NULL, 1, 1, run_train_show},
+    {"train watch", "ID", "Watch a training learn, to its end.",
+     "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the training alone. Exit "
+     "status: 0 if it succeeded, 3 if not.",
+     NULL, 1, 1, run_train_watch},
+    {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY, run_job_pause},
+    {"train resume", "ID...", "Go on with paused trainings.", NULL, NULL, 1, MANY, run_job_resume},
+    {"train cancel", "ID...", "Cancel trainings.",
+     "Checkpoints that are kept stay: train export gives their "
+     "controllers.",
+     NULL, 1, MANY, run_job_cancel},
+    {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.", NULL,
+     train_export_options, 1, 1, run_train_export},
+    {"train compare", "A B", "Compare two controllers on held-out designs.",
+     "Scores both controllers on designs and environments that no pretraining draws, and tells the mean of the "
+     "differences over designs with its 95 % confidence interval (Student t). Lower scores are better.",
+     train_compare_options, 2, 2, run_train_compare},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL, controller_get_options, 1, 1,

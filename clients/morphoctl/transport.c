@@ -14,6 +14,8 @@
 
 struct transport {
   CURL *curl;
+  CURL *aside;       /* for requests while a stream is read; made when it is needed */
+  bool streaming;    /* curl is inside a stream's callback */
   char *base;        /* "http://127.0.0.1:8765" */
   char *socket;      /* path of a unix socket, or NULL */
   bool has_answered; /* the server has been there: worth waiting for */
@@ -94,6 +96,7 @@ void transport_close(struct ctl *ctl)
     return;
   if (transport->curl != NULL) {
     curl_easy_cleanup(transport->curl);
+    curl_easy_cleanup(transport->aside);
     curl_global_cleanup();
   }
   free(transport->base);
@@ -156,6 +159,7 @@ static size_t take_header(char *line, size_t size, size_t count, void *context)
   copy_header(line, n, "Content-Type", reply->content_type, sizeof(reply->content_type));
   copy_header(line, n, "Location", reply->location, sizeof(reply->location));
   copy_header(line, n, "Morphod-Shape", reply->shape, sizeof(reply->shape));
+  copy_header(line, n, "Morphod-Step", reply->step, sizeof(reply->step));
   copy_header(line, n, "X-Request-Id", reply->request_id, sizeof(reply->request_id));
   copy_header(line, n, "Retry-After", retry, sizeof(retry));
   if (*retry >= '0' && *retry <= '9')
@@ -198,11 +202,13 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
                         void *context)
 {
   struct transport *transport = ctl->transport;
-  CURL *curl = transport->curl;
+  if (transport->streaming && transport->aside == NULL)
+    transport->aside = curl_easy_init();
+  CURL *curl = transport->streaming ? transport->aside : transport->curl;
   struct curl_slist *headers = NULL;
   char *url = NULL, *bearer = NULL, wait[24];
   CURLcode code = CURLE_OUT_OF_MEMORY;
-  if (asprintf(&url, "%s%s", transport->base, request->path) < 0)
+  if (curl == NULL || asprintf(&url, "%s%s", transport->base, request->path) < 0)
     return code;
   snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
   if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
@@ -403,7 +409,10 @@ static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
   if (status != 200)
     return take_body(bytes, size, count, &stream->reply); /* a problem, to be reported */
   stream->ctl->transport->has_answered = true;
-  if (stream->data(stream->context, bytes, n) != 0) {
+  stream->ctl->transport->streaming = true;
+  int end = stream->data(stream->context, bytes, n);
+  stream->ctl->transport->streaming = false;
+  if (end != 0) {
     stream->ended = true;
     return 0;
   }

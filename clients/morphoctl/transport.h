@@ -27,7 +27,7 @@ struct reply {
   long status;
   char *body; /* NUL-terminated besides */
   size_t body_bytes, body_capacity;
-  char content_type[96], location[512], shape[64], request_id[32];
+  char content_type[96], location[512], shape[64], step[24], request_id[32];
   long retry_after_s; /* −1: none */
 };
 
@@ -51,7 +51,8 @@ int complain_about_reply(const struct ctl *ctl, const struct reply *reply);
 int transport_get_json(struct ctl *ctl, const char *path, unsigned wait_s, json_t **json);
 json_t *reply_json(const struct reply *reply); /* NULL and a complaint: not JSON */
 
-/* A stream: `data` is called with each piece; a non-zero return ends it (STATUS_OK). STATUS_CONNECTION: it broke. */
+/* A stream: `data` is called with each piece; a non-zero return ends it (STATUS_OK). It may send other requests meanwhile.
+ * STATUS_CONNECTION: it broke. */
 int transport_stream(struct ctl *ctl, const char *path, const char *header,
                      int (*data)(void *context, const char *bytes, size_t n), void *context);
 

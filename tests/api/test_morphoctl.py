@@ -159,6 +159,61 @@ def test_status(ctl):
     assert json.loads(ctl("status", "--json")[1])["ready"] is True
 
 
+TINY = ["--steps", "6", "--batch", "4", "--physics", "n_steps=30", "--validate-every", "3", "--validation-designs", "3", "--validation-environments", "2"]
+
+
+def test_training_from_start_to_export(service, ctl, tmp_path):
+    status, out, err = ctl("train", "start", "pretrain", "--name", "ctl-walker", "--label", "by hand", "--checkpoint-steps", "2", *TINY, "--watch")
+    assert status == 0, (out, err)
+    assert re.match(r"training \d+ \(pretrain ctl-walker\) is (queued|running), step \d of 6", out), out
+    assert re.search(r"^controller ctl-walker: sha256:[0-9a-f]{64}$", out, re.M), out
+    job = re.match(r"training (\d+)", out)[1]
+    assert ctl("train", "watch", job)[0] == 0
+    events = [json.loads(line) for line in ctl("train", "watch", job, "--json")[1].splitlines()]
+    assert events[-1]["type"] == "job.finished" and "training.checkpoint" in {event["type"] for event in events}
+    shown = ctl("train", "show", job)[1]
+    assert re.search(r"^progress +step 6 of 6$", shown, re.M) and re.search(r"^label +by hand$", shown, re.M) and "step 6" in shown.splitlines()[-1]
+    assert json.loads(ctl("train", "show", job, "--json")[1]) == service.request("GET", f"/v1/trainings/{job}").json()
+    assert any(line.split()[:4] == [job, "pretrain", "ctl-walker", "succeeded"] for line in ctl("train", "list")[1].splitlines())
+    assert any(line.split()[:3] == [job, "pretrain", "succeeded"] for line in ctl("job", "list")[1].splitlines())
+    files = [str(tmp_path / name) for name in ("end", "middle", "curve.csv", "validations.csv")]
+    status, _, err = ctl("train", "export", job, "--output", files[0], "--curve", files[2], "--validations", files[3])
+    assert status == 0, err
+    assert ctl("train", "export", job, "--step", "4", "--output", files[1])[0] == 0
+    assert ctl("train", "export", job, "--step", "5")[0] == 3
+    end, middle = [open(path, "rb").read() for path in files[:2]]
+    assert hashlib.sha256(end).hexdigest() in out and middle != end
+    lines = (tmp_path / "curve.csv").read_text().splitlines()
+    assert lines[0].startswith("step,mean_loss,rate") and [line.split(",")[0] for line in lines[1:]] == list("123456")
+    assert [line.split(",")[0] for line in (tmp_path / "validations.csv").read_text().splitlines()[1:]] == ["0", "3", "6"]
+    status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6", "--environments", "2", "--physics", "n_steps=50")
+    assert status == 0 and "Student t, 6 pairs" in out, (out, err)
+
+
+def test_finetuning(ctl):
+    status, out, err = ctl("train", "start", "finetune", "--random", "3", "--name", "ctl-tuned", *TINY, "--json")
+    assert status == 0, err
+    value = json.loads(out)
+    assert value["settings"]["n_designs"] == 3 and value["parent"]["name"] == "default"
+    assert ctl("train", "watch", value["id"])[0] == 0
+    evaluation = json.loads(ctl("eval", *SHORT, "--random", "5", "--json")[1])
+    status, out, err = ctl("train", "start", "finetune", "--population", evaluation["id"], "--best", "2", *TINY)
+    assert status == 0 and json.loads(ctl("train", "show", out.strip(), "--json")[1])["settings"]["n_designs"] == 2, err
+    status, _, err = ctl("train", "start", "finetune", "--random", "3", "--controller", "nobody", "--batch", "0")
+    assert status == 6 and "/controller: " in err and "/batch: " in err, err
+
+
+def test_training_pause_resume_cancel(ctl):
+    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--validate-every", "0")[1].strip()
+    assert ctl("train", "pause", job) == (0, f"job {job} is paused\n", "")
+    assert re.search(r"^state +paused$", ctl("train", "show", job)[1], re.M)
+    assert any(line.split()[0] == job for line in ctl("train", "list", "--state", "paused")[1].splitlines())
+    assert ctl("train", "resume", job)[0] == 0
+    assert ctl("train", "cancel", job)[0] == 0
+    assert ctl("train", "watch", job)[0] == 3
+    assert ctl("train", "resume", job)[0] == 3 and ctl("train", "show", "999999")[0] == 3
+
+
 def test_unix_socket_and_token(start, ctl, tmp_path):
     tokens = tmp_path / "tokens"
     tokens.write_text("a-token-of-some-length\n")

@@ -1,16 +1,21 @@
 """morphoctl against a server that misbehaves on demand: repetition, exit statuses, tables, streams. Speaks TAP.
 
 Usage: against_fake_server.py MORPHOCTL. The real daemon's replies are tested in tests/api."""
+import fcntl
 import http.server
 import json
 import os
+import pty
 import re
+import signal
 import socketserver
 import struct
 import subprocess
 import sys
 import tempfile
+import termios
 import threading
+import time
 
 MORPHOCTL = sys.argv[1]
 VOXELS = "1" + "0" * 143
@@ -313,6 +318,222 @@ def test_controller_files():
             assert server.seen[0][:2] == ("PUT", "/v1/controllers/c") and server.seen[0][3] == bytes(range(256)) * 100
             with open(path + ".copy", "rb") as file:
                 assert file.read() == bytes(range(256)) * 100
+
+
+TRAINING = {"id": "7", "kind": "pretrain", "name": "walker", "state": "running", "priority": "batch", "label": None, "attempts": 0, "error": None,
+            "created_at": "2026-11-21T10:00:00.000Z", "started_at": "2026-11-21T10:00:00.000Z", "finished_at": None, "reason": None,
+            "phase": "learning", "parent": None, "validation": None, "checkpoint_step": None, "controller": None,
+            "settings": {"steps": 1400, "batch": 256, "seed": 1, "sensor": "inverse_sqrt", "n_designs": None, "population": None,
+                         "schedule": {"kind": "cosine", "peak": 0.002, "floor": 1e-05}, "adam": {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08},
+                         "gradient_norm_limit": 1.0, "adjoint_bound": 2.0, "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"},
+                         "validation": {"every_steps": 50, "designs": 64, "environments": 8},
+                         "checkpoint": {"every_steps": 0, "every_s": 60, "keep": 3}},
+            "progress": {"step": 2, "steps": 1400, "mean_loss": 0.75, "gradient_norm": 0.5, "rate": 0.001, "clipped_share": 0.03, "diverged": 0,
+                         "zeroed": 0, "bodies_per_s": 100.0, "seconds_left": 3600.0, "replayed": 0, "replay_total": 0}}
+NEWEST = reply(200, {"items": [], "next_after": "41", "reset": True})
+NO_ROWS = reply(200, {"items": [], "next_after": 0, "more": False})
+DONE = {**TRAINING, "state": "succeeded", "phase": "idle", "controller": {"name": "walker", "sha256": "c" * 64},
+        "progress": {**TRAINING["progress"], "step": 1400}}
+
+
+def step_rows(first, last, more=False):
+    rows = [{"step": n, "mean_loss": 1 / n} for n in range(first, last + 1)]
+    return reply(200, {"items": rows, "next_after": last, "more": more})
+
+
+def test_train_start_sends_what_was_asked_for():
+    with Server([reply(202, TRAINING)]) as server:
+        status, out, err = run(server, "train", "start", "pretrain", "--name", "walker", "--steps", "1400", "-b", "256", "--seed", "3", "--sensor",
+                               "inverse_square", "--schedule", "restarts", "--peak", "2e-3", "--floor", "1e-5", "--decay", "0.7", "--cycle-steps", "10",
+                               "--cycle-growth", "2", "--warmup-steps", "5", "--beta1", "0.8", "--beta2", "0.99", "--epsilon", "1e-7",
+                               "--gradient-norm-limit", "0", "--adjoint-bound", "8", "-p", "n_steps=20", "--validate-every", "5",
+                               "--validation-designs", "4", "--validation-environments", "2", "--checkpoint-steps", "7", "--checkpoint-seconds", "0",
+                               "--checkpoint-keep", "2", "--priority", "batch", "--label", "x")
+        assert (status, out) == (0, "7\n") and "morphoctl train watch 7" in err, (out, err)
+        method, path, headers, body = server.seen[0]
+        assert (method, path) == ("POST", "/v1/trainings") and re.fullmatch("[0-9a-f]{32}", headers["Idempotency-Key"]) and "Prefer" not in headers
+        assert json.loads(body) == {
+            "kind": "pretrain", "name": "walker", "steps": 1400, "batch": 256, "seed": 3, "sensor": "inverse_square",
+            "schedule": {"kind": "restarts", "peak": 0.002, "floor": 1e-05, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 5},
+            "adam": {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-07}, "gradient_norm_limit": 0.0, "adjoint_bound": 8.0, "physics": {"n_steps": 20},
+            "validation": {"every_steps": 5, "designs": 4, "environments": 2}, "checkpoint": {"every_steps": 7, "every_s": 0, "keep": 2},
+            "priority": "batch", "label": "x"}
+
+
+def test_train_start_finetune():
+    with Server([reply(202, TRAINING), reply(202, TRAINING), reply(202, TRAINING)]) as server:
+        assert run(server, "train", "start", "finetune", VOXELS, "-c", "walker", "--schedule", "one-cosine")[0] == 0
+        assert json.loads(server.seen[0][3]) == {"kind": "finetune", "controller": "walker", "designs": [{"voxels": VOXELS}], "schedule": "one-cosine"}
+        assert run(server, "train", "start", "finetune", "--population", "12", "--best", "64")[0] == 0
+        assert json.loads(server.seen[1][3]) == {"kind": "finetune", "population": {"evaluation": "12", "best": 64}}
+        assert run(server, "train", "start", "finetune", "--random", "5", "--random-seed", "9")[0] == 0
+        assert len(json.loads(server.seen[2][3])["designs"]) == 5
+
+
+def test_train_start_that_makes_no_sense():
+    with Server([]) as server:
+        for words in (["x"], ["finetune"], ["pretrain", VOXELS], ["pretrain", "--random", "3"], ["pretrain", "--population", "1"],
+                      ["finetune", VOXELS, "--population", "1"], ["finetune", VOXELS, "--best", "2"], ["pretrain", "--peak", "1e-3"],
+                      ["pretrain", "--schedule", "one-cosine", "--peak", "1e-3"], ["pretrain", "--steps", "1e3"], ["pretrain", "--steps", "9" * 30],
+                      ["pretrain", "--adjoint-bound", "inf"], ["pretrain", "--beta1", ""], ["pretrain", "-p", "gravity=1"],
+                      ["finetune", "--population", "x"], ["pretrain", "--stepps", "3"]):
+            status, out, err = run(server, "train", "start", *words)
+            assert status == 2 and out == "" and err.startswith("morphoctl: "), (words, status, err)
+        assert server.seen == []
+
+
+def test_train_watch_goes_on_after_a_break():
+    progress = {"id": "7", "step": 4, "steps": 1400, "mean_loss": 0.5, "gradient_norm": 0.25, "rate": 0.002, "clipped_share": 0.125,
+                "bodies_per_s": 123.4, "seconds_left": 90061.0}
+    with Server([NEWEST, reply(200, TRAINING), step_rows(1, 2), NO_ROWS,
+                 stream(event(42, "training.progress", **progress) + "id: 43\nevent: trai"),
+                 reply(200, TRAINING), NO_ROWS, NO_ROWS,
+                 stream(event(43, "training.validation", id="7", step=50, mean_score=0.25, standard_error=0.01, rollouts=512, diverged=3) +
+                        event(44, "training.checkpoint", id="7", step=50) + event(45, "job.paused", state="paused")),
+                 reply(200, {**TRAINING, "state": "paused", "phase": "idle"}), NO_ROWS, NO_ROWS,
+                 reply(200, {**TRAINING, "state": "paused", "phase": "idle"}), NO_ROWS, NO_ROWS,
+                 stream(event(46, "job.finished", state="succeeded")), reply(200, DONE), NO_ROWS, NO_ROWS]) as server:
+        status, out, err = run(server, "train", "watch", "7")
+        assert status == 0, (out, err)
+        lines = out.splitlines()
+        assert lines[0] == "training 7 (pretrain walker) is running, step 2 of 1,400"
+        assert lines[1] == ("2026-11-21 10:00:00  step 4 of 1,400  loss 0.5000  gradient 0.25  rate 0.002  clipped 12.5 %  123.4 bodies/s  "
+                            "25:01:01 left")
+        assert lines[2].endswith("validation 0.2500 ± 0.0100 at step 50, 3 of 512 rollouts diverged") and lines[3].endswith("checkpoint of step 50")
+        assert lines[4].endswith("job.paused  paused") and lines[5].endswith("job.finished  succeeded")
+        assert lines[6] == "controller walker: sha256:" + "c" * 64 and len(lines) == 7
+        streams = [(path, headers.get("Last-Event-ID")) for _, path, headers, _ in server.seen if path.startswith("/v1/events?job")]
+        assert streams == [("/v1/events?job=7&after=41", None), ("/v1/events?job=7", "42"), ("/v1/events?job=7", "45")]
+        assert "\033" not in out
+
+
+def test_train_watch_one_that_has_ended():
+    for ended, expected in ((DONE, 0), ({**DONE, "state": "cancelled", "controller": None}, 3),
+                            ({**DONE, "state": "failed", "controller": None, "error": {"code": "io", "detail": "the disk broke"}}, 3)):
+        with Server([NEWEST, reply(200, ended), step_rows(1, 5), NO_ROWS]) as server:
+            status, _, err = run(server, "train", "watch", "7")
+            assert status == expected and ("the disk broke" in err) == (ended["error"] is not None), err
+
+
+def test_train_watch_is_left_with_an_interrupt():
+    arrived = threading.Event()
+
+    def silent(handler):
+        stream(event(42, "training.progress", step=3, mean_loss=0.5))(handler)
+        handler.wfile.flush()
+        arrived.set()
+        time.sleep(20)
+
+    with Server([NEWEST, reply(200, TRAINING), step_rows(1, 2), NO_ROWS, silent]) as server:
+        environment = {**os.environ, "MORPHOD_SERVER": server.address, "LC_ALL": "C.UTF-8"}
+        process = subprocess.Popen([MORPHOCTL, "train", "watch", "7"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+        assert arrived.wait(20)
+        assert process.stdout.readline().startswith("training 7") and "step 3" in process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=20)
+        assert process.returncode == 130 and all(f"morphoctl train {verb} 7" in err for verb in ("watch", "pause", "cancel")), err
+
+
+def test_train_watch_draws_on_a_terminal():
+    """In a pseudo-terminal of 80 × 24: the same lines again and again, never more than there are."""
+    rows = "".join(event(42 + n, "training.progress", step=n + 3, mean_loss=0.5 / (n + 1)) for n in range(5))
+    evil = {**TRAINING, "name": "w\033]0;x\007", "label": "\033[2J"}
+    with Server([NEWEST, reply(200, evil), step_rows(1, 2), NO_ROWS, stream(rows + event(60, "job.finished", state="succeeded")),
+                 reply(200, {**DONE, "name": "w"}), step_rows(3, 500), reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "more": False})]) as server:
+        child, terminal = pty.fork()
+        if child == 0:
+            os.environ.update(MORPHOD_SERVER=server.address, LC_ALL="C.UTF-8", TERM="xterm")
+            os.execv(MORPHOCTL, [MORPHOCTL, "train", "watch", "7"])
+        fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        data = b""
+        while True:
+            try:
+                piece = os.read(terminal, 65536)
+            except OSError:
+                break
+            if not piece:
+                break
+            data += piece
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0, data
+        text = data.decode()
+        assert "\033]0" not in text and "\033[2J" not in text and "w?]0;x?" in text
+        frames = text.split("\033[J")
+        assert len(frames) >= 3 and "Ctrl-C leaves" in frames[0] and "◆" in frames[-2] and "step 500" in frames[-2]
+        for frame in frames[:-1]:
+            assert frame.count("\n") <= 23, frame
+            for line in re.sub(r"\033\[[0-9]*[A-Za-z]", "", frame).replace("\r", "").split("\n"):
+                assert len(line) <= 80, line
+        up = re.findall(r"\033\[(\d+)A", text)
+        assert [int(n) for n in up] == [frame.count("\n") for frame in frames[:len(up)]]
+
+
+def test_train_show_and_list():
+    with Server([reply(200, {**TRAINING, "parent": {"name": "default", "sha256": "d" * 64}, "reason": "no space"}), step_rows(1, 2), NO_ROWS,
+                 reply(200, {"items": [TRAINING, DONE], "next_cursor": None})]) as server:
+        status, out, err = run(server, "train", "show", "7")
+        assert status == 0, err
+        assert re.search(r"^from +default, sha256:d+$", out, re.M) and re.search("^progress +step 2 of 1,400$", out, re.M) and "⠁" <= max(out) <= "⣿", out
+        assert re.search(r"^reason +no space$", out, re.M)
+        status, out, _ = run(server, "train", "list", "--state", "running")
+        assert status == 0 and len(out.splitlines()) == 3 and server.seen[-1][1] == "/v1/trainings?state=running&limit=50"
+        assert run(server, "train", "list", "--state", "ended")[0] == 2
+
+
+def test_train_export():
+    head = b"step,mean_loss\n"
+    with tempfile.TemporaryDirectory() as folder, \
+            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"), reply(200, head + b"1,0.5\n2,0.25\n", "text/csv"),
+                    reply(200, head + b"3,0.125\n", "text/csv"), reply(200, head, "text/csv"),
+                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv"), reply(200, b"step,mean_score\n", "text/csv")]) as server:
+        status, out, err = run(server, "train", "export", "7", "--step", "4", "-o", folder + "/c", "--curve", folder + "/curve", "--validations", "-")
+        assert status == 0 and out == "step,mean_score\n0,1.5\n", (out, err)
+        with open(folder + "/c", "rb") as file:
+            assert file.read() == b"weights"
+        with open(folder + "/curve", "rb") as file:
+            assert file.read() == head + b"1,0.5\n2,0.25\n3,0.125\n"
+        assert [path for _, path, _, _ in server.seen] == ["/v1/trainings/7/controller?step=4", "/v1/trainings/7/steps", "/v1/trainings/7/steps?after=2",
+                                                           "/v1/trainings/7/steps?after=3", "/v1/trainings/7/validations", "/v1/trainings/7/validations?after=0"]
+    with Server([reply(404, {"title": "Not Found", "detail": "no checkpoint yet"})]) as server:
+        assert run(server, "train", "export", "7")[0] == 3
+
+
+def scored(identity, scores):
+    results = [{**RESULT, "score": score, "losses": [score, score], "diverged": [] if score is not None else [{"environment": 0, "step": 3}]}
+               for score in scores]
+    return reply(200, {**JOB, "id": identity, "controller": {"name": "x", "sha256": "e" * 64}, "results": results})
+
+
+def test_train_compare():
+    held_out = {"designs": [{"voxels": VOXELS}] * 5, "environments": [{"light_xy_m": [1, 2], "terrain_sigma_m": 0, "seed": 1}] * 2}
+    a, b = [2.0, 4.0, 6.0, 1.0, None], [1.0, 2.0, 3.0, 1.0, 0.5]
+    with Server([reply(200, held_out), scored("8", a), scored("9", b), reply(200, held_out), scored("8", a), scored("9", b)]) as server:
+        status, out, err = run(server, "train", "compare", "old", "new", "--seed", "3", "--designs", "5", "--environments", "2")
+        assert status == 0, err
+        assert server.seen[0][1] == "/v1/held-out?seed=3&designs=5&environments=2"
+        assert [json.loads(s[3]) for s in server.seen[1:3]] == [{**held_out, "controller": "old"}, {**held_out, "controller": "new"}]
+        # Differences -1, -2, -3, 0: mean -1.5, deviation sqrt(5/3), t(0.975, 3) = 3.182446.
+        half = 3.182446305284263 * (5 / 3 / 4) ** 0.5
+        assert f"-1.5000, 95 % confidence {-1.5 - half:+.4f} to {-1.5 + half:+.4f} (Student t, 4 pairs)" in out, out
+        assert "3 of 4 designs (75.0 %), 1 equal" in out and "1 design that diverged" in out and "is not shown" in out
+        assert re.search(r"^A +old +3\.2500 +1 of 5 +1 of 10 ", out, re.M) and re.search(r"^B +new +1\.7500 +0 of 5 +0 of 10 ", out, re.M), out
+        value = json.loads(run(server, "train", "compare", "old", "new", "--json")[1])
+        assert value["pairs"] == 4 and value["difference"] == -1.5 and abs(value["high"] - (half - 1.5)) < 1e-12 and value["verdict"] == "undecided"
+        assert value["a"]["designs_diverged"] == 1 and value["improved"] == 3 and value["held_out"] == {"seed": 1, "designs": 5, "environments": 8}
+    for scores, verdict in (([0.5, 0.6, 0.5, 0.6, 0.5], "better"), ([1.5, 1.6, 1.5, 1.6, 1.5], "worse"), ([None] * 5, "undecided")):
+        with Server([reply(200, held_out), scored("8", [1.0] * 5), scored("9", scores)] * 2) as server:
+            assert json.loads(run(server, "train", "compare", "a", "b", "--json")[1])["verdict"] == verdict
+            words = {"better": "b is better than a", "worse": "b is worse than a", "undecided": "Too few designs"}[verdict]
+            assert words in run(server, "train", "compare", "a", "b")[1]
+
+
+def test_job_lists_name_trainings():
+    short = {**{k: TRAINING[k] for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at", "attempts", "error", "reason")},
+             "kind": "training", "training": {"kind": "finetune", "name": "walker", "step": 350, "steps": 1400}}
+    with Server([reply(200, {"items": [short, JOB], "next_cursor": None}), reply(200, short)]) as server:
+        out = run(server, "job", "list")[1]
+        assert re.search(r"7 +finetune +running +batch +1,400 steps +25 %", out) and re.search(r"7 +evaluation +succeeded .* 2 rollouts +100 %", out), out
+        out = run(server, "job", "show", "7")[1]
+        assert "step 350 of 1,400; morphoctl train show 7" in out, out
 
 
 tests = [(name, value) for name, value in sorted(globals().items()) if name.startswith("test_")]

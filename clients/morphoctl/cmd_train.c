@@ -1,0 +1,440 @@
+/* cmd_train.c: train start, list, show, export. */
+#include <errno.h>
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "commands.h"
+#include "table.h"
+#include "training.h"
+#include "transport.h"
+
+/* ---- start ---- */
+
+/* Options that are fields of the request, by their place: "group.field" is a field of an object. */
+struct field {
+  const char *option, *place;
+  enum { WHOLE, REAL, WORD } kind;
+};
+
+static const struct field fields[] = {
+    {"name", "name", WORD},
+    {"controller", "controller", WORD},
+    {"sensor", "sensor", WORD},
+    {"steps", "steps", WHOLE},
+    {"batch", "batch", WHOLE},
+    {"seed", "seed", WHOLE},
+    {"beta1", "adam.beta1", REAL},
+    {"beta2", "adam.beta2", REAL},
+    {"epsilon", "adam.epsilon", REAL},
+    {"gradient-norm-limit", "gradient_norm_limit", REAL},
+    {"adjoint-bound", "adjoint_bound", REAL},
+    {"validate-every", "validation.every_steps", WHOLE},
+    {"validation-designs", "validation.designs", WHOLE},
+    {"validation-environments", "validation.environments", WHOLE},
+    {"checkpoint-steps", "checkpoint.every_steps", WHOLE},
+    {"checkpoint-seconds", "checkpoint.every_s", WHOLE},
+    {"checkpoint-keep", "checkpoint.keep", WHOLE},
+    {"priority", "priority", WORD},
+    {"label", "label", WORD},
+};
+static const struct field schedule_fields[] = {
+    {"peak", "schedule.peak", REAL},
+    {"floor", "schedule.floor", REAL},
+    {"decay", "schedule.decay", REAL},
+    {"cycle-steps", "schedule.cycle_steps", WHOLE},
+    {"cycle-growth", "schedule.cycle_growth", WHOLE},
+    {"warmup-steps", "schedule.warmup_steps", WHOLE},
+};
+#define N_OF(array) (sizeof(array) / sizeof((array)[0]))
+
+/* Puts the option's value, if it is given, at its place. Bounds are the server's to check: it names them. */
+static int fill_field(const struct ctl *ctl, json_t *request, const struct field *field)
+{
+  const char *text = option_text(ctl, field->option, NULL);
+  if (text == NULL)
+    return STATUS_OK;
+  json_t *value = NULL;
+  char *end = NULL;
+  errno = 0;
+  if (field->kind == WHOLE) {
+    long long number = strtoll(text, &end, 10);
+    if (*text != 0 && *end == 0 && errno == 0)
+      value = json_integer(number);
+  } else if (field->kind == REAL) {
+    double number = strtod(text, &end);
+    if (*text != 0 && *end == 0)
+      value = json_real(number); /* NULL if it is not finite */
+  } else {
+    value = json_string(text);
+  }
+  if (value == NULL)
+    return complain(STATUS_USAGE, "--%s: \"%s\" is not a %s", field->option, text,
+                    field->kind == WHOLE  ? "whole number"
+                    : field->kind == REAL ? "number"
+                                          : "text in UTF-8");
+  const char *dot = strchr(field->place, '.');
+  json_t *object = request;
+  if (dot != NULL) {
+    char group[32];
+    snprintf(group, sizeof(group), "%.*s", (int)(dot - field->place), field->place);
+    object = json_object_get(request, group);
+    if (object == NULL) {
+      object = json_object();
+      json_object_set_new(request, group, object);
+    }
+  }
+  json_object_set_new(object, dot != NULL ? dot + 1 : field->place, value);
+  return STATUS_OK;
+}
+
+static int fill_schedule(const struct ctl *ctl, json_t *request)
+{
+  static const char *const kinds[] = {"restarts", "cosine", "constant"};
+  const char *name = option_text(ctl, "schedule", NULL), *detail = NULL;
+  bool kind = false;
+  for (size_t i = 0; i < N_OF(kinds) && name != NULL; i++)
+    kind |= strcmp(kinds[i], name) == 0;
+  for (size_t i = 0; i < N_OF(schedule_fields); i++)
+    if (option_is_set(ctl, schedule_fields[i].option))
+      detail = schedule_fields[i].option;
+  if (detail != NULL && !kind)
+    return complain(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s", detail,
+                    name != NULL ? ": the schedule that is named has its own" : "");
+  if (name != NULL && !kind)
+    json_object_set_new(request, "schedule", json_string(name));
+  else if (name != NULL)
+    json_object_set_new(request, "schedule", json_pack("{s:s}", "kind", name));
+  int status = STATUS_OK;
+  for (size_t i = 0; i < N_OF(schedule_fields) && status == STATUS_OK; i++)
+    status = fill_field(ctl, request, &schedule_fields[i]);
+  return status;
+}
+
+/* What a finetuning learns on: designs of operands, random ones, or a population. */
+static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
+{
+  int64_t n_random = 0, seed = 1, best = 0;
+  const char *population = option_text(ctl, "population", NULL);
+  if (!option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) ||
+      !option_number(ctl, "random-seed", 0, INT64_MAX, &seed) || !option_number(ctl, "best", 1, DESIGNS_MAX, &best))
+    return STATUS_USAGE;
+  bool listed = ctl->n_operands > 1 || n_random > 0;
+  if (!finetune && (listed || population != NULL))
+    return complain(STATUS_USAGE, "a pretraining draws bodies of its own: designs, --random and --population are for "
+                                  "train start finetune");
+  if (finetune && listed == (population != NULL))
+    return complain(STATUS_USAGE, "a finetuning learns on designs (files, --random N) or on a --population: give one "
+                                  "of the two");
+  if (best > 0 && population == NULL)
+    return complain(STATUS_USAGE, "--best is for --population");
+  if (population != NULL) {
+    if (!check_job_id(population))
+      return STATUS_USAGE;
+    json_t *object = json_pack("{s:s}", "evaluation", population);
+    if (best > 0)
+      json_object_set_new(object, "best", json_integer(best));
+    json_object_set_new(request, "population", object);
+  }
+  struct designs designs = {0};
+  int status = STATUS_OK;
+  for (size_t i = 1; i < ctl->n_operands && status == STATUS_OK; i++)
+    status = designs_add_operand(&designs, ctl->operands[i]);
+  if (status == STATUS_OK && n_random > 0)
+    status = designs_add_random(&designs, (uint64_t)seed, (size_t)n_random);
+  if (status == STATUS_OK && listed)
+    json_object_set(request, "designs", designs.list);
+  designs_free(&designs);
+  return status;
+}
+
+int run_train_start(struct ctl *ctl)
+{
+  const char *kind = ctl->operands[0];
+  bool finetune = strcmp(kind, "finetune") == 0;
+  if (!finetune && strcmp(kind, "pretrain") != 0)
+    return complain(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
+  json_t *request = json_pack("{s:s}", "kind", kind), *training = NULL;
+  int status = request != NULL ? fill_designs(ctl, finetune, request) : complain(STATUS_ERROR, "out of memory");
+  for (size_t i = 0; i < N_OF(fields) && status == STATUS_OK; i++)
+    status = fill_field(ctl, request, &fields[i]);
+  if (status == STATUS_OK)
+    status = fill_schedule(ctl, request);
+  if (status == STATUS_OK)
+    status = request_fill_physics(ctl, request);
+  if (status == STATUS_OK)
+    status = post_job(ctl, "/v1/trainings", request, 0, &training);
+  json_decref(request);
+  bool watch = option_is_set(ctl, "watch");
+  if (status == STATUS_OK && ctl->json && !watch) {
+    print_json(training);
+  } else if (status == STATUS_OK) {
+    const char *id = text_of(training, "id");
+    const json_t *settings = json_object_get(training, "settings");
+    char steps[32], batch[32];
+    if (!watch)
+      print_plain_line(stdout, "%s", id);
+    if (!ctl->quiet && !ctl->json)
+      print_plain_line(stderr, "training %s is accepted: %s steps of %s robots%s%s", id,
+                       count_text(number_of(settings, "steps"), steps), count_text(number_of(settings, "batch"), batch),
+                       watch ? "" : "; morphoctl train watch ", watch ? "" : id);
+    if (watch && ctl->json) { /* the API's events, one per line */
+      ctl->operands[0] = id;
+      ctl->n_operands = 1;
+      status = run_watch(ctl);
+    } else if (watch) {
+      status = watch_training(ctl, id);
+    }
+  }
+  json_decref(training);
+  return status;
+}
+
+/* ---- list, show ---- */
+
+int run_train_list(struct ctl *ctl)
+{
+  const char *state = option_text(ctl, "state", NULL);
+  int64_t limit = 50;
+  if (!option_number(ctl, "limit", 1, 1000000, &limit))
+    return STATUS_USAGE;
+  if (option_is_set(ctl, "all"))
+    limit = 0;
+  if (state != NULL && !is_state(state))
+    return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
+                    state);
+  char path[64];
+  json_t *items;
+  snprintf(path, sizeof(path), "/v1/trainings%s%s", state != NULL ? "?state=" : "", state != NULL ? state : "");
+  int status = collect(ctl, path, (size_t)limit, &items);
+  if (status != STATUS_OK)
+    return status;
+  if (ctl->json) {
+    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
+    print_json(page);
+    json_decref(page);
+  } else {
+    struct table table;
+    size_t i;
+    const json_t *item;
+    table_open(&table, ">training|kind|name|state|>step|>of|>loss|>validation|created|label");
+    json_array_foreach(items, i, item)
+    {
+      const json_t *progress = json_object_get(item, "progress");
+      char step[32], steps[32], loss[32], score[32], time[32];
+      const char *cells[] = {text_of(item, "id"),
+                             text_of(item, "kind"),
+                             text_of(item, "name"),
+                             text_of(item, "state"),
+                             count_text(number_of(progress, "step"), step),
+                             count_text(number_of(progress, "steps"), steps),
+                             score_text(json_object_get(progress, "mean_loss"), loss),
+                             score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
+                             time_text(json_object_get(item, "created_at"), time),
+                             text_of(item, "label")};
+      table_add(&table, cells);
+    }
+    table_print(&table, stdout, ctl);
+  }
+  json_decref(items);
+  return STATUS_OK;
+}
+
+static void print_settings(const struct ctl *ctl, const json_t *settings)
+{
+  char a[32], b[32], c[32], seed[32];
+  const json_t *schedule = json_object_get(settings, "schedule"), *adam = json_object_get(settings, "adam");
+  const json_t *validation = json_object_get(settings, "validation"), *physics = json_object_get(settings, "physics");
+  const json_t *checkpoint = json_object_get(settings, "checkpoint");
+  print_fact(ctl, "batch", "%s robots, seed %" PRId64, count_text(number_of(settings, "batch"), a),
+             number_of(settings, "seed"));
+  if (json_is_integer(json_object_get(settings, "n_designs"))) {
+    const json_t *population = json_object_get(settings, "population");
+    snprintf(seed, sizeof(seed), "%.20s", text_of(population, "evaluation"));
+    print_fact(ctl, "designs", "%s%s%s", count_text(number_of(settings, "n_designs"), a),
+               *seed != 0 ? " of evaluation " : "", seed);
+  }
+  print_fact(ctl, "schedule", "%s, %s down to %s", text_of(schedule, "kind"),
+             real_text(json_object_get(schedule, "peak"), a), real_text(json_object_get(schedule, "floor"), b));
+  print_fact(ctl, "adam", "%s, %s, %s", real_text(json_object_get(adam, "beta1"), a),
+             real_text(json_object_get(adam, "beta2"), b), real_text(json_object_get(adam, "epsilon"), c));
+  print_fact(ctl, "limits", "gradient %s, adjoint %s", real_text(json_object_get(settings, "gradient_norm_limit"), a),
+             real_text(json_object_get(settings, "adjoint_bound"), b));
+  print_fact(ctl, "physics", "%" PRId64 " steps of %s s, impact %s", number_of(physics, "n_steps"),
+             real_text(json_object_get(physics, "dt_s"), a), text_of(physics, "impact"));
+  if (number_of(validation, "every_steps") > 0)
+    print_fact(ctl, "validates", "every %" PRId64 " steps on %" PRId64 " designs in %" PRId64 " environments",
+               number_of(validation, "every_steps"), number_of(validation, "designs"),
+               number_of(validation, "environments"));
+  int64_t steps = number_of(checkpoint, "every_steps"), seconds = number_of(checkpoint, "every_s");
+  int n = steps > 0 ? snprintf(a, sizeof(a), "every %" PRId64 " steps", steps) : 0;
+  a[n] = 0;
+  if (seconds > 0)
+    snprintf(b, sizeof(b), "%severy %" PRId64 " s", n > 0 ? " or " : "", seconds);
+  print_fact(ctl, "checkpoints", "%s%s, the newest %" PRId64 " kept",
+             n + seconds > 0 ? a : "at pauses, stops and the end", seconds > 0 ? b : "", number_of(checkpoint, "keep"));
+}
+
+static void print_training(const struct ctl *ctl, const json_t *training)
+{
+  char text[256];
+  const json_t *parent = json_object_get(training, "parent"), *progress = json_object_get(training, "progress");
+  print_fact(ctl, "training", "%s (%s)", text_of(training, "id"), text_of(training, "kind"));
+  print_fact(ctl, "name", "%s", text_of(training, "name"));
+  print_state(ctl, text_of(training, "state"));
+  if (*text_of(training, "reason") != 0)
+    print_fact(ctl, "reason", "%s", text_of(training, "reason"));
+  else if (strcmp(text_of(training, "phase"), "idle") != 0)
+    print_fact(ctl, "phase", "%s", text_of(training, "phase"));
+  if (*text_of(training, "label") != 0)
+    print_fact(ctl, "label", "%s", text_of(training, "label"));
+  const json_t *error = json_object_get(training, "error");
+  if (json_is_object(error))
+    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
+  if (number_of(training, "attempts") > 0)
+    print_fact(ctl, "attempts", "%" PRId64, number_of(training, "attempts"));
+  if (json_is_object(parent))
+    print_fact(ctl, "from", "%s%ssha256:%s", text_of(parent, "name"), *text_of(parent, "name") != 0 ? ", " : "",
+               text_of(parent, "sha256"));
+  else
+    print_fact(ctl, "from", "random weights, sensor %s", text_of(json_object_get(training, "settings"), "sensor"));
+  print_settings(ctl, json_object_get(training, "settings"));
+  training_step_text(number_of(progress, "step"), number_of(progress, "steps"), text, sizeof(text));
+  print_fact(ctl, "progress", "%s", text);
+  if (number_of(progress, "step") > 0) {
+    training_progress_text(progress, text, sizeof(text));
+    print_fact(ctl, "last step", "%s", text);
+  }
+  if (number_of(progress, "diverged") + number_of(progress, "zeroed") > 0)
+    print_fact(ctl, "", "%" PRId64 " robots diverged, %" PRId64 " gave no finite gradient",
+               number_of(progress, "diverged"), number_of(progress, "zeroed"));
+  training_validation_text(json_object_get(training, "validation"), text, sizeof(text));
+  print_fact(ctl, "validation", "%s", text);
+  if (json_is_integer(json_object_get(training, "checkpoint_step")))
+    print_fact(ctl, "checkpoint", "of step %" PRId64, number_of(training, "checkpoint_step"));
+  const json_t *controller = json_object_get(training, "controller");
+  if (json_is_object(controller))
+    print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"), text_of(controller, "sha256"));
+  print_job_times(ctl, training);
+}
+
+int run_train_show(struct ctl *ctl)
+{
+  struct training training = {.json = NULL};
+  const char *id = ctl->operands[0];
+  char path[64];
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  snprintf(training.id, sizeof(training.id), "%s", id);
+  snprintf(path, sizeof(path), "/v1/trainings/%s", id);
+  if (ctl->json)
+    return show_json(ctl, path);
+  int status = training_load(ctl, &training);
+  if (status == STATUS_OK) {
+    print_training(ctl, training.json);
+    char *plot = training_plot(ctl, &training, 78, 14);
+    if (plot != NULL)
+      printf("\n%s", plot);
+    free(plot);
+  }
+  training_free(&training);
+  return status;
+}
+
+/* ---- export ---- */
+
+static int export_controller(struct ctl *ctl, const char *id)
+{
+  const char *output = option_text(ctl, "output", NULL);
+  int64_t step = 0;
+  char path[96];
+  if (!option_number(ctl, "step", 1, 1000000, &step))
+    return STATUS_USAGE;
+  if (output != NULL && strcmp(output, "-") == 0 && isatty(STDOUT_FILENO))
+    return complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
+  int n = snprintf(path, sizeof(path), "/v1/trainings/%s/controller", id);
+  if (step > 0)
+    snprintf(path + n, sizeof(path) - (size_t)n, "?step=%" PRId64, step);
+  struct reply reply;
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"}, &reply);
+  char *made = NULL;
+  if (status == STATUS_OK && output == NULL) {
+    if (asprintf(&made, "training-%s-step-%.20s.safetensors", id, reply.step) < 0)
+      status = complain(STATUS_ERROR, "out of memory");
+    output = made;
+  }
+  if (status == STATUS_OK && strspn(reply.step, "0123456789") != strlen(reply.step))
+    status = complain(STATUS_ERROR, "the server's reply has no step");
+  if (status == STATUS_OK)
+    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: the controller after %s steps, %zu bytes", output, reply.step, reply.body_bytes);
+  free(made);
+  reply_free(&reply);
+  return status;
+}
+
+/* The last step of a table: the first cell of its last line; −1 if it has no rows. */
+static int64_t last_step(const char *table, size_t n)
+{
+  size_t end = n;
+  while (end > 0 && table[end - 1] == '\n')
+    end--;
+  size_t begin = end;
+  while (begin > 0 && table[begin - 1] != '\n')
+    begin--;
+  return begin > 0 ? strtoll(table + begin, NULL, 10) : -1;
+}
+
+/* A curve as CSV, page by page. */
+static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
+{
+  char *all = NULL;
+  size_t size = 0;
+  FILE *file = open_memstream(&all, &size);
+  int status = file != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
+  int64_t after = -1;
+  while (status == STATUS_OK) {
+    char path[96];
+    int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
+    if (after >= 0)
+      snprintf(path + n, sizeof(path) - (size_t)n, "?after=%" PRId64, after);
+    struct reply reply;
+    status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
+    const char *body = reply.body != NULL ? reply.body : "";
+    const char *rows = after >= 0 && status == STATUS_OK ? strchr(body, '\n') : body;
+    int64_t last = status == STATUS_OK ? last_step(body, reply.body_bytes) : -1;
+    if (rows != NULL)
+      fputs(rows + (after >= 0 && *rows == '\n'), file);
+    reply_free(&reply);
+    if (last <= after)
+      break;
+    after = last;
+  }
+  if (file != NULL && fclose(file) != 0 && status == STATUS_OK)
+    status = complain(STATUS_ERROR, "out of memory");
+  if (status == STATUS_OK)
+    status = save_output(output, all, size);
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: %zu bytes", output, size);
+  free(all);
+  return status;
+}
+
+int run_train_export(struct ctl *ctl)
+{
+  const char *id = ctl->operands[0];
+  const char *curve = option_text(ctl, "curve", NULL), *validations = option_text(ctl, "validations", NULL);
+  bool controller =
+      option_is_set(ctl, "output") || option_is_set(ctl, "step") || (curve == NULL && validations == NULL);
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  int status = controller ? export_controller(ctl, id) : STATUS_OK;
+  if (status == STATUS_OK && curve != NULL)
+    status = export_curve(ctl, id, "steps", curve);
+  if (status == STATUS_OK && validations != NULL)
+    status = export_curve(ctl, id, "validations", validations);
+  return status;
+}

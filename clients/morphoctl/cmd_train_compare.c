@@ -1,0 +1,180 @@
+/* cmd_train_compare.c: train compare: two controllers on one held-out set, design by design. */
+#include <inttypes.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "commands.h"
+#include "stats.h"
+#include "table.h"
+#include "transport.h"
+
+#define CONFIDENCE 0.95
+
+struct side {
+  const char *name; /* as given */
+  json_t *evaluation;
+  double *scores; /* (n) NaN: some rollout of the design diverged */
+  size_t n;
+  size_t diverged; /* designs */
+  size_t rollouts, rollouts_diverged;
+};
+
+static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side)
+{
+  json_t *request = json_copy((json_t *)held_out);
+  if (request == NULL || json_object_set_new(request, "controller", json_string(side->name)) != 0) {
+    json_decref(request);
+    return complain(STATUS_USAGE, "\"%s\" is not the name of a controller", side->name);
+  }
+  int status = request_fill_physics(ctl, request);
+  if (status == STATUS_OK)
+    status = evaluate(ctl, request, true, &side->evaluation);
+  json_decref(request);
+  if (status == STATUS_OK)
+    status = evaluation_outcome(side->evaluation);
+  const json_t *results = json_object_get(side->evaluation, "results"), *result;
+  size_t i;
+  if (status != STATUS_OK)
+    return status;
+  side->n = json_array_size(results);
+  side->scores = calloc(side->n > 0 ? side->n : 1, sizeof(*side->scores));
+  if (side->scores == NULL)
+    return complain(STATUS_ERROR, "out of memory");
+  json_array_foreach(results, i, result)
+  {
+    const json_t *score = json_object_get(result, "score");
+    side->scores[i] = json_is_number(score) ? json_number_value(score) : (double)NAN;
+    side->diverged += !json_is_number(score);
+    side->rollouts += json_array_size(json_object_get(result, "losses"));
+    side->rollouts_diverged += json_array_size(json_object_get(result, "diverged"));
+  }
+  return STATUS_OK;
+}
+
+/* What the numbers say, as a word for programs. */
+static const char *verdict_of(const struct paired *paired)
+{
+  if (!(paired->n >= 2))
+    return "undecided";
+  return paired->high < 0 ? "better" : paired->low > 0 ? "worse" : "undecided";
+}
+
+static json_t *real_or_null(double value)
+{
+  return isfinite(value) ? json_real(value) : json_null();
+}
+
+static json_t *side_json(const struct side *side, double mean)
+{
+  return json_pack("{s:s, s:O, s:O, s:o, s:I, s:I}", "controller", side->name, "sha256",
+                   json_object_get(json_object_get(side->evaluation, "controller"), "sha256"), "evaluation",
+                   json_object_get(side->evaluation, "id"), "mean_score", real_or_null(mean), "designs_diverged",
+                   (json_int_t)side->diverged, "rollouts_diverged", (json_int_t)side->rollouts_diverged);
+}
+
+static void print_comparison_json(const struct side sides[2], const struct paired *paired, int64_t seed,
+                                  int64_t n_environments)
+{
+  json_t *json =
+      json_pack("{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:I, s:I, s:s}", "a",
+                side_json(&sides[0], paired->mean_a), "b", side_json(&sides[1], paired->mean_b), "held_out", "seed",
+                (json_int_t)seed, "designs", (json_int_t)sides[0].n, "environments", (json_int_t)n_environments,
+                "pairs", (json_int_t)paired->n, "difference", real_or_null(paired->difference), "standard_error",
+                real_or_null(paired->error), "confidence", CONFIDENCE, "low", real_or_null(paired->low), "high",
+                real_or_null(paired->high), "improved", (json_int_t)paired->improved, "equal",
+                (json_int_t)paired->equal, "verdict", verdict_of(paired));
+  if (json == NULL)
+    complain(STATUS_ERROR, "out of memory");
+  else
+    print_json(json);
+  json_decref(json);
+}
+
+static void print_verdict(const struct side sides[2], const struct paired *paired)
+{
+  const char *a = sides[0].name, *b = sides[1].name;
+  if (paired->n < 2)
+    print_plain_line(stdout, "Too few designs have a score with both controllers to say which is better.");
+  else if (paired->high < 0)
+    print_plain_line(stdout,
+                     "%s is better than %s on such designs: its mean score is lower by %.4f (%.0f %% confidence: %.4f "
+                     "to %.4f).",
+                     b, a, -paired->difference, 100 * CONFIDENCE, -paired->high, -paired->low);
+  else if (paired->low > 0)
+    print_plain_line(stdout,
+                     "%s is worse than %s on such designs: its mean score is higher by %.4f (%.0f %% confidence: %.4f "
+                     "to %.4f).",
+                     b, a, paired->difference, 100 * CONFIDENCE, paired->low, paired->high);
+  else
+    print_plain_line(stdout,
+                     "Which of %s and %s is better is not shown: the interval of the difference holds 0. More designs "
+                     "make it narrower.",
+                     a, b);
+}
+
+static void print_comparison(const struct ctl *ctl, const struct side sides[2], const struct paired *paired,
+                             int64_t seed, int64_t n_environments)
+{
+  struct table table;
+  const double means[2] = {paired->mean_a, paired->mean_b};
+  print_fact(ctl, "held out", "%zu designs × %" PRId64 " environments, seed %" PRId64, sides[0].n, n_environments,
+             seed);
+  table_open(&table, "|controller|>mean score|>diverged designs|>diverged rollouts|sha256");
+  for (int s = 0; s < 2; s++) {
+    char mean[32], designs[64], rollouts[64];
+    snprintf(mean, sizeof(mean), paired->n > 0 ? "%.4f" : "–", means[s]);
+    snprintf(designs, sizeof(designs), "%zu of %zu", sides[s].diverged, sides[s].n);
+    snprintf(rollouts, sizeof(rollouts), "%zu of %zu", sides[s].rollouts_diverged, sides[s].rollouts);
+    const char *cells[] = {s == 0 ? "A" : "B",
+                           sides[s].name,
+                           mean,
+                           designs,
+                           rollouts,
+                           text_of(json_object_get(sides[s].evaluation, "controller"), "sha256")};
+    table_add(&table, cells);
+  }
+  table_print(&table, stdout, ctl);
+  if (paired->n >= 2)
+    print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)", paired->difference,
+               100 * CONFIDENCE, paired->low, paired->high, paired->n);
+  if (paired->n > 0)
+    print_fact(ctl, "improved", "%zu of %zu designs (%.1f %%), %zu equal", paired->improved, paired->n,
+               100 * (double)paired->improved / (double)paired->n, paired->equal);
+  if (paired->n < sides[0].n)
+    print_fact(ctl, "left out", "%zu design%s that diverged with A or B: no mean and no difference knows of it",
+               sides[0].n - paired->n, sides[0].n - paired->n == 1 ? "" : "s");
+  print_verdict(sides, paired);
+}
+
+int run_train_compare(struct ctl *ctl)
+{
+  struct side sides[2] = {{.name = ctl->operands[0]}, {.name = ctl->operands[1]}};
+  int64_t seed = 1, n_designs = 64, n_environments = 8;
+  if (!option_number(ctl, "seed", 0, (INT64_C(1) << 53) - 1, &seed) ||
+      !option_number(ctl, "designs", 2, 1000, &n_designs) ||
+      !option_number(ctl, "environments", 1, 64, &n_environments))
+    return STATUS_USAGE;
+  char path[128];
+  json_t *held_out;
+  snprintf(path, sizeof(path), "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
+           n_designs, n_environments);
+  int status = transport_get_json(ctl, path, 0, &held_out);
+  for (int s = 0; s < 2 && status == STATUS_OK; s++)
+    status = score_side(ctl, held_out, &sides[s]);
+  if (status == STATUS_OK && sides[0].n != sides[1].n)
+    status = complain(STATUS_ERROR, "the server's replies have different numbers of designs");
+  if (status == STATUS_OK) {
+    struct paired paired = compare_pairs(sides[0].scores, sides[1].scores, sides[0].n, CONFIDENCE);
+    if (ctl->json)
+      print_comparison_json(sides, &paired, seed, n_environments);
+    else
+      print_comparison(ctl, sides, &paired, seed, n_environments);
+  }
+  for (int s = 0; s < 2; s++) {
+    json_decref(sides[s].evaluation);
+    free(sides[s].scores);
+  }
+  json_decref(held_out);
+  return status;
+}

@@ -1,0 +1,48 @@
+/* Student's t and paired comparisons. The reference quantiles are those of printed tables (three places and more agree), and of the
+ * closed forms for one and two degrees of freedom. */
+#include "stats.h"
+#include "../check.h"
+
+static void quantiles(void)
+{
+  static const struct {
+    double freedom, p, t;
+  } table[] = {{3, 0.975, 3.182446305},  {5, 0.975, 2.570581836},  {10, 0.975, 2.228138852},
+               {30, 0.975, 2.042272456}, {63, 0.975, 1.998340543}, {120, 0.975, 1.979930405},
+               {10, 0.95, 1.812461123},  {5, 0.995, 4.032142984},  {999, 0.975, 1.962341461}};
+  for (size_t i = 0; i < sizeof(table) / sizeof(table[0]); i++) {
+    CHECK_NEAR(student_quantile(table[i].p, table[i].freedom), table[i].t, 2e-9 * table[i].t);
+    CHECK_NEAR(student_quantile(1 - table[i].p, table[i].freedom), -table[i].t, 2e-9 * table[i].t);
+  }
+  for (int i = 11; i < 20; i++) {
+    double p = i / 20.0, u = 2 * p - 1;
+    CHECK_NEAR(student_quantile(p, 1), tan(3.14159265358979323846 * (p - 0.5)), 1e-9);
+    CHECK_NEAR(student_quantile(p, 2), u * sqrt(2 / (1 - u * u)), 1e-9);
+    CHECK_NEAR(student_probability(student_quantile(p, 7.5), 7.5), p, 1e-14);
+  }
+  CHECK_NEAR(student_probability(0, 4), 0.5, 1e-15);
+  CHECK_NEAR(student_quantile(0.975, 1e8), 1.959963984540054, 1e-7); /* the normal distribution */
+}
+
+static void pairs(void)
+{
+  /* Differences −1, −2, −3, 0, and one pair that is not there. */
+  const double a[] = {2, 4, 6, 1, NAN, 5}, b[] = {1, 2, 3, 1, 3, INFINITY};
+  struct paired paired = compare_pairs(a, b, 6, 0.95);
+  CHECK_INT(paired.n, 4);
+  CHECK_INT(paired.improved, 3);
+  CHECK_INT(paired.equal, 1);
+  CHECK_NEAR(paired.mean_a, 3.25, 1e-15);
+  CHECK_NEAR(paired.mean_b, 1.75, 1e-15);
+  CHECK_NEAR(paired.difference, -1.5, 1e-15);
+  CHECK_NEAR(paired.deviation, sqrt(5.0 / 3), 1e-15);
+  CHECK_NEAR(paired.high - paired.low, 2 * 3.182446305284263 * sqrt(5.0 / 12), 1e-9);
+  CHECK_NEAR(paired.low + paired.high, -3, 1e-12);
+  paired = compare_pairs(a, b, 1, 0.95);
+  CHECK(paired.n == 1 && paired.difference == -1 && isnan(paired.low));
+  paired = compare_pairs(a + 4, b + 4, 2, 0.95);
+  CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
+}
+
+static const struct check_case cases[] = {{"quantiles of Student's t", quantiles}, {"pairs", pairs}};
+CHECK_MAIN(cases)
