@@ -59,11 +59,14 @@ double bench_median(double *values, size_t n);             /* sorts */
 double bench_quantile(double *values, size_t n, double q); /* sorts; nearest rank */
 void bench_check(int status, const char *what);            /* ends the program unless MO_OK */
 
+#define BENCH_POINTS 1024
 /* One series of points (x, y > 0, logarithmic axes), joined by a line. */
 struct bench_series {
   char name[48];
+  const char *colour; /* NULL: by its place */
+  bool marks;         /* squares in place of the line */
   size_t n;
-  double x[16], y[16];
+  double x[BENCH_POINTS], y[BENCH_POINTS];
 };
 struct bench_panel {
   const char *title, *y_name;

@@ -7,12 +7,13 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|load|space|store|stream|learning [OPTION…]\n"
+    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning [OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
     "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; memory; the back end\n"
     "  gradient-accuracy  float32 against float64 gradient of 256 rollouts\n"
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
+    "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as CSV\n"
     "  load      replies of a running morphod while it computes\n"
     "  space     speed of drawing, naming and varying random bodies\n"
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
@@ -21,12 +22,12 @@ static const char usage[] =
     "\n"
     "  --bodies N         another number of bodies\n"
     "  --seed N           seed of the bodies' stream (default 1)\n"
-    "  --workers N        threads of `accuracy` (default: one per processor)\n"
+    "  --workers N        threads of `accuracy`, `gradient-accuracy`, `stability` (default: one per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
     "  --morphod PATH     `load`: the daemon (default build/src/daemon/morphod)\n"
-    "  --csv PATH         `accuracy`: write the table here (default: standard output)\n"
-    "  --svg PATH         `accuracy`: draw the table here\n"
+    "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard output)\n"
+    "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
     "  --json             `rollout`, `gradient`: machine-readable result\n"
     "  --quick            a tenth of the bodies\n";
 
@@ -102,6 +103,8 @@ int main(int argc, char **argv)
     return bench_gradient_accuracy(&options);
   if (strcmp(name, "accuracy") == 0)
     return bench_accuracy(&options);
+  if (strcmp(name, "stability") == 0)
+    return bench_stability(&options);
   if (strcmp(name, "load") == 0)
     return bench_load(morphod, &options);
   fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
