@@ -17,7 +17,7 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
   const uint32_t workers = options->workers > 0 ? options->workers : online > 0 ? (uint32_t)online : 1;
   struct gradient_comparison c;
   bench_check(gradient_compare(controller, robots, scene->n_bodies, &physics, bound, options->isa,
-                               workers < 64 ? workers : 64, &c),
+                               workers < 64 ? workers : 64, bound > 0, &c),
               "gradient");
   printf("\n%s, adjoint bound %s: cosine %.6f (1 - cosine %.2e), norm %.6g against %.6g\n", name,
          bound > 0 ? "2" : "off", c.all.cosine, 1 - c.all.cosine, c.all.norm_fast, c.all.norm_reference);
@@ -28,6 +28,13 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
          100 * (double)c.reference.clipped_steps / (double)c.reference.steps,
          (unsigned long long)c.reference.clipped_robots, (unsigned long long)c.reference.zeroed_robots,
          (unsigned long long)c.reference.diverged_robots, c.reference.largest, c.reference_s);
+  printf("  robot by robot: 1 - cosine median %.1e, p90 %.1e; below 1e-3 in %.1f %%\n", c.robots.median, c.robots.p90,
+         100 * c.robots.share_alike);
+  if (bound > 0)
+    printf(
+        "  float64 against itself with the lights moved by 1e-7 m: cosine %.6f; robot by robot median %.1e, p90 %.1e; "
+        "below 1e-3 in %.1f %%\n",
+        c.moved_all.cosine, c.moved_robots.median, c.moved_robots.p90, 100 * c.moved_robots.share_alike);
   printf("  difference in loss: median %.1e, p90 %.1e, most %.1e\n", c.loss_median, c.loss_p90, c.loss_most);
   printf("  tensor          1 - cosine   norm float32   norm float64\n");
   for (int t = 0; t < MO_CONTROLLER_TENSORS; t++)

@@ -20,26 +20,75 @@ static double now_s(void)
   return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
 }
 
-/* The reference's share of thread t: robots t, t + threads, … */
+#define MOVED_M 1e-7
+
+/* The share of thread t: robots t, t + threads, …, each alone, by the reference and by the fast path. */
 struct share {
   const struct mo_controller *controller;
   const struct mo_robot *robots;
   uint32_t first, n, stride;
   const struct mo_physics *physics;
   struct mo_gradient_options options;
-  struct mo_outcome *outcomes;
-  double *d_parameters;
+  const struct mo_gradient_pack *pack;
+  bool moved;
+  struct mo_outcome *outcomes;           /* (n) of the reference */
+  double *difference, *moved_difference; /* (n) 1 − cosine of the robot's gradients */
+  double *sum, *moved_sum;               /* (n_parameters) of this thread's robots */
+  double *one, *other;                   /* (n_parameters) */
+  float *fast;                           /* (n_parameters) */
+  struct mo_gradient_memory *memory;
   struct mo_gradient_counts counts;
   pthread_t thread;
   int status;
 };
 
+static struct gradient_likeness compare(const double *a, const double *b, size_t n)
+{
+  double ab = 0, aa = 0, bb = 0;
+  for (size_t i = 0; i < n; i++) {
+    ab += a[i] * b[i];
+    aa += a[i] * a[i];
+    bb += b[i] * b[i];
+  }
+  return (struct gradient_likeness){aa > 0 && bb > 0 ? ab / (sqrt(aa) * sqrt(bb)) : 0, sqrt(aa), sqrt(bb)};
+}
+
+static int run_robot(struct share *s, uint32_t i)
+{
+  const struct mo_robot *robot = s->robots + i;
+  const size_t n = s->controller->n_parameters;
+  struct mo_outcome outcome;
+  memset(s->one, 0, n * sizeof(double));
+  int status = mo_gradient_reference(robot->body, s->controller, robot->environment, s->physics, &s->options,
+                                     s->outcomes + i, s->one, &s->counts);
+  if (status == MO_OK)
+    status =
+        mo_gradient_block(s->memory, s->pack, robot, 1, s->physics, &s->options, NULL, NULL, &outcome, s->fast, NULL);
+  if (status != MO_OK)
+    return status;
+  for (size_t p = 0; p < n; p++) {
+    s->sum[p] += s->one[p];
+    s->other[p] = (double)s->fast[p];
+  }
+  s->difference[i] = 1 - compare(s->other, s->one, n).cosine;
+  if (!s->moved)
+    return MO_OK;
+  struct mo_environment environment = *robot->environment;
+  environment.light_xy_m[0] += MOVED_M;
+  memset(s->other, 0, n * sizeof(double));
+  status = mo_gradient_reference(robot->body, s->controller, &environment, s->physics, &s->options, &outcome, s->other,
+                                 NULL);
+  for (size_t p = 0; p < n; p++)
+    s->moved_sum[p] += s->other[p];
+  s->moved_difference[i] = 1 - compare(s->other, s->one, n).cosine;
+  return status;
+}
+
 static void *run_share(void *argument)
 {
   struct share *s = argument;
   for (uint32_t i = s->first; i < s->n && s->status == MO_OK; i += s->stride)
-    s->status = mo_gradient_reference(s->robots[i].body, s->controller, s->robots[i].environment, s->physics,
-                                      &s->options, s->outcomes + i, s->d_parameters, &s->counts);
+    s->status = run_robot(s, i);
   return NULL;
 }
 
@@ -54,34 +103,51 @@ static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_
   sum->largest = fmax(sum->largest, counts->largest);
 }
 
-/* Sums into d_parameters, which starts from zeros. */
-static int run_reference(const struct share *what, uint32_t threads, double *d_parameters,
+static int start_share(struct share *s, const struct share *what, uint32_t number, uint32_t threads)
+{
+  const size_t n = what->controller->n_parameters;
+  *s = *what;
+  s->first = number;
+  s->stride = threads;
+  s->sum = calloc(4 * n, sizeof(double));
+  s->fast = calloc(n, sizeof(float));
+  if (s->sum == NULL || s->fast == NULL || mo_gradient_memory_create((size_t)32 << 20, &s->memory) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  s->moved_sum = s->sum + n;
+  s->one = s->sum + 2 * n;
+  s->other = s->sum + 3 * n;
+  return pthread_create(&s->thread, NULL, run_share, s) == 0 ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+static void free_share(struct share *s)
+{
+  free(s->sum);
+  free(s->fast);
+  mo_gradient_memory_free(s->memory);
+}
+
+/* Sums into d_parameters and moved, which start from zeros. */
+static int run_reference(const struct share *what, uint32_t threads, double *d_parameters, double *moved,
                          struct mo_gradient_counts *counts)
 {
   struct share shares[THREADS_MAX];
   const size_t n = what->controller->n_parameters;
   int status = MO_OK;
   uint32_t started = 0;
-  for (; started < threads && status == MO_OK; started++) {
-    struct share *s = shares + started;
-    *s = *what;
-    s->first = started;
-    s->stride = threads;
-    s->d_parameters = calloc(n, sizeof(double));
-    if (s->d_parameters == NULL || pthread_create(&s->thread, NULL, run_share, s) != 0) {
-      free(s->d_parameters);
-      status = MO_ERR_NO_MEMORY;
-      break;
-    }
-  }
+  for (; started < threads && status == MO_OK; started += status == MO_OK)
+    status = start_share(shares + started, what, started, threads);
+  if (started < threads)
+    free_share(shares + started);
   for (uint32_t t = 0; t < started; t++) {
     struct share *s = shares + t;
     pthread_join(s->thread, NULL);
     status = status == MO_OK ? s->status : status;
-    for (size_t i = 0; i < n; i++)
-      d_parameters[i] += s->d_parameters[i];
+    for (size_t i = 0; i < n; i++) {
+      d_parameters[i] += s->sum[i];
+      moved[i] += s->moved_sum[i];
+    }
     add_counts(counts, &s->counts);
-    free(s->d_parameters);
+    free_share(s);
   }
   return status;
 }
@@ -110,21 +176,21 @@ static int run_fast(const struct share *what, enum mo_isa isa, uint32_t workers,
   return status;
 }
 
-static struct gradient_likeness compare(const double *a, const double *b, size_t n)
-{
-  double ab = 0, aa = 0, bb = 0;
-  for (size_t i = 0; i < n; i++) {
-    ab += a[i] * b[i];
-    aa += a[i] * a[i];
-    bb += b[i] * b[i];
-  }
-  return (struct gradient_likeness){aa > 0 && bb > 0 ? ab / (sqrt(aa) * sqrt(bb)) : 0, sqrt(aa), sqrt(bb)};
-}
-
 static int ascending(const void *a, const void *b)
 {
   const double x = *(const double *)a, y = *(const double *)b;
   return (x > y) - (x < y);
+}
+
+static struct gradient_spread spread_of(double *differences, uint32_t n)
+{
+  struct gradient_spread spread = {0};
+  for (uint32_t i = 0; i < n; i++)
+    spread.share_alike += (differences[i] < 1e-3) / (double)n;
+  qsort(differences, n, sizeof(*differences), ascending);
+  spread.median = differences[n / 2];
+  spread.p90 = differences[n * (size_t)9 / 10];
+  return spread;
 }
 
 static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *b, uint32_t n, double *differences,
@@ -146,13 +212,14 @@ static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *
 
 int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
                      const struct mo_physics *physics, double adjoint_bound, enum mo_isa isa, uint32_t workers,
-                     struct gradient_comparison *comparison)
+                     bool moved, struct gradient_comparison *c)
 {
-  const size_t n_parameters = controller->n_parameters;
+  const size_t size = controller->n_parameters;
   struct mo_outcome *outcomes = calloc(2 * (size_t)n, sizeof(*outcomes));
-  double *gradients = calloc(2 * n_parameters, sizeof(*gradients)), *differences = calloc(n, sizeof(*differences));
-  int status = workers < 1 || workers > THREADS_MAX ? MO_ERR_RANGE : MO_OK;
-  *comparison = (struct gradient_comparison){.loss_median = 0};
+  double *gradients = calloc(3 * size, sizeof(*gradients)), *differences = calloc(3 * (size_t)n, sizeof(*differences));
+  struct mo_gradient_pack *pack = NULL;
+  int status = workers < 1 || workers > THREADS_MAX ? MO_ERR_RANGE : mo_gradient_pack_create(controller, isa, &pack);
+  *c = (struct gradient_comparison){.loss_median = 0};
   if (status == MO_OK && (outcomes == NULL || gradients == NULL || differences == NULL))
     status = MO_ERR_NO_MEMORY;
   const struct share what = {.controller = controller,
@@ -160,26 +227,36 @@ int gradient_compare(const struct mo_controller *controller, const struct mo_rob
                              .n = n,
                              .physics = physics,
                              .options = {.adjoint_bound = adjoint_bound, .weight = 1.0 / n},
-                             .outcomes = outcomes + n};
+                             .pack = pack,
+                             .moved = moved,
+                             .outcomes = outcomes + n,
+                             .difference = differences,
+                             .moved_difference = differences + n};
   double start_s = now_s();
   if (status == MO_OK)
-    status = run_fast(&what, isa, workers, outcomes, gradients, &comparison->fast);
-  comparison->fast_s = now_s() - start_s;
+    status = run_fast(&what, isa, workers, outcomes, gradients, &c->fast);
+  c->fast_s = now_s() - start_s;
   start_s = now_s();
   if (status == MO_OK)
-    status = run_reference(&what, workers, gradients + n_parameters, &comparison->reference);
-  comparison->reference_s = now_s() - start_s;
+    status = run_reference(&what, workers, gradients + size, gradients + 2 * size, &c->reference);
+  c->reference_s = now_s() - start_s;
   if (status == MO_OK) {
-    compare_losses(outcomes, outcomes + n, n, differences, comparison);
-    comparison->all = compare(gradients, gradients + n_parameters, n_parameters);
+    compare_losses(outcomes, outcomes + n, n, differences + 2 * n, c);
+    c->robots = spread_of(differences, n);
+    c->all = compare(gradients, gradients + size, size);
+    if (moved) {
+      c->moved_robots = spread_of(differences + n, n);
+      c->moved_all = compare(gradients + 2 * size, gradients + size, size);
+    }
     size_t at = 0;
     for (int t = 0; t < MO_CONTROLLER_TENSORS; t++) {
       const size_t rows = t / 4 < MO_HIDDEN_LAYERS ? MO_HIDDEN : controller->n_springs;
-      const size_t size = rows * (t % 4 != 0 ? 1 : t == 0 ? controller->n_inputs : MO_HIDDEN);
-      comparison->tensor[t] = compare(gradients + at, gradients + n_parameters + at, size);
-      at += size;
+      const size_t count = rows * (t % 4 != 0 ? 1 : t == 0 ? controller->n_inputs : MO_HIDDEN);
+      c->tensor[t] = compare(gradients + at, gradients + size + at, count);
+      at += count;
     }
   }
+  mo_gradient_pack_free(pack);
   free(outcomes);
   free(gradients);
   free(differences);

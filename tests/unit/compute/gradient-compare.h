@@ -8,8 +8,18 @@ struct gradient_likeness {
   double cosine, norm_fast, norm_reference;
 };
 
+/* How like each other two ways are, robot by robot: 1 − cosine at the median and the 90th percentile, and the share of robots below 1e-3. */
+struct gradient_spread {
+  double median, p90, share_alike;
+};
+
 struct gradient_comparison {
   struct gradient_likeness all, tensor[MO_CONTROLLER_TENSORS];
+  struct gradient_spread robots;
+  /* The reference against itself with every light moved by 1e-7 m: what no arithmetic can do better than. Zeros if not asked
+   * for. */
+  struct gradient_likeness moved_all;
+  struct gradient_spread moved_robots;
   struct mo_gradient_counts fast, reference;
   double loss_median, loss_p90, loss_most; /* |difference in loss| over the robots that neither path saw diverge */
   uint32_t diverged_in_one;                /* robots that diverged in one of the two alone */
@@ -19,9 +29,9 @@ struct gradient_comparison {
 /* The names of the tensors, in file order. */
 extern const char *const gradient_tensor_names[MO_CONTROLLER_TENSORS];
 
-/* workers: 1 … 64. A negative mo_error. */
+/* workers: 1 … 64. moved: fills in moved_* too, which takes twice as long. A negative mo_error. */
 int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
                      const struct mo_physics *physics, double adjoint_bound, enum mo_isa isa, uint32_t workers,
-                     struct gradient_comparison *comparison);
+                     bool moved, struct gradient_comparison *comparison);
 
 #endif
