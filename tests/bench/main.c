@@ -7,7 +7,8 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning [OPTION…]\n"
+    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning "
+    "[OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
     "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; memory; the back end\n"
