@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "commands.h"
@@ -16,7 +17,8 @@
 #include "transport.h"
 
 #define REDRAW_S      0.1
-#define LINES_BESIDES 6 /* those of the view that are not the plot */
+#define ASK_S         10 /* without an event, the state is asked for: what waits or draws again tells nothing */
+#define LINES_BESIDES 6  /* those of the view that are not the plot */
 
 struct view {
   struct ctl *ctl;
@@ -24,7 +26,7 @@ struct view {
   json_t *progress, *validation; /* the newest that is known */
   bool live;                     /* redraw in place */
   int lines, columns;            /* of what stands on the terminal */
-  double drawn_s;
+  double drawn_s, told_s;        /* when it was drawn; when there was an event, or the state was asked for */
   bool finished;
 };
 
@@ -118,11 +120,18 @@ static void draw(struct view *view, bool now)
   free(text);
 }
 
+/* at: the event's time; NULL: now. */
 static void print_event_line(const struct view *view, const json_t *at, const char *words)
 {
-  char time[32];
-  if (!view->live && !view->ctl->quiet)
-    print_plain_line(stdout, "%s  %s", time_text(at, time), words);
+  char text[32];
+  time_t now = time(NULL);
+  struct tm local;
+  if (view->live || view->ctl->quiet)
+    return;
+  if (at == NULL && localtime_r(&now, &local) != NULL && strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) > 0)
+    print_plain_line(stdout, "%s  %s", text, words);
+  else
+    print_plain_line(stdout, "%s  %s", time_text(at, text), words);
   fflush(stdout);
 }
 
@@ -138,6 +147,7 @@ static int load(struct view *view)
   view->progress = json_incref(json_object_get(view->training.json, "progress"));
   view->validation = json_incref(json_object_get(view->training.json, "validation"));
   view->finished = is_final(text_of(view->training.json, "state"));
+  view->told_s = monotonic_s();
   return STATUS_OK;
 }
 
@@ -200,6 +210,7 @@ static int show_event(void *context, const char *type, const char *data)
     return load(view) != STATUS_OK || view->finished;
   json_t *event = json_loads(data, 0, NULL);
   const json_t *details = json_object_get(event, "data"), *at = json_object_get(event, "at");
+  view->told_s = monotonic_s();
   bool progress = strcmp(type, "training.progress") == 0;
   int status = STATUS_OK;
   if (progress)
@@ -218,13 +229,31 @@ static int show_event(void *context, const char *type, const char *data)
   return status != STATUS_OK || view->finished;
 }
 
+/* Asks for the state, and tells of a phase or reason that is new. */
 static int look_again(void *context)
 {
   struct view *view = context;
+  char before[64], line[400];
+  snprintf(before, sizeof(before), "%s", text_of(view->training.json, "phase"));
   int status = load(view);
-  if (status == STATUS_OK)
-    draw(view, true);
-  return status;
+  if (status != STATUS_OK)
+    return status;
+  const char *phase = text_of(view->training.json, "phase"), *reason = text_of(view->training.json, "reason");
+  if (strcmp(before, phase) != 0 && strcmp(phase, "idle") != 0) {
+    snprintf(line, sizeof(line), "%s%s%.300s", phase, *reason != 0 ? ": " : "", reason);
+    print_event_line(view, NULL, line);
+  }
+  draw(view, true);
+  return STATUS_OK;
+}
+
+static int notice(void *context)
+{
+  struct view *view = context;
+  int status = STATUS_OK;
+  if (monotonic_s() - view->told_s > ASK_S)
+    status = look_again(view);
+  return status != STATUS_OK || view->finished;
 }
 
 static bool is_finished(void *context)
@@ -283,6 +312,7 @@ int watch_training(struct ctl *ctl, const char *id)
                           .job = id,
                           .after = newest,
                           .event = show_event,
+                          .alive = notice,
                           .broken = look_again,
                           .ended = is_finished,
                           .context = &view};

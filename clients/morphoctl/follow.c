@@ -17,7 +17,8 @@ static int take_event(void *context, const char *type, const char *id, const cha
 static int feed(void *context, const char *bytes, size_t n)
 {
   struct follow *follow = context;
-  return sse_feed(&follow->sse, bytes, n, take_event, follow);
+  int end = sse_feed(&follow->sse, bytes, n, take_event, follow);
+  return end == 0 && follow->alive != NULL ? follow->alive(follow->context) : end;
 }
 
 static int open_stream(struct follow *follow)

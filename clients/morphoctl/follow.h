@@ -11,6 +11,8 @@ struct follow {
   int64_t after;   /* begin behind this event; −1: with what happens next */
   /* Each event; `reset` has no body of an event: some are no longer kept. Non-zero ends the following. */
   int (*event)(void *context, const char *type, const char *data);
+  /* With each sign of life, events or heartbeats (at least every 15 s), after its events (nullable). Non-zero as above. */
+  int (*alive)(void *context);
   /* After each break, before the stream is opened again (nullable): STATUS_OK to go on. */
   int (*broken)(void *context);
   bool (*ended)(void *context); /* whether `broken` found that there is nothing to follow any more (nullable) */

@@ -30,10 +30,13 @@ static void write_name(struct mo_text *text, const struct mo_training_status *st
   mo_text_member(text, "name", status->record.name[0] != '\0' ? status->record.name : made);
 }
 
-/* Steps applied: a run that went on from a checkpoint after a crash may be behind the curve that is stored. */
+/* Steps applied: a run that went on from a checkpoint after a crash may be behind the curve that is stored; one that is being
+ * prepared does not know yet. */
 static uint32_t step_of(const struct mo_training_status *status, const struct mo_training_live *live)
 {
-  return live->phase == MO_TRAINING_IDLE ? status->step : live->step;
+  if (live->phase == MO_TRAINING_IDLE)
+    return status->step;
+  return live->step > 0 ? live->step : status->checkpoint_step;
 }
 
 /* ---- settings ---- */

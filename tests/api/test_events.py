@@ -115,7 +115,8 @@ def test_reset(service):
     job = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 64}}).json()["id"]
     assert json.loads(stream.events(1)[0]["data"])["job"] == job
     stream.close()
-    assert page(service, "&after=999999999")["reset"] is True
+    beyond = page(service, "&after=999999999999999999")
+    assert beyond["reset"] is True and beyond["items"] == [] and int(beyond["next_after"]) >= int(event["id"])
 
 
 def test_bad_place(service):
