@@ -68,7 +68,7 @@ struct mo_operation {
 };
 
 struct mo_store {
-  char *path, *database_path, *controllers_path, *trainings_path, *vfs;
+  char *path, *database_path, *controllers_path, *trainings_path, *reserve_path, *vfs;
   int lock_fd;
   int64_t epoch;
   uint64_t events_kept;
@@ -95,7 +95,7 @@ struct mo_store {
   struct mo_event *events; /* made in this batch */
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
-  int64_t last_prune_us, last_probe_us, last_restart_us;
+  int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
   int wal_frames;
 
   pthread_mutex_t listeners_mutex;
@@ -109,7 +109,7 @@ struct mo_store {
 
   atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
   atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
-  atomic_bool no_space, is_fatal;
+  atomic_bool no_space, is_fatal, reserve_held;
   atomic_uint file_counter;
 };
 
@@ -129,6 +129,11 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
 
 struct mo_connection *mo_reader_acquire(struct mo_store *store); /* waits for a free one */
 void mo_reader_release(struct mo_store *store, struct mo_connection *connection);
+
+/* ---- room set aside ---- */
+
+void mo_reserve_make(struct mo_store *store); /* if it is not there; by the writer, every few seconds at most */
+bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
 
 /* ---- shared queries ---- */
 

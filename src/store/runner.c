@@ -75,6 +75,8 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
 {
   struct change_arguments call = {.id = id, .change = change};
   int error = mo_write(store, change_job, &call);
+  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
+    error = mo_write(store, change_job, &call);
   if (error == MO_OK && before != NULL)
     *before = call.before;
   return error;

@@ -3,6 +3,7 @@
  *   <path>/morphod.db (+ -wal, -shm)            every table (schema/migrations)
  *   <path>/controllers/<sha256>.safetensors     weights, by content
  *   <path>/trainings/<job>/<step>.checkpoint    states of trainings (store/trainings.h)
+ *   <path>/reserve                              512 KiB that a change of a job's state may use when the disk is full
  *   <path>/lock                                 held while a process uses the folder
  *
  * One connection, on a thread of its own, writes: callers hand it operations, each runs in a savepoint, all that are waiting

@@ -288,6 +288,8 @@ static void maintain(struct mo_store *store)
   if (atomic_load(&store->is_fatal))
     return;
   probe_space(store);
+  if (!atomic_load(&store->no_space))
+    mo_reserve_make(store);
   if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
     prune(store);
   if (store->wal_frames >= MO_CHECKPOINT_FRAMES)

@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -275,6 +276,8 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
     if (delay_us > 0)
       usleep(200);
   }
+  if (atomic_load(&fake_plan.gradient_crash))
+    raise(SIGSEGV);
   if (atomic_load(&fake_plan.gradient_status) != 0 && atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)
     return atomic_load(&fake_plan.gradient_status);
   fake_gradient(batch->controller, batch->robots, batch->n, batch->d_parameters, batch->outcomes, &batch->counts);

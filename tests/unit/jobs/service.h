@@ -39,6 +39,7 @@ static inline int service_start(struct service *service)
   fake_plan.poison = false;
   fake_plan.gradient_delay_us = 0;
   fake_plan.gradient_status = 0;
+  fake_plan.gradient_crash = false;
   fake_forget();
   if (fixture_folder(&service->fixture) != 0)
     return -1;

@@ -4,6 +4,7 @@
 #include <pthread.h>
 #include <signal.h>
 #include <sys/resource.h>
+#include <sys/wait.h>
 
 #include "../store/fault_vfs.h"
 #include "watch.h"
@@ -15,7 +16,7 @@ static struct mo_training_request pretraining(const char *name)
 {
   struct mo_training_request request = {.record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                                                    .validate_every_steps = 10,
-                                                   .checkpoint_every_steps = 5,
+                                                   .checkpoint_every_steps = 8,
                                                    .checkpoints_kept = 2}};
   request.record.settings.n_steps = STEPS;
   request.record.settings.batch = BATCH;
@@ -183,7 +184,7 @@ static void learns(void)
   for (int64_t i = 0; i < n; i++)
     CHECK(validations[i].rollouts == 60 && validations[i].mean_score > 0 && validations[i].mean_score < 1);
   CHECK_INT(mo_store_training_checkpoints(service.fixture.store, id, checkpoints, 10), 2);
-  CHECK(checkpoints[0].step == STEPS && checkpoints[1].step == 20);
+  CHECK(checkpoints[0].step == STEPS && checkpoints[1].step == 16);
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     progress += strcmp(events[i].type, "training.progress") == 0;
@@ -194,7 +195,7 @@ static void learns(void)
   stats = settled(&service);
   CHECK_INT(stats.training_steps, STEPS);
   CHECK_INT(stats.training_robots, STEPS * BATCH);
-  CHECK_INT(stats.training_checkpoints, 5);
+  CHECK_INT(stats.training_checkpoints, 3);
   CHECK_INT(stats.training_validations, 4);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
@@ -462,9 +463,9 @@ static void waits_for_room(void)
   limit_files(8 << 20);
   id = submit(&service, &request);
   REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of step 5") != NULL &&
+  CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of step 8") != NULL &&
         strstr(live.reason, "by itself") != NULL);
-  CHECK_INT(live.step, 5);
+  CHECK_INT(live.step, 8);
   usleep(1200000);
   CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
   CHECK_INT(live.phase, MO_TRAINING_WAIT);
@@ -536,7 +537,7 @@ static void takes_turns(void)
   size_t n;
   int changes = 0;
   REQUIRE(start(&service, 1) == MO_OK);
-  request.record.validate_every_steps = 0;
+  request.record.validate_every_steps = request.record.checkpoint_every_steps = 0;
   for (int i = 0; i < 4; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 4; i++)
@@ -614,6 +615,53 @@ static void tunes_a_population(void)
   free(best);
   free(forms);
   free(genotypes);
+  service_end(&service);
+}
+
+static int crash_fd;
+
+static void on_fault(int number)
+{
+  mo_jobs_crash_note(crash_fd, number);
+  _exit(99);
+}
+
+/* A process that dies on the training's own thread, again and again: the training is blamed, and parked. */
+static void blames_crashes_on_the_training(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_job job = {.id = 0};
+  char marker[512];
+  int64_t id;
+  int status;
+  REQUIRE(start(&service, 1) == MO_OK);
+  snprintf(marker, sizeof(marker), "%s/crash", service.fixture.path);
+  service.config.crash_marker = marker;
+  fake_plan.gradient_delay_us = 60000000;
+  id = submit(&service, &request);
+  for (int round = 1; round <= 3; round++) {
+    pid_t child;
+    service_close(&service);
+    child = fork();
+    REQUIRE(child >= 0);
+    if (child == 0) {
+      crash_fd = open(marker, O_WRONLY | O_CREAT | O_APPEND, 0600);
+      signal(SIGSEGV, on_fault);
+      fake_plan.gradient_delay_us = 0;
+      fake_plan.gradient_crash = true;
+      if (service_open(&service) == MO_OK)
+        sleep(20);
+      _exit(0);
+    }
+    REQUIRE(waitpid(child, &status, 0) == child);
+    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 99);
+    REQUIRE(service_open(&service) == MO_OK);
+    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+    CHECK_INT(job.attempts, round);
+  }
+  CHECK_INT(job.state, MO_JOB_FAILED);
+  CHECK(strstr(job.error_text, "signal 11") != NULL);
   service_end(&service);
 }
 
@@ -697,6 +745,7 @@ static const struct check_case cases[] = {
     {"waits for the database", waits_for_the_database},
     {"takes turns", takes_turns},
     {"tunes a population", tunes_a_population},
+    {"blames crashes on the training", blames_crashes_on_the_training},
     {"refuses", refuses},
 };
 CHECK_MAIN(cases)

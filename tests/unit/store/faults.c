@@ -410,7 +410,19 @@ static void refuses_an_unwritable_folder(void)
   fixture_end(&fixture);
 }
 
-/* On a file system of 1 MiB of its own; only root can make one. */
+/* Appends to a file until nothing fits any more. */
+static void fill_up(const char *path)
+{
+  static const char zeros[4096];
+  int fd = open(path, O_WRONLY | O_CREAT | O_APPEND, 0600);
+  for (size_t n = sizeof(zeros); fd >= 0 && n > 0; n /= 2)
+    while (write(fd, zeros, n) == (ssize_t)n)
+      ;
+  if (fd >= 0)
+    close(fd);
+}
+
+/* On a file system of 8 MiB of its own; only root can make one. */
 static void survives_a_small_file_system(void)
 {
   struct fixture fixture;
@@ -421,10 +433,10 @@ static void survives_a_small_file_system(void)
   struct mo_job job;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  char filler[512];
+  char filler[512], reserve[512];
   int64_t id = 0, last = 0;
   bool replayed, created;
-  int error = MO_OK, fd;
+  int error = MO_OK;
   REQUIRE(fixture_folder(&fixture) == 0);
   if (mount("none", fixture.path, "tmpfs", 0, "size=8m,mode=0700") != 0) {
     printf("# no right to mount: only the simulated full disk was tested\n");
@@ -435,18 +447,22 @@ static void survives_a_small_file_system(void)
   CHECK_INT(fixture_controller(fixture.store, "default", 1, &record), MO_OK);
   REQUIRE(fixture_bodies(3, 100, &forms, &genotypes) == MO_OK);
   submission = fixture_submission(forms, genotypes, 100);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &last, &replayed), MO_OK);
   snprintf(filler, sizeof(filler), "%s/filler", fixture.path);
-  fd = open(filler, O_WRONLY | O_CREAT, 0600);
-  REQUIRE(fd >= 0);
-  while (write(fd, filler, sizeof(filler)) > 0)
-    ;
-  close(fd);
+  snprintf(reserve, sizeof(reserve), "%s/reserve", fixture.path);
+  CHECK(access(reserve, F_OK) == 0);
+  fill_up(filler);
   for (int i = 0; i < 2000 && error == MO_OK; i++) { /* what is left inside the log's last pages */
     error = mo_store_submit(fixture.store, &submission, &id, &replayed);
     if (error == MO_OK)
       last = id;
   }
   CHECK_INT(error, MO_ERR_NO_SPACE);
+  /* Full to the last byte: what is running can be cancelled all the same. */
+  fill_up(filler);
+  CHECK_INT(mo_store_change_job(fixture.store, last, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK(access(reserve, F_OK) != 0);
+  fill_up(filler);
   REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
   REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
   CHECK_INT(mo_store_controller_put(fixture.store, "big", bytes, size, controller, &record, &created), MO_ERR_NO_SPACE);
@@ -458,6 +474,7 @@ static void survives_a_small_file_system(void)
   CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
   CHECK(id > last);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK(access(reserve, F_OK) == 0); /* set aside again */
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   mo_store_close(fixture.store);
