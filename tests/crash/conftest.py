@@ -55,15 +55,25 @@ def daemon(folder):
         one.close()
 
 
-@pytest.fixture
-def small_disk(folder):
-    """A mounted file system of 24 MiB, or a skip with the reason."""
+def mounted(folder, size):
+    """A mounted file system of `size`, or a skip with the reason."""
     path = f"{folder}/small"
     os.mkdir(path)
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
-    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=24m,mode=700", "tmpfs", path], capture_output=True, text=True)
+    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size},mode=700", "tmpfs", path], capture_output=True, text=True)
     if mount.returncode != 0:
         pytest.skip(f"mount is not allowed here: {mount.stderr.strip()}")
     yield path
     subprocess.run(["umount", "-l", path], check=False)
+
+
+@pytest.fixture
+def small_disk(folder):
+    yield from mounted(folder, "24m")
+
+
+@pytest.fixture
+def training_disk(folder):
+    """Room for a few checkpoints of 12.4 MB."""
+    yield from mounted(folder, "64m")
