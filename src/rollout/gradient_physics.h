@@ -10,13 +10,15 @@
  *   slots    [n_slot_reals]    slot k is body spring slot_spring[k], k < n_springs; what comes after is ignored on the way in
  *                              and 0 on the way out
  *
- * A step's record, n_record_reals, is what the way back needs of it besides the slots: positions (3, sites) at its start,
- * velocities (3, sites) after springs, drag and gravity but before contact, and the set of masses that struck. The velocity
- * (3, sites) at the start of a step is not needed on the way back: it is carried along (`velocity`), and is stored with the
- * positions only where a rollout is to be continued. An adjoint is ∂loss/∂ positions (3, sites), then ∂loss/∂ velocities
- * (3, sites). Positions x, y count from the world's centre, where float32 is finest.
+ * A state, n_state_reals: positions (3, sites), then velocities (3, sites). An adjoint, as large: ∂loss/∂ a state.
  *
- * All arrays of reals are 64-byte aligned. n_sensor_reals, n_slot_reals, n_sites, n_record_reals are multiples of 16. */
+ * A step's record, n_record_reals, is what the way back needs of it besides the slots, in as few bytes as it can be, because it goes
+ * to memory and back: positions at its start, (3, n_sensor_reals) in the order of the sensors; which masses struck; and their
+ * velocities after springs, drag and gravity but before contact. Positions x, y count from the world's centre, where float32
+ * is finest.
+ *
+ * All arrays of reals are 64-byte aligned. n_sensor_reals, n_slot_reals, n_sites, n_state_reals, n_record_reals are
+ * multiples of 16. */
 #ifndef MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
 #define MORPHO_ROLLOUT_GRADIENT_PHYSICS_H
 
@@ -27,10 +29,13 @@
 
 #define PHYS_DIRECTIONS 9
 
-/* The springs of one direction whose lower site is in one vector of sites. */
-struct phys_tile {
-  uint32_t mask; /* bit l: lane l's site is the lower end of a spring; 0: no such springs */
-  uint32_t slot; /* of the first of them */
+/* Some lanes of a vector, whose numbers lie side by side where there are no gaps. */
+struct phys_lanes {
+  uint32_t mask;  /* bit l: lane l is one of them; 0: there are none */
+  uint32_t first; /* place of the first of them */
+  uint8_t
+      spread[16]; /* lane l's number is the spread[l]-th from there; any of them for a lane that is not one of them */
+  uint8_t collect[16]; /* the k-th number from there is that of lane collect[k]; any of them beyond the last */
 };
 
 struct phys_robot {
@@ -40,7 +45,7 @@ struct phys_robot {
   enum mo_sensor sensor;
   uint32_t n_masses, n_springs, n_sites, n_vectors; /* n_sites = n_vectors · MO_VL, at least */
   uint32_t n_sensor_reals, n_slot_reals;
-  size_t n_record_reals, n_scratch_reals;
+  size_t n_state_reals, n_record_reals, n_velocity_reals, n_scratch_reals;
   const uint32_t *sensor_mass; /* (n_masses) */
   const uint32_t *slot_spring; /* (n_springs) */
 
@@ -48,16 +53,16 @@ struct phys_robot {
   uint32_t offset[PHYS_DIRECTIONS]; /* sites from the lower end of a spring to the upper */
   uint32_t halo;                    /* ≥ the largest offset, a multiple of MO_VL */
   const uint32_t *mass_site;        /* (n_masses) */
-  const uint32_t *present;          /* (n_vectors) bit l: lane l's site has a mass */
-  const uint32_t *sensor_first;     /* (n_vectors) sensor of the first of them */
-  const struct phys_tile *tiles;    /* (n_vectors, PHYS_DIRECTIONS) */
-  const uint32_t *arrivals;         /* (n_vectors, PHYS_DIRECTIONS) bit l: lane l's site is the upper end of a spring */
-  const REAL *cells;                /* (MO_CELLS, 4) the terrain, as in fast.h */
-  const REAL *cell_top;             /* (MO_CELLS) nothing of the cell is above */
-  const REAL *start;                /* (3, n_sites) start positions */
-  REAL light[3];                    /* from the world's centre */
-  REAL dt, keep, fall;              /* step; exp(−drag · dt); gravity · dt */
-  REAL pull, actuation;             /* dt · stiffness / mass; share of the rest length */
+  const struct phys_lanes *present; /* (n_vectors) sites with a mass, and their sensors */
+  const struct phys_lanes
+      *tiles;               /* (n_vectors, PHYS_DIRECTIONS) sites that are the lower end of a spring, and their slots */
+  const uint32_t *arrivals; /* (n_vectors, PHYS_DIRECTIONS) bit l: lane l's site is the upper end of a spring */
+  const REAL *cells;        /* (MO_CELLS, 4) the terrain, as in fast.h */
+  const REAL *cell_top;     /* (MO_CELLS) nothing of the cell is above */
+  const REAL *start;        /* (3, n_sites) start positions */
+  REAL light[3];            /* from the world's centre */
+  REAL dt, keep, fall;      /* step; exp(−drag · dt); gravity · dt */
+  REAL pull, actuation;     /* dt · stiffness / mass; share of the rest length */
   REAL friction, friction_cap;
   REAL near[2], far[2], top; /* the robot was last seen between these cell coordinates; no terrain there is above top */
   double guarded_start_m;    /* distance to the light at the start + MO_LOSS_GUARD_M */
@@ -73,17 +78,18 @@ static void phys_prepare(struct phys_robot *robot, const struct mo_body *body, c
 
 /* ---- forwards ---- */
 
-/* The start: positions into a record, velocities (3, sites); the outcome's com_start_m, the rest of it 0. */
-static void phys_start(const struct phys_robot *robot, REAL *record, REAL *velocity, struct mo_outcome *outcome);
-/* Light at each mass less the mean over all. */
+/* The start; the outcome's com_start_m, the rest of it 0. */
+static void phys_start(const struct phys_robot *robot, REAL *state, struct mo_outcome *outcome);
+/* Begins the record of the step that starts from a state. */
+static void phys_keep(const struct phys_robot *robot, const REAL *state, REAL *record);
+/* Light at each mass less the mean over all, at the start of the step of `record`. */
 static void phys_sense(const struct phys_robot *robot, const REAL *record, REAL *sensors);
-/* One step with the activations `slots` (tanh's results). Completes `record`, replaces `velocity`, and writes the positions of
- * `next`, another record. False: the rollout diverged, as in mo_rollout_reference; its last sane positions are those of `record`.
- * scratch: n_scratch_reals, may be shared by robots (of the largest need); nothing is kept there between calls. */
-static bool phys_step(struct phys_robot *robot, REAL *record, const REAL *slots, REAL *velocity, REAL *next,
-                      REAL *scratch);
-/* The outcome of a rollout that ended with the positions of `record`: com_end_m and loss; outcome->diverged_step is set before. */
-static void phys_finish(const struct phys_robot *robot, const REAL *record, struct mo_outcome *outcome);
+/* One step with the activations `slots` (tanh's results). Completes the record that phys_keep has begun and replaces the state.
+ * False: the rollout diverged, as in mo_rollout_reference, and the state's positions are those before the step. scratch:
+ * n_scratch_reals, may be shared by robots (of the largest need); nothing is kept there between calls. */
+static bool phys_step(struct phys_robot *robot, REAL *record, const REAL *slots, REAL *state, REAL *scratch);
+/* The outcome of a rollout that ended with `state`: com_end_m and loss; outcome->diverged_step is set before. */
+static void phys_finish(const struct phys_robot *robot, const REAL *state, struct mo_outcome *outcome);
 
 /* ---- backwards ---- */
 

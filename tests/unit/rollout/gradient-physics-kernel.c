@@ -13,7 +13,7 @@ struct machine {
   struct phys_robot robot;
   void *memory;
   REAL *arrays; /* one allocation */
-  REAL *sensors, *slots, *d_slots, *velocity, *adjoint, *scratch;
+  REAL *sensors, *slots, *d_slots, *state, *adjoint, *scratch;
   REAL *records; /* (n_records, n_record_reals) */
 };
 
@@ -32,7 +32,7 @@ static bool create(struct machine *k, const struct physics_scene *scene, size_t 
     return false;
   struct phys_robot *r = &k->robot;
   phys_prepare(r, scene->body, scene->environment, scene->physics, scene->sensor, k->memory);
-  const size_t reals = r->n_sensor_reals + 2 * (size_t)r->n_slot_reals + 9 * (size_t)r->n_sites + r->n_scratch_reals +
+  const size_t reals = r->n_sensor_reals + 2 * (size_t)r->n_slot_reals + 2 * r->n_state_reals + r->n_scratch_reals +
                        n_records * r->n_record_reals;
   k->arrays = aligned_alloc(64, (reals * sizeof(REAL) + 63) / 64 * 64);
   if (k->arrays == NULL) {
@@ -45,8 +45,8 @@ static bool create(struct machine *k, const struct physics_scene *scene, size_t 
   k->sensors = take(&at, r->n_sensor_reals);
   k->slots = take(&at, r->n_slot_reals);
   k->d_slots = take(&at, r->n_slot_reals);
-  k->velocity = take(&at, 3 * (size_t)r->n_sites);
-  k->adjoint = take(&at, 6 * (size_t)r->n_sites);
+  k->state = take(&at, r->n_state_reals);
+  k->adjoint = take(&at, r->n_state_reals);
   k->scratch = take(&at, r->n_scratch_reals);
   k->records = take(&at, n_records * r->n_record_reals);
   return true;
@@ -82,25 +82,25 @@ static void put_slots(const struct machine *k, const float *activation)
 static bool step(const struct physics_scene *scene, struct physics_step *s)
 {
   struct machine k;
-  if (!create(&k, scene, 2))
+  if (!create(&k, scene, 1))
     return false;
   struct phys_robot *r = &k.robot;
   struct mo_outcome outcome;
-  REAL *next = k.records + r->n_record_reals;
-  phys_start(r, k.records, k.velocity, &outcome);
-  put(&k, s->position_m, MO_WORLD_CENTRE_M, k.records);
-  put(&k, s->velocity_m_per_s, 0, k.velocity);
+  REAL *velocity = k.state + 3 * (size_t)r->n_sites;
+  phys_start(r, k.state, &outcome);
+  put(&k, s->position_m, MO_WORLD_CENTRE_M, k.state);
+  put(&k, s->velocity_m_per_s, 0, velocity);
   for (uint32_t i = 0; i < r->n_springs; i++)
     k.slots[i] = (REAL)s->activation[r->slot_spring[i]];
+  phys_keep(r, k.state, k.records);
   phys_sense(r, k.records, k.sensors);
-  s->sane = phys_step(r, k.records, k.slots, k.velocity, next, k.scratch);
+  s->sane = phys_step(r, k.records, k.slots, k.state, k.scratch);
   for (uint32_t i = 0; i < r->n_masses; i++)
     s->sensors[r->sensor_mass[i]] = k.sensors[i];
   for (uint32_t i = r->n_masses; i < r->n_sensor_reals; i++)
     s->sane &= k.sensors[i] == 0; /* as promised */
-  get(&k, k.records + 3 * (size_t)r->n_sites, 0, s->middle_m_per_s);
-  get(&k, next, MO_WORLD_CENTRE_M, s->next_m);
-  get(&k, k.velocity, 0, s->next_m_per_s);
+  get(&k, k.state, MO_WORLD_CENTRE_M, s->next_m);
+  get(&k, velocity, 0, s->next_m_per_s);
   s->hits = 0;
   for (uint32_t v = 0; v < r->n_vectors; v++)
     s->hits += (uint32_t)__builtin_popcount(record_hits(r, k.records)[v]);
@@ -120,9 +120,9 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   get(&k, k.adjoint + 3 * (size_t)r->n_sites, 0, s->d_velocity);
   /* Sites without a mass stay out of it. */
   for (uint32_t i = 0; i < 3 * r->n_sites; i++)
-    if ((r->present[i % r->n_sites / MO_VL] >> i % MO_VL & 1) == 0)
+    if ((r->present[i % r->n_sites / MO_VL].mask >> i % MO_VL & 1) == 0)
       s->sane &=
-          k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && k.velocity[i] == 0 && next[i] == r->start[i];
+          k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && velocity[i] == 0 && k.state[i] == r->start[i];
   destroy(&k);
   return true;
 }
@@ -131,7 +131,7 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
 {
   struct machine k;
   const uint32_t n_steps = scene->physics->n_steps;
-  if (!create(&k, scene, (size_t)n_steps + 1))
+  if (!create(&k, scene, n_steps))
     return false;
   struct phys_robot *r = &k.robot;
   double *d = malloc(6 * (size_t)r->n_masses * sizeof(double));
@@ -140,14 +140,15 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
     return false;
   }
   uint32_t n = 0;
-  phys_start(r, k.records, k.velocity, &life->outcome);
+  phys_start(r, k.state, &life->outcome);
   for (; n < n_steps && life->outcome.diverged_step == 0; n++) {
     REAL *record = k.records + n * r->n_record_reals;
     put_slots(&k, life->activation + (size_t)n * r->n_springs);
-    if (!phys_step(r, record, k.slots, k.velocity, record + r->n_record_reals, k.scratch))
+    phys_keep(r, k.state, record);
+    if (!phys_step(r, record, k.slots, k.state, k.scratch))
       life->outcome.diverged_step = (int32_t)n + 1;
   }
-  phys_finish(r, k.records + n * r->n_record_reals, &life->outcome);
+  phys_finish(r, k.state, &life->outcome);
   phys_back_start(r, &life->outcome, k.adjoint);
   life->finite = life->outcome.diverged_step == 0;
   life->largest = 0;
@@ -179,7 +180,7 @@ static bool clip(const struct physics_scene *scene, double bound, double *d_posi
   struct machine k;
   if (!create(&k, scene, 1))
     return false;
-  memset(k.adjoint, 0, 6 * (size_t)k.robot.n_sites * sizeof(REAL));
+  memset(k.adjoint, 0, k.robot.n_state_reals * sizeof(REAL));
   put(&k, d_position, 0, k.adjoint);
   put(&k, d_velocity, 0, k.adjoint + 3 * (size_t)k.robot.n_sites);
   *finite = phys_clip(&k.robot, bound, k.adjoint, m, clipped);
@@ -194,9 +195,9 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
   struct machine k;
   if (!create(&k, scene, 1))
     return false;
-  phys_start(&k.robot, k.records, k.velocity, outcome);
-  get(&k, k.records, MO_WORLD_CENTRE_M, position_m);
-  phys_finish(&k.robot, k.records, outcome);
+  phys_start(&k.robot, k.state, outcome);
+  get(&k, k.state, MO_WORLD_CENTRE_M, position_m);
+  phys_finish(&k.robot, k.state, outcome);
   phys_back_start(&k.robot, outcome, k.adjoint);
   get(&k, k.adjoint, 0, d_position);
   destroy(&k);
@@ -209,7 +210,7 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
 {
   struct machine k;
   const uint32_t n_steps = scene->physics->n_steps;
-  if (!create(&k, scene, (size_t)n_steps + 1))
+  if (!create(&k, scene, n_steps))
     return false;
   struct phys_robot *r = &k.robot;
   counts[0] = r->n_vectors;
@@ -225,18 +226,19 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
   for (int round = 0; round < 5; round++) {
     uint64_t sum[5] = {0};
     struct mo_outcome outcome;
-    phys_start(r, k.records, k.velocity, &outcome);
+    phys_start(r, k.state, &outcome);
     for (uint32_t n = 0; n < n_steps; n++) {
       REAL *record = k.records + n * r->n_record_reals;
       put_slots(&k, activation + (size_t)n * r->n_springs);
       const uint64_t t0 = __rdtsc();
+      phys_keep(r, k.state, record);
       phys_sense(r, record, k.sensors);
       const uint64_t t1 = __rdtsc();
-      phys_step(r, record, k.slots, k.velocity, record + r->n_record_reals, k.scratch);
+      phys_step(r, record, k.slots, k.state, k.scratch);
       sum[0] += t1 - t0;
       sum[1] += __rdtsc() - t1;
     }
-    phys_finish(r, k.records + n_steps * r->n_record_reals, &outcome);
+    phys_finish(r, k.state, &outcome);
     phys_back_start(r, &outcome, k.adjoint);
     for (uint32_t n = n_steps; n-- > 0;) {
       const REAL *record = k.records + n * r->n_record_reals;

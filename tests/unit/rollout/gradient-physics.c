@@ -10,6 +10,7 @@
 #include <morpho/random.h>
 
 #include "../check.h"
+#include "bodies.h"
 #include "gradient-cases.h"
 #include "gradient-physics.h"
 #include "rollout/adjoint.h"
@@ -48,22 +49,11 @@ static bool both_create(const struct gradient_case *c, struct both *b)
   if (b->memory == NULL || b->astray == NULL)
     return false;
   double *at = b->memory;
-  double **vectors[] = {&b->position,
-                        &b->velocity,
-                        &b->d_position,
-                        &b->d_velocity,
-                        &b->adjoint.d_position,
-                        &b->adjoint.d_velocity,
-                        &b->adjoint.d_impulse,
-                        &b->tape.position_m,
-                        &b->tape.velocity_m_per_s,
-                        &b->fast.middle_m_per_s,
-                        &b->fast.next_m,
-                        &b->fast.next_m_per_s,
-                        &b->fast.d_position,
-                        &b->fast.d_velocity,
-                        &b->d_sensors,
-                        &b->fast_sensors};
+  double **vectors[] = {&b->position,          &b->velocity,           &b->d_position,
+                        &b->d_velocity,        &b->adjoint.d_position, &b->adjoint.d_velocity,
+                        &b->adjoint.d_impulse, &b->tape.position_m,    &b->tape.velocity_m_per_s,
+                        &b->fast.next_m,       &b->fast.next_m_per_s,  &b->fast.d_position,
+                        &b->fast.d_velocity,   &b->d_sensors,          &b->fast_sensors};
   for (size_t i = 0; i < sizeof(vectors) / sizeof(vectors[0]); i++, at += n)
     *vectors[i] = at;
   b->adjoint.d_activation = at;
@@ -178,7 +168,6 @@ static void compare(struct both *b, struct tally *t)
     const size_t at = 3 * (size_t)m;
     const double sensor = b->tape.control.input[body->mass_lattice[m]];
     t->sensor = fmax(t->sensor, fabs(b->fast_sensors[m] - sensor) / fmax(1, fabs(sensor)));
-    t->velocity = fmax(t->velocity, distance(b->fast.middle_m_per_s + at, b->tape.velocity_m_per_s + at));
     const double moved = distance(b->fast.next_m + at, r->position_m + at);
     const double turned = distance(b->fast.next_m_per_s + at, r->velocity_m_per_s + at);
     const double pulled = distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) / d_velocity;
@@ -247,6 +236,115 @@ static void one_step(void)
     CHECK(t.d_velocity < 1e-3);
     CHECK(t.d_position < 1e-4);
     CHECK(t.d_activation < 1e-4);
+  }
+}
+
+/* ---- many bodies ---- */
+
+/* A step and the sensors of one body without actuation. Returns the number of masses that took another branch, or −1. */
+static int passive_step(const struct mo_body *body, const struct mo_environment *environment, uint64_t seed,
+                        const struct physics_functions *f)
+{
+  const struct mo_physics physics = mo_default_physics();
+  const struct physics_scene scene = {body, environment, &physics, MO_SENSOR_INVERSE_SQRT};
+  const size_t n = 3 * (size_t)body->n_masses;
+  struct mo_reference reference;
+  struct mo_random random;
+  int astray = 0;
+  double *memory = calloc(8 * n + 2 * (size_t)body->n_springs, sizeof(double));
+  if (memory == NULL || mo_reference_init(&reference, body, NULL, environment, &physics) < 0) {
+    free(memory);
+    return -1;
+  }
+  struct physics_step step = {.position_m = memory,
+                              .velocity_m_per_s = memory + n,
+                              .activation = memory + 8 * n,
+                              .sensors = memory + 2 * n,
+                              .next_m = memory + 3 * n,
+                              .next_m_per_s = memory + 4 * n,
+                              .d_position = memory + 5 * n,
+                              .d_velocity = memory + 6 * n,
+                              .d_sensors = memory + 7 * n,
+                              .d_activation = memory + 8 * n + body->n_springs};
+  mo_random_init(&random, seed, MO_PURPOSE_CHECK, 2, 0);
+  for (size_t i = 0; i < n; i++) {
+    const double centre = i % 3 < 2 ? MO_WORLD_CENTRE_M : 0;
+    reference.position_m[i] =
+        rounded(reference.position_m[i] - centre + 0.002 * (mo_random_uniform(&random) - 0.5)) + centre;
+    reference.velocity_m_per_s[i] = rounded(0.1 * mo_random_normal(&random));
+    memory[i] = reference.position_m[i];
+    memory[n + i] = reference.velocity_m_per_s[i];
+    step.d_position[i] = 0;
+    step.d_velocity[i] = i % 3 == 0 ? 1 : 0;
+  }
+  double mean = 0, light_m[3];
+  mo_scene_light(environment, light_m);
+  for (uint32_t pass = 0; pass < 2; pass++)
+    for (uint32_t m = 0; m < body->n_masses; m++) {
+      const double *p = memory + 3 * (size_t)m;
+      const double d = hypot(hypot(p[0] - light_m[0], p[1] - light_m[1]), p[2] - light_m[2]);
+      const double light = 1 / (sqrt(d + 1e-8) + 1e-8);
+      if (pass == 0)
+        mean += light / body->n_masses;
+      else
+        reference.impulse_n_s[m] = light - mean;
+    }
+  bool good = f->step(&scene, &step) && step.sane;
+  for (uint32_t m = 0; m < body->n_masses; m++)
+    good &= fabs(step.sensors[m] - reference.impulse_n_s[m]) < 1e-5;
+  good &= mo_reference_step(&reference, 0);
+  for (uint32_t m = 0; m < body->n_masses; m++) {
+    const size_t at = 3 * (size_t)m;
+    astray += !(distance(step.next_m + at, reference.position_m + at) < 2e-6 &&
+                distance(step.next_m_per_s + at, reference.velocity_m_per_s + at) < 2e-4);
+  }
+  for (uint32_t s = 0; s < body->n_springs; s++)
+    good &= isfinite(step.d_activation[s]);
+  mo_reference_done(&reference);
+  free(memory);
+  return good ? astray : -1;
+}
+
+static void many_bodies(void)
+{
+  static const struct mo_workspace workspaces[] = {{6, 6, 4}, {6, 6, 4}, {1, 5, 2}, {9, 2, 3}, {2, 7, 5}};
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    int astray = 0, masses = 0;
+    for (size_t w = 0; w < sizeof(workspaces) / sizeof(workspaces[0]); w++) {
+      struct mo_lattice *lattice = NULL;
+      struct mo_random random;
+      REQUIRE(mo_lattice_create(workspaces[w], &lattice) == 0);
+      mo_random_init(&random, 8, MO_PURPOSE_CHECK, 1, w);
+      for (uint32_t k = 0; k < 150; k++) {
+        uint64_t bits[4] = {0};
+        struct mo_body *body = NULL;
+        struct mo_environment environment;
+        REQUIRE(mo_genotype_random(workspaces[w], &random, bits) == 0);
+        REQUIRE(mo_body_create(lattice, bits, &body) == 0);
+        mo_environment_training(8, 0, k, &environment);
+        const int result = passive_step(body, &environment, k, functions[isa]);
+        CHECK(result >= 0);
+        astray += result;
+        masses += (int)body->n_masses;
+        mo_body_free(body);
+      }
+      mo_lattice_free(lattice);
+    }
+    /* More springs than the layout is chosen for. */
+    struct mo_lattice *lattice = NULL;
+    struct mo_body *body = full_body((struct mo_workspace){14, 14, 12}, &lattice);
+    struct mo_environment environment;
+    REQUIRE(body != NULL);
+    mo_environment_training(8, 0, 0, &environment);
+    const int result = passive_step(body, &environment, 1, functions[isa]);
+    CHECK(result >= 0);
+    astray += result;
+    printf("# %s: %d of %d masses at a kink, and of a body of %u springs\n", mo_isa_name((enum mo_isa)isa), astray,
+           masses, body->n_springs);
+    CHECK(body->n_springs > 20000);
+    CHECK(astray <= masses / 1000);
+    mo_body_free(body);
+    mo_lattice_free(lattice);
   }
 }
 
@@ -517,6 +615,7 @@ static void times(void)
 }
 
 static const struct check_case cases[] = {{"one step and back", one_step},
+                                          {"many bodies", many_bodies},
                                           {"the start, its derivative and the bound", start_and_clip},
                                           {"divergence", divergence},
                                           {"rollouts of 100 steps", rollouts_100},

@@ -18,7 +18,6 @@ struct physics_scene {
 struct physics_step {
   const double *position_m, *velocity_m_per_s, *activation; /* before the step; float32 rounds them */
   double *sensors;                                          /* (n_masses) */
-  double *middle_m_per_s;                                   /* velocities before contact */
   double *next_m, *next_m_per_s;
   bool sane;
   uint32_t hits;
