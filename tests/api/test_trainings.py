@@ -147,7 +147,7 @@ def test_controller_of_another_workspace(service):
 
 
 def test_population_that_has_not_succeeded(service):
-    body = {"designs": [DESIGN] + [{"cells": [[x, 0, 0]]} for x in range(3)], "physics": {"n_steps": 200000}, "priority": "batch"}
+    body = {"designs": [DESIGN] + [{"cells": [[x, 0, 0]]} for x in range(3)], "physics": {"n_steps": 15000}, "priority": "batch"}
     job = service.request("POST", "/v1/evaluations", body).json()["id"]
     service.request("POST", f"/v1/jobs/{job}/pause")
     reply = service.request("POST", "/v1/trainings", {"kind": "finetune", "population": {"evaluation": job}})
