@@ -467,6 +467,39 @@ static void one_state_takes_any_controller(void)
   mo_compute_free(compute);
 }
 
+/* Where the tape does not fit its budget, steps are run again: not a bit of any block may show it. */
+static void the_budget_changes_no_bit(void)
+{
+  REQUIRE(setup());
+  enum { STEPS = 40, BLOCKS = ROBOTS / MO_GRADIENT_ROBOTS };
+  static const size_t budgets[] = {MO_GRADIENT_DEFAULT_BYTES, (size_t)4 << 20, 1};
+  const size_t n = controller->n_parameters;
+  struct mo_physics physics = mo_default_physics();
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_gradient_pack *pack = NULL;
+  float *gradients = malloc(2 * n * sizeof(float));
+  size_t bytes[3] = {0, 0, 0};
+  physics.n_steps = STEPS;
+  REQUIRE(gradients != NULL && mo_gradient_pack_create(controller, mo_isa_best(), &pack) == MO_OK);
+  for (int block = 0; block < BLOCKS; block++)
+    for (int b = 0; b < 3; b++) {
+      struct mo_gradient_memory *memory = NULL;
+      float *gradient = gradients + (b > 0 ? n : 0);
+      REQUIRE(mo_gradient_memory_create(budgets[b], &memory) == MO_OK);
+      CHECK_INT(__real_mo_gradient_block(memory, pack, robots + (size_t)block * MO_GRADIENT_ROBOTS, MO_GRADIENT_ROBOTS,
+                                         &physics, &options, NULL, NULL, outcomes[b > 0], gradient, NULL),
+                MO_OK);
+      if (b > 0)
+        CHECK(memcmp(gradients, gradient, n * sizeof(float)) == 0);
+      CHECK(memcmp(outcomes[0], outcomes[b > 0], MO_GRADIENT_ROBOTS * sizeof(outcomes[0][0])) == 0);
+      bytes[b] = mo_gradient_memory_bytes(memory);
+      mo_gradient_memory_free(memory);
+    }
+  CHECK(bytes[0] > bytes[1] && bytes[1] >= bytes[2]);
+  mo_gradient_pack_free(pack);
+  free(gradients);
+}
+
 /* What a worker holds at the default settings: 32 full lattices for 1000 steps, cancelled as soon as the scratch is there. */
 static int at_once(void *context)
 {
@@ -515,6 +548,7 @@ static const struct check_case cases[] = {
     {"failed blocks end the call", failed_blocks_end_the_call},
     {"faults are refused", faults_are_refused},
     {"one state takes any controller", one_state_takes_any_controller},
+    {"the budget changes no bit", the_budget_changes_no_bit},
     {"memory is bounded", memory_is_bounded},
 };
 CHECK_MAIN(cases)
