@@ -6,6 +6,7 @@
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
+#include "training.h"
 #include "transport.h"
 
 struct watch {
@@ -39,13 +40,15 @@ static int show_event(void *context, const char *type, const char *data)
   } else if (progress && watch->job != NULL && ctl->progress) {
     progress_show(&watch->progress, ctl, "running", done, total);
   } else {
-    char time[32], counts[80] = "", a[32], b[32];
+    char time[32], words[320] = "", a[32], b[32];
     progress_end(&watch->progress);
     if (total > 0)
-      snprintf(counts, sizeof(counts), "  %s of %s rollouts", count_text(done, a), count_text(total, b));
+      snprintf(words, sizeof(words), "  %s of %s rollouts", count_text(done, a), count_text(total, b));
+    else
+      training_event_text(type, details, words, sizeof(words));
     if (*job != 0)
       print_plain_line(stdout, "%s  %-15s job %s%s%s%s", time_text(json_object_get(event, "at"), time), type, job,
-                       *state != 0 ? "  " : "", state, counts);
+                       *state != 0 ? "  " : "", state, words);
     else
       print_plain_line(stdout, "%s  %-15s %s", time_text(json_object_get(event, "at"), time), type,
                        text_of(details, "name"));

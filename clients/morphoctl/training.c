@@ -182,6 +182,22 @@ void training_validation_text(const json_t *validation, char *text, size_t size)
            count_text(number_of(validation, "step"), step), diverged);
 }
 
+void training_event_text(const char *type, const json_t *data, char *text, size_t size)
+{
+  char step[96], words[256];
+  *text = 0;
+  if (strcmp(type, "training.progress") == 0) {
+    training_step_text(number_of(data, "step"), number_of(data, "steps"), step, sizeof(step));
+    training_progress_text(data, words, sizeof(words));
+    snprintf(text, size, "  %s  %s", step, words);
+  } else if (strcmp(type, "training.validation") == 0) {
+    training_validation_text(data, words, sizeof(words));
+    snprintf(text, size, "  %s", words);
+  } else if (strcmp(type, "training.checkpoint") == 0) {
+    snprintf(text, size, "  of step %s", count_text(number_of(data, "step"), step));
+  }
+}
+
 int training_outcome(const json_t *training)
 {
   const char *state = text_of(training, "state");

@@ -43,6 +43,9 @@ void training_validation_text(const json_t *validation, char *text, size_t size)
 /* "step 120 of 1,400" */
 void training_step_text(int64_t step, int64_t steps, char *text, size_t size);
 
+/* Two spaces and what a "training.…" event tells; nothing of others. */
+void training_event_text(const char *type, const json_t *data, char *text, size_t size);
+
 /* Follows a training to its end: a plot that redraws on a terminal, else lines. An interrupt leaves it alone. */
 int watch_training(struct ctl *ctl, const char *id);
 

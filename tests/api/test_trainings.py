@@ -8,7 +8,7 @@ import struct
 import time
 
 import pytest
-from service import BOOTSTRAP, DESIGN, SHORT
+from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT
 
 BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 SMALL = {"steps": 6, "batch": 4, "physics": {"n_steps": 30}, "validation": {"every_steps": 3, "designs": 3, "environments": 2},
@@ -100,6 +100,25 @@ def test_invalid(service, name):
     assert reply.pointers() == pointers, reply.body
     for fault in reply.json()["errors"]:
         assert len(fault["detail"]) > 15
+
+
+# What no schema can tell: it depends on several fields, or on what the service has.
+BEYOND_SCHEMA = {"finetune on nothing", "finetune on both", "pretrain on designs", "pretrain on a population", "unknown controller",
+                 "unknown controller of a finetuning", "unknown controller by hash", "finetune from nothing", "sensor with a controller",
+                 "sensor of a finetuning", "population of no evaluation", "more bodies than there are", "floor above peak"}
+
+
+def test_the_contract_refuses_the_same():
+    """schema/openapi.yaml and the service agree on what a request is."""
+    for name, (value, _) in INVALID.items():
+        try:
+            CONTRACT.validate({"$ref": "#/components/schemas/TrainingRequest"}, value, name)
+            assert name in BEYOND_SCHEMA, name
+        except AssertionError as error:
+            assert name not in BEYOND_SCHEMA and name in str(error), (name, error)
+    post = CONTRACT.document["paths"]["/v1/trainings"]["post"]["requestBody"]["content"]["application/json"]
+    for value in [TUNE, TRAIN, LONG] + [example["value"] for example in post["examples"].values()]:
+        CONTRACT.validate(post["schema"], value, "an example")
 
 
 @pytest.mark.parametrize("body, pointer", [('{"kind":"pretrain","schedule":{"kind":"cosine","peak":1e400}}', "/schedule/peak"),

@@ -526,6 +526,16 @@ def test_train_compare():
             assert words in run(server, "train", "compare", "a", "b")[1]
 
 
+def test_watch_tells_of_trainings():
+    with Server([stream(event(1, "training.progress", step=2, steps=9, mean_loss=0.5, gradient_norm=1, rate=0.1, clipped_share=0) +
+                        event(2, "training.validation", step=2, mean_score=0.25, standard_error=0.5, rollouts=8, diverged=0) +
+                        event(3, "training.checkpoint", step=2) + event(4, "training.other", x=1))]) as server:
+        out = run(server, "watch", "--retry", "0")[1].splitlines()
+        assert [line[21:] for line in out] == ["training.progress job 7  step 2 of 9  loss 0.5000  gradient 1  rate 0.1  clipped 0.0 %",
+                                               "training.validation job 7  0.2500 ± 0.5000 at step 2", "training.checkpoint job 7  of step 2",
+                                               "training.other  job 7"], out
+
+
 def test_job_lists_name_trainings():
     short = {**{k: TRAINING[k] for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at", "attempts", "error", "reason")},
              "kind": "training", "training": {"kind": "finetune", "name": "walker", "step": 350, "steps": 1400}}
