@@ -242,7 +242,7 @@ int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_
 /* Resolves what is named, and makes rows of what is given. */
 static int resolve(struct mo_connection *writer, const struct mo_submission *submission, struct setting *setting)
 {
-  enum mo_sensor sensor;
+  enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
   int64_t n = 0;
   int error = mo_controller_find(writer, submission->controller, &setting->controller);
   if (error == MO_OK)

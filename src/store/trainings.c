@@ -291,7 +291,7 @@ static int64_t list_ids(struct mo_connection *reader, int64_t before, int state,
 int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, struct mo_training_status *statuses,
                            size_t limit)
 {
-  int64_t ids[MO_PAGE_MAX];
+  int64_t ids[MO_PAGE_MAX] = {0};
   struct mo_connection *reader;
   int64_t n;
   int error;

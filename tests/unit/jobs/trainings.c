@@ -199,8 +199,7 @@ static void learns(void)
   CHECK_INT(stats.training_validations, 4);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
-  CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
-  CHECK_INT(live.phase, MO_TRAINING_IDLE);
+  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live)); /* its thread follows in a moment */
   /* What it was validated on. */
   CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && held_out.n_environments == 20);
