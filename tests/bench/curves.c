@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-enum { WIDTH = 900, HEIGHT = 440, LEFT = 70, RIGHT = 270, TOP = 40, BOTTOM = 50, TICKS = 5 };
+enum { WIDTH = 940, HEIGHT = 440, LEFT = 70, RIGHT = 300, TOP = 40, BOTTOM = 50, TICKS = 5 };
 
 static const char *const colours[] = {"#1b6ca8", "#c0392b", "#1e8449", "#b7950b",
                                       "#7d3c98", "#5dade2", "#ec7063", "#58d68d"};
