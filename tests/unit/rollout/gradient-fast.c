@@ -81,6 +81,36 @@ static struct result block(const struct mo_controller *controller, enum mo_isa i
   return result;
 }
 
+static double cosine(const float *a, const double *b, size_t n)
+{
+  double ab = 0, aa = 0, bb = 0;
+  for (size_t i = 0; i < n; i++) {
+    ab += a[i] * b[i];
+    aa += (double)a[i] * a[i];
+    bb += b[i] * b[i];
+  }
+  return ab / sqrt(aa * bb);
+}
+
+/* Of all numbers; not a number if one of them is none. */
+static double largest(const float *d, size_t n)
+{
+  double size = 0;
+  for (size_t i = 0; i < n; i++)
+    size = isfinite(d[i]) ? fmax(size, fabs((double)d[i])) : (double)NAN;
+  return size;
+}
+
+struct stop {
+  uint32_t after, calls;
+};
+
+static int count_down(void *context)
+{
+  struct stop *stop = context;
+  return ++stop->calls >= stop->after;
+}
+
 static struct mo_physics physics_of(uint32_t n_steps)
 {
   struct mo_physics physics = mo_default_physics();
@@ -174,7 +204,376 @@ static void agrees_on_few_steps(void)
   }
 }
 
+/* A longer rollout touches the ground a step earlier or later in float32, and its adjoint then takes another way; of most robots, and of
+ * the batch, the direction stays. */
+static void agrees_over_hundreds_of_steps(void)
+{
+  REQUIRE(setup());
+  enum { N = 12, FIRST = 8 };
+  const struct mo_physics physics = physics_of(200);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  const size_t n = shipped->n_parameters;
+  double *one = calloc(n, sizeof(double)), *sum = calloc(n, sizeof(double));
+  REQUIRE(one != NULL && sum != NULL);
+  uint32_t alike = 0;
+  for (uint32_t i = FIRST; i < FIRST + N; i++) {
+    struct mo_outcome outcome;
+    memset(one, 0, n * sizeof(double));
+    REQUIRE(mo_gradient_reference(robots[i].body, shipped, robots[i].environment, &physics, &options, &outcome, one,
+                                  NULL) == MO_OK);
+    struct result fast =
+        block(shipped, mo_isa_best(), robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    CHECK_INT(fast.status, MO_OK);
+    CHECK_NEAR(fast.outcomes[0].loss, outcome.loss, 1e-3);
+    alike += cosine(fast.d, one, n) > 0.9999;
+    for (size_t k = 0; k < n; k++)
+      sum[k] += one[k];
+    free(fast.d);
+  }
+  struct result fast =
+      block(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  const double together = cosine(fast.d, sum, n);
+  printf("# 200 steps: %u of %d robots alike, the batch: 1 - cosine %.2g\n", alike, N, 1 - together);
+  CHECK(alike >= N * 3 / 4);
+  CHECK(together > 0.999);
+  free(fast.d);
+  free(one);
+  free(sum);
+}
+
+static bool same_outcome(const struct mo_outcome *a, const struct mo_outcome *b)
+{
+  return memcmp(&a->loss, &b->loss, sizeof(a->loss)) == 0 && a->diverged_step == b->diverged_step &&
+         memcmp(a->com_start_m, b->com_start_m, sizeof(a->com_start_m)) == 0 &&
+         memcmp(a->com_end_m, b->com_end_m, sizeof(a->com_end_m)) == 0;
+}
+
+static void neighbours_do_not_matter(void)
+{
+  REQUIRE(setup());
+  const struct mo_physics physics = physics_of(60);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    struct mo_robot reversed[ROBOTS];
+    for (uint32_t i = 0; i < ROBOTS; i++)
+      reversed[i] = robots[ROBOTS - 1 - i];
+    struct result all = block(shipped, isa, robots, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result back = block(shipped, isa, reversed, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    for (uint32_t i = 0; i < ROBOTS; i++) {
+      CHECK(same_outcome(all.outcomes + i, back.outcomes + ROBOTS - 1 - i));
+      if (i % 7 != 0)
+        continue;
+      struct result alone = block(shipped, isa, robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+      CHECK(same_outcome(all.outcomes + i, alone.outcomes));
+      free(alone.d);
+    }
+    free(all.d);
+    free(back.d);
+  }
+}
+
+static bool same_bits(const struct result *a, const struct result *b, uint32_t n, size_t n_parameters)
+{
+  bool same = memcmp(a->d, b->d, n_parameters * sizeof(float)) == 0 && a->counts.steps == b->counts.steps &&
+              a->counts.clipped_steps == b->counts.clipped_steps &&
+              a->counts.clipped_robots == b->counts.clipped_robots &&
+              memcmp(&a->counts.largest, &b->counts.largest, sizeof(double)) == 0;
+  for (uint32_t i = 0; i < n; i++)
+    same = same && same_outcome(a->outcomes + i, b->outcomes + i);
+  return same;
+}
+
+static void budgets_do_not_matter(void)
+{
+  REQUIRE(setup());
+  static const size_t budgets[] = {0, 600000, 1500000, 4000000};
+  const struct mo_gradient_options options = {.adjoint_bound = 1e-3, .weight = 1};
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    for (uint32_t n_steps = 30; n_steps <= 77; n_steps += 47) {
+      const struct mo_physics physics = physics_of(n_steps);
+      struct result whole = block(shipped, isa, robots + 20, 9, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+      CHECK(whole.profile.repeat_s == 0 && whole.counts.clipped_steps > 0);
+      for (size_t k = 0; k < sizeof(budgets) / sizeof(budgets[0]); k++) {
+        struct result part = block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], NULL);
+        CHECK(same_bits(&whole, &part, 9, shipped->n_parameters));
+        CHECK(part.profile.repeat_s > 0 || budgets[k] > 2000000);
+        free(part.d);
+      }
+      free(whole.d);
+    }
+}
+
+static void budgets_are_kept(void)
+{
+  REQUIRE(setup());
+  const struct mo_physics physics = physics_of(1000);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_gradient_pack *pack = NULL;
+  struct mo_gradient_memory *memory = NULL;
+  struct mo_outcome outcomes[ROBOTS];
+  float *d = calloc(shipped->n_parameters, sizeof(float));
+  struct mo_robot large[ROBOTS];
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    large[i] = (struct mo_robot){robots[ROBOTS - 1].body, environments + i};
+  REQUIRE(mo_gradient_pack_create(shipped, mo_isa_best(), &pack) == MO_OK);
+  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
+  /* The largest bodies, and stopped once the tape has been laid out. */
+  struct stop stop = {.after = 1};
+  const struct mo_pause_point pause = {.interval = 1, .reached = count_down, .context = &stop};
+  CHECK_INT(mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, NULL, outcomes, d, NULL),
+            MO_ERR_CANCELLED);
+  printf("# 32 robots of 144 voxels, 1000 steps: %.1f MiB\n", (double)mo_gradient_memory_bytes(memory) / (1 << 20));
+  CHECK(mo_gradient_memory_bytes(memory) > MO_GRADIENT_DEFAULT_BYTES / 2);
+  CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
+  mo_gradient_memory_free(memory);
+  mo_gradient_pack_free(pack);
+  free(d);
+}
+
+/* With springs 2.5 times as stiff as usual a single voxel is stable, and everything larger blows up. */
+static void diverged_robots_contribute_nothing(void)
+{
+  REQUIRE(setup());
+  enum { N = 10 };
+  struct mo_physics physics = physics_of(50);
+  physics.stiffness_n_per_m *= 2.5;
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_robot list[2][N];
+  for (uint32_t i = 0; i < N; i++)
+    for (uint32_t k = 0; k < 2; k++) /* every other robot diverges, in another world each time */
+      list[k][i] = (struct mo_robot){robots[i % 2 == 0 ? 0 : 12 + i].body, environments + i + (i % 2 == 0 ? 0 : N * k)};
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    struct result a = block(shipped, isa, list[0], N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result b = block(shipped, isa, list[1], N, &physics, &options, 100000, NULL);
+    CHECK_INT(a.counts.diverged_robots, N / 2);
+    CHECK_INT(b.counts.diverged_robots, N / 2);
+    CHECK_INT(a.counts.steps, N / 2 * physics.n_steps);
+    CHECK_INT(a.counts.zeroed_robots, 0);
+    bool other = false;
+    for (uint32_t i = 0; i < N; i++) {
+      CHECK((a.outcomes[i].diverged_step > 0) == (i % 2 == 1));
+      CHECK(i % 2 == 0 || (isinf(a.outcomes[i].loss) && isfinite(a.outcomes[i].com_end_m[0])));
+      other |= a.outcomes[i].diverged_step != b.outcomes[i].diverged_step;
+    }
+    CHECK(other);
+    CHECK(largest(a.d, shipped->n_parameters) > 0);
+    CHECK(memcmp(a.d, b.d, shipped->n_parameters * sizeof(float)) == 0);
+    free(a.d);
+    free(b.d);
+    struct result none = block(shipped, isa, robots + 12, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    CHECK_INT(none.counts.diverged_robots, N);
+    CHECK_INT(none.counts.steps, 0);
+    CHECK(largest(none.d, shipped->n_parameters) == 0);
+    free(none.d);
+  }
+}
+
+/* One body in six worlds: without a bound its adjoint grows to 1e8 and more in the second and the fifth, to a few hundred in the others. */
+enum { WORLDS = 6 };
+static const uint32_t worlds[WORLDS] = {0, 26, 1, 23, 18, 7};
+
+static bool explodes(uint32_t world)
+{
+  return world == 1 || world == 4;
+}
+
+/* Checks that the block of all six worlds has the gradient of the block without those that explode, to the bit. */
+static void explosions_are_zeroed(const struct mo_controller *controller, enum mo_isa isa, double weight)
+{
+  const struct mo_physics physics = physics_of(1000);
+  const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = weight};
+  struct mo_robot all[WORLDS], some[WORLDS];
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < WORLDS; i++) {
+    all[i] = (struct mo_robot){robots[27].body, environments + worlds[i]};
+    if (!explodes(i))
+      some[n++] = all[i];
+  }
+  struct result a = block(controller, isa, all, WORLDS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result b = block(controller, isa, some, n, &physics, &options, 20000000, NULL);
+  CHECK_INT(a.counts.zeroed_robots, WORLDS - n);
+  CHECK_INT(b.counts.zeroed_robots, 0);
+  CHECK_INT(a.counts.robots, WORLDS);
+  CHECK(a.counts.steps > n * physics.n_steps);
+  CHECK_INT(b.counts.steps, n * physics.n_steps);
+  CHECK(largest(b.d, controller->n_parameters) > 0);
+  CHECK(memcmp(a.d, b.d, controller->n_parameters * sizeof(float)) == 0);
+  for (uint32_t i = 0; i < WORLDS; i++)
+    CHECK(isfinite(a.outcomes[i].loss));
+  free(a.d);
+  free(b.d);
+}
+
+/* The last layer's weights times 2^105 and what they multiply over it: the same rollouts to the bit, but on the way back the product of
+ * an exploding adjoint with these weights leaves float32's range. */
+static void adjoints_out_of_range_are_zeroed(void)
+{
+  REQUIRE(setup());
+  struct mo_controller *steep = NULL;
+  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &steep) == MO_OK);
+  memcpy(steep->parameters, shipped->parameters, shipped->n_parameters * sizeof(float));
+  for (size_t i = 0; i < (size_t)steep->n_springs * MO_HIDDEN; i++)
+    steep->weight[MO_HIDDEN_LAYERS][i] = ldexpf(steep->weight[MO_HIDDEN_LAYERS][i], 105);
+  for (int i = 0; i < MO_HIDDEN; i++) {
+    steep->norm_gain[MO_HIDDEN_LAYERS - 1][i] = ldexpf(steep->norm_gain[MO_HIDDEN_LAYERS - 1][i], -105);
+    steep->norm_shift[MO_HIDDEN_LAYERS - 1][i] = ldexpf(steep->norm_shift[MO_HIDDEN_LAYERS - 1][i], -105);
+  }
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    explosions_are_zeroed(steep, (enum mo_isa)isa, 1);
+  mo_controller_free(steep);
+}
+
+/* Every adjoint is in range, the gradients times the weight are not. */
+static void gradients_out_of_range_are_zeroed(void)
+{
+  REQUIRE(setup());
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
+    explosions_are_zeroed(shipped, (enum mo_isa)isa, 1e31);
+  const struct mo_physics physics = physics_of(60); /* all of them have pushed off */
+  const struct mo_gradient_options options = {.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1e300};
+  struct result none = block(fresh, mo_isa_best(), robots, 12, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  CHECK_INT(none.counts.zeroed_robots, 12);
+  CHECK(largest(none.d, fresh->n_parameters) == 0);
+  free(none.d);
+}
+
+static void pauses_and_ends(void)
+{
+  REQUIRE(setup());
+  enum { N = 3 };
+  const struct mo_physics physics = physics_of(50);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_gradient_pack *pack = NULL;
+  struct mo_gradient_memory *memory = NULL;
+  struct mo_outcome outcomes[N];
+  struct mo_gradient_counts counts = {0};
+  float *d[2] = {calloc(shipped->n_parameters, sizeof(float)), calloc(shipped->n_parameters, sizeof(float))};
+  REQUIRE(d[0] != NULL && d[1] != NULL);
+  REQUIRE(mo_gradient_pack_create(shipped, mo_isa_best(), &pack) == MO_OK);
+  REQUIRE(mo_gradient_memory_create(1000000, &memory) == MO_OK);
+  struct stop stop = {.after = UINT32_MAX};
+  struct mo_pause_point pause = {.interval = 7, .reached = count_down, .context = &stop};
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[0], &counts),
+            MO_OK);
+  const uint32_t calls = stop.calls;
+  CHECK(calls >= 2 * physics.n_steps / pause.interval); /* forth and back, and segments again */
+  for (uint32_t after = 1; after <= calls; after += 3) {
+    stop = (struct stop){.after = after};
+    counts = (struct mo_gradient_counts){0};
+    CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[1], &counts),
+              MO_ERR_CANCELLED);
+    CHECK_INT(stop.calls, after);
+    CHECK_INT(counts.robots, 0);
+  }
+  stop = (struct stop){.after = UINT32_MAX};
+  pause.interval = 0; /* never */
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[1], &counts),
+            MO_OK);
+  CHECK_INT(stop.calls, 0);
+  CHECK(memcmp(d[0], d[1], shipped->n_parameters * sizeof(float)) == 0);
+  mo_gradient_memory_free(memory);
+  mo_gradient_pack_free(pack);
+  free(d[0]);
+  free(d[1]);
+}
+
+static void packs_can_be_updated(void)
+{
+  REQUIRE(setup());
+  const struct mo_physics physics = physics_of(20);
+  const struct mo_gradient_options options = mo_default_gradient_options();
+  struct mo_controller *other = NULL;
+  struct mo_gradient_pack *pack = NULL;
+  struct mo_gradient_memory *memory = NULL;
+  struct mo_outcome outcomes[ROBOTS];
+  float *d = calloc(shipped->n_parameters, sizeof(float));
+  REQUIRE(d != NULL && mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &other) == MO_OK);
+  mo_controller_randomize(other, 99);
+  REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
+  REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
+  CHECK_INT(mo_gradient_pack_update(pack, shipped), MO_OK);
+  CHECK(mo_gradient_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
+  /* The memory has seen other blocks, too. */
+  for (uint32_t n = 1; n <= ROBOTS; n += 9)
+    CHECK_INT(mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes, d, NULL), MO_OK);
+  struct result again = block(shipped, mo_isa_best(), robots, 28, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  CHECK(memcmp(d, again.d, shipped->n_parameters * sizeof(float)) == 0);
+  free(again.d);
+  CHECK_INT(mo_gradient_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
+  mo_controller_free(other);
+  REQUIRE(mo_controller_create((struct mo_workspace){6, 6, 3}, shipped->sensor, &other) == MO_OK);
+  CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
+
+  CHECK_INT(mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, NULL, outcomes, d, NULL),
+            MO_ERR_INVALID);
+  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
+            MO_ERR_INVALID);
+  const struct mo_gradient_options bad[] = {{-1, 1}, {(double)NAN, 1}, {2, (double)INFINITY}};
+  for (int i = 0; i < 3; i++)
+    CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, NULL, outcomes, d, NULL),
+              MO_ERR_INVALID);
+  mo_gradient_pack_free(pack);
+  REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
+  CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
+            MO_ERR_INVALID);
+  CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
+  mo_gradient_memory_free(memory);
+  mo_gradient_pack_free(NULL);
+  mo_gradient_memory_free(NULL);
+  mo_controller_free(other);
+  free(d);
+}
+
+/* 46,000 springs and 4913 masses: more than the windows in which tiles are made. */
+static void large_bodies(void)
+{
+  REQUIRE(setup());
+  const struct mo_workspace workspace = {16, 16, 16};
+  struct mo_lattice *large = NULL;
+  struct mo_controller *controller = NULL;
+  struct mo_body *whole = full_body(workspace, &large), *part = NULL;
+  uint64_t bits[64] = {0};
+  for (uint32_t v = 0; v < 4096; v += 16) /* a plate with a post */
+    bits[v >> 6] |= UINT64_C(1) << (v & 63);
+  bits[32] |= 0xff;
+  REQUIRE(whole != NULL && mo_body_create(large, bits, &part) == MO_OK);
+  REQUIRE(mo_controller_create(workspace, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+  mo_controller_randomize(controller, 3);
+  const struct mo_robot list[] = {{whole, environments}, {part, environments + 1}};
+  const struct mo_physics physics = physics_of(5);
+  compare("large bodies", controller, mo_isa_best(), list, 2, &physics, MO_ADJOINT_BOUND, 2e-4);
+  mo_controller_free(controller);
+  mo_body_free(whole);
+  mo_body_free(part);
+  mo_lattice_free(large);
+}
+
+static void arrangement(void)
+{
+  REQUIRE(setup());
+  uint32_t order[ROBOTS], seen = 0;
+  CHECK_INT(mo_gradient_arrange(robots, ROBOTS, order), MO_OK);
+  for (uint32_t i = 0; i < ROBOTS; i++) {
+    seen |= UINT32_C(1) << order[i];
+    CHECK(i == 0 || robots[order[i]].body->n_springs <= robots[order[i - 1]].body->n_springs);
+  }
+  CHECK(seen == UINT32_MAX);
+  CHECK_INT(order[0], ROBOTS - 1);
+  CHECK_INT(mo_gradient_arrange(robots, 0, order), MO_OK);
+}
+
 static const struct check_case cases[] = {
     {"a few steps agree with the reference, tensor by tensor", agrees_on_few_steps},
+    {"hundreds of steps agree in direction", agrees_over_hundreds_of_steps},
+    {"neighbours do not change an outcome", neighbours_do_not_matter},
+    {"budgets do not change a bit", budgets_do_not_matter},
+    {"budgets are kept", budgets_are_kept},
+    {"diverged robots contribute nothing", diverged_robots_contribute_nothing},
+    {"adjoints out of range are zeroed", adjoints_out_of_range_are_zeroed},
+    {"gradients out of range are zeroed", gradients_out_of_range_are_zeroed},
+    {"pauses and ends", pauses_and_ends},
+    {"packs can be updated, faults are refused", packs_can_be_updated},
+    {"large bodies", large_bodies},
+    {"arrangement", arrangement},
 };
 CHECK_MAIN(cases)
