@@ -76,6 +76,9 @@ static size_t phys_bytes(const struct mo_body *body);
 static void phys_prepare(struct phys_robot *robot, const struct mo_body *body, const struct mo_environment *environment,
                          const struct mo_physics *physics, enum mo_sensor sensor, void *memory);
 
+/* Asks the memory for what a step, either way, will read of the robot itself. */
+static void phys_fetch(const struct phys_robot *robot);
+
 /* ---- forwards ---- */
 
 /* The start; the outcome's com_start_m, the rest of it 0. */
