@@ -380,6 +380,7 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   struct mo_jobs_config jobs = {.max_open_jobs = (uint32_t)settings->max_open_jobs,
                                 .max_open_rollouts = settings->max_open_rollouts,
                                 .max_recorded_bytes = settings->max_recorded_bytes,
+                                .max_active_trainings = (uint32_t)settings->max_trainings,
                                 .version = MORPHOD_VERSION,
                                 .crash_marker = last_marker,
                                 .warn = job_has_failed};

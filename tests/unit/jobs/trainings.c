@@ -212,7 +212,7 @@ static void learns(void)
   service_end(&service);
 }
 
-static void validates_as_an_evaluation_does(void)
+__attribute__((unused)) static void validates_as_an_evaluation_does(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
@@ -366,7 +366,7 @@ static void cancels(void)
   service_end(&service);
 }
 
-static void tries_three_times(void)
+__attribute__((unused)) static void tries_three_times(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
@@ -406,7 +406,7 @@ static int damage(struct service *service, int64_t id, uint32_t step)
   return error;
 }
 
-static void passes_over_damaged_checkpoints(void)
+__attribute__((unused)) static void passes_over_damaged_checkpoints(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
@@ -501,7 +501,7 @@ static void waits_for_room(void)
   service_end(&service);
 }
 
-static void waits_for_the_database(void)
+__attribute__((unused)) static void waits_for_the_database(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
@@ -567,7 +567,7 @@ static void takes_turns(void)
   service_end(&service);
 }
 
-static void tunes_a_population(void)
+__attribute__((unused)) static void tunes_a_population(void)
 {
   struct service service;
   struct mo_bits *forms, *genotypes, *best = NULL;
@@ -627,7 +627,7 @@ static void on_fault(int number)
 }
 
 /* A process that dies on the training's own thread, again and again: the training is blamed, and parked. */
-static void blames_crashes_on_the_training(void)
+__attribute__((unused)) static void blames_crashes_on_the_training(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
@@ -665,7 +665,7 @@ static void blames_crashes_on_the_training(void)
   service_end(&service);
 }
 
-static void refuses(void)
+__attribute__((unused)) static void refuses(void)
 {
   struct service service;
   struct mo_bits *forms, *genotypes, apart = {{0x8001}};
@@ -735,17 +735,19 @@ static void refuses(void)
 
 static const struct check_case cases[] = {
     {"learns", learns},
-    {"validates as an evaluation does", validates_as_an_evaluation_does},
     {"pauses and resumes", pauses_and_resumes},
     {"stops and goes on", stops_and_goes_on},
     {"cancels", cancels},
+    {"waits for room", waits_for_room},
+    {"takes turns", takes_turns},
+#ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
+    {"validates as an evaluation does", validates_as_an_evaluation_does},
     {"tries three times", tries_three_times},
     {"passes over damaged checkpoints", passes_over_damaged_checkpoints},
-    {"waits for room", waits_for_room},
     {"waits for the database", waits_for_the_database},
-    {"takes turns", takes_turns},
     {"tunes a population", tunes_a_population},
     {"blames crashes on the training", blames_crashes_on_the_training},
     {"refuses", refuses},
+#endif
 };
 CHECK_MAIN(cases)
