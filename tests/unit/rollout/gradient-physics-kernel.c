@@ -141,6 +141,7 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
   }
   uint32_t n = 0;
   phys_start(r, k.state, &life->outcome);
+  phys_fetch(r);
   for (; n < n_steps && life->outcome.diverged_step == 0; n++) {
     REAL *record = k.records + n * r->n_record_reals;
     put_slots(&k, life->activation + (size_t)n * r->n_springs);
