@@ -73,7 +73,7 @@ static enum mo_training_phase set_phase(struct run *run, enum mo_training_phase 
 
 /* ---- writes that wait for room ---- */
 
-/* Runs `write` until it is done or fails for another reason than want of room. MO_ERR_CANCELLED: a wish came first. */
+/* Runs `write` until it is done or fails for another reason than want of room (or a foreign lock on the database). MO_ERR_CANCELLED: a wish came first. */
 static int persist(struct run *run, int (*write)(struct run *run), const char *what)
 {
   enum mo_trainer_wish least = run->winding_down ? MO_WISH_STOP : MO_WISH_PAUSE;
@@ -83,11 +83,14 @@ static int persist(struct run *run, int (*write)(struct run *run), const char *w
   int error;
   for (;;) {
     error = write(run);
-    if (error != MO_ERR_NO_SPACE)
+    if (error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY)
       break;
     if (!waits) {
       snprintf(reason, sizeof(reason),
-               "no space on the disk of the state folder for %s: make room there; it goes on by itself", what);
+               error == MO_ERR_NO_SPACE
+                   ? "no space on the disk of the state folder for %s: make room there; it goes on by itself"
+                   : "another program holds the database locked, %s cannot be written: end it; it goes on by itself",
+               what);
       phase = set_phase(run, MO_TRAINING_WAIT, reason);
       warn(run, error, reason);
       waits = true;
