@@ -36,7 +36,7 @@ static const char usage[] =
     "  --finetune         instead: finetune a controller on random bodies; held-out score before and after\n"
     "  --controller PATH  to finetune (default data/controllers/bootstrap.safetensors)\n"
     "  --designs N        random bodies to finetune on (default 64)\n"
-    "  --environments N   held-out environments to score them in (default 16)\n";
+    "  --environments N   held-out environments to score them in (default 64)\n";
 
 static const char columns[] = "sensor,schedule,peak,warmup_steps,adjoint_bound,batch,steps,seed,step,mean_loss,"
                               "gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
@@ -484,7 +484,7 @@ int bench_learning(int argc, char **argv)
                       .warmup = mo_schedule_one_cosine().warmup_steps,
                       .bound = MO_ADJOINT_BOUND,
                       .designs = 64,
-                      .environments = 16};
+                      .environments = 64};
   read_options(argc, argv, &plan, &options);
   setvbuf(stdout, NULL, _IOLBF, 0);
   if (!plan.finetune) {
@@ -496,6 +496,12 @@ int bench_learning(int argc, char **argv)
   settings.batch = plan.batch;
   settings.n_steps = plan.steps > 0 ? plan.steps : settings.n_steps;
   settings.adjoint_bound = plan.clips[0] ? plan.bound : 0.0;
+  if (!plan.schedules[1]) { /* annealed within the steps that there are */
+    settings.schedule = mo_schedule_one_cosine();
+    settings.schedule.peak = mo_schedule_paper_finetune().peak;
+    settings.schedule.floor = 1e-6;
+    settings.schedule.warmup_steps = 0;
+  }
   if (plan.peak > 0.0)
     settings.schedule.peak = plan.peak;
   return bench_finetune(&options, &settings, plan.designs, plan.environments);
