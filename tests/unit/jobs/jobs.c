@@ -154,6 +154,18 @@ static void cancels_pauses_resumes(void)
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_cancel(service.jobs, 1234), MO_ERR_NOT_FOUND);
+  /* Cancelled while paused: what was under way then is broken off, too. */
+  id = service_submit(&service, &request);
+  CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+  usleep(50000);
+  start = now_s();
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
+  do {
+    usleep(1000);
+    mo_jobs_get_stats(service.jobs, &stats);
+  } while (stats.blocks_in_flight > 0 && now_s() - start < 3);
+  CHECK(now_s() - start < 1);
   /* Paused in the middle: what is done stays done. */
   fake_plan.delay_us = 20000;
   id = service_submit(&service, &request);
