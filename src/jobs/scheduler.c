@@ -307,13 +307,11 @@ static void take_inbox(struct mo_jobs *jobs, int64_t until_us, struct inbox *inb
 static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
 {
   struct mo_active *active = mo_active_find(jobs, wish->id);
-  if (active == NULL)
-    return;
-  if (!active->detached) {
+  if (active != NULL && !active->detached) {
     active->detached = true;
     (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
   }
-  if (wish->cancel) /* also of one that was paused, whose blocks are still under way */
+  if (wish->cancel) /* also when it was paused before: its blocks are still under way */
     mo_flights_cancel(jobs, false);
 }
 
