@@ -453,11 +453,11 @@ static void explosions_are_zeroed(void)
   REQUIRE(setup());
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     const struct explosion e = find_explosion((enum mo_isa)isa);
-    REQUIRE(e.largest > 1e7 && e.n_calm >= 2);
-    struct mo_controller *controller = steep(ilogb((double)FLT_MAX / (e.largest / 100)));
+    REQUIRE(e.largest > 1e9 && e.n_calm >= 2);
+    struct mo_controller *controller = steep(ilogb((double)FLT_MAX / (e.largest / 1e4)));
     REQUIRE(controller != NULL);
     explosion_is_zeroed(&e, controller, (enum mo_isa)isa, 1);
-    explosion_is_zeroed(&e, shipped, (enum mo_isa)isa, (double)FLT_MAX / (e.largest / 1000));
+    explosion_is_zeroed(&e, shipped, (enum mo_isa)isa, (double)FLT_MAX / (e.largest / 1e4));
     mo_controller_free(controller);
   }
 }
