@@ -11,9 +11,9 @@
 #define HASHED_VERSION 1 /* the MO_GRADIENT_VERSION that the hashes belong to */
 
 static const uint64_t gradient_hashes[MO_ISA_COUNT] = {
-    UINT64_C(0x04a02277919b8c78), /* x86-64 */
-    UINT64_C(0x16a8bf7b4f22d6fe), /* avx2 */
-    UINT64_C(0x73005d83b0b2c60f), /* avx512 */
+    UINT64_C(0x20576420cc05a100), /* x86-64 */
+    UINT64_C(0x09820af588f312d2), /* avx2 */
+    UINT64_C(0xd6c905b59f3b4751), /* avx512 */
 };
 
 enum { ROBOTS = MO_GRADIENT_ROBOTS, STEPS = 120, BLOCKS = 4 };
