@@ -30,10 +30,11 @@ static bool is_cancelled(const struct mo_training *training, const volatile int 
   return cancel != NULL && training->taken % ASK_EVERY == 0 && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
 }
 
+/* Draws that failed have left the stream beyond the step's beginning: what it must arrive at is checked once. */
 static int replay(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)
 {
   const uint64_t before = (uint64_t)training->step * training->settings.batch;
-  if (training->taken > before) /* bodies of this step were drawn already */
+  if (training->replayed)
     return MO_OK;
   while (training->taken < before) {
     uint64_t body[MO_DEFAULT_WORDS];
@@ -43,7 +44,10 @@ static int replay(struct mo_training *training, const volatile int *cancel, vola
     if (replayed != NULL)
       __atomic_store_n(replayed, training->taken, __ATOMIC_RELAXED);
   }
-  return mo_body_stream_draws(training->stream) == training->draws ? MO_OK : MO_ERR_CORRUPT;
+  if (mo_body_stream_draws(training->stream) != training->draws)
+    return MO_ERR_CORRUPT;
+  training->replayed = true;
+  return MO_OK;
 }
 
 static int draw_bodies(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)

@@ -21,6 +21,7 @@ struct mo_training {
   struct mo_lattice *lattice;
   struct mo_body_stream *stream;
   uint64_t taken;                      /* bodies taken from the stream */
+  bool replayed;                       /* the stream is where the current step begins, or beyond */
   uint64_t *drawn;                     /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the current step … */
   uint32_t n_drawn;                    /* … so far */
   uint32_t n_bodies;                   /* pretrain: batch; finetune: n_designs */

@@ -182,6 +182,36 @@ static void exhausted(void)
   mo_training_free(other);
 }
 
+/* The same where the step's first draws were held out: no body of it is there yet, but the stream has moved on. */
+static void exhausted_at_a_held_out_form(void)
+{
+  struct mo_training *training = pretraining(5, 2, 100), *other = pretraining(5, 2, 100);
+  struct made_up made_up;
+  uint32_t held_out = 0;
+  int different = 0;
+  REQUIRE(training != NULL && other != NULL && made_up_create(&made_up, training) == 0);
+  for (uint32_t step = 0; step < 100; step++) {
+    const struct mo_robot *robots;
+    left = 1;
+    CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
+    held_out += training->n_drawn == 0;
+    left = 0;
+    CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
+    left = -1;
+    REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+    REQUIRE(mo_training_draw(other, NULL, NULL, &robots) == MO_OK);
+    different += memcmp(training->drawn, other->drawn, 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+    REQUIRE(mo_training_apply(other, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+  }
+  printf("# %u of 100 steps began with a form that is held out\n", held_out);
+  CHECK(held_out > 0);
+  CHECK_INT(different, 0);
+  made_up_free(&made_up);
+  mo_training_free(training);
+  mo_training_free(other);
+}
+
 /* A replay is cancelled, goes on, counts, and notices a stream that is not the one it was. */
 static void replay(void)
 {
@@ -228,6 +258,7 @@ static const struct check_case cases[] = {
     {"held-out environments", held_out_environments},
     {"finetuning takes its designs in turn", finetuning_turns},
     {"an exhausted morphospace", exhausted},
+    {"exhausted at a form that is held out", exhausted_at_a_held_out_form},
     {"a replay", replay},
 };
 CHECK_MAIN(cases)
