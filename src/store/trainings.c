@@ -309,8 +309,14 @@ int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, st
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2 AND step%?3=0"
-                            " ORDER BY step LIMIT ?4";
+  static const char all_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
+                                " ORDER BY step LIMIT ?3";
+  /* Each multiple is looked up: reading what lies between takes a third of a second in a million rows. */
+  static const char some_sql[] =
+      "WITH RECURSIVE wanted(at) AS (SELECT (?2/?4+1)*?4 UNION ALL SELECT at+?4 FROM wanted"
+      " WHERE at+?4<=(SELECT max(step) FROM training_steps WHERE job=?1) LIMIT ?3)"
+      " SELECT " STEP_COLUMNS " FROM wanted CROSS JOIN training_steps WHERE job=?1 AND step=at"
+      " ORDER BY at";
   struct mo_connection *reader;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -318,13 +324,14 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
+  statement = mo_sql(reader, stride > 1 ? some_sql : all_sql, &error);
   if (statement != NULL) {
     int step;
     sqlite3_bind_int64(statement, 1, id);
     sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, stride > 0 ? stride : 1);
-    sqlite3_bind_int64(statement, 4, (sqlite3_int64)limit);
+    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+    if (stride > 1)
+      sqlite3_bind_int64(statement, 4, stride);
     while ((step = mo_sql_step(reader, statement)) > 0)
       step_from_row(statement, &rows[n++]);
     error = step;
