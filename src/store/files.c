@@ -18,8 +18,10 @@ int mo_file_read(const char *path, size_t size, uint8_t **ret)
   size_t filled = 0;
   uint8_t *bytes;
   struct stat status;
-  if (fd < 0)
-    return errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO;
+  if (fd < 0) /* want of descriptors or memory passes: the file is as good as it was */
+    return errno == ENOENT                                         ? MO_ERR_NOT_FOUND
+           : errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY
+                                                                   : MO_ERR_IO;
   if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size) {
     close(fd);
     return MO_ERR_CORRUPT;

@@ -178,7 +178,8 @@ void mo_controller_put_end(struct mo_controller_put *call);
 
 /* ---- files ---- */
 
-/* The bytes of a file (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of another size. */
+/* The bytes of a file (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of another size; MO_ERR_IO; MO_ERR_NO_MEMORY: or no file
+ * can be opened now. */
 int mo_file_read(const char *path, size_t size, uint8_t **bytes);
 /* Atomic and durable: `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size);

@@ -334,30 +334,43 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
   return error;
 }
 
+/* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
+static int read_checkpoint(const struct mo_store *store, int64_t id, const struct mo_training_checkpoint_row *row,
+                           uint8_t **ret)
+{
+  struct mo_sha256 found;
+  char *path = path_of(store, id, row->step);
+  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read(path, (size_t)row->size, ret);
+  free(path);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  mo_sha256_of(*ret, (size_t)row->size, &found);
+  if (mo_sha256_equal(&found, &row->sha256))
+    return MO_OK;
+  free(*ret);
+  *ret = NULL;
+  return MO_ERR_CORRUPT;
+}
+
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step, uint8_t **ret,
                                        size_t *ret_size)
 {
-  struct mo_training_checkpoint_row row = {.step = step};
-  struct mo_sha256 found;
+  struct mo_training_checkpoint_row row = {.step = step}, again = {.step = 0};
   uint8_t *bytes = NULL;
-  char *path;
   int error = find_checkpoint(store, id, &row);
-  if (error != MO_OK)
-    return error;
-  path = path_of(store, id, row.step);
-  if (path == NULL)
-    return MO_ERR_NO_MEMORY;
-  error = mo_file_read(path, (size_t)row.size, &bytes);
-  free(path);
-  if (error == MO_ERR_NOT_FOUND)
-    return MO_ERR_CORRUPT; /* the row is there, its file is not */
-  if (error != MO_OK)
-    return error;
-  mo_sha256_of(bytes, (size_t)row.size, &found);
-  if (!mo_sha256_equal(&found, &row.sha256)) {
-    free(bytes);
-    return MO_ERR_CORRUPT;
+  while (error == MO_OK) {
+    error = read_checkpoint(store, id, &row, &bytes);
+    if (error != MO_ERR_CORRUPT)
+      break;
+    /* Damaged, unless newer ones have made it go meanwhile: its row goes before its file. */
+    again = (struct mo_training_checkpoint_row){.step = step};
+    error = find_checkpoint(store, id, &again);
+    if (error == MO_OK && again.step == row.step && mo_sha256_equal(&again.sha256, &row.sha256))
+      error = MO_ERR_CORRUPT;
+    row = again;
   }
+  if (error != MO_OK)
+    return error;
   *ret = bytes;
   *ret_size = (size_t)row.size;
   return MO_OK;

@@ -1,11 +1,14 @@
 /* trainings.c: what the store keeps of trainings, and the way there from a database without them. */
 #include <dirent.h>
+#include <fcntl.h>
 #include <math.h>
 #include <pthread.h>
 #include <signal.h>
 #include <sqlite3.h>
+#include <stdatomic.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <time.h>
 
 #include "../check.h"
 #include "fixture.h"
@@ -353,6 +356,52 @@ static void keeps_the_curve(void)
   fixture_end(&fixture);
 }
 
+/* A page of every nth step does not read the steps between. */
+static void finds_steps_in_a_long_curve(void)
+{
+  static const char fill[] = "WITH RECURSIVE s(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM s WHERE x<100000) INSERT INTO "
+                             "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100000);
+  struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
+  struct timespec begin, middle, end;
+  char path[512];
+  sqlite3 *db = NULL;
+  double whole_s, some_s;
+  int64_t n = MO_PAGE_MAX;
+  REQUIRE(rows != NULL && fixture_start(&fixture) == 0);
+  REQUIRE(submit(&fixture, &submission) == 1);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
+  REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
+  CHECK_INT(sqlite3_exec(db, fill, NULL, NULL, NULL), SQLITE_OK);
+  sqlite3_close(db);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  clock_gettime(CLOCK_MONOTONIC, &begin);
+  for (uint32_t after = 0; after < 100000 && n == MO_PAGE_MAX; after += MO_PAGE_MAX)
+    n = mo_store_training_steps(fixture.store, 1, after, 1, rows, MO_PAGE_MAX);
+  CHECK(n == MO_PAGE_MAX && rows[MO_PAGE_MAX - 1].report.step == 100000);
+  clock_gettime(CLOCK_MONOTONIC, &middle);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, 0, 30000, rows, MO_PAGE_MAX), 3);
+  clock_gettime(CLOCK_MONOTONIC, &end);
+  CHECK(rows[0].report.step == 30000 && rows[1].report.step == 60000 && rows[2].report.step == 90000);
+  whole_s = (double)(middle.tv_sec - begin.tv_sec) + 1e-9 * (double)(middle.tv_nsec - begin.tv_nsec);
+  some_s = (double)(end.tv_sec - middle.tv_sec) + 1e-9 * (double)(end.tv_nsec - middle.tv_nsec);
+  printf("# three steps: %.3g s, all: %.3g s\n", some_s, whole_s);
+  CHECK(some_s < whole_s / 20);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, 30000, 30000, rows, 1), 1);
+  CHECK_INT(rows[0].report.step, 60000);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, 29999, 7, rows, 2), 2);
+  CHECK(rows[0].report.step == 30002 && rows[1].report.step == 30009);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, 99998, 99999, rows, 5), 1);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, 99999, 99999, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, UINT32_MAX, MO_TRAINING_STEPS_MAX, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(fixture.store, 2, 0, 2, rows, 5), 0);
+  free(rows);
+  fixture_end(&fixture);
+}
+
 static int files_of(const struct fixture *fixture, int64_t id)
 {
   char path[512];
@@ -435,6 +484,82 @@ static void keeps_checkpoints(void)
   /* Of an earlier life of the process: not this one's to write. */
   CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2), MO_ERR_CONFLICT);
   CHECK_INT(files_of(&fixture, id), 2);
+  fixture_end(&fixture);
+}
+
+struct checkpointer {
+  struct mo_store *store;
+  int64_t id;
+  atomic_bool ended;
+};
+
+static void *write_checkpoints(void *context)
+{
+  struct checkpointer *writer = context;
+  uint8_t bytes[1000] = {0};
+  int error = MO_OK;
+  for (uint32_t step = 2; step <= 300 && error == MO_OK; step++) {
+    bytes[0] = (uint8_t)step;
+    error = mo_store_training_checkpoint(writer->store, writer->id, step, bytes, sizeof(bytes), 1);
+  }
+  CHECK_INT(error, MO_OK);
+  atomic_store(&writer->ended, true);
+  return NULL;
+}
+
+/* Whoever asks for the newest checkpoint gets one that is whole, however fast they follow each other. */
+static void reads_checkpoints_while_they_go(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(1000);
+  struct checkpointer writer = {.ended = false};
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  pthread_t thread;
+  int bad = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  writer.store = fixture.store;
+  writer.id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, writer.id) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) == MO_OK);
+  REQUIRE(pthread_create(&thread, NULL, write_checkpoints, &writer) == 0);
+  while (!atomic_load(&writer.ended)) {
+    int error = mo_store_training_checkpoint_bytes(fixture.store, writer.id, 0, &bytes, &size);
+    bad += error != MO_OK;
+    if (error == MO_OK)
+      free(bytes);
+  }
+  pthread_join(thread, NULL);
+  CHECK_INT(bad, 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, writer.id, 299, &bytes, &size), MO_ERR_NOT_FOUND);
+  fixture_end(&fixture);
+}
+
+/* A process that can open no more files has lost no checkpoint: taken for damaged, the training would begin anew. */
+static void keeps_apart_damage_and_want_of_descriptors(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct rlimit before, small;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t id;
+  int next;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  free(bytes);
+  next = open("/dev/null", O_RDONLY | O_CLOEXEC);
+  REQUIRE(next >= 0 && close(next) == 0 && getrlimit(RLIMIT_NOFILE, &before) == 0);
+  small = before;
+  small.rlim_cur = (rlim_t)next;
+  setrlimit(RLIMIT_NOFILE, &small);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NO_MEMORY);
+  setrlimit(RLIMIT_NOFILE, &before);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  free(bytes);
   fixture_end(&fixture);
 }
 
@@ -638,7 +763,10 @@ static const struct check_case cases[] = {
     {"submits and reads back", submits_and_reads_back},
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
+    {"finds steps in a long curve", finds_steps_in_a_long_curve},
     {"keeps checkpoints", keeps_checkpoints},
+    {"reads checkpoints while they go", reads_checkpoints_while_they_go},
+    {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
     {"finishes with its controller", finishes_with_its_controller},
     {"parks and requeues", parks_and_requeues},
