@@ -13,10 +13,11 @@ enum mo_job_state mo_training_state(const struct mo_training_status *status, con
   return waits ? MO_JOB_PAUSED : status->job.state;
 }
 
+/* Why nothing happens: also of one that was paused and has no room for its checkpoint. */
 static void write_reason(struct mo_text *text, const struct mo_training_status *status,
                          const struct mo_training_live *live)
 {
-  if (mo_training_state(status, live) != status->job.state)
+  if (live->phase == MO_TRAINING_WAIT && !mo_job_state_is_final(status->job.state))
     mo_text_member(text, "reason", live->reason);
   else
     mo_text_add(text, ",\"reason\":null");

@@ -91,6 +91,10 @@ static void waits_for_room(void)
   }
   CHECK_TEXT(text_at("kind"), "training");
   CHECK_INT(json_integer_value(at("training", "step")), 7);
+  status.job.state = MO_JOB_PAUSED; /* its checkpoint is not written yet */
+  write(false);
+  CHECK_TEXT(text_at("state"), "paused");
+  CHECK_TEXT(text_at("reason"), "no \"space\"");
   status.job.state = MO_JOB_CANCELLED; /* what people did counts */
   write(false);
   CHECK_TEXT(text_at("state"), "cancelled");
