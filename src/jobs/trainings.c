@@ -32,6 +32,11 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
   return MO_OK;
 }
 
+const char *mo_jobs_code_version(const struct mo_jobs *jobs)
+{
+  return jobs->code_version;
+}
+
 /* ---- wishes ---- */
 
 static void put_wish(struct mo_trainer *trainer, enum mo_trainer_wish wish)

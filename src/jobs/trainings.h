@@ -53,6 +53,10 @@ struct mo_training_live {
 int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id,
                           struct mo_training_live *live); /* idle if it does not run */
 
+/* What trained controllers say of the code that made them ("morphod.version"): as given in the configuration, with the fingerprint of
+ * the gradients. Lives as long as `jobs`. */
+const char *mo_jobs_code_version(const struct mo_jobs *jobs);
+
 /* What validation scores: every design in every environment, with the settings' physics, in float32. A pretraining: bodies of the
  * held-out stream of its seed; a finetuning: the first of its designs, which it learns on, too, but in other environments. Both arrays
  * belong to the caller (malloc). MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */

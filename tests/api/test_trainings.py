@@ -280,6 +280,8 @@ def test_checkpoints(service, trained):
     assert middle.status == 200 and middle.headers["Morphod-Step"] == "4"
     put = service.request("PUT", "/v1/controllers/middle", body=middle.body, headers={"Content-Type": "application/octet-stream"})
     assert put.json()["metadata"]["morphod.step"] == "4"
+    result = service.request("GET", "/v1/controllers/small", headers={"Accept": "application/json"}).json()["metadata"]
+    assert put.json()["metadata"] == {**result, "morphod.step": "4"}
     last = service.request("GET", path + "?step=6")
     assert hashlib.sha256(last.body).hexdigest() == trained["controller"]["sha256"]
     gone = service.request("GET", path + "?step=2")
