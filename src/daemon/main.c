@@ -160,7 +160,7 @@ static void stop(struct process *process, int number, const sigset_t *set)
       break;
     }
   }
-  bool idle = service_is_idle(process->service);
+  bool idle = service_is_idle(process->service) && !service_is_learning(process->service);
   service_stop(process->service);
   process->service = NULL;
   log_info("stopped", LOG_TEXT("work", idle ? "finished" : "parked"),

@@ -436,6 +436,13 @@ bool service_is_idle(struct service *service)
   return stats.active_batch + stats.active_interactive + stats.blocks_in_flight == 0;
 }
 
+bool service_is_learning(struct service *service)
+{
+  struct mo_jobs_stats stats;
+  mo_jobs_get_stats(service->jobs, &stats);
+  return stats.active_trainings > 0;
+}
+
 static int64_t monotonic_us(void)
 {
   struct timespec now;

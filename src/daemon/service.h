@@ -37,8 +37,9 @@ int service_reload_tokens(struct service *service, const struct settings *settin
 
 /* Takes no new work from now on. */
 void service_drain(struct service *service);
-/* Whether nothing is being computed. */
+/* Whether no evaluation is being computed: what a stop waits for. A training would take hours: it is parked at once. */
 bool service_is_idle(struct service *service);
+bool service_is_learning(struct service *service);
 
 /* Whether scheduler, writer and HTTP came round within `limit_us`; else *who is the one that did not. */
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who);

@@ -154,6 +154,7 @@ def test_finetuning_survives(daemon, seed):
             await_training(one, job, lambda now: now["progress"]["step"] >= paused["checkpoint_step"] + 3)
             status, seconds = one.stop()
             assert status == 0 and seconds < 10, (status, seconds)
+            assert "work=parked" in one.tail(), one.tail()
             one.start()
             assert training(one, job)["checkpoint_step"] > paused["checkpoint_step"]
         finish(one, job)
