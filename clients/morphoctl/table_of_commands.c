@@ -53,9 +53,8 @@ static const struct option_spec train_start_options[] = {
     {"batch", 'b', "N", "Robots of a step, 1 to 65,536 (default: 256)."},
     {"seed", 0, "SEED", "Seed of bodies, environments and random weights (default: 1)."},
     {"schedule", 0, "NAME",
-     "Learning rate: one-cosine (default), paper-pretrain, paper-finetune (default of finetune), paper-simultaneous; "
-     "or "
-     "restarts, cosine or constant, with the options below."},
+     "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, paper-finetune, "
+     "paper-simultaneous; or restarts, cosine or constant, with the options below."},
     {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},
     {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},
     {"decay", 0, "FACTOR", "restarts: of the peak from one cycle to the next (default: 0.7)."},

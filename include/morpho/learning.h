@@ -59,6 +59,7 @@ struct mo_schedule mo_schedule_paper_pretrain(void);
 struct mo_schedule mo_schedule_paper_finetune(void);
 struct mo_schedule mo_schedule_paper_simultaneous(void);
 struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 steps */
+struct mo_schedule mo_schedule_finetune(void);   /* one cosine, 3e-4 → 1e-6: ends annealed, however short */
 /* The rate of step `step` (from 0) of a training of n_steps: the schedule must have passed mo_schedule_check. Step s of a cycle of
  * n steps, or s of the n steps after the warm-up of one cosine, has floor + (peak − floor) (1 + cos(π s/n))/2; where decay
  * takes the peak below the floor, the floor. Bit-exact on every machine. */
@@ -90,7 +91,7 @@ struct mo_training_settings {
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
-/* 1400 steps of 256 by one cosine; finetuning: 60 steps by the paper's schedule. Seed 1. */
+/* 1400 steps of 256 by one cosine; finetuning: 60 steps by mo_schedule_finetune. Seed 1. */
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind); /* 1400 steps of 256; finetune: 60 */
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
 int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message);

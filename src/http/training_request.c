@@ -81,7 +81,8 @@ static void read_schedule_name(struct mo_json *json, struct mo_schedule *schedul
   } named[] = {{"paper-pretrain", mo_schedule_paper_pretrain},
                {"paper-finetune", mo_schedule_paper_finetune},
                {"paper-simultaneous", mo_schedule_paper_simultaneous},
-               {"one-cosine", mo_schedule_one_cosine}};
+               {"one-cosine", mo_schedule_one_cosine},
+               {"finetune-cosine", mo_schedule_finetune}};
   struct mo_json_slice name;
   unsigned depth = json->depth;
   if (!mo_json_string(json, &name))
@@ -93,7 +94,7 @@ static void read_schedule_name(struct mo_json *json, struct mo_schedule *schedul
     }
   mo_json_fault_at(json, depth, "",
                    "there is no such schedule; \"paper-pretrain\", \"paper-finetune\", \"paper-simultaneous\", "
-                   "\"one-cosine\", or an object with kind, peak, floor … is expected");
+                   "\"one-cosine\", \"finetune-cosine\", or an object with kind, peak, floor … is expected");
 }
 
 static bool read_schedule_kind(struct mo_json *json, enum mo_schedule_kind *kind)

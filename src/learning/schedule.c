@@ -65,6 +65,12 @@ struct mo_schedule mo_schedule_one_cosine(void)
                               .warmup_steps = 10};
 }
 
+struct mo_schedule mo_schedule_finetune(void)
+{
+  return (struct mo_schedule){
+      .kind = MO_SCHEDULE_COSINE, .peak = 3e-4, .floor = 1e-6, .decay = 1.0, .cycle_steps = 100, .cycle_growth = 1};
+}
+
 /* cos(π s/n), 0 ≤ s ≤ n, n > 0. */
 static double cosine(uint64_t s, uint64_t n)
 {

@@ -15,7 +15,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .seed = 1,
       .n_steps = kind == MO_TRAINING_FINETUNE ? STEPS_FINETUNE : STEPS_PRETRAIN,
       .batch = BATCH,
-      .schedule = kind == MO_TRAINING_FINETUNE ? mo_schedule_paper_finetune() : mo_schedule_one_cosine(),
+      .schedule = kind == MO_TRAINING_FINETUNE ? mo_schedule_finetune() : mo_schedule_one_cosine(),
       .beta1 = 0.9,
       .beta2 = 0.999,
       .epsilon = 1e-8,

@@ -33,7 +33,8 @@ static const char usage[] =
     "  --svg PATH         draw the losses\n"
     "  --report           run nothing: only the table and the drawing of what the CSV file holds\n"
     "\n"
-    "  --finetune         instead: finetune a controller on random bodies; held-out score before and after\n"
+    "  --finetune         instead: finetune a controller on random bodies; held-out score before and after; by the\n"
+    "                     paper's schedule with --schedule restarts\n"
     "  --controller PATH  to finetune (default data/controllers/bootstrap.safetensors)\n"
     "  --designs N        random bodies to finetune on (default 64)\n"
     "  --environments N   held-out environments to score them in (default 64)\n";
@@ -496,12 +497,8 @@ int bench_learning(int argc, char **argv)
   settings.batch = plan.batch;
   settings.n_steps = plan.steps > 0 ? plan.steps : settings.n_steps;
   settings.adjoint_bound = plan.clips[0] ? plan.bound : 0.0;
-  if (!plan.schedules[1]) { /* annealed within the steps that there are */
-    settings.schedule = mo_schedule_one_cosine();
-    settings.schedule.peak = mo_schedule_paper_finetune().peak;
-    settings.schedule.floor = 1e-6;
-    settings.schedule.warmup_steps = 0;
-  }
+  if (!plan.schedules[0])
+    settings.schedule = mo_schedule_paper_finetune();
   if (plan.peak > 0.0)
     settings.schedule.peak = plan.peak;
   return bench_finetune(&options, &settings, plan.designs, plan.environments);

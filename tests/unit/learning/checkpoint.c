@@ -336,7 +336,7 @@ static void lineage(void)
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.version"), "1.2.3");
   CHECK_TEXT(
       mo_controller_get_metadata(c, "morphod.settings"),
-      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"restarts\",\"peak\":0.00035,\"floor\":3.5e-05,\"decay\":1,"
+      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
       "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
       "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"physics\":{\"dt_s\":0.004,\"n_steps\":1000,"
       "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"

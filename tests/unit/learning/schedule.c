@@ -54,6 +54,14 @@ static void one_cosine(void)
   CHECK_NEAR(mo_schedule_rate(&s, 4, 5), 1e-3, 1e-18); /* shorter than its warm-up: on the way up */
 }
 
+static void finetuning(void)
+{
+  const struct mo_schedule s = mo_schedule_finetune();
+  CHECK_NEAR(mo_schedule_rate(&s, 0, 60), 3e-4, 1e-18);
+  CHECK_NEAR(mo_schedule_rate(&s, 30, 60), 1.505e-4, 1e-17);
+  CHECK_NEAR(mo_schedule_rate(&s, 59, 60), 1e-6, 1e-6);
+}
+
 static void corners(void)
 {
   struct mo_schedule s = {.kind = MO_SCHEDULE_CONSTANT,
@@ -164,8 +172,8 @@ static void names(void)
   CHECK_INT(mo_schedule_from_name("linear", &kind), MO_ERR_NOT_FOUND);
   CHECK_TEXT(mo_schedule_name((enum mo_schedule_kind)7), "unknown");
   const struct mo_schedule all[] = {mo_schedule_paper_pretrain(), mo_schedule_paper_finetune(),
-                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine()};
-  for (int i = 0; i < 4; i++)
+                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine(), mo_schedule_finetune()};
+  for (int i = 0; i < 5; i++)
     CHECK_INT(mo_schedule_check(&all[i], NULL), MO_OK);
 }
 
@@ -174,6 +182,7 @@ static const struct check_case cases[] = {
     {"the paper's finetuning", paper_finetuning},
     {"the paper's simultaneous co-design", paper_simultaneous},
     {"one cosine with a warm-up", one_cosine},
+    {"our finetuning", finetuning},
     {"constant rates, short cycles, long cycles", corners},
     {"the cosine against the C library's", cosine},
     {"the same bits everywhere", bits},
