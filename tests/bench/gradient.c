@@ -170,7 +170,8 @@ static void print_report(const struct report *r, const char *name, bool json)
          (unsigned long long)r->counts.diverged_robots);
 }
 
-/* Smaller budgets: more is computed twice, and not a bit changes. Two blocks. False if a bit did. */
+/* Smaller budgets: more is computed twice, and not a bit changes. Two blocks, the better of two
+ * times. False if a bit did. */
 static bool print_budgets(struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
                           const struct bench_sgemm *sgemm, bool json)
 {
@@ -191,12 +192,14 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
     (void)run_block_s(s, memory, pack, 0, NULL, NULL);
     const double before = bench_sgemm_best(sgemm);
     const double start = bench_now_s();
-    for (uint32_t block = 0; block < blocks; block++) {
-      total_s += run_block_s(s, memory, pack, block, &profile, NULL);
+    for (uint32_t i = 0; i < blocks; i++) {
+      const uint32_t block = i * (s->n_blocks / 2); /* a large one and a common one */
+      const double once_s = run_block_s(s, memory, pack, block, &profile, NULL);
+      total_s += fmin(once_s, run_block_s(s, memory, pack, block, &profile, NULL));
       total_flop += block_flop(s, block);
       if (k == 0)
-        memcpy(first + block * n, s->d_parameters, n * sizeof(float));
-      same = same && memcmp(first + block * n, s->d_parameters, n * sizeof(float)) == 0;
+        memcpy(first + i * n, s->d_parameters, n * sizeof(float));
+      same = same && memcmp(first + i * n, s->d_parameters, n * sizeof(float)) == 0;
     }
     const double wall_s = bench_now_s() - start;
     const double rate = fmax(before, bench_sgemm_best(sgemm));
