@@ -353,7 +353,7 @@ static void short_runs(void)
 
 static void long_runs(void)
 {
-  run_all(1000, 5, true);
+  run_all(1000, 2, true);
 }
 
 static const struct check_case cases[] = {
