@@ -27,7 +27,8 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
-/* n_steps × batch of a pretraining: the set of bodies seen takes about 24 bytes each, 6.5 GB at this limit. */
+/* n_steps × batch of a pretraining: the set of bodies seen takes about 27 bytes for each of them (it also holds the forms that are
+ * left out as held out), 7 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
@@ -132,9 +133,9 @@ size_t mo_training_bytes(const struct mo_training *training); /* memory held, th
 /* The robots of the current step: (batch) of them, borrowed until the next draw or apply. Robot i of step t lives in
  * mo_environment_training(seed, t, i). A pretraining that was restored first replays its stream: `cancel` (nullable) non-zero ends that
  * early with MO_ERR_CANCELLED; `replayed` (nullable) is the number of bodies drawn again so far, of step × batch. Drawing twice gives the
- * same robots; after an error the next call goes on where it stopped. Memory: the bodies of the step, up to 25 kB each.
- * MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay came to another number of draws (the checkpoint is of another
- * code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
+ * same robots; after an error the next call goes on where it stopped. Memory: the bodies of the step (of a finetuning
+ * those of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left; MO_ERR_CORRUPT: the replay came to another number
+ * of draws (the checkpoint is of another code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
                      const struct mo_robot **robots);
 

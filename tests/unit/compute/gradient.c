@@ -345,6 +345,7 @@ static void failed_blocks_end_the_call(void)
   struct mo_compute *compute = make_compute(2);
   struct mo_gradient_state *state = NULL;
   REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+  atomic_store(&plan.most_inside, 0);
   for (uint32_t robot = 0; robot < ROBOTS; robot += 37) {
     struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
     plan.fail_at = bodies[robot];
@@ -353,7 +354,7 @@ static void failed_blocks_end_the_call(void)
     CHECK_INT(atomic_load(&plan.inside), 0);
   }
   plan.fail_at = NULL;
-  CHECK(atomic_load(&plan.most_inside) <= 2 + 5); /* two here, seven in the first case */
+  CHECK(atomic_load(&plan.most_inside) >= 1 && atomic_load(&plan.most_inside) <= 2);
   struct mo_gradient_batch batch = make_batch(ROBOTS, 10, 0);
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
   mo_gradient_state_free(state);
