@@ -36,6 +36,13 @@ struct both {
   double *memory;
 };
 
+static void both_free(struct both *b)
+{
+  mo_reference_done(&b->reference);
+  free(b->memory);
+  free(b->astray);
+}
+
 static bool both_create(const struct gradient_case *c, struct both *b)
 {
   const size_t n = 3 * (size_t)c->body->n_masses, springs = c->body->n_springs;
@@ -46,8 +53,10 @@ static bool both_create(const struct gradient_case *c, struct both *b)
   const size_t tape = mo_controller_tape_doubles(c->controller, c->body->n_springs);
   b->memory = calloc(17 * n + tape + 3 * springs + c->controller->n_inputs, sizeof(double));
   b->astray = calloc(c->body->n_masses, sizeof(bool));
-  if (b->memory == NULL || b->astray == NULL)
+  if (b->memory == NULL || b->astray == NULL) {
+    both_free(b);
     return false;
+  }
   double *at = b->memory;
   double **vectors[] = {&b->position,          &b->velocity,           &b->d_position,
                         &b->d_velocity,        &b->adjoint.d_position, &b->adjoint.d_velocity,
@@ -63,13 +72,6 @@ static bool both_create(const struct gradient_case *c, struct both *b)
       mo_controller_tape_place(c->controller, c->body->n_springs, at + 2 * springs + c->controller->n_inputs);
   b->reference.tape = &b->tape;
   return true;
-}
-
-static void both_free(struct both *b)
-{
-  mo_reference_done(&b->reference);
-  free(b->memory);
-  free(b->astray);
 }
 
 /* What float32 can hold. */
@@ -496,11 +498,12 @@ static bool open_loop(const struct gradient_case *c, float *activation)
 
 static int whole_rollout(struct gradient_case *c, double bound, const struct physics_functions *f, double sums[3])
 {
+  int result = -1;
   const size_t kept = c->physics.n_steps / KEPT_EVERY * 3 * (size_t)c->body->n_masses;
   float *activation = malloc((size_t)c->physics.n_steps * c->body->n_springs * sizeof(float));
   double *memory = calloc(2 * kept + c->controller->n_parameters, sizeof(double));
   if (activation == NULL || memory == NULL || !open_loop(c, activation))
-    return -1;
+    goto done;
   struct walk reference = {c, memory}, fast = {c, memory + kept};
   const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 1};
   const struct mo_gradient_probe probe = {.before = keep, .context = &reference};
@@ -511,7 +514,7 @@ static int whole_rollout(struct gradient_case *c, double bound, const struct phy
   if (mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome,
                          memory + 2 * kept, &counts) < 0 ||
       !f->live(&scene, &life))
-    return -1;
+    goto done;
   double dot = 0, a = 0, b = 0;
   for (size_t i = 0; i < kept; i++) {
     dot += reference.kept[i] * fast.kept[i];
@@ -524,9 +527,11 @@ static int whole_rollout(struct gradient_case *c, double bound, const struct phy
   printf("#   %u masses: cosine %.6f, size %.4f, losses %.6f %.6f, largest %.3g %.3g, clipped %u %u\n",
          c->body->n_masses, dot / sqrt(a * b), sqrt(b / a), outcome.loss, life.outcome.loss, counts.largest,
          life.largest, (unsigned)counts.clipped_steps, life.clipped);
+  result = life.finite ? 0 : 1;
+done:
   free(activation);
   free(memory);
-  return life.finite ? 0 : 1;
+  return result;
 }
 
 /* Most rollouts agree closely; one that came by a kink on the other side does not. */
