@@ -80,7 +80,7 @@ int bench_draw_curves(const char *path, uint32_t n_steps, const struct curves_pa
     fprintf(file, "<g transform=\"translate(0 %zu)\">\n", p * HEIGHT);
     axes(file, &panels[p], n_steps);
     for (size_t g = 0; g < panels[p].n_groups; g++) {
-      const struct curves_group *group = &panels[p].groups[g];
+      const struct curves_group *group = panels[p].groups[g];
       const char *colour = colours[g % (sizeof(colours) / sizeof(colours[0]))];
       for (size_t r = 0; r < group->n_runs; r++)
         line(file, group->runs[r].loss, n_steps, colour, "run");

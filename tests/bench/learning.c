@@ -293,13 +293,16 @@ static void print_table(const struct plan *plan, const struct curves_group *grou
 
 static void draw(const char *path, const struct plan *plan, const struct curves_group *groups, size_t n_groups)
 {
-  struct curves_panel panels[2];
+  struct curves_panel panels[2] = {0};
   size_t n_panels = 0;
   for (size_t g = 0; g < n_groups; g++) {
     const char *sensor = mo_sensor_name(groups[g].runs[0].settings.sensor);
+    if (groups[g].runs[0].known == 0)
+      continue; /* not begun */
     if (n_panels == 0 || strcmp(panels[n_panels - 1].title, sensor) != 0)
-      panels[n_panels++] = (struct curves_panel){.title = sensor, .groups = groups + g};
-    panels[n_panels - 1].n_groups++;
+      panels[n_panels++] = (struct curves_panel){.title = sensor};
+    struct curves_panel *panel = &panels[n_panels - 1];
+    panel->groups[panel->n_groups++] = &groups[g];
   }
   if (bench_draw_curves(path, plan->steps, panels, n_panels) < 0) {
     fprintf(stderr, "morpho-bench: %s: %s\n", path, strerror(errno));
