@@ -553,6 +553,7 @@ static void packs_can_be_updated(void)
   REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
   CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
             MO_ERR_INVALID);
+  mo_gradient_pack_free(pack);
   CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
   mo_gradient_memory_free(memory);
   mo_gradient_pack_free(NULL);
