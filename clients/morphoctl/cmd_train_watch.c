@@ -66,17 +66,21 @@ static void write_view(const struct view *view, FILE *file, int columns, int row
       line += n + (line[n] == '\n');
     }
   free(plot);
-  training_progress_text(view->progress, text, sizeof(text));
+  training_numbers_text(view->progress, text,
+                        sizeof(text)); /* the pace is beside the step: 80 columns do not hold both */
   put_line(file, columns, "", text, "");
   int64_t replayed = number_of(view->progress, "replayed"), total = number_of(view->progress, "replay_total");
   training_step_text(number_of(view->progress, "step"), number_of(view->progress, "steps"), more, sizeof(more));
   int n = snprintf(text, sizeof(text), "%s", more);
+  training_pace_text(view->progress, more, sizeof(more));
   if (strcmp(phase, "replaying") == 0 && total > 0)
     snprintf(text + n, sizeof(text) - (size_t)n, ", drawing the bodies of earlier steps again: %d %%",
              (int)(100 * replayed / total));
   else if (json_is_integer(json_object_get(training, "checkpoint_step")))
-    snprintf(text + n, sizeof(text) - (size_t)n, ", checkpoint of step %lld",
+    snprintf(text + n, sizeof(text) - (size_t)n, "%s  checkpoint of step %lld", more,
              (long long)number_of(training, "checkpoint_step"));
+  else
+    snprintf(text + n, sizeof(text) - (size_t)n, "%s", more);
   put_line(file, columns, "", text, "");
   training_validation_text(view->validation, more, sizeof(more));
   snprintf(text, sizeof(text), "%s validation %s", view->ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);

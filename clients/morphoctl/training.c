@@ -151,20 +151,36 @@ void training_step_text(int64_t step, int64_t steps, char *text, size_t size)
   snprintf(text, size, "step %s of %s", count_text(step, a), count_text(steps, b));
 }
 
-void training_progress_text(const json_t *progress, char *text, size_t size)
+void training_numbers_text(const json_t *progress, char *text, size_t size)
 {
-  char loss[32], gradient[32], rate[32], clipped[32], speed[32], left[32];
+  char loss[32], gradient[32], rate[32], clipped[32];
+  snprintf(text, size, "loss %s  gradient %s  rate %s  clipped %s",
+           score_text(json_object_get(progress, "mean_loss"), loss),
+           real_text(json_object_get(progress, "gradient_norm"), gradient),
+           real_text(json_object_get(progress, "rate"), rate),
+           share_text(json_object_get(progress, "clipped_share"), clipped));
+}
+
+void training_pace_text(const json_t *progress, char *text, size_t size)
+{
+  char speed[32], left[32];
   const json_t *bodies = json_object_get(progress, "bodies_per_s"),
                *seconds = json_object_get(progress, "seconds_left");
-  int n = snprintf(text, size, "loss %s  gradient %s  rate %s  clipped %s",
-                   score_text(json_object_get(progress, "mean_loss"), loss),
-                   real_text(json_object_get(progress, "gradient_norm"), gradient),
-                   real_text(json_object_get(progress, "rate"), rate),
-                   share_text(json_object_get(progress, "clipped_share"), clipped));
-  if (json_is_number(bodies) && n > 0 && (size_t)n < size)
-    n += snprintf(text + n, size - (size_t)n, "  %s bodies/s", real_text(bodies, speed));
-  if (json_is_number(seconds) && n > 0 && (size_t)n < size)
+  int n = 0;
+  *text = 0;
+  if (json_is_number(bodies))
+    n = snprintf(text, size, "  %s bodies/s", real_text(bodies, speed));
+  if (json_is_number(seconds) && n >= 0 && (size_t)n < size)
     snprintf(text + n, size - (size_t)n, "  %s left", duration_text(json_number_value(seconds), left));
+}
+
+void training_progress_text(const json_t *progress, char *text, size_t size)
+{
+  char pace[80];
+  training_numbers_text(progress, text, size);
+  training_pace_text(progress, pace, sizeof(pace));
+  size_t n = strlen(text);
+  snprintf(text + n, size - n, "%s", pace);
 }
 
 void training_validation_text(const json_t *validation, char *text, size_t size)

@@ -36,7 +36,9 @@ const char *duration_text(double seconds, char text[32]);
 const char *real_text(const json_t *number, char text[32]);
 /* "12.3 %" of a share. */
 const char *share_text(const json_t *share, char text[32]);
-/* The numbers of one progress report: loss, gradient, rate, clipped share, speed, time left. */
+/* Of one progress report: loss, gradient, rate, clipped share; "  164.6 bodies/s  0:12:34 left", as far as they are known; both. */
+void training_numbers_text(const json_t *progress, char *text, size_t size);
+void training_pace_text(const json_t *progress, char *text, size_t size);
 void training_progress_text(const json_t *progress, char *text, size_t size);
 /* "0.2450 ± 0.0110 at step 1,200", with the diverged rollouts if there are any. */
 void training_validation_text(const json_t *validation, char *text, size_t size);

@@ -1,11 +1,17 @@
 """morphoctl against the daemon itself. Its behaviour towards servers that break is tested in tests/unit/morphoctl."""
 
+import fcntl
 import hashlib
 import json
 import os
+import pty
 import re
+import select
+import signal
 import struct
 import subprocess
+import termios
+import time
 
 import pytest
 from service import BINARY, BOOTSTRAP, DESIGN, SOURCE
@@ -212,6 +218,37 @@ def test_training_pause_resume_cancel(ctl):
     assert ctl("train", "cancel", job)[0] == 0
     assert ctl("train", "watch", job)[0] == 3
     assert ctl("train", "resume", job)[0] == 3 and ctl("train", "show", "999999")[0] == 3
+
+
+def test_watching_a_training_on_a_terminal(service, ctl):
+    """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
+    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--checkpoint-steps", "50",
+              "--validation-designs", "2")[1].strip()
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], "train", "watch", job], stdin=slave, stdout=slave, stderr=slave,
+                             env={**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"})
+    os.close(slave)
+    seen, until = b"", time.monotonic() + 20
+    while b"checkpoint of step" not in seen or b" left" not in seen:
+        assert time.monotonic() < until and watch.poll() is None, seen
+        if select.select([master], [], [], 0.1)[0]:
+            seen += os.read(master, 65536)
+    watch.send_signal(signal.SIGINT)
+    while watch.poll() is None:
+        assert time.monotonic() < until
+        if select.select([master], [], [], 0.1)[0]:
+            try:
+                seen += os.read(master, 65536)
+            except OSError:
+                break
+    os.close(master)
+    assert watch.wait(10) == 130
+    view = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace").split("The training goes on.")[0])
+    assert all(len(line) <= 80 for line in re.split(r"[\r\n]+", view)), view
+    assert re.search(r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of step \d+", view), view
+    assert service.request("GET", f"/v1/trainings/{job}").json()["state"] == "running"
+    assert ctl("train", "cancel", job)[0] == 0
 
 
 def test_unix_socket_and_token(start, ctl, tmp_path):
