@@ -27,8 +27,8 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
-/* n_steps × batch of a pretraining: the set of bodies seen takes about 27 bytes for each of them (it also holds the forms that are
- * left out as held out), 7 GB at this limit. */
+/* n_steps × batch of a pretraining: the set of bodies seen takes 24 to 30 bytes for each of them (it also holds the forms that are
+ * left out as held out), 7.5 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6

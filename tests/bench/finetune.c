@@ -74,6 +74,8 @@ static void report(const struct scene *scene, const double *before, const double
     printf("only %u of %u designs can be compared\n", n, scene->n_designs);
     return;
   }
+  if (n < scene->n_designs)
+    printf("%u designs left out: a rollout of theirs diverged, before or after\n", scene->n_designs - n);
   const double mean = sum / n, deviation = sqrt((square - n * mean * mean) / (n - 1)),
                half = student(n - 1) * deviation / sqrt(n);
   printf("%u designs x %u held-out environments\nmean score before %.4f, after %.4f\n"
