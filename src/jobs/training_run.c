@@ -73,7 +73,23 @@ static enum mo_training_phase set_phase(struct run *run, enum mo_training_phase 
 
 /* ---- writes that wait for room ---- */
 
-/* Runs `write` until it is done or fails for another reason than want of room (or a foreign lock on the database). MO_ERR_CANCELLED: a wish came first. */
+/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the note of that. */
+static bool is_passing(const struct run *run, int error)
+{
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY || (error == MO_ERR_NO_MEMORY && run->winding_down);
+}
+
+static const char *passing_text(int error)
+{
+  switch (error) {
+  case MO_ERR_NO_SPACE: return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
+  case MO_ERR_BUSY:
+    return "another program holds the database locked, %s cannot be written: end it; it goes on by itself";
+  default: return "no memory for %s: it goes on by itself when there is some";
+  }
+}
+
+/* Runs `write` until it is done or fails for a reason that does not pass. MO_ERR_CANCELLED: a wish came first. */
 static int persist(struct run *run, int (*write)(struct run *run), const char *what)
 {
   enum mo_trainer_wish least = run->winding_down ? MO_WISH_STOP : MO_WISH_PAUSE;
@@ -83,14 +99,10 @@ static int persist(struct run *run, int (*write)(struct run *run), const char *w
   int error;
   for (;;) {
     error = write(run);
-    if (error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY)
+    if (!is_passing(run, error))
       break;
     if (!waits) {
-      snprintf(reason, sizeof(reason),
-               error == MO_ERR_NO_SPACE
-                   ? "no space on the disk of the state folder for %s: make room there; it goes on by itself"
-                   : "another program holds the database locked, %s cannot be written: end it; it goes on by itself",
-               what);
+      snprintf(reason, sizeof(reason), passing_text(error), what);
       phase = set_phase(run, MO_TRAINING_WAIT, reason);
       warn(run, error, reason);
       waits = true;
@@ -434,19 +446,24 @@ static int learn(struct run *run)
   return error;
 }
 
+/* Back to the queue, unless somebody has paused or cancelled it. */
+static int write_park(struct run *run)
+{
+  return mo_store_training_park(run->jobs->store, run->id, MO_OK, NULL, 0, NULL);
+}
+
 /* A run that somebody has stopped: what it has learned is saved, and the job goes back to the queue if it is to go on. */
 static void wind_down(struct run *run)
 {
-  int error = MO_OK;
+  int error = MO_OK, parked;
   run->winding_down = true;
   if (mo_trainer_wished(run->trainer) == MO_WISH_CANCEL)
     return;
   if (run->training != NULL)
     error = save(run);
-  if (error == MO_OK || error == MO_ERR_CANCELLED) {
-    int parked = mo_store_training_park(run->jobs->store, run->id, MO_OK, NULL, 0, NULL);
+  parked = persist(run, write_park, "its place in the queue");
+  if (error == MO_OK || error == MO_ERR_CANCELLED)
     error = parked != MO_OK ? parked : error;
-  }
   if (error != MO_OK && error != MO_ERR_CONFLICT && mo_trainer_wished(run->trainer) == MO_WISH_STOP)
     atomic_store(&run->jobs->trainers_unsaved, true);
   if (error != MO_OK && error != MO_ERR_CONFLICT && error != MO_ERR_CANCELLED)
@@ -463,6 +480,26 @@ static int write_failure(struct run *run)
     mo_jobs_closed(run->jobs, 0);
   }
   return error;
+}
+
+/* There is not even memory for a run: an attempt that is noted as soon as it can be. */
+static void give_up(struct mo_trainer *trainer, int64_t id)
+{
+  struct mo_jobs *jobs = trainer->jobs;
+  enum mo_job_state after = MO_JOB_QUEUED;
+  int error;
+  for (;;) {
+    error =
+        mo_store_training_park(jobs->store, id, MO_ERR_NO_MEMORY, "out of memory", jobs->config.max_attempts, &after);
+    if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
+        mo_trainer_wished(trainer) >= MO_WISH_STOP)
+      break;
+    mo_trainer_sleep(trainer, RETRY_SPACE_MS, MO_WISH_STOP);
+  }
+  if (error == MO_OK && after == MO_JOB_FAILED) {
+    atomic_fetch_add(&jobs->failed, 1);
+    mo_jobs_closed(jobs, 0);
+  }
 }
 
 /* Returns whether the attempt failed. */
@@ -492,8 +529,7 @@ bool mo_training_run(struct mo_trainer *trainer, int64_t id)
   bool failed;
   int error;
   if (run == NULL) {
-    (void)mo_store_training_park(trainer->jobs->store, id, MO_ERR_NO_MEMORY, "out of memory",
-                                 trainer->jobs->config.max_attempts, NULL);
+    give_up(trainer, id);
     return true;
   }
   run->jobs = trainer->jobs;

@@ -531,6 +531,40 @@ __attribute__((unused)) static void waits_for_the_database(void)
   service_end(&service);
 }
 
+/* No memory, not even for the note that there was none: it is written when there is. */
+__attribute__((unused)) static void notes_a_failure_when_it_can(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_sha256 expected = undisturbed();
+  struct mo_training_live live;
+  struct mo_job job;
+  int64_t id;
+  request.record.validate_every_steps = 0;
+  REQUIRE(fault_vfs_register() == SQLITE_OK);
+  memset(&fault_plan, 0, sizeof(fault_plan));
+  REQUIRE(start(&service, 1) == MO_OK);
+  service_close(&service);
+  service.vfs = "faults";
+  REQUIRE(service_open(&service) == MO_OK);
+  fake_plan.gradient_delay_us = 300000;
+  fake_plan.gradient_fails = 1;
+  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
+  id = submit(&service, &request);
+  REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
+  fault_plan.writes_left = 0;
+  fault_plan.write_error = SQLITE_NOMEM;
+  CHECK(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK(strstr(live.reason, "no memory") != NULL);
+  CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
+  fake_plan.gradient_delay_us = 0;
+  fault_plan.write_error = 0;
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 1);
+  CHECK(has_result(&service, id, &expected));
+  service_end(&service);
+}
+
 static void takes_turns(void)
 {
   struct service service;
@@ -748,6 +782,7 @@ static const struct check_case cases[] = {
     {"tries three times", tries_three_times},
     {"passes over damaged checkpoints", passes_over_damaged_checkpoints},
     {"waits for the database", waits_for_the_database},
+    {"notes a failure when it can", notes_a_failure_when_it_can},
     {"tunes a population", tunes_a_population},
     {"blames crashes on the training", blames_crashes_on_the_training},
     {"refuses", refuses},
