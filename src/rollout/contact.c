@@ -217,19 +217,20 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
 /* The time of impact solves p[2] + τ v[2] = h(p + τ v). By the implicit function theorem, with g the terrain's gradient there and
  * rate = v[2] − g · v the speed at which the gap opens,
  *   dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate.
- * τ = 0 and τ = dt are where it is clamped: constant. So it is for a mass that lies on the ground, although its τ may have come out
- * as rounding, one way or the other. */
-static void impact_adjoint(double impact, double dt, bool lies, const double g[2], const double v[3], double d_impact,
-                           double dp[3], double dv[3])
+ * τ = 0 and τ = dt are where it is clamped: constant. A mass that lies on the ground has no gap to begin with, wherever it lies: in place
+ * of dp[2] stands ground · dp, with `ground` the gradient there. That mass strikes only where the ground rises to meet it, at a rate that
+ * may be next to 0, and so is g − ground. */
+static void impact_adjoint(double impact, double dt, const double *ground, const double g[2], const double v[3],
+                           double d_impact, double dp[3], double dv[3])
 {
-  if (!(impact > (lies ? 1e-9 : 0) && impact < dt))
+  if (!(impact > 0 && impact < dt))
     return;
   const double push = d_impact / (v[2] - g[0] * v[0] - g[1] * v[1]);
   const double along[3] = {push * g[0], push * g[1], -push};
-  for (int k = 0; k < 3; k++) {
-    dp[k] += along[k];
+  for (int k = 0; k < 3; k++)
     dv[k] += impact * along[k];
-  }
+  for (int k = 0; k < 3; k++)
+    dp[k] += ground == NULL ? along[k] : k < 2 ? push * (g[k] - ground[k]) : 0;
 }
 
 void mo_contact_move_adjoint(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
@@ -295,7 +296,9 @@ void mo_contact_move_adjoint(const struct mo_physics *physics, const double heig
     d_impact += v[k] * d_hit[k];
   }
   /* impact = mo_impact_exact(p, v) */
+  double ground[2];
   const bool lies = !(p[2] > mo_terrain_height(heights_m, p[0], p[1]));
+  mo_terrain_gradient(heights_m, p[0], p[1], ground);
   if (physics->impact == MO_IMPACT_EXACT)
-    impact_adjoint(impact, dt, lies, g, v, d_impact, dp, dv);
+    impact_adjoint(impact, dt, lies ? ground : NULL, g, v, d_impact, dp, dv);
 }

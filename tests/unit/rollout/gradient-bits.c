@@ -8,7 +8,7 @@
 
 #include <inttypes.h>
 
-#define HASHED_VERSION 1 /* the MO_GRADIENT_VERSION that the hashes belong to */
+#define HASHED_VERSION 2 /* the MO_GRADIENT_VERSION that the hashes belong to */
 
 static const uint64_t gradient_hashes[MO_ISA_COUNT] = {
     UINT64_C(0x20576420cc05a100), /* x86-64 */
