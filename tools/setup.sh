@@ -1,7 +1,7 @@
 # setup.sh: sourced by the scripts beside it. Finds the repository, installs Debian packages, builds.
 #
 #   install_packages SECTION…   installs what is missing of those sections of tools/packages (root, or sudo)
-#   build_in FOLDER [ARG…]      configures FOLDER once with the given meson arguments, then builds it
+#   build_in FOLDER [ARG…]      configures FOLDER once with the given meson arguments, then builds it, or $targets of it
 
 set -euo pipefail
 repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -47,5 +47,5 @@ build_in() {
     meson setup "$folder" "$@" >"/tmp/morphod-setup.$$" 2>&1 || { cat "/tmp/morphod-setup.$$"; rm -f "/tmp/morphod-setup.$$"; fail "meson could not configure $folder"; }
     rm -f "/tmp/morphod-setup.$$"
   fi
-  ninja -C "$folder" --quiet || fail "the build in $folder failed"
+  ninja -C "$folder" --quiet ${targets:-} || fail "the build in $folder failed"
 }
