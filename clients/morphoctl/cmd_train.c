@@ -195,19 +195,8 @@ int run_train_start(struct ctl *ctl)
 
 int run_train_list(struct ctl *ctl)
 {
-  const char *state = option_text(ctl, "state", NULL);
-  int64_t limit = 50;
-  if (!option_number(ctl, "limit", 1, 1000000, &limit))
-    return STATUS_USAGE;
-  if (option_is_set(ctl, "all"))
-    limit = 0;
-  if (state != NULL && !is_state(state))
-    return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
-                    state);
-  char path[64];
   json_t *items;
-  snprintf(path, sizeof(path), "/v1/trainings%s%s", state != NULL ? "?state=" : "", state != NULL ? state : "");
-  int status = collect(ctl, path, (size_t)limit, &items);
+  int status = collect_states(ctl, "/v1/trainings", &items);
   if (status != STATUS_OK)
     return status;
   if (ctl->json) {

@@ -78,6 +78,8 @@ int show_json(struct ctl *ctl, const char *path);
 
 /* Collects the items of a paged list up to `limit` (0: all). *items is an array of what came, in order. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
+/* The same by the options --state, --limit and --all, which it checks. */
+int collect_states(struct ctl *ctl, const char *list, json_t **items);
 
 bool is_final(const char *state);
 bool is_state(const char *word); /* "queued", "running", … */

@@ -109,6 +109,22 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
   return status;
 }
 
+int collect_states(struct ctl *ctl, const char *list, json_t **items)
+{
+  const char *state = option_text(ctl, "state", NULL);
+  int64_t limit = 50;
+  char path[64];
+  if (!option_number(ctl, "limit", 1, 1000000, &limit))
+    return STATUS_USAGE;
+  if (option_is_set(ctl, "all"))
+    limit = 0;
+  if (state != NULL && !is_state(state))
+    return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
+                    state);
+  snprintf(path, sizeof(path), "%s%s%s", list, state != NULL ? "?state=" : "", state != NULL ? state : "");
+  return collect(ctl, path, (size_t)limit, items);
+}
+
 static void print_name(const struct ctl *ctl, const char *name)
 {
   printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "", (int)(14 - strlen(name)), "");

@@ -42,6 +42,7 @@ struct mo_gradient_counts {
   uint64_t diverged_robots; /* contributed nothing: the rollout itself diverged */
   double largest;           /* m before scaling; where it was not finite it is not counted here */
 };
+void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts);
 
 /* Runs the rollout exactly as mo_rollout_reference does (same outcome, bit for bit) and adds weight · ∂loss/∂parameters to
  * d_parameters (controller->n_parameters, in file order; the float32 parameters count as real numbers). Springs and masses

@@ -181,14 +181,7 @@ static void add(const struct mo_gradient_state *state, const struct mo_gradient_
     batch->d_parameters[i] += (double)task->d_parameters[i];
   for (uint32_t i = 0; i < task->n; i++)
     batch->outcomes[order[i]] = task->outcomes[i];
-  struct mo_gradient_counts *counts = &batch->counts;
-  counts->robots += task->counts.robots;
-  counts->steps += task->counts.steps;
-  counts->clipped_steps += task->counts.clipped_steps;
-  counts->clipped_robots += task->counts.clipped_robots;
-  counts->zeroed_robots += task->counts.zeroed_robots;
-  counts->diverged_robots += task->counts.diverged_robots;
-  counts->largest = fmax(counts->largest, task->counts.largest);
+  mo_gradient_counts_add(&batch->counts, &task->counts);
   struct mo_gradient_profile *profile = &batch->profile;
   profile->pack_s += task->profile.pack_s;
   profile->sense_s += task->profile.sense_s;

@@ -1,10 +1,10 @@
 /* block.c: one worker's scratch, and the way from mo_rollout_block into the kernels.
  *
  * The scratch is one allocation that grows to the largest body seen; a block of a body that fits allocates nothing. */
+#include "base/clock.h"
 #include "rollout/fast.h"
 
 #include <stdlib.h>
-#include <time.h>
 #include <x86intrin.h>
 
 enum { ALIGNMENT = 64 };
@@ -81,22 +81,15 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-static double now_s(void)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
 /* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
 static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
 {
   struct mo_rollout_profile *total = run->profile, block = {0};
   run->profile = &block;
-  const double start_s = now_s();
+  const uint64_t start_ns = mo_clock_ns();
   const uint64_t start = __rdtsc();
   const int status = function(run);
-  const double tick_s = (now_s() - start_s) / (double)(__rdtsc() - start);
+  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
   total->pack_s += block.pack_s * tick_s;
   total->sense_s += block.sense_s * tick_s;
   total->control_s += block.control_s * tick_s;

@@ -179,7 +179,7 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
   return true;
 }
 
-static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
+void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
 {
   sum->robots += counts->robots;
   sum->steps += counts->steps;
@@ -217,7 +217,7 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
       for (size_t i = 0; i < controller->n_parameters; i++)
         d_parameters[i] += options->weight * g.d_parameters[i];
     if (counts != NULL)
-      add_counts(counts, &g.counts);
+      mo_gradient_counts_add(counts, &g.counts);
   }
   release(&g);
   return r;

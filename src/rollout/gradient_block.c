@@ -1,4 +1,5 @@
 /* gradient_block.c: packs, one worker's scratch, and the way from mo_gradient_block into the kernels. */
+#include "base/clock.h"
 #include "rollout/fast.h"
 #include "rollout/gradient_fast.h"
 
@@ -6,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
-#include <time.h>
 #include <x86intrin.h>
 
 enum { ALIGNMENT = 64 };
@@ -212,22 +212,15 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa)
   return functions[isa];
 }
 
-static double now_s(void)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
-}
-
 /* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
 static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
 {
   struct mo_gradient_profile *total = run->profile, block = {0};
   run->profile = &block;
-  const double start_s = now_s();
+  const uint64_t start_ns = mo_clock_ns();
   const uint64_t start = __rdtsc();
   const int status = function(run);
-  const double tick_s = (now_s() - start_s) / (double)(__rdtsc() - start);
+  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
   total->pack_s += block.pack_s * tick_s;
   total->sense_s += block.sense_s * tick_s;
   total->control_s += block.control_s * tick_s;
@@ -238,17 +231,6 @@ static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *funct
   total->repeat_s += block.repeat_s * tick_s;
   total->robot_steps += block.robot_steps;
   return status;
-}
-
-static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
-{
-  sum->robots += counts->robots;
-  sum->steps += counts->steps;
-  sum->clipped_steps += counts->clipped_steps;
-  sum->clipped_robots += counts->clipped_robots;
-  sum->zeroed_robots += counts->zeroed_robots;
-  sum->diverged_robots += counts->diverged_robots;
-  sum->largest = fmax(sum->largest, counts->largest);
 }
 
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
@@ -278,7 +260,7 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradien
   mo_gradient_function *const function = mo_gradient_find(pack->isa);
   const int status = profile != NULL ? run_profiled(&run, function) : function(&run);
   if (status == MO_OK && counts != NULL)
-    add_counts(counts, &block);
+    mo_gradient_counts_add(counts, &block);
   return status;
 }
 

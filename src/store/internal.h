@@ -153,6 +153,9 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
 /* A design and one of its orientations, by content: found, or made. */
 int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
                     int64_t now_us, int64_t *row);
+/* The designs of a job, in order. sql: inserts (?1 job, ?2 position, ?3 genotype's row). */
+int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
+                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
 /* The job of a key. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: of another body. */
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,

@@ -329,15 +329,14 @@ static int insert_environments(struct mo_connection *writer, const struct mo_sub
   return error;
 }
 
-static int insert_designs(struct mo_connection *writer, const struct mo_submission *submission, int64_t now_us,
-                          int64_t id)
+int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
+                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us)
 {
-  static const char sql[] = "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   sqlite3_stmt *statement;
   int64_t row = 0;
   int error = MO_OK;
-  for (uint32_t i = 0; i < submission->n_designs && error == MO_OK; i++) {
-    error = mo_genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_genotype_row(writer, &forms[i], &genotypes[i], now_us, &row);
     if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
       sqlite3_bind_int64(statement, 1, id);
       sqlite3_bind_int64(statement, 2, i);
@@ -367,6 +366,7 @@ int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo
 
 static int submit(struct mo_store *store, void *arguments)
 {
+  static const char designs_sql[] = "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   struct submit_arguments *call = arguments;
   const struct mo_submission *submission = call->submission;
   struct mo_connection *writer = &store->writer;
@@ -387,7 +387,8 @@ static int submit(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_environments(writer, submission, &setting, call->id);
   if (error == MO_OK)
-    error = insert_designs(writer, submission, now_us, call->id);
+    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms, submission->genotypes,
+                              submission->n_designs, now_us);
   if (error == MO_OK && submission->idempotency_key != NULL)
     error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
   if (error == MO_OK) {

@@ -69,27 +69,9 @@ static int insert_training(struct mo_connection *writer, const struct mo_trainin
   return error;
 }
 
-static int insert_designs(struct mo_connection *writer, const struct mo_training_submission *submission, int64_t now_us,
-                          int64_t id)
-{
-  static const char sql[] = "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
-  sqlite3_stmt *statement;
-  int64_t row = 0;
-  int error = MO_OK;
-  for (uint32_t i = 0; i < submission->record.n_designs && error == MO_OK; i++) {
-    error = mo_genotype_row(writer, &submission->forms[i], &submission->genotypes[i], now_us, &row);
-    if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
-      sqlite3_bind_int64(statement, 1, id);
-      sqlite3_bind_int64(statement, 2, i);
-      sqlite3_bind_int64(statement, 3, row);
-      error = mo_sql_run(writer, statement);
-    }
-  }
-  return error;
-}
-
 static int submit(struct mo_store *store, void *arguments)
 {
+  static const char designs_sql[] = "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
   struct submit_arguments *call = arguments;
   const struct mo_training_submission *submission = call->submission;
   struct mo_training_settings settings = submission->record.settings;
@@ -115,7 +97,8 @@ static int submit(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_training(writer, submission, parent, &settings, call->id);
   if (error == MO_OK)
-    error = insert_designs(writer, submission, now_us, call->id);
+    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms, submission->genotypes,
+                              submission->record.n_designs, now_us);
   if (error == MO_OK && submission->idempotency_key != NULL)
     error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
   if (error == MO_OK) {

@@ -92,17 +92,6 @@ static void *run_share(void *argument)
   return NULL;
 }
 
-static void add_counts(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts)
-{
-  sum->robots += counts->robots;
-  sum->steps += counts->steps;
-  sum->clipped_steps += counts->clipped_steps;
-  sum->clipped_robots += counts->clipped_robots;
-  sum->zeroed_robots += counts->zeroed_robots;
-  sum->diverged_robots += counts->diverged_robots;
-  sum->largest = fmax(sum->largest, counts->largest);
-}
-
 static int start_share(struct share *s, const struct share *what, uint32_t number, uint32_t threads)
 {
   const size_t n = what->controller->n_parameters;
@@ -146,7 +135,7 @@ static int run_reference(const struct share *what, uint32_t threads, double *d_p
       d_parameters[i] += s->sum[i];
       moved[i] += s->moved_sum[i];
     }
-    add_counts(counts, &s->counts);
+    mo_gradient_counts_add(counts, &s->counts);
     free_share(s);
   }
   return status;
