@@ -248,6 +248,21 @@ static int drop_rows(struct mo_connection *writer, struct checkpoint_arguments *
   return error;
 }
 
+/* A checkpoint beyond all before it is progress: what went wrong on the way there is forgiven. An error that comes back at the same
+ * step lets none be written, and still ends the training at the third. */
+static int forgive(struct mo_connection *writer, int64_t id, uint32_t step)
+{
+  static const char sql[] = "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
+                            " ?2>(SELECT coalesce(max(step),0) FROM training_checkpoints WHERE job=?1)";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, step);
+  return mo_sql_run(writer, statement);
+}
+
 static int checkpoint(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "INSERT OR REPLACE INTO training_checkpoints(job,step,sha256,size,stored_us)"
@@ -257,6 +272,8 @@ static int checkpoint(struct mo_store *store, void *arguments)
   char data[256], digits[MO_SHA256_DIGITS + 1];
   sqlite3_stmt *statement;
   int error = touch(store, call->id);
+  if (error == MO_OK)
+    error = forgive(writer, call->id, call->step);
   statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
   if (statement == NULL)
     return error;

@@ -109,7 +109,7 @@ int mo_store_training_start(struct mo_store *store, int64_t id); /* queued → r
 int mo_store_training_progress(struct mo_store *store, int64_t id, const struct mo_training_step_row *steps,
                                size_t n_steps, const struct mo_training_validation_row *validation /* nullable */,
                                const char *event_data /* JSON object; nullable: quiet */);
-/* Writes the file, then the row, then drops all but the newest `keep` (rows, then files), and those of later steps: they are not of
+/* A step beyond every checkpoint before forgives the job's attempts. Writes the file, then the row, then drops all but the newest `keep` (rows, then files), and those of later steps: they are not of
  * the run that is at `step` now. step ≥ 1. Event "training.checkpoint". MO_ERR_NO_SPACE:
  * nothing changed, try again when there is room. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step, const uint8_t *bytes, size_t size,

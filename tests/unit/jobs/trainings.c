@@ -378,7 +378,7 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.gradient_status = MO_ERR_NO_MEMORY;
   id = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 1);
+  CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK_INT(job.error, MO_OK);
   CHECK(has_result(&service, id, &expected));
   fake_plan.gradient_fails = 1000;
@@ -560,7 +560,7 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
   fake_plan.gradient_delay_us = 0;
   fault_plan.write_error = 0;
   REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 1);
+  CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
 }

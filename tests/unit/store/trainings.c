@@ -673,6 +673,22 @@ static void parks_and_requeues(void)
   CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK_INT(after, MO_JOB_PAUSED);
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
+  /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint is written again. */
+  id = submit(&fixture, &submission);
+  for (uint32_t round = 1; round <= 5; round++) {
+    REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10 * round, (const uint8_t *)"x", 1, 2), MO_OK);
+    CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+    CHECK_INT(after, MO_JOB_QUEUED);
+    CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+    CHECK_INT(job.attempts, 1);
+  }
+  for (uint32_t attempt = 2; attempt <= 3; attempt++) {
+    REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"x", 1, 2), MO_OK);
+    CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+    CHECK_INT(after, attempt < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
+  }
   fixture_end(&fixture);
 }
 
