@@ -26,39 +26,7 @@ static void check_accepted(const struct mo_evaluation_request *request)
   FUZZ_PROMISE(request->label == NULL || strlen(request->label) <= MO_LABEL_BYTES_MAX);
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
-{
-  struct mo_parsed_evaluation parsed;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  char *text = malloc(size + 1);
-  if (faults == NULL || text == NULL) {
-    free(faults);
-    free(text);
-    return 0;
-  }
-  if (size > 0)
-    memcpy(text, data, size);
-  text[size] = '\0';
-  int code = mo_evaluation_parse(text, size, &parsed, faults);
-  if (code == MO_OK)
-    check_accepted(&parsed.request);
-  else if (code != MO_ERR_NO_MEMORY)
-    FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
-  for (unsigned i = 0; i < faults->n; i++)
-    FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
-  mo_evaluation_parsed_free(&parsed);
-  if (memchr(text, '\0', size) == NULL && size < 100000) {
-    json_error_t error;
-    json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
-    if (code == MO_OK)
-      FUZZ_PROMISE(tree != NULL || json_error_code(&error) == json_error_numeric_overflow);
-    /* When many other faults end the reading early, the rest has not been looked at. */
-    if (code == MO_ERR_FORMAT && strstr(faults->items[0].detail, "more than 64") == NULL &&
-        strstr(faults->items[0].detail, "more than 256 bytes") == NULL)
-      FUZZ_PROMISE(tree == NULL);
-    json_decref(tree);
-  }
-  free(text);
-  free(faults);
-  return 0;
-}
+#define READER_PARSED struct mo_parsed_evaluation
+#define READER_PARSE  mo_evaluation_parse
+#define READER_FREE   mo_evaluation_parsed_free
+#include "body.h"

@@ -26,35 +26,7 @@ static void check_accepted(const struct mo_training_request *request)
     FUZZ_PROMISE(mo_genotype_is_contiguous(MO_DEFAULT_WORKSPACE, request->genotypes[i].words) == 1);
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
-{
-  struct mo_parsed_training parsed;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  char *text = malloc(size + 1);
-  if (faults == NULL || text == NULL) {
-    free(faults);
-    free(text);
-    return 0;
-  }
-  if (size > 0)
-    memcpy(text, data, size);
-  text[size] = '\0';
-  int code = mo_training_parse(text, size, &parsed, faults);
-  if (code == MO_OK)
-    check_accepted(&parsed.request);
-  else if (code != MO_ERR_NO_MEMORY)
-    FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
-  for (unsigned i = 0; i < faults->n; i++)
-    FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
-  mo_training_parsed_free(&parsed);
-  if (memchr(text, '\0', size) == NULL && size < 100000) {
-    json_error_t error;
-    json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
-    if (code == MO_OK)
-      FUZZ_PROMISE(tree != NULL || json_error_code(&error) == json_error_numeric_overflow);
-    json_decref(tree);
-  }
-  free(text);
-  free(faults);
-  return 0;
-}
+#define READER_PARSED struct mo_parsed_training
+#define READER_PARSE  mo_training_parse
+#define READER_FREE   mo_training_parsed_free
+#include "body.h"

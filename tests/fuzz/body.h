@@ -1,0 +1,47 @@
+/* body.h: feeds bytes to a reader of request bodies. What is accepted must be valid, what is not must have a fault, and what is
+ * JSON is jansson's to say. Included after the target's own READER_PARSED, READER_PARSE, READER_FREE and check_accepted. */
+#include <jansson.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* The rest of the body was not looked at. */
+static bool ended_early(const struct mo_faults *faults)
+{
+  return strstr(faults->items[0].detail, "more than 64") != NULL ||
+         strstr(faults->items[0].detail, "more than 256 bytes") != NULL;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+  READER_PARSED parsed;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  char *text = malloc(size + 1);
+  if (faults == NULL || text == NULL) {
+    free(faults);
+    free(text);
+    return 0;
+  }
+  if (size > 0)
+    memcpy(text, data, size);
+  text[size] = '\0';
+  int code = READER_PARSE(text, size, &parsed, faults);
+  if (code == MO_OK)
+    check_accepted(&parsed.request);
+  else if (code != MO_ERR_NO_MEMORY)
+    FUZZ_PROMISE(faults->n > 0 && faults->malformed == (code == MO_ERR_FORMAT));
+  for (unsigned i = 0; i < faults->n; i++)
+    FUZZ_PROMISE(faults->items[i].detail[0] != '\0');
+  READER_FREE(&parsed);
+  if (memchr(text, '\0', size) == NULL && size < 100000) {
+    json_error_t error;
+    json_t *tree = json_loadb(text, size, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &error);
+    if (code == MO_OK)
+      FUZZ_PROMISE(tree != NULL || json_error_code(&error) == json_error_numeric_overflow);
+    if (code == MO_ERR_FORMAT && !ended_early(faults))
+      FUZZ_PROMISE(tree == NULL);
+    json_decref(tree);
+  }
+  free(text);
+  free(faults);
+  return 0;
+}
