@@ -90,7 +90,7 @@ static char *read_text(const char *path)
   return text;
 }
 
-/* Makes the database one of schema 1 with the same data: the first migration alone, and every row copied. */
+/* Makes the database one of schema 1 with the same data: the first migration alone, and of every row what it had then. */
 static int downgrade(const struct fixture *fixture)
 {
   char now[512], old[512], migration[512], sql[1024];
@@ -112,10 +112,14 @@ static int downgrade(const struct fixture *fixture)
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   if (result == SQLITE_OK)
     result = sqlite3_prepare_v2(
-        db, "SELECT name FROM main.sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'", -1, &tables, NULL);
+        db,
+        "SELECT t.name,group_concat(c.name) FROM main.sqlite_schema t, pragma_table_info(t.name,'main') c"
+        " WHERE t.type='table' AND t.name NOT LIKE 'sqlite%' GROUP BY t.name",
+        -1, &tables, NULL);
   while (result == SQLITE_OK && sqlite3_step(tables) == SQLITE_ROW) {
-    snprintf(sql, sizeof(sql), "INSERT INTO main.%s SELECT * FROM new.%s", sqlite3_column_text(tables, 0),
-             sqlite3_column_text(tables, 0));
+    const char *table = (const char *)sqlite3_column_text(tables, 0);
+    const char *columns = (const char *)sqlite3_column_text(tables, 1);
+    snprintf(sql, sizeof(sql), "INSERT INTO main.%s(%s) SELECT %s FROM new.%s", table, columns, columns, table);
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_finalize(tables);
