@@ -139,6 +139,15 @@ size_t mo_training_bytes(const struct mo_training *training); /* memory held, th
 int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
                      const struct mo_robot **robots);
 
+/* For a finetuning whose designs change between steps, as those of a campaign do: from the current step on it learns on these (copied; as in
+ * mo_training_create). A drawn step is forgotten. MO_ERR_CONFLICT: it is a pretraining; MO_ERR_INVALID, MO_ERR_RANGE,
+ * MO_ERR_NO_MEMORY: nothing changed. */
+int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n,
+                            struct mo_message *message);
+/* A training that goes on for longer (or ends earlier): n_steps ≥ the steps applied. What it did stays as it was only under a schedule
+ * that does not depend on n_steps: others give MO_ERR_UNSUPPORTED. */
+int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
+
 /* What a step did. */
 struct mo_training_report {
   uint32_t step;        /* from 1 */

@@ -6,7 +6,7 @@
 
 static const char *const state_names[MO_JOB_STATES] = {"queued",    "running", "paused",
                                                        "succeeded", "failed",  "cancelled"};
-static const char *const kind_names[] = {"evaluation", "training"};
+static const char *const kind_names[] = {"evaluation", "training", "campaign"};
 
 const char *mo_job_state_name(enum mo_job_state state)
 {

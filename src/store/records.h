@@ -28,7 +28,7 @@ struct mo_bits {
   uint64_t words[MO_DEFAULT_WORDS];
 };
 
-enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1 };
+enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1, MO_JOB_CAMPAIGN = 2 };
 enum mo_job_state {
   MO_JOB_QUEUED = 0,
   MO_JOB_RUNNING = 1,
@@ -40,7 +40,7 @@ enum mo_job_state {
 #define MO_JOB_STATES 6
 const char *mo_job_state_name(enum mo_job_state state);                 /* "queued" … "cancelled" */
 int mo_job_state_from_name(const char *name, enum mo_job_state *state); /* MO_ERR_NOT_FOUND */
-const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation", "training" */
+const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation", "training", "campaign" */
 int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind);    /* MO_ERR_NOT_FOUND */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {

@@ -26,7 +26,7 @@ LIBRARY = list(ROOMS)[: list(ROOMS).index("store")]  # libmorpho: no output, no 
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/"]
 PUBLIC = {"error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
           "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout", "compute.h": "compute",
-          "learning.h": "learning"}
+          "learning.h": "learning", "evolution.h": "evolution"}
 INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
 SPEAKS = re.compile(r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
 COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
