@@ -2,7 +2,8 @@
  *
  * A back end runs blocks: one body in up to MO_BLOCK_LANES environments with one controller. Blocks are submitted from any
  * thread and finish in any order; each block's result depends on its inputs alone. Urgent blocks start at once: a worker that
- * is inside another block sets it aside at its next pause point (a few steps), runs the urgent one, and goes on. */
+ * is inside another block sets it aside at its next pause point (a few steps), runs the urgent one, and goes on. Other blocks
+ * share the workers' time by the weights of those who submit them. */
 #ifndef MORPHO_COMPUTE_H
 #define MORPHO_COMPUTE_H
 
@@ -21,6 +22,7 @@ extern "C" {
  * workers. */
 struct mo_compute;
 struct mo_compute_controller;
+struct mo_compute_share;
 
 enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
 
@@ -45,6 +47,7 @@ struct mo_block {
   const struct mo_recording *recordings; /* NULL or (n_environments) */
   const volatile int *cancel;            /* NULL or a flag; non-zero ends the block with MO_ERR_CANCELLED */
   int64_t tag;                           /* the submitter's, e.g. the job; readable by mo_compute_current_tag */
+  struct mo_compute_share *share;        /* whose worker time it is; NULL: the back end's own share, of weight 1 */
   /* Results. */
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   int status; /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, … */
@@ -77,6 +80,31 @@ int mo_compute_controller_create(struct mo_compute *compute, const struct mo_con
                                  struct mo_compute_controller **ret);
 void mo_compute_controller_free(struct mo_compute_controller *controller); /* only when no block uses it; NULL-safe */
 
+/* ---- shares: how the workers' time is divided among submitters ---- */
+
+/* While several shares have blocks that wait, each gets worker time in proportion to its weight, whatever its blocks cost and however
+ * many of them wait; a share that has none leaves its part to the others. Blocks of one share start in the order in which they
+ * came. The order decides when a result is there, never its bits. Keep two blocks per worker submitted: a share that never has
+ * a block waiting cannot use a large part. Urgent blocks (MO_INTERACTIVE) go first as ever and are charged to nobody; their time is
+ * taken off the block inside which they overtook. */
+#define MO_SHARE_WEIGHT_MIN 1e-3
+#define MO_SHARE_WEIGHT_MAX 1e6 /* 1000 for one job; a share may stand for many */
+
+/* Weights outside the range are moved to its ends. MO_ERR_NO_MEMORY. */
+int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **share);
+/* Only when no block of it is queued or running (the calls of `done` of all have begun), and before the compute. NULL-safe. */
+void mo_compute_share_free(struct mo_compute_share *share);
+void mo_compute_share_set_weight(struct mo_compute_share *share, double weight); /* from now on */
+
+struct mo_compute_share_stats {
+  double busy_s;        /* worker seconds in its blocks, without urgent blocks that overtook inside them */
+  double urgent_s;      /* of these, in urgent blocks: charged to nobody */
+  uint64_t waiting;     /* batch blocks that wait */
+  uint64_t blocks_done; /* urgent ones, too */
+};
+void mo_compute_share_get_stats(const struct mo_compute_share *share,
+                                struct mo_compute_share_stats *stats); /* lock-free reads */
+
 /* Queues a block; never blocks, never fails for a valid block (MO_ERR_INVALID, MO_ERR_CANCELLED after free began). */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
@@ -96,6 +124,7 @@ struct mo_gradient_batch {
       urgency; /* MO_INTERACTIVE: goes before all batch blocks that wait, without interrupting one that runs */
   const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */
   int64_t tag;
+  struct mo_compute_share *share; /* as in a block */
   /* Results. */
   double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those that diverged or were
                                 * zeroed count as 0 */

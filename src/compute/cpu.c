@@ -1,6 +1,7 @@
-/* cpu.c: the CPU back end: worker threads, first-in-first-out queues, urgent blocks that overtake.
+/* cpu.c: the CPU back end: worker threads, queues, urgent blocks that overtake.
  *
- * Workers take from the queues under one mutex, the most urgent first. A worker that is inside a batch block or a gradient block
+ * Workers take from the queues under one mutex, the most urgent first; batch blocks wait in shares, and fair.h says whose is next. A
+ * share is charged what its block took before the block's `done` is called, so that it may be freed from then on. A worker that is inside a batch block or a gradient block
  * looks at an atomic count every few steps; if an interactive scoring block waits, it runs it then and there, on its own stack
  * and in a second scratch, and goes on with its block, whose bits cannot notice. So an interactive scoring block waits for a
  * few steps of a rollout and never for a whole block, and no thread beyond one per worker is needed. Gradient blocks never run
@@ -8,7 +9,7 @@
  *
  * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand back what is queued as
  * cancelled, and leave. Every block's `done` is called exactly once. Counters are atomics: reading them takes no lock. */
-#include "compute/internal.h"
+#include "compute/fair.h"
 
 #include <morpho/error.h>
 
@@ -33,8 +34,8 @@ enum {
   DEPTHS = 2 /* a batch or gradient block, and an interactive one inside it */
 };
 
-/* In ascending order of urgency. Gradients wait in BATCH, or, if they are urgent, in a queue of their own. */
-enum { BATCH, URGENT_GRADIENTS, URGENT, QUEUES };
+/* In ascending order of urgency; both before the batch blocks. */
+enum { URGENT_GRADIENTS, URGENT, QUEUES };
 
 struct queue {
   struct mo_block *first, *last;
@@ -45,6 +46,7 @@ struct worker {
   struct mo_compute *compute;
   struct mo_workspace_memory *memory[DEPTHS];
   struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
+  uint64_t overtaken_ns;               /* spent in urgent blocks that ran inside others */
   pthread_t thread;
 };
 
@@ -57,7 +59,9 @@ struct mo_compute {
   pthread_mutex_t mutex;
   pthread_cond_t wake;
   struct queue queues[QUEUES];
-  atomic_bool stopping; /* written under the mutex */
+  struct mo_fair fair;
+  struct mo_compute_share own; /* of blocks that name none */
+  atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
   atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted, busy_ns;
   atomic_uint_fast64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
@@ -115,7 +119,7 @@ struct visit {
   int depth;
 };
 
-static void run_block(struct worker *worker, struct mo_block *block, int depth);
+static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge);
 
 static bool is_cancelled(const struct mo_compute *compute, const struct mo_block *block)
 {
@@ -138,7 +142,9 @@ static int look_up(void *context)
       if (block == NULL)
         break;
       atomic_fetch_add(&compute->blocks_preempted, 1);
-      run_block(visit->worker, block, 1);
+      const uint64_t start_ns = mo_clock_ns();
+      run_block(visit->worker, block, 1, NULL);
+      visit->worker->overtaken_ns += mo_clock_ns() - start_ns;
     }
   return is_cancelled(compute, visit->block);
 }
@@ -211,14 +217,33 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-static void run_block(struct worker *worker, struct mo_block *block, int depth)
+/* The block's time goes to its share; that of a batch block also moves the share's turn. */
+static void account(struct mo_compute *compute, const struct mo_block *block, const struct mo_fair_charge *charge,
+                    uint64_t ns)
+{
+  if (charge != NULL) {
+    pthread_mutex_lock(&compute->mutex);
+    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)ns, block->status == MO_OK);
+    pthread_mutex_unlock(&compute->mutex);
+    return;
+  }
+  struct mo_compute_share *share = block->share != NULL ? block->share : &compute->own;
+  atomic_fetch_add(&share->busy_ns, ns);
+  atomic_fetch_add(&share->urgent_ns, ns);
+  atomic_fetch_add(&share->blocks_done, 1);
+}
+
+/* charge: of a batch block, else NULL. */
+static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge)
 {
   const int64_t outer_tag = current_tag;
+  const uint64_t start_ns = mo_clock_ns(), overtaken_ns = worker->overtaken_ns;
   current_tag = block->tag;
   block->status =
       block->gradient != NULL ? differentiate(worker, block->gradient, depth) : simulate(worker, block, depth);
   count(worker, block);
-  block->done(block, block->context); /* the block may be gone now */
+  account(worker->compute, block, charge, mo_clock_ns() - start_ns - (worker->overtaken_ns - overtaken_ns));
+  block->done(block, block->context); /* the block and its share may be gone now */
   current_tag = outer_tag;
 }
 
@@ -244,8 +269,12 @@ static void *work(void *argument)
   pthread_mutex_lock(&compute->mutex);
   for (;;) {
     struct mo_block *block = NULL;
+    struct mo_fair_charge charge;
     for (int q = QUEUES; q-- > 0 && block == NULL;)
       block = pop(&compute->queues[q]);
+    const bool urgent = block != NULL;
+    if (!urgent)
+      block = mo_fair_take(&compute->fair, &charge);
     if (block == NULL) {
       if (atomic_load(&compute->stopping))
         break;
@@ -255,7 +284,7 @@ static void *work(void *argument)
     atomic_fetch_add(&compute->n_busy, 1);
     pthread_mutex_unlock(&compute->mutex);
     const uint64_t start_ns = mo_clock_ns();
-    run_block(worker, block, 0);
+    run_block(worker, block, 0, urgent ? NULL : &charge);
     atomic_fetch_add(&compute->busy_ns, mo_clock_ns() - start_ns);
     pthread_mutex_lock(&compute->mutex);
     atomic_fetch_sub(&compute->n_busy, 1);
@@ -322,6 +351,9 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
            mo_isa_name(config->isa), MO_GRADIENT_VERSION);
   pthread_mutex_init(&compute->mutex, NULL);
   pthread_cond_init(&compute->wake, NULL);
+  mo_fair_init(&compute->fair, wanted);
+  compute->own.compute = compute;
+  mo_fair_add(&compute->fair, &compute->own, 1);
   for (uint32_t i = 0; i < wanted; i++)
     if (start_worker(compute, compute->workers + i, i) != MO_OK) {
       for (int depth = 0; depth < DEPTHS; depth++)
@@ -355,10 +387,10 @@ void mo_compute_free(struct mo_compute *compute)
 
 /* ---- submitting ---- */
 
-static bool is_valid(const struct mo_block *block)
+static bool is_valid(const struct mo_compute *compute, const struct mo_block *block)
 {
-  if (block == NULL || block->done == NULL || block->controller == NULL || block->n_environments < 1 ||
-      block->n_environments > MO_BLOCK_LANES ||
+  if (block == NULL || (block->share != NULL && block->share->compute != compute) || block->done == NULL ||
+      block->controller == NULL || block->n_environments < 1 || block->n_environments > MO_BLOCK_LANES ||
       (block->body == NULL && (block->lattice == NULL || block->genotype == NULL)))
     return false;
   if ((block->precision != MO_FLOAT32 && block->precision != MO_FLOAT64) ||
@@ -370,12 +402,15 @@ static bool is_valid(const struct mo_block *block)
   return mo_physics_check(&block->physics, NULL) == MO_OK;
 }
 
-static int enqueue(struct mo_compute *compute, struct mo_block *block, int queue)
+static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgent_queue)
 {
   pthread_mutex_lock(&compute->mutex);
   const bool stopping = atomic_load(&compute->stopping);
   if (!stopping) {
-    push(&compute->queues[queue], block);
+    if (block->urgency == MO_INTERACTIVE)
+      push(&compute->queues[urgent_queue], block);
+    else
+      mo_fair_push(&compute->fair, block->share != NULL ? block->share : &compute->own, block);
     pthread_cond_signal(&compute->wake);
   }
   pthread_mutex_unlock(&compute->mutex);
@@ -384,17 +419,61 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int queue
 
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
 {
-  if (!is_valid(block))
+  if (!is_valid(compute, block))
     return MO_ERR_INVALID;
   block->gradient = NULL;
-  return enqueue(compute, block, block->urgency == MO_INTERACTIVE ? URGENT : BATCH);
+  return enqueue(compute, block, URGENT);
 }
 
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task)
 {
   task->block.gradient = task;
-  return enqueue(compute, &task->block, task->block.urgency == MO_INTERACTIVE ? URGENT_GRADIENTS : BATCH);
+  return enqueue(compute, &task->block, URGENT_GRADIENTS);
 }
+
+/* ---- shares ---- */
+
+int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **ret)
+{
+  struct mo_compute_share *share = calloc(1, sizeof(*share));
+  if (share == NULL)
+    return MO_ERR_NO_MEMORY;
+  share->compute = compute;
+  pthread_mutex_lock(&compute->mutex);
+  mo_fair_add(&compute->fair, share, weight);
+  pthread_mutex_unlock(&compute->mutex);
+  *ret = share;
+  return MO_OK;
+}
+
+void mo_compute_share_free(struct mo_compute_share *share)
+{
+  if (share == NULL)
+    return;
+  pthread_mutex_lock(&share->compute->mutex);
+  mo_fair_remove(&share->compute->fair, share);
+  pthread_mutex_unlock(&share->compute->mutex);
+  free(share);
+}
+
+void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
+{
+  pthread_mutex_lock(&share->compute->mutex);
+  mo_fair_set_weight(&share->compute->fair, share, weight);
+  pthread_mutex_unlock(&share->compute->mutex);
+}
+
+void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_compute_share_stats *stats)
+{
+  *stats = (struct mo_compute_share_stats){
+      .busy_s = 1e-9 * (double)atomic_load(&share->busy_ns),
+      .urgent_s = 1e-9 * (double)atomic_load(&share->urgent_ns),
+      .waiting = atomic_load(&share->waiting),
+      .blocks_done = atomic_load(&share->blocks_done),
+  };
+}
+
+/* ---- waiting for blocks ---- */
 
 struct waiter {
   pthread_mutex_t mutex;
@@ -451,7 +530,7 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
       .gradient_robots_done = atomic_load(&compute->gradient_robots_done),
       .gradient_robots_diverged = atomic_load(&compute->gradient_robots_diverged),
       .gradient_robots_zeroed = atomic_load(&compute->gradient_robots_zeroed),
-      .queued_batch = atomic_load(&compute->queues[BATCH].n),
+      .queued_batch = atomic_load(&compute->fair.waiting),
       .queued_interactive = atomic_load(&compute->queues[URGENT].n) + atomic_load(&compute->queues[URGENT_GRADIENTS].n),
       .busy_s = 1e-9 * (double)atomic_load(&compute->busy_ns),
       .worker_bytes_max = atomic_load(&compute->worker_bytes_max),

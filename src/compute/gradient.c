@@ -3,7 +3,7 @@
  * Blocks are handed out in order, and their results are added up in order, by the calling thread, in float64. Between the two
  * lies a window of at most two blocks per worker, each with a float32 gradient of its own: a worker never waits for the sum, and
  * memory does not grow with the batch. What a sum's bits depend on is the batch alone. */
-#include "compute/internal.h"
+#include "compute/fair.h"
 
 #include <math.h>
 #include <pthread.h>
@@ -69,7 +69,7 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
   return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
 }
 
-static int check(const struct mo_gradient_batch *batch)
+static int check(const struct mo_compute *compute, const struct mo_gradient_batch *batch)
 {
   if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
     return MO_ERR_RANGE;
@@ -79,6 +79,8 @@ static int check(const struct mo_gradient_batch *batch)
     return MO_ERR_INVALID;
   if (batch->adjoint_bound < 0)
     return MO_ERR_RANGE;
+  if (batch->share != NULL && batch->share->compute != compute)
+    return MO_ERR_INVALID;
   for (uint32_t i = 0; i < batch->n; i++) {
     const struct mo_robot *robot = batch->robots + i;
     if (robot->body == NULL || robot->environment == NULL ||
@@ -149,6 +151,7 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
                                   .urgency = batch->urgency,
                                   .cancel = batch->cancel,
                                   .tag = batch->tag,
+                                  .share = batch->share,
                                   .done = block_done,
                                   .context = state};
   task->pack = state->pack;
@@ -196,7 +199,7 @@ static void add(const struct mo_gradient_state *state, const struct mo_gradient_
 
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
-  int status = check(batch);
+  int status = check(state->compute, batch);
   if (status != MO_OK)
     return status;
   const uint32_t n_blocks = (batch->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;

@@ -9,12 +9,14 @@
 #include <unistd.h>
 
 #define HISTORY_MAX 100000
+#define WEIGHTS     1024
 
 struct fake_plan fake_plan;
 
 static pthread_mutex_t history_mutex = PTHREAD_MUTEX_INITIALIZER;
 static int64_t history[HISTORY_MAX];
 static size_t n_history;
+static double weights[WEIGHTS]; /* by tag, modulo */
 static _Thread_local volatile int64_t current_tag = -1;
 
 struct mo_compute_controller {
@@ -31,6 +33,47 @@ struct mo_compute {
   atomic_uint_fast64_t blocks, rollouts;
   atomic_uint busy;
 };
+
+struct mo_compute_share {
+  _Atomic double weight;
+  atomic_uint_fast64_t blocks, busy_us;
+};
+
+static atomic_int n_shares;
+
+int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **ret)
+{
+  (void)compute;
+  *ret = calloc(1, sizeof(**ret));
+  if (*ret == NULL)
+    return MO_ERR_NO_MEMORY;
+  atomic_store(&(*ret)->weight, weight);
+  atomic_fetch_add(&n_shares, 1);
+  return MO_OK;
+}
+
+void mo_compute_share_free(struct mo_compute_share *share)
+{
+  if (share != NULL)
+    atomic_fetch_sub(&n_shares, 1);
+  free(share);
+}
+
+void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
+{
+  atomic_store(&share->weight, weight);
+}
+
+void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_compute_share_stats *stats)
+{
+  *stats = (struct mo_compute_share_stats){.busy_s = 1e-6 * (double)atomic_load(&share->busy_us),
+                                           .blocks_done = atomic_load(&share->blocks)};
+}
+
+int fake_shares(void)
+{
+  return atomic_load(&n_shares);
+}
 
 static uint64_t mix(uint64_t h, const void *data, size_t size)
 {
@@ -116,6 +159,29 @@ static int run_block(struct mo_block *block)
   return MO_OK;
 }
 
+/* Every block takes a worker a millisecond. */
+static void charge(struct mo_compute_share *share, int64_t tag)
+{
+  double weight = 0;
+  if (share != NULL) {
+    atomic_fetch_add(&share->blocks, 1);
+    atomic_fetch_add(&share->busy_us, 1000);
+    weight = atomic_load(&share->weight);
+  }
+  pthread_mutex_lock(&history_mutex);
+  weights[(uint64_t)tag % WEIGHTS] = weight;
+  pthread_mutex_unlock(&history_mutex);
+}
+
+double fake_weight(int64_t tag)
+{
+  double weight;
+  pthread_mutex_lock(&history_mutex);
+  weight = weights[(uint64_t)tag % WEIGHTS];
+  pthread_mutex_unlock(&history_mutex);
+  return weight;
+}
+
 static struct mo_block *take(struct mo_compute *compute)
 {
   struct mo_block *block = NULL;
@@ -148,6 +214,7 @@ static void *work(void *context)
     atomic_fetch_add(&compute->busy, 1);
     block->status = run_block(block);
     atomic_fetch_sub(&compute->busy, 1);
+    charge(block->share, block->tag);
     current_tag = -1;
     atomic_fetch_add(&compute->blocks, 1);
     if (block->status == MO_OK)
@@ -220,8 +287,10 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
 int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
 {
   (void)compute;
-  for (size_t i = 0; i < n; i++)
+  for (size_t i = 0; i < n; i++) {
     blocks[i].status = run_block(&blocks[i]);
+    charge(blocks[i].share, blocks[i].tag);
+  }
   return n > 0 ? blocks[0].status : MO_OK;
 }
 
@@ -276,6 +345,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
     if (delay_us > 0)
       usleep(200);
   }
+  charge(batch->share, batch->tag);
   if (atomic_load(&fake_plan.gradient_crash))
     raise(SIGSEGV);
   if (atomic_load(&fake_plan.gradient_status) != 0 && atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)

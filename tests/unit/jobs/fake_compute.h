@@ -35,4 +35,8 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
 size_t fake_history(int64_t *tags, size_t room);
 void fake_forget(void);
 
+/* The weight that the share of a tag's newest block or batch had then; 0: it named none. */
+double fake_weight(int64_t tag);
+int fake_shares(void); /* that were made and not freed */
+
 #endif

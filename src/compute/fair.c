@@ -1,0 +1,110 @@
+/* fair.c: see fair.h. */
+#include "compute/fair.h"
+
+#define UNIT_S_AT_FIRST 1e-5 /* before any block was measured */
+#define SMOOTHING       0.125
+
+void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
+{
+  fair->shares = NULL;
+  fair->credit_s = MO_FAIR_CREDIT_S * n_workers;
+  fair->virtual_s = 0;
+  for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
+    fair->unit_s[kind] = UNIT_S_AT_FIRST;
+  atomic_store(&fair->waiting, 0);
+}
+
+static double within(double weight)
+{
+  if (!(weight >= MO_SHARE_WEIGHT_MIN))
+    return MO_SHARE_WEIGHT_MIN;
+  return weight < MO_SHARE_WEIGHT_MAX ? weight : MO_SHARE_WEIGHT_MAX;
+}
+
+void mo_fair_add(struct mo_fair *fair, struct mo_compute_share *share, double weight)
+{
+  struct mo_compute_share **link = &fair->shares;
+  while (*link != NULL)
+    link = &(*link)->next;
+  *link = share;
+  share->next = NULL;
+  share->first = share->last = NULL;
+  share->weight = within(weight);
+  share->virtual_s = fair->virtual_s;
+  for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
+    share->unit_s[kind] = fair->unit_s[kind];
+}
+
+void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share)
+{
+  struct mo_compute_share **link = &fair->shares;
+  while (*link != share)
+    link = &(*link)->next;
+  *link = share->next;
+}
+
+void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight)
+{
+  const double lead_s = (share->virtual_s - fair->virtual_s) * share->weight;
+  share->weight = within(weight);
+  share->virtual_s = fair->virtual_s + lead_s / share->weight;
+}
+
+/* Rollout steps: what the cost of a block is about proportional to. */
+static double units_of(const struct mo_block *block)
+{
+  const uint32_t n = block->gradient != NULL ? block->gradient->n : block->n_environments;
+  return (double)n * block->physics.n_steps;
+}
+
+void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block)
+{
+  block->next = NULL;
+  if (share->first == NULL) {
+    const double least_s = fair->virtual_s - fair->credit_s / share->weight;
+    if (share->virtual_s < least_s)
+      share->virtual_s = least_s;
+    share->first = block;
+  } else {
+    share->last->next = block;
+  }
+  share->last = block;
+  atomic_fetch_add(&share->waiting, 1);
+  atomic_fetch_add(&fair->waiting, 1);
+}
+
+struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge)
+{
+  struct mo_compute_share *next = NULL;
+  for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
+    if (share->first != NULL && (next == NULL || share->virtual_s < next->virtual_s))
+      next = share;
+  if (next == NULL)
+    return NULL;
+  struct mo_block *block = next->first;
+  next->first = block->next;
+  block->next = NULL;
+  atomic_fetch_sub(&next->waiting, 1);
+  atomic_fetch_sub(&fair->waiting, 1);
+  if (fair->virtual_s < next->virtual_s)
+    fair->virtual_s = next->virtual_s;
+  charge->share = next;
+  charge->kind = block->gradient != NULL ? MO_FAIR_GRADIENT : MO_FAIR_SCORING;
+  charge->units = units_of(block);
+  charge->estimate_s = charge->units * next->unit_s[charge->kind];
+  next->virtual_s += charge->estimate_s / next->weight;
+  return block;
+}
+
+void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds, bool whole)
+{
+  struct mo_compute_share *share = charge->share;
+  share->virtual_s += (seconds - charge->estimate_s) / share->weight;
+  atomic_fetch_add(&share->busy_ns, (uint64_t)(seconds * 1e9));
+  atomic_fetch_add(&share->blocks_done, 1);
+  if (!whole || charge->units <= 0)
+    return;
+  const double unit_s = seconds / charge->units;
+  share->unit_s[charge->kind] += SMOOTHING * (unit_s - share->unit_s[charge->kind]);
+  fair->unit_s[charge->kind] += SMOOTHING * (unit_s - fair->unit_s[charge->kind]);
+}
