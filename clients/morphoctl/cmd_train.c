@@ -1,116 +1,33 @@
 /* cmd_train.c: train start, list, show, export. */
-#include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "commands.h"
+#include "fields.h"
 #include "table.h"
 #include "training.h"
 #include "transport.h"
 
 /* ---- start ---- */
 
-/* Options that are fields of the request, by their place: "group.field" is a field of an object. */
-struct field {
-  const char *option, *place;
-  enum { WHOLE, REAL, WORD } kind;
-};
-
 static const struct field fields[] = {
-    {"name", "name", WORD},
-    {"controller", "controller", WORD},
-    {"sensor", "sensor", WORD},
-    {"steps", "steps", WHOLE},
-    {"batch", "batch", WHOLE},
-    {"seed", "seed", WHOLE},
-    {"beta1", "adam.beta1", REAL},
-    {"beta2", "adam.beta2", REAL},
-    {"epsilon", "adam.epsilon", REAL},
-    {"gradient-norm-limit", "gradient_norm_limit", REAL},
-    {"adjoint-bound", "adjoint_bound", REAL},
-    {"validate-every", "validation.every_steps", WHOLE},
-    {"validation-designs", "validation.designs", WHOLE},
-    {"validation-environments", "validation.environments", WHOLE},
-    {"checkpoint-steps", "checkpoint.every_steps", WHOLE},
-    {"checkpoint-seconds", "checkpoint.every_s", WHOLE},
-    {"checkpoint-keep", "checkpoint.keep", WHOLE},
-    {"priority", "priority", WORD},
-    {"label", "label", WORD},
+    {"name", "name", FIELD_WORD},
+    {"controller", "controller", FIELD_WORD},
+    {"sensor", "sensor", FIELD_WORD},
+    {"steps", "steps", FIELD_WHOLE},
+    {"batch", "batch", FIELD_WHOLE},
+    {"seed", "seed", FIELD_WHOLE},
+    {"validate-every", "validation.every_steps", FIELD_WHOLE},
+    {"validation-designs", "validation.designs", FIELD_WHOLE},
+    {"validation-environments", "validation.environments", FIELD_WHOLE},
+    {"checkpoint-steps", "checkpoint.every_steps", FIELD_WHOLE},
+    {"checkpoint-seconds", "checkpoint.every_s", FIELD_WHOLE},
+    {"checkpoint-keep", "checkpoint.keep", FIELD_WHOLE},
+    {"priority", "priority", FIELD_WORD},
+    {"label", "label", FIELD_WORD},
 };
-static const struct field schedule_fields[] = {
-    {"peak", "schedule.peak", REAL},
-    {"floor", "schedule.floor", REAL},
-    {"decay", "schedule.decay", REAL},
-    {"cycle-steps", "schedule.cycle_steps", WHOLE},
-    {"cycle-growth", "schedule.cycle_growth", WHOLE},
-    {"warmup-steps", "schedule.warmup_steps", WHOLE},
-};
-#define N_OF(array) (sizeof(array) / sizeof((array)[0]))
-
-/* Puts the option's value, if it is given, at its place. Bounds are the server's to check: it names them. */
-static int fill_field(const struct ctl *ctl, json_t *request, const struct field *field)
-{
-  const char *text = option_text(ctl, field->option, NULL);
-  if (text == NULL)
-    return STATUS_OK;
-  json_t *value = NULL;
-  char *end = NULL;
-  errno = 0;
-  if (field->kind == WHOLE) {
-    long long number = strtoll(text, &end, 10);
-    if (*text != 0 && *end == 0 && errno == 0)
-      value = json_integer(number);
-  } else if (field->kind == REAL) {
-    double number = strtod(text, &end);
-    if (*text != 0 && *end == 0)
-      value = json_real(number); /* NULL if it is not finite */
-  } else {
-    value = json_string(text);
-  }
-  if (value == NULL)
-    return complain(STATUS_USAGE, "--%s: \"%s\" is not a %s", field->option, text,
-                    field->kind == WHOLE  ? "whole number"
-                    : field->kind == REAL ? "number"
-                                          : "text in UTF-8");
-  const char *dot = strchr(field->place, '.');
-  json_t *object = request;
-  if (dot != NULL) {
-    char group[32];
-    snprintf(group, sizeof(group), "%.*s", (int)(dot - field->place), field->place);
-    object = json_object_get(request, group);
-    if (object == NULL) {
-      object = json_object();
-      json_object_set_new(request, group, object);
-    }
-  }
-  json_object_set_new(object, dot != NULL ? dot + 1 : field->place, value);
-  return STATUS_OK;
-}
-
-static int fill_schedule(const struct ctl *ctl, json_t *request)
-{
-  static const char *const kinds[] = {"restarts", "cosine", "constant"};
-  const char *name = option_text(ctl, "schedule", NULL), *detail = NULL;
-  bool kind = false;
-  for (size_t i = 0; i < N_OF(kinds) && name != NULL; i++)
-    kind |= strcmp(kinds[i], name) == 0;
-  for (size_t i = 0; i < N_OF(schedule_fields); i++)
-    if (option_is_set(ctl, schedule_fields[i].option))
-      detail = schedule_fields[i].option;
-  if (detail != NULL && !kind)
-    return complain(STATUS_USAGE, "--%s needs --schedule restarts, cosine or constant%s", detail,
-                    name != NULL ? ": the schedule that is named has its own" : "");
-  if (name != NULL && !kind)
-    json_object_set_new(request, "schedule", json_string(name));
-  else if (name != NULL)
-    json_object_set_new(request, "schedule", json_pack("{s:s}", "kind", name));
-  int status = STATUS_OK;
-  for (size_t i = 0; i < N_OF(schedule_fields) && status == STATUS_OK; i++)
-    status = fill_field(ctl, request, &schedule_fields[i]);
-  return status;
-}
 
 /* What a finetuning learns on: designs of operands, random ones, or a population. */
 static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
@@ -157,8 +74,10 @@ int run_train_start(struct ctl *ctl)
     return complain(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
   json_t *request = json_pack("{s:s}", "kind", kind), *training = NULL;
   int status = request != NULL ? fill_designs(ctl, finetune, request) : complain(STATUS_ERROR, "out of memory");
-  for (size_t i = 0; i < N_OF(fields) && status == STATUS_OK; i++)
-    status = fill_field(ctl, request, &fields[i]);
+  if (status == STATUS_OK)
+    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
+  if (status == STATUS_OK)
+    status = fill_optimizer(ctl, request);
   if (status == STATUS_OK)
     status = fill_schedule(ctl, request);
   if (status == STATUS_OK)

@@ -6,17 +6,14 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/ioctl.h>
-#include <time.h>
-#include <unistd.h>
 
 #include "commands.h"
 #include "follow.h"
+#include "screen.h"
 #include "table.h"
 #include "training.h"
 #include "transport.h"
 
-#define REDRAW_S      0.1
 #define ASK_S         10 /* without an event, the state is asked for: what waits or draws again tells nothing */
 #define LINES_BESIDES 6  /* those of the view that are not the plot */
 
@@ -24,30 +21,16 @@ struct view {
   struct ctl *ctl;
   struct training training;
   json_t *progress, *validation; /* the newest that is known */
-  bool live;                     /* redraw in place */
-  int lines, columns;            /* of what stands on the terminal */
-  double drawn_s, told_s;        /* when it was drawn; when there was an event, or the state was asked for */
+  struct screen screen;
+  double told_s; /* when there was an event, or the state was asked for */
   bool finished;
 };
 
 /* ---- the screen ---- */
 
-/* One line, cut to the width of the terminal. `before` and `after`: escapes around it. */
-static void put_line(FILE *file, int columns, const char *before, const char *text, const char *after)
+static void write_view(void *context, FILE *file, int columns, int rows)
 {
-  size_t n = 0;
-  int width = 0;
-  while (text[n] != 0) {
-    width += ((unsigned char)text[n] & 0xc0) != 0x80;
-    if (width > columns)
-      break;
-    n++;
-  }
-  fprintf(file, "%s%.*s%s\033[K\n", before, (int)n, text, after);
-}
-
-static void write_view(const struct view *view, FILE *file, int columns, int rows)
-{
+  const struct view *view = context;
   const json_t *training = view->training.json;
   const char *bold = view->ctl->colour ? "\033[1m" : "", *plain = view->ctl->colour ? "\033[0m" : "";
   char text[512], more[256];
@@ -56,19 +39,15 @@ static void write_view(const struct view *view, FILE *file, int columns, int row
            text_of(training, "state"), strcmp(phase, "idle") != 0 ? " (" : "", strcmp(phase, "idle") != 0 ? phase : "",
            strcmp(phase, "idle") != 0 ? ")" : "", view->training.id);
   make_plain(text);
-  put_line(file, columns, bold, text, plain);
+  screen_line(file, columns, bold, text, plain);
   int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
   char *plot = training_plot(view->ctl, &view->training, columns > 110 ? 110 : columns - 1, height);
   if (plot != NULL && height >= 4)
-    for (char *line = plot; *line != 0;) {
-      size_t n = strcspn(line, "\n");
-      fprintf(file, "%.*s\033[K\n", (int)n, line);
-      line += n + (line[n] == '\n');
-    }
+    screen_lines(file, plot);
   free(plot);
   training_numbers_text(view->progress, text,
                         sizeof(text)); /* the pace is beside the step: 80 columns do not hold both */
-  put_line(file, columns, "", text, "");
+  screen_line(file, columns, "", text, "");
   int64_t replayed = number_of(view->progress, "replayed"), total = number_of(view->progress, "replay_total");
   training_step_text(number_of(view->progress, "step"), number_of(view->progress, "steps"), more, sizeof(more));
   int n = snprintf(text, sizeof(text), "%s", more);
@@ -81,62 +60,27 @@ static void write_view(const struct view *view, FILE *file, int columns, int row
              (long long)number_of(training, "checkpoint_step"));
   else
     snprintf(text + n, sizeof(text) - (size_t)n, "%s", more);
-  put_line(file, columns, "", text, "");
+  screen_line(file, columns, "", text, "");
   training_validation_text(view->validation, more, sizeof(more));
   snprintf(text, sizeof(text), "%s validation %s", view->ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);
-  put_line(file, columns, "", text, "");
+  screen_line(file, columns, "", text, "");
   if (*reason != 0)
     snprintf(text, sizeof(text), "%s", reason);
   else
     snprintf(text, sizeof(text), "%s",
              is_final(text_of(training, "state")) ? "" : "Ctrl-C leaves; the training goes on.");
   make_plain(text);
-  put_line(file, columns, "", text, "");
+  screen_line(file, columns, "", text, "");
 }
 
 static void draw(struct view *view, bool now)
 {
-  struct winsize window = {0};
-  if (!view->live || (!now && monotonic_s() - view->drawn_s < REDRAW_S))
-    return;
-  bool known = ioctl(STDOUT_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 && window.ws_row > 0;
-  int columns = known ? window.ws_col : 80, rows = known ? window.ws_row : 24;
-  char *text = NULL;
-  size_t size = 0;
-  FILE *file = open_memstream(&text, &size);
-  if (file == NULL)
-    return;
-  write_view(view, file, columns, rows);
-  if (fclose(file) == 0) {
-    if (view->lines > 0 && view->columns == columns)
-      printf("\033[%dA\r", view->lines);
-    else if (view->lines > 0)
-      fputs("\033[H\033[2J", stdout); /* another width: lines stand elsewhere now */
-    fputs(text, stdout);
-    fputs("\033[J", stdout);
-    fflush(stdout);
-    view->lines = 0;
-    for (size_t i = 0; i < size; i++)
-      view->lines += text[i] == '\n';
-    view->columns = columns;
-    view->drawn_s = monotonic_s();
-  }
-  free(text);
+  screen_draw(&view->screen, now, write_view, view);
 }
 
-/* at: the event's time; NULL: now. */
 static void print_event_line(const struct view *view, const json_t *at, const char *words)
 {
-  char text[32];
-  time_t now = time(NULL);
-  struct tm local;
-  if (view->live || view->ctl->quiet)
-    return;
-  if (at == NULL && localtime_r(&now, &local) != NULL && strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) > 0)
-    print_plain_line(stdout, "%s  %s", text, words);
-  else
-    print_plain_line(stdout, "%s  %s", time_text(at, text), words);
-  fflush(stdout);
+  screen_event(&view->screen, view->ctl, at, words);
 }
 
 /* ---- what is known ---- */
@@ -266,17 +210,6 @@ static bool is_finished(void *context)
   return view->finished;
 }
 
-/* The place of the newest event: what a page from beyond it says. */
-static int newest_event(struct ctl *ctl, int64_t *newest)
-{
-  json_t *page;
-  int status = transport_get_json(ctl, "/v1/events?format=json&limit=1&after=999999999999999999", 0, &page);
-  if (status == STATUS_OK)
-    *newest = strtoll(text_of(page, "next_after"), NULL, 10);
-  json_decref(page);
-  return status;
-}
-
 static void say_how_to_return(const struct ctl *ctl, const char *id)
 {
   if (!ctl->quiet)
@@ -296,15 +229,13 @@ static int finish(const struct view *view)
 
 int watch_training(struct ctl *ctl, const char *id)
 {
-  const char *terminal = getenv("TERM");
-  struct view view = {
-      .ctl = ctl, .live = isatty(STDOUT_FILENO) && terminal != NULL && strcmp(terminal, "dumb") != 0 && !ctl->quiet};
+  struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
   int64_t newest = -1;
   snprintf(view.training.id, sizeof(view.training.id), "%s", id);
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
     status = load(&view);
-  if (status == STATUS_OK && !view.live && !ctl->quiet) {
+  if (status == STATUS_OK && !view.screen.live && !ctl->quiet) {
     char step[96];
     training_step_text(number_of(view.progress, "step"), number_of(view.progress, "steps"), step, sizeof(step));
     print_plain_line(stdout, "training %s (%s %s) is %s, %s", id, text_of(view.training.json, "kind"),

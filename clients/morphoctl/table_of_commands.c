@@ -1,5 +1,6 @@
 /* table_of_commands.c: every command with its options and its help; the order is that of the help text. */
 #include "commands.h"
+#include "fields.h"
 
 static const struct option_spec eval_options[] = {
     SCORE_OPTIONS,
@@ -55,17 +56,8 @@ static const struct option_spec train_start_options[] = {
     {"schedule", 0, "NAME",
      "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, paper-finetune, "
      "paper-simultaneous; or restarts, cosine or constant, with the options below."},
-    {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},
-    {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},
-    {"decay", 0, "FACTOR", "restarts: of the peak from one cycle to the next (default: 0.7)."},
-    {"cycle-steps", 0, "N", "restarts: steps of the first cycle (default: 10)."},
-    {"cycle-growth", 0, "N", "restarts: of the length from one cycle to the next (default: 2)."},
-    {"warmup-steps", 0, "N", "Steps in which the rate grows to its peak (default: 10 for cosine, else 0)."},
-    {"beta1", 0, "X", "Adam's decay of the mean of gradients (default: 0.9)."},
-    {"beta2", 0, "X", "Adam's decay of the mean of their squares (default: 0.999)."},
-    {"epsilon", 0, "X", "Adam's smallest divisor (default: 1e-8)."},
-    {"gradient-norm-limit", 0, "X", "Largest norm of a step's gradient; 0: off (default: 1)."},
-    {"adjoint-bound", 0, "X", "Bound of each robot's adjoint on the way back; 0: off (default: 2)."},
+    SCHEDULE_OPTIONS,
+    OPTIMIZER_OPTIONS,
     {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
     {"validate-every", 0, "STEPS", "Score the held-out set every so many steps; 0: never (default: 50)."},
     {"validation-designs", 0, "N", "Designs of the held-out set (default: 64)."},
