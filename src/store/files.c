@@ -48,39 +48,106 @@ int mo_file_read(const char *path, size_t size, uint8_t **ret)
   return MO_OK;
 }
 
+/* ---- what the system does ---- */
+
+static int system_open(void *context, const char *path, int flags)
+{
+  (void)context;
+  return open(path, flags, 0600);
+}
+
+static ssize_t system_write(void *context, int fd, const void *bytes, size_t size)
+{
+  (void)context;
+  return write(fd, bytes, size);
+}
+
+static int system_sync(void *context, int fd)
+{
+  (void)context;
+  return fsync(fd);
+}
+
+static int system_close(void *context, int fd)
+{
+  (void)context;
+  return close(fd);
+}
+
+static int system_rename(void *context, const char *from, const char *to, bool replace)
+{
+  (void)context;
+  return replace ? rename(from, to) : renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE);
+}
+
+static int system_unlink(void *context, const char *path)
+{
+  (void)context;
+  return unlink(path);
+}
+
+static int system_mkdir(void *context, const char *path)
+{
+  (void)context;
+  return mkdir(path, 0700);
+}
+
+static int system_rmdir(void *context, const char *path)
+{
+  (void)context;
+  return rmdir(path);
+}
+
+const struct mo_file_operations *mo_file_operations_system(void)
+{
+  static const struct mo_file_operations operations = {.open = system_open,
+                                                       .write = system_write,
+                                                       .sync = system_sync,
+                                                       .close = system_close,
+                                                       .rename = system_rename,
+                                                       .unlink = system_unlink,
+                                                       .mkdir = system_mkdir,
+                                                       .rmdir = system_rmdir};
+  return &operations;
+}
+
+/* ---- whole files and folders ---- */
+
 static int write_error(void)
 {
   return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : MO_ERR_IO;
 }
 
-static int write_and_sync(int fd, const uint8_t *bytes, size_t size)
+static int write_and_sync(const struct mo_file_operations *files, int fd, const uint8_t *bytes, size_t size)
 {
   size_t written = 0;
   while (written < size) {
-    ssize_t n = write(fd, bytes + written, size - written);
+    ssize_t n = files->write(files->context, fd, bytes + written, size - written);
     if (n < 0 && errno == EINTR)
       continue;
     if (n < 0)
       return write_error();
     written += (size_t)n;
   }
-  return fsync(fd) == 0 ? MO_OK : write_error();
+  return files->sync(files->context, fd) == 0 ? MO_OK : write_error();
 }
 
-static int sync_folder(const char *path)
+int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder)
 {
-  int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  const struct mo_file_operations *files = store->files;
+  int fd = files->open(files->context, path, O_RDONLY | O_CLOEXEC | (is_folder ? O_DIRECTORY : 0));
   int error = MO_OK;
   if (fd < 0)
     return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
-  if (fsync(fd) != 0)
+  if (files->sync(files->context, fd) != 0)
     error = MO_ERR_IO;
-  close(fd);
+  (void)files->close(files->context, fd);
   return error;
 }
 
 int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size)
 {
+  const struct mo_file_operations *files = store->files;
   size_t temporary_size = strlen(folder) + 64;
   char *temporary = malloc(temporary_size);
   int fd;
@@ -88,19 +155,19 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path, 
   if (temporary == NULL)
     return MO_ERR_NO_MEMORY;
   snprintf(temporary, temporary_size, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1));
-  fd = open(temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
+  fd = files->open(files->context, temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC);
   if (fd < 0) {
     error = write_error();
     free(temporary);
     return error;
   }
-  error = write_and_sync(fd, bytes, size);
-  if (close(fd) != 0 && error == MO_OK)
+  error = write_and_sync(files, fd, bytes, size);
+  if (files->close(files->context, fd) != 0 && error == MO_OK)
     error = write_error();
-  if (error == MO_OK && rename(temporary, path) != 0)
+  if (error == MO_OK && files->rename(files->context, temporary, path, true) != 0)
     error = write_error();
   if (error != MO_OK)
-    (void)unlink(temporary);
+    (void)files->unlink(files->context, temporary);
   free(temporary);
   return error == MO_OK ? mo_folder_sync(store, folder) : error;
 }
@@ -108,29 +175,40 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path, 
 /* A later fsync of the folder may succeed without the name that this one lost, and the file is there for who looks. */
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
-  int error = sync_folder(path);
+  int error = mo_path_sync(store, path, true);
   if (error == MO_ERR_IO)
     mo_store_declare_fatal(store, "a folder of files cannot be synced");
   return error;
 }
 
+/* Also one that is there: who made it may have been killed before its name was durable. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
-  if (mkdir(path, 0700) == 0)
-    return mo_folder_sync(store, parent);
-  return errno == EEXIST ? MO_OK : write_error();
+  if (store->files->mkdir(store->files->context, path) != 0 && errno != EEXIST)
+    return write_error();
+  return mo_folder_sync(store, parent);
 }
 
-int mo_folder_clean(const char *path, bool (*keep)(void *context, const char *name), void *context)
+int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)(void *context, const char *name),
+                    void *context)
 {
   struct dirent *entry;
+  int error = MO_OK;
   DIR *folder = opendir(path);
   if (folder == NULL)
     return MO_ERR_IO;
-  while ((entry = readdir(folder)) != NULL) /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
-    if (strncmp(entry->d_name, ".tmp-", 5) == 0 ||
-        (keep != NULL && entry->d_name[0] != '.' && !keep(context, entry->d_name)))
-      (void)unlinkat(dirfd(folder), entry->d_name, 0);
+  while (error == MO_OK &&
+         (entry = readdir(folder)) != NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
+    char *file = NULL;
+    if (strncmp(entry->d_name, ".tmp-", 5) != 0 &&
+        (keep == NULL || entry->d_name[0] == '.' || keep(context, entry->d_name)))
+      continue;
+    if (asprintf(&file, "%s/%s", path, entry->d_name) < 0)
+      error = MO_ERR_NO_MEMORY;
+    else
+      (void)store->files->unlink(store->files->context, file);
+    free(file);
+  }
   closedir(folder);
-  return MO_OK;
+  return error;
 }

@@ -69,6 +69,7 @@ struct mo_operation {
 
 struct mo_store {
   char *path, *database_path, *controllers_path, *trainings_path, *reserve_path, *vfs;
+  const struct mo_file_operations *files;
   int lock_fd;
   int64_t epoch;
   uint64_t events_kept;
@@ -187,9 +188,13 @@ int mo_file_read(const char *path, size_t size, uint8_t **bytes);
 /* Atomic and durable: `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size);
 int mo_folder_sync(struct mo_store *store, const char *path); /* MO_ERR_IO is fatal to the store */
+/* The folder is there and its name is durable, whoever made it. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
 /* Removes what interrupted writes left, and the files that are not to be kept (keep NULL: all are). */
-int mo_folder_clean(const char *path, bool (*keep)(void *context, const char *name), void *context);
+int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)(void *context, const char *name),
+                    void *context);
+/* A file or folder. MO_ERR_NO_MEMORY: it cannot be opened now; MO_ERR_IO. */
+int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder);
 /* Removes files of trainings of which no row speaks. Before the writer starts. */
 int mo_trainings_clean(struct mo_store *store);
 

@@ -50,7 +50,7 @@ static int prepare_folder(struct mo_store *store, const char *path, struct mo_me
   int error = mo_folder_make(store, store->path, path);
   if (error != MO_OK)
     return mo_fail(message, error, "cannot create %s: %s", path, strerrordesc_np(errno));
-  if (mo_folder_clean(path, NULL, NULL) != MO_OK)
+  if (mo_folder_clean(store, path, NULL, NULL) != MO_OK)
     return mo_fail(message, MO_ERR_IO, "cannot read %s: %s", path, strerrordesc_np(errno));
   return MO_OK;
 }
@@ -250,6 +250,7 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   if (store == NULL)
     return NULL;
   store->lock_fd = -1;
+  store->files = config->files != NULL ? config->files : mo_file_operations_system();
   store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
   store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
   store->idempotency_keep_us = (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
@@ -373,18 +374,6 @@ int mo_store_check(struct mo_store *store, struct mo_message *message)
   return error;
 }
 
-static int sync_path(const char *path, int flags)
-{
-  int fd = open(path, flags | O_CLOEXEC);
-  int error = MO_OK;
-  if (fd < 0)
-    return MO_ERR_IO;
-  if (fsync(fd) != 0)
-    error = MO_ERR_IO;
-  close(fd);
-  return error;
-}
-
 /* Copies into `copy` and checks what was written. */
 static int copy_database(struct mo_store *store, const char *copy, struct mo_message *message)
 {
@@ -417,6 +406,7 @@ static int copy_database(struct mo_store *store, const char *copy, struct mo_mes
 
 int mo_store_backup(struct mo_store *store, const char *path, struct mo_message *message)
 {
+  const struct mo_file_operations *files = store->files;
   size_t size = strlen(path) + sizeof(".partial");
   char *copy, *folder, *slash;
   int error;
@@ -430,20 +420,20 @@ int mo_store_backup(struct mo_store *store, const char *path, struct mo_message 
     return MO_ERR_NO_MEMORY;
   }
   snprintf(copy, size, "%s.partial", path);
-  (void)unlink(copy); /* of an interrupted backup */
+  (void)files->unlink(files->context, copy); /* of an interrupted backup */
   error = copy_database(store, copy, message);
   if (error == MO_OK)
-    error = sync_path(copy, O_RDONLY);
-  if (error == MO_OK && renameat2(AT_FDCWD, copy, AT_FDCWD, path, RENAME_NOREPLACE) != 0)
+    error = mo_path_sync(store, copy, false);
+  if (error == MO_OK && files->rename(files->context, copy, path, false) != 0)
     error = errno == EEXIST ? mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path)
                             : mo_fail(message, MO_ERR_IO, "cannot name the copy %s: %s", path, strerrordesc_np(errno));
   if (error != MO_OK) {
-    (void)unlink(copy);
+    (void)files->unlink(files->context, copy);
   } else {
     slash = strrchr(folder, '/');
     if (slash != NULL)
       slash[slash == folder ? 1 : 0] = '\0';
-    error = sync_path(slash != NULL ? folder : ".", O_RDONLY | O_DIRECTORY);
+    error = mo_path_sync(store, slash != NULL ? folder : ".", true);
   }
   free(copy);
   free(folder);

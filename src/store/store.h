@@ -17,6 +17,7 @@
 #ifndef MORPHO_STORE_STORE_H
 #define MORPHO_STORE_STORE_H
 
+#include "store/files.h"
 #include "store/records.h"
 
 struct mo_store;
@@ -24,6 +25,7 @@ struct mo_store;
 struct mo_store_config {
   const char *path;                               /* the state folder: must exist and be writable */
   const char *vfs;                                /* NULL: SQLite's default; tests name one that fails on demand */
+  const struct mo_file_operations *files;         /* NULL: the system's; likewise; as long as the store is open */
   uint32_t n_readers;                             /* read connections; 0: 4 */
   uint64_t events_kept;                           /* older ones are pruned; 0: 100000 */
   int64_t idempotency_keep_s;                     /* 0: 24 h */

@@ -203,7 +203,7 @@ static void remove_file(const struct mo_store *store, int64_t id, int64_t step)
 {
   char *path = path_of(store, id, step);
   if (path != NULL)
-    (void)unlink(path); /* one that stays is removed at the next start */
+    (void)store->files->unlink(store->files->context, path); /* one that stays is removed at the next start */
   free(path);
 }
 
@@ -342,7 +342,7 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
   if (error == MO_OK) {
     error = mo_write(store, checkpoint, &call);
     if (error != MO_OK && error != MO_ERR_IO && !is_known)
-      (void)unlink(path);
+      (void)store->files->unlink(store->files->context, path);
   }
   for (size_t i = 0; i < call.n_dropped && error == MO_OK; i++)
     remove_file(store, id, call.dropped[i]);
@@ -441,8 +441,8 @@ int mo_trainings_clean(struct mo_store *store)
       cleaning.error = MO_ERR_NO_MEMORY;
       break;
     }
-    (void)mo_folder_clean(path, has_row, &cleaning);
-    (void)rmdir(path); /* when nothing is left */
+    (void)mo_folder_clean(store, path, has_row, &cleaning);
+    (void)store->files->rmdir(store->files->context, path); /* when nothing is left */
     free(path);
   }
   closedir(folder);
