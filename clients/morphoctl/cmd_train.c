@@ -184,6 +184,21 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
              n + seconds > 0 ? a : "at pauses, stops and the end", seconds > 0 ? b : "", number_of(checkpoint, "keep"));
 }
 
+/* One line as a rule; more when it was continued under other code. */
+static void print_code(const struct ctl *ctl, const json_t *code)
+{
+  size_t i;
+  const json_t *entry;
+  json_array_foreach(code, i, entry)
+  {
+    const char *fingerprint = *text_of(entry, "fingerprint") != 0 ? text_of(entry, "fingerprint") : "not recorded";
+    if (i == 0)
+      print_fact(ctl, "code", "%s", fingerprint);
+    else
+      print_fact(ctl, "", "%s after step %" PRId64, fingerprint, number_of(entry, "from_step"));
+  }
+}
+
 static void print_training(const struct ctl *ctl, const json_t *training)
 {
   char text[256];
@@ -221,6 +236,7 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   print_fact(ctl, "validation", "%s", text);
   if (json_is_integer(json_object_get(training, "checkpoint_step")))
     print_fact(ctl, "checkpoint", "of step %" PRId64, number_of(training, "checkpoint_step"));
+  print_code(ctl, json_object_get(training, "code"));
   const json_t *controller = json_object_get(training, "controller");
   if (json_is_object(controller))
     print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"), text_of(controller, "sha256"));

@@ -211,6 +211,10 @@ void training_event_text(const char *type, const json_t *data, char *text, size_
     snprintf(text, size, "  %s", words);
   } else if (strcmp(type, "training.checkpoint") == 0) {
     snprintf(text, size, "  of step %s", count_text(number_of(data, "step"), step));
+  } else if (strcmp(type, "training.code_changed") == 0) {
+    const char *before = text_of(data, "before");
+    snprintf(text, size, "  after step %s: %s, before %s", count_text(number_of(data, "from_step"), step),
+             text_of(data, "fingerprint"), *before != 0 ? before : "unknown");
   }
 }
 

@@ -180,12 +180,25 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
 int mo_training_write(const struct mo_training *training, const char *path, struct mo_message *message);
 int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message);
 
+/* Which code computed a training's gradients, from a step on: what its bits depend on besides its inputs. */
+#define MO_FINGERPRINT_BYTES 64
+#define MO_LINEAGE_MAX       32
+struct mo_training_code {
+  uint32_t from_step;                     /* steps learned before it */
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* as mo_compute_gradient_fingerprint: printable ASCII; "": not known */
+};
+struct mo_training_lineage {
+  uint32_t n;
+  struct mo_training_code codes[MO_LINEAGE_MAX]; /* from_step ascending, neighbours differ */
+};
+
 /* The controller so far with its lineage in the metadata: "morphod.kind", ".parent" (its sha256 as given; NULL: "random"),
- * ".seed" (of the data), ".settings" (JSON), ".step", ".version" (of the code, as given) and, for a finetuning, ".designs_crc64". No clock,
+ * ".seed" (of the data), ".settings" (JSON), ".step", ".version" (of the code, as given), ".code" (JSON: the entries of `lineage`, nullable, below this step) and, for a finetuning,
+ * ".designs_crc64". No clock,
  * no host: equal trainings give equal files. The parent's own metadata is not inherited. The caller frees it. MO_ERR_NO_MEMORY,
- * MO_ERR_INVALID (a text that is not UTF-8). */
+ * MO_ERR_INVALID (a text that is not UTF-8, a fingerprint with a quote, backslash or control character). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
-                       struct mo_controller **controller);
+                       const struct mo_training_lineage *lineage, struct mo_controller **controller);
 
 #ifdef __cplusplus
 }

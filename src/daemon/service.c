@@ -188,7 +188,8 @@ static void log_events(void *context, const struct mo_event *events, size_t n)
     enum log_level level =
         strcmp(events[i].type, "job.progress") == 0 || strcmp(events[i].type, "training.progress") == 0
             ? LOG_LEVEL_DEBUG
-            : LOG_LEVEL_INFO;
+        : strcmp(events[i].type, "training.code_changed") == 0 ? LOG_LEVEL_WARNING
+                                                               : LOG_LEVEL_INFO;
     if (log_enabled(level))
       log_event(level, &events[i]);
   }

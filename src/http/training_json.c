@@ -124,6 +124,21 @@ static void write_reference(struct mo_text *text, const char *name, const struct
   mo_text_add(text, "}");
 }
 
+static void write_code(struct mo_text *text, const struct mo_training_lineage *lineage)
+{
+  mo_text_add(text, ",\"code\":[");
+  for (uint32_t i = 0; i < lineage->n; i++) {
+    const struct mo_training_code *code = &lineage->codes[i];
+    mo_text_format(text, "%s{\"from_step\":%u,\"fingerprint\":", i > 0 ? "," : "", code->from_step);
+    if (code->fingerprint[0] != '\0')
+      mo_text_json_string(text, code->fingerprint, strlen(code->fingerprint));
+    else
+      mo_text_add(text, "null");
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+}
+
 static void write_links(struct mo_text *text, long long id)
 {
   mo_text_format(text,
@@ -162,6 +177,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
     mo_text_member_count(text, "checkpoint_step", status->checkpoint_step);
   else
     mo_text_add(text, ",\"checkpoint_step\":null");
+  write_code(text, &status->code);
   mo_text_add(text, ",\"controller\":");
   if (status->has_result)
     write_reference(text, record->name[0] != '\0' ? record->name : made, &status->result_sha256);

@@ -37,6 +37,7 @@ struct run {
     int64_t end_us;
   } rates[RATES];
   uint64_t n_rates;
+  bool code_noted;   /* this run's code is in the lineage */
   bool winding_down; /* a wish has come: only what is computed is saved */
   char text[256];    /* of an error */
 };
@@ -319,6 +320,20 @@ static int draw(struct run *run, const struct mo_robot **robots)
   return error;
 }
 
+static int write_code(struct run *run)
+{
+  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->training),
+                                mo_compute_gradient_fingerprint(run->jobs->compute), &run->status.code);
+}
+
+/* Other code gives other bits: it goes on, but says so. */
+static int note_code(struct run *run)
+{
+  int error = run->code_noted ? MO_OK : persist(run, write_code, "the lineage");
+  run->code_noted = error == MO_OK;
+  return error;
+}
+
 static int step(struct run *run)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
@@ -335,6 +350,8 @@ static int step(struct run *run)
                                     .d_parameters = run->d_parameters,
                                     .outcomes = run->outcomes};
   int error = draw(run, &robots);
+  if (error == MO_OK)
+    error = note_code(run);
   if (error != MO_OK)
     return error;
   start_us = mo_jobs_clock_us();
@@ -412,7 +429,8 @@ static int write_result(struct run *run)
     snprintf(name, sizeof(name), "%s", record->name);
   else
     snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
-  error = mo_training_export(run->training, record->has_parent ? digits : NULL, run->jobs->code_version, &controller);
+  error = mo_training_export(run->training, record->has_parent ? digits : NULL, run->jobs->code_version,
+                             &run->status.code, &controller);
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)

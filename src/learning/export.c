@@ -8,6 +8,7 @@
 
 #define NUMBER_BYTES   32
 #define SETTINGS_BYTES 2048
+#define CODE_BYTES     (MO_LINEAGE_MAX * (MO_FINGERPRINT_BYTES + 48) + 4)
 
 /* A short text that reads back as the same number, with a point whatever the locale. */
 static const char *spell(double value, char text[NUMBER_BYTES])
@@ -47,15 +48,37 @@ static void spell_settings(const struct mo_training *training, char text[SETTING
            impact, training->n_designs);
 }
 
+/* The entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON cannot hold as it is. */
+static int spell_code(const struct mo_training *training, const struct mo_training_lineage *lineage,
+                      char text[CODE_BYTES])
+{
+  size_t size = 1;
+  text[0] = '[';
+  for (uint32_t i = 0; i < lineage->n && i < MO_LINEAGE_MAX; i++) {
+    const struct mo_training_code *code = &lineage->codes[i];
+    for (const char *c = code->fingerprint; *c != '\0'; c++)
+      if (*c < ' ' || *c > '~' || *c == '"' || *c == '\\')
+        return MO_ERR_INVALID;
+    if (code->from_step >= training->step)
+      break;
+    const char *quote = code->fingerprint[0] != '\0' ? "\"" : "";
+    size += (size_t)snprintf(text + size, CODE_BYTES - size, "%s{\"from_step\":%" PRIu32 ",\"fingerprint\":%s%.*s%s}",
+                             i > 0 ? "," : "", code->from_step, quote, MO_FINGERPRINT_BYTES - 1,
+                             quote[0] != '\0' ? code->fingerprint : "null", quote);
+  }
+  memcpy(text + size, "]", 2);
+  return MO_OK;
+}
+
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
-                       struct mo_controller **controller)
+                       const struct mo_training_lineage *lineage, struct mo_controller **controller)
 {
   struct mo_controller *made = NULL;
   int r = mo_controller_create(MO_DEFAULT_WORKSPACE, training->settings.sensor, &made);
   if (r < 0)
     return r;
   memcpy(made->parameters, training->controller->parameters, made->n_parameters * sizeof(float));
-  char settings[SETTINGS_BYTES], seed[NUMBER_BYTES], step[NUMBER_BYTES], designs[NUMBER_BYTES];
+  char settings[SETTINGS_BYTES], code[CODE_BYTES], seed[NUMBER_BYTES], step[NUMBER_BYTES], designs[NUMBER_BYTES];
   spell_settings(training, settings);
   snprintf(seed, sizeof(seed), "%" PRIu64, training->settings.seed);
   snprintf(step, sizeof(step), "%" PRIu32, training->step);
@@ -75,6 +98,10 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
     n--;
   for (size_t i = 0; i < n && r == MO_OK; i++)
     r = mo_controller_set_metadata(made, entries[i][0], entries[i][1]);
+  if (lineage != NULL && r == MO_OK)
+    r = spell_code(training, lineage, code);
+  if (lineage != NULL && r == MO_OK)
+    r = mo_controller_set_metadata(made, "morphod.code", code);
   if (r < 0) {
     mo_controller_free(made);
     return r;

@@ -161,6 +161,11 @@ int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
                   int64_t id);
+/* The row of a fingerprint: found, or made. */
+int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
+/* Inside an operation: a new version of a training that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
+int mo_training_touch(struct mo_store *store, int64_t id);
+int mo_training_code_load(struct mo_connection *connection, int64_t id, struct mo_training_lineage *lineage);
 /* The sensor of a controller. MO_ERR_UNSUPPORTED: it is not of the default workspace. */
 int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
 

@@ -83,7 +83,7 @@ struct mo_event {
   int64_t job; /* 0: not about a job */
   char type
       [32]; /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
-                       "training.progress", "training.validation", "training.checkpoint", "controller.stored",
+                       "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "controller.stored",
                        "controller.removed" */
   char data[512]; /* a JSON object */
 };

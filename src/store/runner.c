@@ -137,26 +137,30 @@ struct fingerprint_arguments {
   int64_t id;
 };
 
-static int fingerprint(struct mo_store *store, void *arguments)
+int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id)
 {
   static const char insert_sql[] = "INSERT OR IGNORE INTO fingerprints(text) VALUES(?1)";
   static const char find_sql[] = "SELECT id FROM fingerprints WHERE text=?1";
-  struct fingerprint_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, insert_sql, &error);
   if (statement == NULL)
     return error;
-  sqlite3_bind_text(statement, 1, call->text, -1, SQLITE_STATIC);
+  sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   statement = error == MO_OK ? mo_sql(writer, find_sql, &error) : NULL;
   if (statement == NULL)
     return error;
-  sqlite3_bind_text(statement, 1, call->text, -1, SQLITE_STATIC);
-  error = mo_sql_integer(writer, statement, &call->id);
+  sqlite3_bind_text(statement, 1, text, -1, SQLITE_STATIC);
+  error = mo_sql_integer(writer, statement, id);
   (void)sqlite3_clear_bindings(statement);
   return error;
+}
+
+static int fingerprint(struct mo_store *store, void *arguments)
+{
+  struct fingerprint_arguments *call = arguments;
+  return mo_fingerprint_row(&store->writer, call->text, &call->id);
 }
 
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)

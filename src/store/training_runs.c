@@ -21,8 +21,7 @@ static int count_changed(struct mo_connection *writer, sqlite3_stmt *statement)
   return error == MO_OK && sqlite3_changes(writer->db) == 0 ? MO_ERR_CONFLICT : error;
 }
 
-/* A new version of a training that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
-static int touch(struct mo_store *store, int64_t id)
+int mo_training_touch(struct mo_store *store, int64_t id)
 {
   static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND kind=1 AND state<=2 AND epoch=?2";
   int error = MO_OK;
@@ -160,7 +159,7 @@ static int progress(struct mo_store *store, void *arguments)
   const struct progress_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *statement;
-  int error = touch(store, call->id);
+  int error = mo_training_touch(store, call->id);
   for (size_t i = 0; i < call->n_steps && error == MO_OK; i++)
     error = write_step(writer, call->id, &call->steps[i]);
   if (error == MO_OK && call->n_steps > 0 && (statement = mo_sql(writer, sql, &error)) != NULL) {
@@ -271,7 +270,7 @@ static int checkpoint(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   char data[256], digits[MO_SHA256_DIGITS + 1];
   sqlite3_stmt *statement;
-  int error = touch(store, call->id);
+  int error = mo_training_touch(store, call->id);
   if (error == MO_OK)
     error = forgive(writer, call->id, call->step);
   statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;

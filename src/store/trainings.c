@@ -235,7 +235,7 @@ static int load_status(struct mo_connection *reader, int64_t id, struct mo_train
     status->checkpoint_step = (uint32_t)sqlite3_column_int64(row, 0);
     (void)sqlite3_reset(row);
   }
-  return found < 0 ? found : MO_OK;
+  return found < 0 ? found : mo_training_code_load(reader, id, &status->code);
 }
 
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)

@@ -56,6 +56,7 @@ struct mo_training_status {
   bool has_validation;
   struct mo_training_validation_row validation; /* the newest */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
+  struct mo_training_lineage code;              /* which code computed it */
   bool has_result;
   struct mo_sha256 result_sha256; /* succeeded: the controller */
 };
@@ -109,6 +110,11 @@ int mo_store_training_start(struct mo_store *store, int64_t id); /* queued → r
 int mo_store_training_progress(struct mo_store *store, int64_t id, const struct mo_training_step_row *steps,
                                size_t n_steps, const struct mo_training_validation_row *validation /* nullable */,
                                const char *event_data /* JSON object; nullable: quiet */);
+/* The run's code, before its first step: `step` steps are learned. What was noted from there on was of steps that are now computed
+ * anew. lineage: all of it. Where the code before was another, or is not known, event "training.code_changed". After
+ * MO_LINEAGE_MAX changes the last entry says "various". MO_ERR_RANGE, MO_ERR_INVALID: not a fingerprint. */
+int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step, const char *fingerprint,
+                           struct mo_training_lineage *lineage);
 /* A step beyond every checkpoint before forgives the job's attempts. Writes the file, then the row, then drops all but the newest `keep` (rows, then files), and those of later steps: they are not of
  * the run that is at `step` now. step ≥ 1. Event "training.checkpoint". MO_ERR_NO_SPACE:
  * nothing changed, try again when there is room. */

@@ -179,6 +179,7 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
     assert events[-1]["type"] == "job.finished" and "training.checkpoint" in {event["type"] for event in events}
     shown = ctl("train", "show", job)[1]
     assert re.search(r"^progress +step 6 of 6$", shown, re.M) and re.search(r"^label +by hand$", shown, re.M) and "step 6" in shown.splitlines()[-1]
+    assert re.search(r"^code +cpu \S+ float32 gradient-\d+$", shown, re.M), shown
     assert json.loads(ctl("train", "show", job, "--json")[1]) == service.request("GET", f"/v1/trainings/{job}").json()
     assert any(line.split()[:4] == [job, "pretrain", "ctl-walker", "succeeded"] for line in ctl("train", "list")[1].splitlines())
     assert any(line.split()[:3] == [job, "pretrain", "succeeded"] for line in ctl("job", "list")[1].splitlines())

@@ -18,6 +18,10 @@ TRAIN = {"kind": "pretrain", **SMALL}
 LONG = {"kind": "pretrain", "steps": 100000, "batch": 2, "physics": {"n_steps": 20}, "validation": {"every_steps": 0}}
 
 
+def metadata(file):
+    return json.loads(file[8:8 + struct.unpack("<Q", file[:8])[0]])["__metadata__"]
+
+
 def with_field(name, value, base=None):
     return {**(base or {"kind": "pretrain"}), name: value}
 
@@ -406,6 +410,43 @@ def test_pause_resume_cancel(service):
     done = finished(service, training).json()
     assert done["state"] == "cancelled" and done["controller"] is None
     assert service.request("DELETE", path).status == 409
+
+
+def test_lineage_of_the_code(start, tmp_path):
+    """A training that goes on under another instruction set goes on, and says so wherever it is asked."""
+    first = start("--isa=x86-64", state=tmp_path)
+    training = first.request("POST", "/v1/trainings", {**LONG, "name": "mixed"}).json()
+    assert training["code"] == []
+    path = f"/v1/trainings/{training['id']}"
+    deadline = time.monotonic() + 60
+    while first.request("GET", path).json()["progress"]["step"] < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert first.stop() == 0
+    second = start("--isa=avx2", state=tmp_path)
+    while len(second.request("GET", path).json()["code"]) < 2:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    code = second.request("GET", path).json()["code"]
+    assert [entry["from_step"] for entry in code][0] == 0 < code[1]["from_step"]
+    assert ["x86-64" in code[0]["fingerprint"], "avx2" in code[1]["fingerprint"]] == [True, True]
+    assert second.request("GET", "/v1/trainings?limit=1").json()["items"][0]["code"] == code
+    changes = [event for event in second.request("GET", "/v1/events?format=json").json()["items"] if event["type"] == "training.code_changed"]
+    assert [event["data"] for event in changes] == [{"id": training["id"], "from_step": code[1]["from_step"], "before": code[0]["fingerprint"],
+                                                     "fingerprint": code[1]["fingerprint"]}]
+    assert "training.code_changed" in second.log_text()
+    at = code[1]["from_step"]
+    exported = second.request("GET", f"{path}/controller?step={at}")
+    assert exported.status == 200 and json.loads(metadata(exported.body)["morphod.code"]) == code[:1]  # before the change
+    while second.request("GET", path).json()["progress"]["step"] <= at:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert second.request("POST", f"/v1/jobs/{training['id']}/pause").status == 200
+    while second.request("GET", path).json()["phase"] != "idle":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    exported = second.request("GET", f"{path}/controller")
+    assert int(exported.headers["Morphod-Step"]) > at and json.loads(metadata(exported.body)["morphod.code"]) == code
 
 
 def test_wait(service):

@@ -357,7 +357,8 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
 const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
 {
   (void)compute;
-  return "fake gradient";
+  const char *fingerprint = atomic_load(&fake_plan.gradient_fingerprint);
+  return fingerprint != NULL ? fingerprint : "fake gradient";
 }
 
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)

@@ -18,7 +18,8 @@ struct fake_plan {
   atomic_int gradient_delay_us;   /* of one batch; it looks at its cancel flag every 200 µs */
   atomic_int gradient_status;     /* 0, or what the next `gradient_fails` batches end with */
   atomic_int gradient_fails;
-  atomic_bool gradient_crash; /* the calling thread gets a SIGSEGV */
+  _Atomic(const char *) gradient_fingerprint; /* NULL: "fake gradient" */
+  atomic_bool gradient_crash;                 /* the calling thread gets a SIGSEGV */
 };
 extern struct fake_plan fake_plan;
 

@@ -38,7 +38,8 @@ static int64_t submit(struct service *service, const struct mo_training_request 
 
 /* The weights of a training that nothing disturbs, as the hash of its file. */
 static bool expect(const struct mo_training_request *request, const struct mo_controller *parent,
-                   const char *parent_digits, const struct mo_bits *designs, uint32_t n, struct mo_sha256 *sha256)
+                   const char *parent_digits, const struct mo_bits *designs, uint32_t n,
+                   const struct mo_training_lineage *lineage, struct mo_sha256 *sha256)
 {
   struct mo_training *training = NULL;
   struct mo_controller *controller = NULL;
@@ -61,7 +62,7 @@ static bool expect(const struct mo_training_request *request, const struct mo_co
     }
   }
   if (error == MO_OK)
-    error = mo_training_export(training, parent_digits, "fake gradient", &controller);
+    error = mo_training_export(training, parent_digits, "fake gradient", lineage, &controller);
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)
@@ -73,13 +74,15 @@ static bool expect(const struct mo_training_request *request, const struct mo_co
   return error == MO_OK;
 }
 
+static const struct mo_training_lineage one_code = {1, {{0, "fake gradient"}}};
+
 static struct mo_sha256 undisturbed(void)
 {
   static struct mo_sha256 sha256;
   static bool known;
   struct mo_training_request request = pretraining("");
   if (!known)
-    known = expect(&request, NULL, NULL, NULL, 0, &sha256);
+    known = expect(&request, NULL, NULL, NULL, 0, &one_code, &sha256);
   return sha256;
 }
 
@@ -334,6 +337,49 @@ static void stops_and_goes_on(void)
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(warnings, 0);
+  service_end(&service);
+}
+
+/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage tells every change. */
+static void tells_of_other_code(void)
+{
+  static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_training_lineage lineage = {0};
+  struct mo_training_status status;
+  struct mo_sha256 expected;
+  struct mo_event events[60];
+  struct mo_job job;
+  int64_t id, n;
+  int changes = 0;
+  request.record.checkpoint_every_steps = 0;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit(&service, &request);
+  for (uint32_t round = 0; round < 3; round++) {
+    REQUIRE(await_step(&service, id, 4 * (round + 1)));
+    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+    CHECK_INT(status.code.n, round + 1);
+    CHECK_TEXT(status.code.codes[status.code.n - 1].fingerprint, codes[round]);
+    lineage = status.code;
+    service_close(&service);
+    atomic_store(&fake_plan.gradient_fingerprint, codes[round < 2 ? round + 1 : 2]);
+    REQUIRE(service_open(&service) == MO_OK);
+    if (round < 2) {
+      REQUIRE(await_step(&service, id, status.checkpoint_step + 1));
+      REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+      CHECK_INT(status.code.codes[status.code.n - 1].from_step, status.checkpoint_step);
+    }
+  }
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(expect(&request, NULL, NULL, NULL, 0, &lineage, &expected));
+  CHECK(has_result(&service, id, &expected));
+  n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
+    changes += strcmp(events[i].type, "training.code_changed") == 0;
+  CHECK_INT(changes, 2);
   service_end(&service);
 }
 
@@ -631,7 +677,7 @@ __attribute__((unused)) static void tunes_a_population(void)
   REQUIRE(mo_store_population(service.fixture.store, scored, 5, &best, &n) == MO_OK && n == 5);
   REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
   mo_sha256_to_hex(&record.sha256, digits);
-  REQUIRE(expect(&request, default_weights(), digits, best, n, &expected));
+  REQUIRE(expect(&request, default_weights(), digits, best, n, &one_code, &expected));
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
   CHECK(status.record.population == scored && status.record.n_designs == 5 && status.record.has_parent);
@@ -774,6 +820,7 @@ static const struct check_case cases[] = {
     {"learns", learns},
     {"pauses and resumes", pauses_and_resumes},
     {"stops and goes on", stops_and_goes_on},
+    {"tells of other code", tells_of_other_code},
     {"cancels", cancels},
     {"waits for room", waits_for_room},
     {"takes turns", takes_turns},

@@ -326,7 +326,8 @@ static void lineage(void)
   REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
   REQUIRE(advance_one(training, &made_up) == MO_OK);
   struct mo_controller *c = NULL;
-  REQUIRE(mo_training_export(training, "ab12", "1.2.3", &c) == MO_OK);
+  struct mo_training_lineage code = {3, {{0, ""}, {1, "later"}, {2, "latest"}}};
+  REQUIRE(mo_training_export(training, "ab12", "1.2.3", &code, &c) == MO_OK);
   CHECK(memcmp(c->parameters, mo_training_controller(training)->parameters, c->n_parameters * sizeof(float)) == 0);
   CHECK_INT(c->sensor, MO_SENSOR_INVERSE_SQUARE);
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.kind"), "finetune");
@@ -341,13 +342,14 @@ static void lineage(void)
       "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"physics\":{\"dt_s\":0.004,\"n_steps\":1000,"
       "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
       "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.code"), "[{\"from_step\":0,\"fingerprint\":null}]");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);
   /* The file reads back, and equal trainings give equal files. */
   struct mo_controller *again = NULL, *read = NULL;
   struct blob blob = encoded(training), file = {NULL, 0}, file2 = {NULL, 0};
   struct mo_training *other = decoded(&blob);
-  REQUIRE(other != NULL && mo_training_export(other, "ab12", "1.2.3", &again) == MO_OK);
+  REQUIRE(other != NULL && mo_training_export(other, "ab12", "1.2.3", &code, &again) == MO_OK);
   REQUIRE(mo_controller_encode(c, &file.bytes, &file.size) == MO_OK);
   REQUIRE(mo_controller_encode(again, &file2.bytes, &file2.size) == MO_OK);
   CHECK(same(&file, &file2));
@@ -355,14 +357,26 @@ static void lineage(void)
   CHECK_TEXT(mo_controller_get_metadata(read, "morphod.step"), "1");
   mo_controller_free(again);
   again = NULL;
-  CHECK_INT(mo_training_export(training, "\xff", "1", &again), MO_ERR_INVALID);
+  /* Which code it was computed by, as far as it has come. */
+  REQUIRE(advance_one(training, &made_up) == MO_OK &&
+          mo_training_export(training, "ab12", "1.2.3", &code, &again) == MO_OK);
+  CHECK_TEXT(mo_controller_get_metadata(again, "morphod.code"),
+             "[{\"from_step\":0,\"fingerprint\":null},{\"from_step\":1,\"fingerprint\":\"later\"}]");
+  mo_controller_free(again);
+  again = NULL;
+  for (const char *bad = "\"\\\n\x7f"; *bad != '\0'; bad++) {
+    code.codes[1].fingerprint[0] = *bad;
+    CHECK_INT(mo_training_export(training, "ab12", "1.2.3", &code, &again), MO_ERR_INVALID);
+  }
+  CHECK_INT(mo_training_export(training, "\xff", "1", NULL, &again), MO_ERR_INVALID);
   CHECK(again == NULL);
   mo_training_free(other);
   other = begin(MO_TRAINING_PRETRAIN);
-  REQUIRE(other != NULL && mo_training_export(other, NULL, "1.2.3", &again) == MO_OK);
+  REQUIRE(other != NULL && mo_training_export(other, NULL, "1.2.3", NULL, &again) == MO_OK);
   CHECK_TEXT(mo_controller_get_metadata(again, "morphod.parent"), "random");
   CHECK_TEXT(mo_controller_get_metadata(again, "morphod.kind"), "pretrain");
   CHECK(mo_controller_get_metadata(again, "morphod.designs_crc64") == NULL);
+  CHECK(mo_controller_get_metadata(again, "morphod.code") == NULL);
   free(blob.bytes);
   free(file.bytes);
   free(file2.bytes);

@@ -63,7 +63,7 @@ static int encode(void)
 static int export(void)
 {
   struct mo_controller *controller = NULL;
-  const int r = mo_training_export(shared, "00", "1", &controller);
+  const int r = mo_training_export(shared, "00", "1", NULL, &controller);
   CHECK((controller != NULL) == (r == MO_OK));
   mo_controller_free(controller);
   return r;

@@ -75,6 +75,21 @@ static bool same_settings(const struct mo_training_settings *a, const struct mo_
          a->held_out_designs == b->held_out_designs && a->held_out_environments == b->held_out_environments;
 }
 
+static struct mo_training_step_row row_of(uint32_t step)
+{
+  return (struct mo_training_step_row){.report = {.step = step,
+                                                  .mean_loss = step == 3 ? NAN : 1.0 / (step + 2),
+                                                  .rate = 1e-3 / step,
+                                                  .gradient_norm = 0.1 * step,
+                                                  .clipped_share = 0.25,
+                                                  .clipped_robots_share = 0.5,
+                                                  .diverged = step,
+                                                  .zeroed = step + 1,
+                                                  .skipped = step == 3,
+                                                  .bounded = step + 2},
+                                       .seconds = 0.125};
+}
+
 /* ---- cases ---- */
 
 static char *read_text(const char *path)
@@ -90,24 +105,25 @@ static char *read_text(const char *path)
   return text;
 }
 
-/* Makes the database one of schema 1 with the same data: the first migration alone, and of every row what it had then. */
-static int downgrade(const struct fixture *fixture)
+/* Makes the database one of schema `version` with the same data: the first migrations alone, and of every row what it had then. */
+static int downgrade(const struct fixture *fixture, int version)
 {
+  static const char *const files[] = {"0001_initial", "0002_trainings"};
   char now[512], old[512], migration[512], sql[1024];
-  char *schema;
   sqlite3 *db = NULL;
   sqlite3_stmt *tables = NULL;
   int result;
   snprintf(now, sizeof(now), "%s/morphod.db", fixture->path);
   snprintf(old, sizeof(old), "%s/old.db", fixture->path);
-  snprintf(migration, sizeof(migration), "%s/schema/migrations/0001_initial.sql", getenv("MORPHO_SOURCE_DIR"));
-  schema = read_text(migration);
-  if (schema == NULL)
-    return SQLITE_CANTOPEN;
   result = sqlite3_open(old, &db);
-  if (result == SQLITE_OK)
-    result = sqlite3_exec(db, schema, NULL, NULL, NULL);
-  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=1; ATTACH '%s' AS new", 0x6D727068, now);
+  for (int i = 0; i < version && result == SQLITE_OK; i++) {
+    snprintf(migration, sizeof(migration), "%s/schema/migrations/%s.sql", getenv("MORPHO_SOURCE_DIR"), files[i]);
+    char *schema = read_text(migration);
+    result = schema != NULL ? sqlite3_exec(db, schema, NULL, NULL, NULL) : SQLITE_CANTOPEN;
+    free(schema);
+  }
+  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=%d; ATTACH '%s' AS new", 0x6D727068,
+           version, now);
   if (result == SQLITE_OK)
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   if (result == SQLITE_OK)
@@ -124,7 +140,6 @@ static int downgrade(const struct fixture *fixture)
   }
   sqlite3_finalize(tables);
   sqlite3_close(db);
-  free(schema);
   return result == SQLITE_OK && rename(old, now) == 0 ? SQLITE_OK : SQLITE_ERROR;
 }
 
@@ -147,7 +162,7 @@ static void migrates_an_old_database(void)
   REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
   mo_store_close(fixture.store);
   fixture.store = NULL;
-  REQUIRE(downgrade(&fixture) == SQLITE_OK);
+  REQUIRE(downgrade(&fixture, 1) == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
@@ -165,6 +180,47 @@ static void migrates_an_old_database(void)
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_ERR_NOT_FOUND);
   free(forms);
   free(genotypes);
+  fixture_end(&fixture);
+}
+
+/* A training that was begun before fingerprints were kept goes on, and says that it does not know. */
+static void migrates_a_training(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_step_row row = row_of(1);
+  struct mo_training_lineage lineage;
+  struct mo_training_status status;
+  struct mo_event event;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t id, fresh, newest = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  fresh = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_training_progress(fixture.store, id, &row, 1, NULL, NULL) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 1, (const uint8_t *)"one", 3, 2) == MO_OK);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  REQUIRE(downgrade(&fixture, 2) == SQLITE_OK);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  CHECK(size == 3 && memcmp(bytes, "one", 3) == 0);
+  free(bytes);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK(status.code.n == 1 && status.code.codes[0].from_step == 0 && status.code.codes[0].fingerprint[0] == '\0');
+  CHECK_INT(mo_store_training(fixture.store, fresh, &status), MO_OK);
+  CHECK_INT(status.code.n, 0);
+  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 1, "now", &lineage), MO_OK);
+  CHECK(lineage.n == 2 && lineage.codes[1].from_step == 1 && strcmp(lineage.codes[1].fingerprint, "now") == 0);
+  for (int64_t after = 0; mo_store_events(fixture.store, after, id, &event, 1, NULL, NULL) == 1; after = newest)
+    newest = event.sequence;
+  CHECK_TEXT(event.type, "training.code_changed");
+  CHECK(strstr(event.data, "\"before\":null") != NULL);
   fixture_end(&fixture);
 }
 
@@ -286,21 +342,6 @@ static void keeps_the_queues_apart(void)
   free(forms);
   free(genotypes);
   fixture_end(&fixture);
-}
-
-static struct mo_training_step_row row_of(uint32_t step)
-{
-  return (struct mo_training_step_row){.report = {.step = step,
-                                                  .mean_loss = step == 3 ? NAN : 1.0 / (step + 2),
-                                                  .rate = 1e-3 / step,
-                                                  .gradient_norm = 0.1 * step,
-                                                  .clipped_share = 0.25,
-                                                  .clipped_robots_share = 0.5,
-                                                  .diverged = step,
-                                                  .zeroed = step + 1,
-                                                  .skipped = step == 3,
-                                                  .bounded = step + 2},
-                                       .seconds = 0.125};
 }
 
 static void keeps_the_curve(void)
@@ -596,6 +637,59 @@ static void survives_a_full_disk(void)
   fixture_end(&fixture);
 }
 
+/* The lineage is that of the steps that count: what a run noted where another goes on anew is forgotten. */
+static void names_the_code(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_lineage lineage;
+  struct mo_training_status status;
+  struct mo_event events[80];
+  char name[32];
+  int64_t id, n;
+  int changes = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "none", &lineage), MO_OK); /* it came to no step */
+  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_OK);
+  CHECK(lineage.n == 1 && lineage.codes[0].from_step == 0 && strcmp(lineage.codes[0].fingerprint, "one") == 0);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 20, "one", &lineage), MO_OK);
+  CHECK_INT(lineage.n, 1);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
+  CHECK_INT(lineage.n, 2);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "one", &lineage), MO_OK); /* "two" came to no checkpoint */
+  CHECK_INT(lineage.n, 1);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 25, "three", &lineage), MO_OK); /* from an earlier checkpoint */
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.code.n, 2);
+  CHECK_INT(status.code.codes[1].from_step, 25);
+  CHECK_TEXT(status.code.codes[1].fingerprint, "three");
+  n = mo_store_events(fixture.store, 0, id, events, 80, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
+    changes += strcmp(events[i].type, "training.code_changed") == 0;
+  CHECK_INT(changes, 3);
+  CHECK(n > 0 && strstr(events[n - 1].data, "\"from_step\":25,\"before\":\"one\",\"fingerprint\":\"three\"") != NULL);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 40, "four", &lineage), MO_ERR_CONFLICT); /* of an earlier life */
+  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  for (uint32_t step = 40; step < 40 + MO_LINEAGE_MAX; step++) {
+    snprintf(name, sizeof(name), "code %u", (unsigned)step);
+    CHECK_INT(mo_store_training_code(fixture.store, id, step, name, &lineage), MO_OK);
+  }
+  CHECK_INT(lineage.n, MO_LINEAGE_MAX);
+  CHECK_TEXT(lineage.codes[MO_LINEAGE_MAX - 2].fingerprint, "code 68");
+  CHECK_TEXT(lineage.codes[MO_LINEAGE_MAX - 1].fingerprint, "various");
+  CHECK_INT(lineage.codes[MO_LINEAGE_MAX - 1].from_step, 69);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 99, "", &lineage), MO_ERR_RANGE);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 99, "a \"quote\"", &lineage), MO_ERR_INVALID);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  fixture_end(&fixture);
+}
+
 static void finishes_with_its_controller(void)
 {
   struct fixture fixture;
@@ -780,6 +874,7 @@ static void ranks_a_population(void)
 
 static const struct check_case cases[] = {
     {"migrates an old database", migrates_an_old_database},
+    {"migrates a training", migrates_a_training},
     {"submits and reads back", submits_and_reads_back},
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
@@ -788,6 +883,7 @@ static const struct check_case cases[] = {
     {"reads checkpoints while they go", reads_checkpoints_while_they_go},
     {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
+    {"names the code", names_the_code},
     {"finishes with its controller", finishes_with_its_controller},
     {"parks and requeues", parks_and_requeues},
     {"ranks a population", ranks_a_population},

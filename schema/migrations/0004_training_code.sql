@@ -1,0 +1,10 @@
+-- Schema 4: which code computed a training's gradients, so that one that was continued under another says so.
+
+CREATE TABLE training_code(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  from_step INTEGER NOT NULL, -- steps learned before it
+  fingerprint INTEGER REFERENCES fingerprints(id), -- NULL: not recorded
+  PRIMARY KEY(job, from_step)
+) STRICT, WITHOUT ROWID;
+
+INSERT INTO training_code(job, from_step, fingerprint) SELECT job, 0, NULL FROM trainings WHERE step > 0;
