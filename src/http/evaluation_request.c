@@ -2,108 +2,10 @@
  * /designs/3/cells/7/0. */
 #include "http/evaluation_request.h"
 
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/request_parts.h"
-
-#define SIGMA_MAX_M 10.0
-
-/* ---- environments ---- */
-
-/* An array of exactly n numbers within ±limit. */
-static bool read_numbers(struct mo_json *json, double limit, size_t n, double *numbers)
-{
-  unsigned depth = json->depth, before = json->faults->n;
-  size_t given = 0;
-  if (!mo_json_array(json))
-    return false;
-  while (mo_json_item(json)) {
-    if (given < n)
-      mo_json_bounded(json, -limit, limit, &numbers[given]);
-    else
-      mo_json_skip(json);
-    given++;
-  }
-  if (!json->stop && given != n)
-    mo_json_fault_at(json, depth, "", "%zu numbers are given; exactly %zu are expected", given, n);
-  return !json->stop && json->faults->n == before;
-}
-
-static void read_environment(struct mo_json *json, struct mo_environment *environment)
-{
-  unsigned depth = json->depth;
-  bool light = false, heights = false, has_sigma = false, has_seed = false;
-  double sigma_m = 0;
-  int64_t seed = 0;
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "light_xy_m")) {
-      light = true;
-      read_numbers(json, MO_LIGHT_LIMIT_M, 2, environment->light_xy_m);
-    } else if (mo_json_is(key, "terrain_heights_m")) {
-      heights = true;
-      read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);
-    } else if (mo_json_is(key, "terrain_sigma_m")) {
-      has_sigma = true;
-      mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);
-    } else if (mo_json_is(key, "seed")) {
-      has_seed = true;
-      mo_json_integer(json, 0, MO_SEED_MAX, &seed);
-    } else {
-      mo_read_unknown(json, "light_xy_m, and terrain_heights_m or terrain_sigma_m with seed");
-    }
-  }
-  if (!light)
-    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in metres");
-  if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
-    mo_json_fault_at(json, depth, "",
-                     "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
-  else if (!heights)
-    mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
-}
-
-static int read_environments(struct mo_json *json, struct mo_parsed_evaluation *parsed)
-{
-  unsigned depth = json->depth;
-  enum mo_json_kind kind = mo_json_peek(json);
-  struct mo_json_slice name;
-  if (kind == MO_JSON_STRING) {
-    if (!mo_json_string(json, &name))
-      return MO_OK;
-    if (!mo_json_is(name, "paper-test"))
-      mo_json_fault_at(json, depth, "", "there is no such set of environments; \"paper-test\" is expected");
-    return MO_OK;
-  }
-  if (kind != MO_JSON_ARRAY) {
-    if (kind != MO_JSON_NONE) {
-      mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected", MO_ENVIRONMENTS_MAX);
-      mo_json_skip(json);
-    }
-    return MO_OK;
-  }
-  parsed->environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(*parsed->environments));
-  if (parsed->environments == NULL)
-    return MO_ERR_NO_MEMORY;
-  uint32_t n = 0;
-  mo_json_array(json);
-  while (mo_json_item(json)) {
-    if (n < MO_ENVIRONMENTS_MAX) {
-      read_environment(json, &parsed->environments[n]);
-    } else {
-      mo_json_skip(json);
-    }
-    n += n <= MO_ENVIRONMENTS_MAX;
-  }
-  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected", n == 0 ? "no" : "too many",
-                     MO_ENVIRONMENTS_MAX);
-  parsed->request.n_environments = n;
-  return MO_OK;
-}
 
 static void read_record(struct mo_json *json, struct mo_evaluation_request *request)
 {
@@ -139,7 +41,7 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
       designs = true;
       code = mo_read_designs(json, &parsed->genotypes, &request->n_designs);
     } else if (mo_json_is(key, "environments")) {
-      code = read_environments(json, parsed);
+      code = mo_read_environments(json, &parsed->environments, &request->n_environments);
     } else if (mo_json_is(key, "controller")) {
       mo_read_controller(json, parsed->controller);
     } else if (mo_json_is(key, "record")) {

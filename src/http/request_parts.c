@@ -5,12 +5,76 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "http/field.h"
 #include "store/store.h"
+
+#define SIGMA_MAX_M 10.0
 
 void mo_read_unknown(struct mo_json *json, const char *expected)
 {
   mo_json_fault(json, "unknown field; expected are %s", expected);
   mo_json_skip(json);
+}
+
+int mo_find_words(struct mo_json *json, const char *text, size_t size, const char *const *keys,
+                  char (*words)[MO_WORD_BYTES], size_t n)
+{
+  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass tells them */
+  struct mo_json_slice key, word;
+  for (size_t i = 0; i < n; i++)
+    words[i][0] = '\0';
+  if (faults == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_json_start(json, text, size, faults);
+  if (mo_json_object(json))
+    while (mo_json_member(json, &key)) {
+      size_t i = 0;
+      while (i < n && !mo_json_is(key, keys[i]))
+        i++;
+      if (i == n || mo_json_peek(json) != MO_JSON_STRING) {
+        mo_json_skip(json);
+      } else if (mo_json_string(json, &word) && word.size < MO_WORD_BYTES) {
+        memcpy(words[i], word.bytes, word.size);
+        words[i][word.size] = '\0';
+      }
+    }
+  free(faults);
+  return MO_OK;
+}
+
+/* ---- numbers ---- */
+
+bool mo_read_count(struct mo_json *json, uint32_t min, uint32_t max, uint32_t *count)
+{
+  int64_t number;
+  if (!mo_json_integer(json, min, max, &number))
+    return false;
+  *count = (uint32_t)number;
+  return true;
+}
+
+bool mo_read_positive(struct mo_json *json, double max, double *value)
+{
+  double number;
+  if (!mo_json_number(json, &number))
+    return false;
+  if (number <= 0 || number > max) {
+    mo_json_fault(json, "%g is given; a number above 0, at most %g, is expected", number, max);
+    return false;
+  }
+  *value = number;
+  return true;
+}
+
+void mo_read_limit(struct mo_json *json, double max, double *value)
+{
+  double number;
+  if (!mo_json_number(json, &number))
+    return;
+  if (number < 0 || number > max)
+    mo_json_fault(json, "%g is given; a number above 0, at most %g, or 0 for no limit, is expected", number, max);
+  else
+    *value = number;
 }
 
 /* ---- designs ---- */
@@ -176,6 +240,101 @@ int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *
   return MO_OK;
 }
 
+/* ---- environments ---- */
+
+/* An array of exactly n numbers within ±limit. */
+static bool read_numbers(struct mo_json *json, double limit, size_t n, double *numbers)
+{
+  unsigned depth = json->depth, before = json->faults->n;
+  size_t given = 0;
+  if (!mo_json_array(json))
+    return false;
+  while (mo_json_item(json)) {
+    if (given < n)
+      mo_json_bounded(json, -limit, limit, &numbers[given]);
+    else
+      mo_json_skip(json);
+    given++;
+  }
+  if (!json->stop && given != n)
+    mo_json_fault_at(json, depth, "", "%zu numbers are given; exactly %zu are expected", given, n);
+  return !json->stop && json->faults->n == before;
+}
+
+static void read_environment(struct mo_json *json, struct mo_environment *environment)
+{
+  unsigned depth = json->depth;
+  bool light = false, heights = false, has_sigma = false, has_seed = false;
+  double sigma_m = 0;
+  int64_t seed = 0;
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "light_xy_m")) {
+      light = true;
+      read_numbers(json, MO_LIGHT_LIMIT_M, 2, environment->light_xy_m);
+    } else if (mo_json_is(key, "terrain_heights_m")) {
+      heights = true;
+      read_numbers(json, MO_HEIGHT_LIMIT_M, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);
+    } else if (mo_json_is(key, "terrain_sigma_m")) {
+      has_sigma = true;
+      mo_json_bounded(json, 0, SIGMA_MAX_M, &sigma_m);
+    } else if (mo_json_is(key, "seed")) {
+      has_seed = true;
+      mo_json_integer(json, 0, MO_SEED_MAX, &seed);
+    } else {
+      mo_read_unknown(json, "light_xy_m, and terrain_heights_m or terrain_sigma_m with seed");
+    }
+  }
+  if (!light)
+    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in metres");
+  if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
+    mo_json_fault_at(json, depth, "",
+                     "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
+  else if (!heights)
+    mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
+}
+
+int mo_read_environments(struct mo_json *json, struct mo_environment **environments, uint32_t *n_environments)
+{
+  unsigned depth = json->depth;
+  enum mo_json_kind kind = mo_json_peek(json);
+  struct mo_json_slice name;
+  if (kind == MO_JSON_STRING) {
+    if (!mo_json_string(json, &name))
+      return MO_OK;
+    if (!mo_json_is(name, "paper-test"))
+      mo_json_fault_at(json, depth, "", "there is no such set of environments; \"paper-test\" is expected");
+    return MO_OK;
+  }
+  if (kind != MO_JSON_ARRAY) {
+    if (kind != MO_JSON_NONE) {
+      mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected", MO_ENVIRONMENTS_MAX);
+      mo_json_skip(json);
+    }
+    return MO_OK;
+  }
+  *environments = calloc(MO_ENVIRONMENTS_MAX, sizeof(**environments));
+  if (*environments == NULL)
+    return MO_ERR_NO_MEMORY;
+  uint32_t n = 0;
+  mo_json_array(json);
+  while (mo_json_item(json)) {
+    if (n < MO_ENVIRONMENTS_MAX) {
+      read_environment(json, &(*environments)[n]);
+    } else {
+      mo_json_skip(json);
+    }
+    n += n <= MO_ENVIRONMENTS_MAX;
+  }
+  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
+    mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected", n == 0 ? "no" : "too many",
+                     MO_ENVIRONMENTS_MAX);
+  *n_environments = n;
+  return MO_OK;
+}
+
 /* ---- settings ---- */
 
 static void read_impact(struct mo_json *json, struct mo_physics *physics)
@@ -269,6 +428,40 @@ void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX 
     mo_json_fault_at(json, depth, "", "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
   else
     memcpy(controller, text, strlen(text) + 1);
+}
+
+void mo_read_name(struct mo_json *json, char name[MO_NAME_BYTES_MAX + 1])
+{
+  struct mo_json_slice words;
+  unsigned depth = json->depth;
+  char text[MO_NAME_BYTES_MAX + 1] = "";
+  if (!mo_json_string(json, &words))
+    return;
+  bool good = words.size <= MO_NAME_BYTES_MAX && memchr(words.bytes, '\0', words.size) == NULL;
+  if (good) {
+    memcpy(text, words.bytes, words.size);
+    text[words.size] = '\0';
+    good = mo_controller_name_check(text) == MO_OK;
+  }
+  if (good)
+    memcpy(name, text, sizeof(text));
+  else
+    mo_json_fault_at(json, depth, "",
+                     "a controller's name is expected: 1 to %d of a-z, 0-9, '.', '_' and '-', beginning with a letter "
+                     "or digit",
+                     MO_NAME_BYTES_MAX);
+}
+
+bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
+{
+  struct mo_json_slice digits;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &digits))
+    return false;
+  if (digits.size > 0 && digits.bytes[0] != '0' && mo_decimal(digits.bytes, digits.size, 1, INT64_MAX, id))
+    return true;
+  mo_json_fault_at(json, depth, "", "the id of %s, a positive integer in decimal digits, is expected", what);
+  return false;
 }
 
 bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
