@@ -64,8 +64,8 @@ struct mo_selection {
 struct mo_campaign_settings {
   enum mo_campaign_mode mode;
   uint64_t seed;
-  struct mo_workspace workspace; /* that bodies must fit; default 6 × 6 × 4 */
-  uint32_t population;           /* N: MO_POPULATION_MIN … MO_POPULATION_MAX */
+  struct mo_workspace workspace; /* that bodies must fit; 6 × 6 × 4, no side longer: controllers are for that */
+  uint32_t population; /* N: MO_POPULATION_MIN … MO_POPULATION_MAX; of a campaign that learns MO_TRAINING_DESIGNS_MAX */
   uint32_t generations;   /* after generation 0; 0 … MO_GENERATIONS_MAX: 0 scores the initial population only */
   double mutation_share;  /* of the population that mutates, 0 … 1; 0.25; the rest recombines */
   double mutation_rate;   /* per voxel; 0 (default): 1 / voxels of the workspace; ≤ 0.5 */
@@ -93,8 +93,9 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
 int mo_campaign_settings_check(const struct mo_campaign_settings *settings, struct mo_message *message);
 
-/* The training of a generation (few-shot: n_steps = parent + child steps, its seed drawn from (seed, EVOLUTION_SEED, generation)) or of
- * the whole campaign (simultaneous: n_steps = (parent + child steps) · generations, seed the campaign's). Kind MO_TRAINING_FINETUNE. */
+/* The training of a generation (few-shot: n_steps = parent + child steps, its seed, below 2^53, drawn from (seed, EVOLUTION_SEED,
+ * generation)) or of the whole campaign (simultaneous: n_steps = (parent + child steps) · generations, 1 if there are none; seed the
+ * campaign's). Kind MO_TRAINING_FINETUNE, nothing held out. */
 struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings, uint32_t generation);
 
 /* ---- what was seen ---- */
@@ -106,9 +107,10 @@ int mo_seen_create(struct mo_workspace workspace, const struct mo_form_set *excl
 void mo_seen_free(struct mo_seen *seen); /* NULL-safe */
 int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: was there; MO_ERR_NO_MEMORY, MO_ERR_EMPTY */
-int mo_seen_has(const struct mo_seen *seen, const uint64_t *genotype); /* 1, 0 */
-uint64_t mo_seen_count(const struct mo_seen *seen);                    /* added by mo_seen_add */
-size_t mo_seen_bytes(const struct mo_seen *seen);                      /* without `excluded` */
+int mo_seen_has(const struct mo_seen *seen,
+                const uint64_t *genotype);          /* 1, 0; MO_ERR_NO_MEMORY: workspaces above 1024 voxels only */
+uint64_t mo_seen_count(const struct mo_seen *seen); /* added by mo_seen_add */
+size_t mo_seen_bytes(const struct mo_seen *seen);   /* without `excluded` */
 
 /* Adds the forms of the first n_bodies that a pretraining of `seed` learned from (as mo_training_draw draws them: held-out forms left
  * out) and that fit `workspace`, to `set` (of `workspace`). Both as in mo_training_draw: cancel, done nullable. 6 µs each. MO_ERR_CANCELLED,
@@ -135,10 +137,11 @@ struct mo_birth {
   uint32_t attempts;   /* until it was new: 1 at best */
 };
 
-/* Fills places n_given … population − 1 of `genotypes` with random bodies that were not seen: stream (seed, POPULATION, 0, i); all of
- * them are added to `seen`, those that are given (placed, valid) too. MO_ERR_DUPLICATE: two given ones have one form (*fault: the
- * later). *n: how many there are: fewer than `population` when the morphospace holds no more. cancel nullable: MO_ERR_CANCELLED.
- * MO_ERR_NO_MEMORY. On error `seen` may hold some of them. */
+/* Fills places n_given … population − 1 of `genotypes` with random bodies that were not seen: stream (seed, POPULATION, 0, i), i = 0, 1,
+ * …, those that were seen left out; all of them are added to `seen`, those that are given (placed, valid; they may be of the forms that
+ * are excluded) too. MO_ERR_DUPLICATE: two given ones have one form (*fault, nullable: the later). *n: how many there are: fewer than
+ * `population` when the morphospace holds no more, that is, 2^16 draws in a row gave nothing new. cancel nullable:
+ * MO_ERR_CANCELLED. MO_ERR_NO_MEMORY; MO_ERR_RANGE: more given than the population. On error `seen` may hold some of them. */
 int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen, uint64_t *genotypes,
                           uint32_t n_given, uint32_t *n, uint32_t *fault, const volatile int *cancel);
 
@@ -151,7 +154,8 @@ struct mo_variation_counts {
 /* Children of a population, in order: mutants, then recombinants, then fallbacks. A random round(mutation_share · n) of the n parents
  * give one mutant each: flips at mutation_rate, again with the rate · mutation_growth (at most 0.5) while empty or seen. The others
  * (all parents, if they are fewer than two) are paired at random, two distinct ones each time, until `population` children exist;
- * what is empty or seen is discarded; after 1000 discards in a row the rest are mutants of random members of the group. What is born
+ * what is empty or seen is discarded; after 1000 discards in a row (or if there is one parent) the rest are mutants of random members of
+ * the group, one of them at a time until it is new. What is born
  * is added to `seen`. children: (population, words); births: (population). *n may be 0: exhausted. Streams (seed, MUTATION |
  * CROSSOVER | SELECTION, generation, …). MO_ERR_CANCELLED, MO_ERR_NO_MEMORY: `seen` is left with some of the children and must be
  * made again. */

@@ -94,7 +94,7 @@ void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *i
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length, uint64_t *form);
 
 /* A genotype of one workspace as one of another, placed there; turned by 90° when it fits only so. MO_ERR_RANGE: it does not fit. `moved`
- * must not overlap `bits`. MO_ERR_NO_MEMORY. */
+ * must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to, uint64_t *moved);
 
 uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b);

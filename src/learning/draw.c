@@ -142,6 +142,15 @@ void mo_training_forget_robots(struct mo_training *training)
     free_bodies(training);
 }
 
+void mo_training_forget_designs(struct mo_training *training)
+{
+  mo_training_forget_robots(training);
+  free_bodies(training);
+  free(training->bodies);
+  training->bodies = NULL;
+  training->n_bodies = 0;
+}
+
 size_t mo_training_draw_bytes(const struct mo_training *training)
 {
   size_t bytes = training->stream != NULL ? mo_body_stream_bytes(training->stream) : 0;

@@ -39,6 +39,7 @@ int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_messa
 
 /* draw.c */
 void mo_training_forget_robots(struct mo_training *training); /* the step is over: its bodies are not needed any more */
+void mo_training_forget_designs(struct mo_training *training); /* finetune: the bodies are of other designs now */
 size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);
 

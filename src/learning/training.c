@@ -39,6 +39,16 @@ static int check_parent(const struct mo_controller *parent, struct mo_message *m
   return MO_OK;
 }
 
+/* Of a finetuning. */
+static int check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
+{
+  if (designs == NULL || n == 0)
+    return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on", MO_TRAINING_DESIGNS_MAX);
+  if (n > MO_TRAINING_DESIGNS_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n, MO_TRAINING_DESIGNS_MAX);
+  return mo_training_check_designs(designs, n, message);
+}
+
 static int check_request(const struct mo_training_settings *settings, const struct mo_controller *parent,
                          const uint64_t *designs, size_t n_designs, struct mo_message *message)
 {
@@ -48,13 +58,7 @@ static int check_request(const struct mo_training_settings *settings, const stru
   if (settings->kind == MO_TRAINING_FINETUNE) {
     if (parent == NULL)
       return mo_fail(message, MO_ERR_INVALID, "a finetuning needs a controller to start from");
-    if (designs == NULL || n_designs == 0)
-      return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on",
-                     MO_TRAINING_DESIGNS_MAX);
-    if (n_designs > MO_TRAINING_DESIGNS_MAX)
-      return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n_designs,
-                     MO_TRAINING_DESIGNS_MAX);
-    r = mo_training_check_designs(designs, n_designs, message);
+    r = check_designs(designs, n_designs, message);
   } else if (designs != NULL || n_designs != 0) {
     return mo_fail(message, MO_ERR_INVALID,
                    "a pretraining draws its own bodies; designs are for a finetuning: leave them out");
@@ -110,6 +114,36 @@ int mo_training_create(const struct mo_training_settings *settings, const struct
   if (n_designs > 0)
     memcpy(made->designs, designs, n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t));
   *training = made;
+  return MO_OK;
+}
+
+int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n, struct mo_message *message)
+{
+  if (training->settings.kind != MO_TRAINING_FINETUNE)
+    return mo_fail(message, MO_ERR_CONFLICT, "a pretraining draws its own bodies; designs are for a finetuning");
+  int r = check_designs(designs, n, message);
+  if (r < 0)
+    return r;
+  uint64_t *copy = calloc(n, MO_DEFAULT_WORDS * sizeof(*copy));
+  if (copy == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "the designs do not fit in memory");
+  memcpy(copy, designs, n * MO_DEFAULT_WORDS * sizeof(*copy));
+  mo_training_forget_designs(training);
+  free(training->designs);
+  training->designs = copy;
+  training->n_designs = (uint32_t)n;
+  return MO_OK;
+}
+
+int mo_training_set_steps(struct mo_training *training, uint32_t n_steps)
+{
+  const struct mo_training_settings *settings = &training->settings;
+  if (n_steps < 1 || n_steps < training->step || n_steps > MO_TRAINING_STEPS_MAX ||
+      (settings->kind == MO_TRAINING_PRETRAIN && (uint64_t)n_steps * settings->batch > MO_TRAINING_BODIES_MAX))
+    return MO_ERR_RANGE;
+  if (settings->schedule.kind == MO_SCHEDULE_COSINE && n_steps != settings->n_steps)
+    return MO_ERR_UNSUPPORTED;
+  training->settings.n_steps = n_steps;
   return MO_OK;
 }
 

@@ -179,6 +179,36 @@ void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
   shift_bits(bits, mo_workspace_words(workspace), shift);
 }
 
+/* ---- another workspace ---- */
+
+int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to, uint64_t *moved)
+{
+  const struct extent extent = measure(from, bits);
+  const uint32_t words = mo_workspace_words(from);
+  uint32_t side[3] = {0};
+  for (int axis = 0; axis < 3 && extent.n > 0; axis++) {
+    side[axis] = extent.high[axis] - extent.low[axis] + 1;
+  }
+  const int upright = side[0] <= to.nx && side[1] <= to.ny;
+  if (side[2] > to.nz || (!upright && (side[1] > to.nx || side[0] > to.ny))) {
+    return MO_ERR_RANGE;
+  }
+  memset(moved, 0, mo_workspace_words(to) * sizeof(uint64_t));
+  for (uint32_t w = 0; w < words; w++) {
+    for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
+      const uint32_t v = w * 64 + (uint32_t)__builtin_ctzll(rest);
+      const uint32_t x = v / from.nz / from.ny - extent.low[0];
+      const uint32_t y = v / from.nz % from.ny - extent.low[1];
+      const uint32_t z = v % from.nz - extent.low[2];
+      /* Turned by 90°: (x, y) goes to (−y, x), back into the box. */
+      const uint32_t column = upright ? x * to.ny + y : (side[1] - 1 - y) * to.ny + x;
+      mo_bits_set(moved, column * to.nz + z);
+    }
+  }
+  mo_genotype_place(to, moved);
+  return MO_OK;
+}
+
 /* ---- images ---- */
 
 int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, struct mo_grid_view *view)

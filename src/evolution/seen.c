@@ -1,0 +1,80 @@
+/* seen.c: which designs a campaign has had, by canonical form, over those that its controller was pretrained on. */
+#include "evolution/internal.h"
+
+#include "morphospace/bits.h"
+
+#include <string.h>
+
+struct mo_seen {
+  struct mo_workspace workspace;
+  const struct mo_form_set *excluded; /* NULL: none */
+  struct mo_form_set *own;
+};
+
+int mo_seen_create(struct mo_workspace workspace, const struct mo_form_set *excluded, struct mo_seen **seen)
+{
+  struct mo_seen *made = malloc(sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  *made = (struct mo_seen){.workspace = workspace, .excluded = excluded};
+  const int r = mo_form_set_create(workspace, &made->own);
+  if (r < 0) {
+    free(made);
+    return r;
+  }
+  *seen = made;
+  return MO_OK;
+}
+
+void mo_seen_free(struct mo_seen *seen)
+{
+  if (seen == NULL)
+    return;
+  mo_form_set_free(seen->own);
+  free(seen);
+}
+
+static int add(struct mo_seen *seen, const struct mo_form_set *excluded, const uint64_t *genotype)
+{
+  struct mo_scratch form;
+  if (mo_scratch_open(&form, mo_workspace_words(seen->workspace)) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  mo_genotype_canonical(seen->workspace, genotype, form.bits);
+  int r = 0;
+  if (excluded == NULL || !mo_form_set_has(excluded, form.bits))
+    r = mo_form_set_add(seen->own, form.bits);
+  mo_scratch_close(&form);
+  return r;
+}
+
+int mo_seen_add(struct mo_seen *seen, const uint64_t *genotype)
+{
+  return add(seen, seen->excluded, genotype);
+}
+
+int mo_seen_add_own(struct mo_seen *seen, const uint64_t *genotype)
+{
+  return add(seen, NULL, genotype);
+}
+
+int mo_seen_has(const struct mo_seen *seen, const uint64_t *genotype)
+{
+  struct mo_scratch form;
+  if (mo_scratch_open(&form, mo_workspace_words(seen->workspace)) != MO_OK)
+    return MO_ERR_NO_MEMORY;
+  mo_genotype_canonical(seen->workspace, genotype, form.bits);
+  const int has =
+      mo_form_set_has(seen->own, form.bits) || (seen->excluded != NULL && mo_form_set_has(seen->excluded, form.bits));
+  mo_scratch_close(&form);
+  return has;
+}
+
+uint64_t mo_seen_count(const struct mo_seen *seen)
+{
+  return mo_form_set_count(seen->own);
+}
+
+size_t mo_seen_bytes(const struct mo_seen *seen)
+{
+  return sizeof(*seen) + mo_form_set_bytes(seen->own);
+}

@@ -1,0 +1,192 @@
+/* selection.c: who lives.
+ *
+ * Candidates are ranked by score, then by number: no two have one rank, so that the order of the candidates in memory does not matter to
+ * any scheme but novelty's sums, which are exact. A scheme sees only those that did not diverge, by rank, and chooses which of them
+ * live; the diverged fill what places are left, the older first. */
+#include "evolution/internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* What a scheme chooses from: (n) ranks, best first, none diverged; n > places. lives: (n), zeroed; `places` of them become 1. */
+struct choice {
+  const struct mo_campaign_settings *settings;
+  uint32_t generation;
+  const uint64_t *genotypes; /* of all candidates */
+  const struct mo_candidate *candidates;
+  uint32_t n_candidates;
+  const struct mo_rank *ranks;
+  uint32_t n, places;
+  uint8_t *lives;
+};
+
+static int compare_ranks(const void *a, const void *b)
+{
+  const struct mo_rank *one = a, *other = b;
+  if (one->score != other->score)
+    return one->score < other->score ? -1 : 1;
+  if (one->number != other->number)
+    return one->number < other->number ? -1 : 1;
+  return one->place < other->place ? -1 : one->place > other->place;
+}
+
+void mo_rank_sort(struct mo_rank *ranks, uint32_t n)
+{
+  if (n > 1)
+    qsort(ranks, n, sizeof(*ranks), compare_ranks);
+}
+
+/* ---- tournament ---- */
+
+/* The best lives. Each further survivor is the best of `tournament_size` draws, with repetition, from those left. */
+static int choose_by_tournament(struct choice *choice)
+{
+  uint32_t left = choice->n - 1;
+  uint32_t *pool = malloc(left * sizeof(*pool)); /* n > places ≥ 1 */
+  if (pool == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < left; i++)
+    pool[i] = i + 1;
+  struct mo_random random;
+  mo_random_init(&random, choice->settings->seed, MO_PURPOSE_SELECTION, choice->generation, MO_STREAM_TOURNAMENTS);
+  choice->lives[0] = 1;
+  for (uint32_t filled = 1; filled < choice->places; filled++) {
+    uint32_t winner = mo_random_below(&random, left);
+    for (uint32_t i = 1; i < choice->settings->selection.tournament_size; i++) {
+      const uint32_t rival = mo_random_below(&random, left);
+      winner = pool[rival] < pool[winner] ? rival : winner;
+    }
+    choice->lives[pool[winner]] = 1;
+    pool[winner] = pool[--left];
+  }
+  free(pool);
+  return MO_OK;
+}
+
+/* ---- novelty ---- */
+
+/* The best lives; the others by (1 − weight) · rank by score + weight · rank by novelty, both from 0; equal novelty, and an equal sum:
+ * the better score first. With weight 0 the sum is the rank by score: truncation. */
+static int choose_by_novelty(struct choice *choice)
+{
+  const double weight = choice->settings->selection.novelty_weight;
+  double *sums = malloc(choice->n_candidates * sizeof(*sums));
+  struct mo_rank *novelty = malloc(choice->n * sizeof(*novelty));
+  struct mo_rank *both = malloc(choice->n * sizeof(*both));
+  const int r = sums != NULL && novelty != NULL && both != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  if (r == MO_OK) {
+    mo_distance_sums(choice->settings->workspace, choice->genotypes, choice->n_candidates, sums);
+    for (uint32_t i = 0; i < choice->n; i++)
+      novelty[i] = (struct mo_rank){.score = -sums[choice->ranks[i].place], .number = i};
+    mo_rank_sort(novelty, choice->n);
+    for (uint32_t i = 0; i < choice->n; i++) {
+      const uint64_t rank = novelty[i].number;
+      both[i] = (struct mo_rank){.score = (1.0 - weight) * (double)rank + weight * (double)i, .number = rank};
+    }
+    mo_rank_sort(both, choice->n);
+    choice->lives[0] = 1;
+    for (uint32_t i = 0, filled = 1; filled < choice->places; i++)
+      if (!choice->lives[both[i].number]) {
+        choice->lives[both[i].number] = 1;
+        filled++;
+      }
+  }
+  free(both);
+  free(novelty);
+  free(sums);
+  return r;
+}
+
+/* ---- layers of age ---- */
+
+/* From the youngest layer to the last: the best of those that are not older than its limit and do not live yet take its share of the
+ * places; what it cannot fill goes to the next. The last has no limit and at least one place: the best lives. */
+static void choose_by_age(struct choice *choice)
+{
+  const struct mo_selection *selection = &choice->settings->selection;
+  const uint32_t layers = selection->n_layers;
+  uint64_t limit = selection->age_gap;
+  uint32_t filled = 0;
+  for (uint32_t layer = 0; layer < layers; layer++, limit *= 2) {
+    const uint32_t until = (uint32_t)((uint64_t)choice->places * (layer + 1) / layers);
+    for (uint32_t i = 0; i < choice->n && filled < until; i++) {
+      const uint32_t born = choice->candidates[choice->ranks[i].place].born;
+      const uint32_t age = choice->generation > born ? choice->generation - born : 0;
+      if (!choice->lives[i] && (age <= limit || layer + 1 == layers)) {
+        choice->lives[i] = 1;
+        filled++;
+      }
+    }
+  }
+}
+
+/* ---- all schemes ---- */
+
+static int choose(struct choice *choice)
+{
+  switch (choice->settings->selection.kind) {
+  case MO_SELECT_TOURNAMENT: return choose_by_tournament(choice);
+  case MO_SELECT_NOVELTY: return choose_by_novelty(choice);
+  case MO_SELECT_AGE_LAYERED: choose_by_age(choice); return MO_OK;
+  case MO_SELECT_TRUNCATION: break;
+  }
+  memset(choice->lives, 1, choice->places);
+  return MO_OK;
+}
+
+static int select_ranked(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *genotypes,
+                         const struct mo_candidate *candidates, const struct mo_rank *ranks, uint32_t n, uint8_t *lives,
+                         uint32_t *survivors, uint32_t *n_survivors)
+{
+  const uint32_t places = n < settings->population ? n : settings->population;
+  uint32_t sound = 0;
+  while (sound < n && ranks[sound].score != INFINITY)
+    sound++;
+  if (sound > places) {
+    struct choice choice = {.settings = settings,
+                            .generation = generation,
+                            .genotypes = genotypes,
+                            .candidates = candidates,
+                            .n_candidates = n,
+                            .ranks = ranks,
+                            .n = sound,
+                            .places = places,
+                            .lives = lives};
+    const int r = choose(&choice);
+    if (r < 0)
+      return r;
+  } else {
+    memset(lives, 1, places); /* the diverged are last in rank */
+  }
+  uint32_t found = 0;
+  for (uint32_t i = 0; i < n && found < places; i++)
+    if (lives[i])
+      survivors[found++] = ranks[i].place;
+  *n_survivors = found;
+  return MO_OK;
+}
+
+int mo_select(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *genotypes,
+              const struct mo_candidate *candidates, uint32_t n, uint32_t *survivors, uint32_t *n_survivors)
+{
+  for (uint32_t i = 0; i < n; i++)
+    if (isnan(candidates[i].score))
+      return MO_ERR_INVALID;
+  if (n == 0) {
+    *n_survivors = 0;
+    return MO_OK;
+  }
+  struct mo_rank *ranks = malloc(n * sizeof(*ranks));
+  uint8_t *lives = calloc(n, 1);
+  int r = MO_ERR_NO_MEMORY;
+  if (ranks != NULL && lives != NULL) {
+    for (uint32_t i = 0; i < n; i++)
+      ranks[i] = (struct mo_rank){.score = candidates[i].score, .number = candidates[i].number, .place = i};
+    mo_rank_sort(ranks, n);
+    r = select_ranked(settings, generation, genotypes, candidates, ranks, n, lives, survivors, n_survivors);
+  }
+  free(lives);
+  free(ranks);
+  return r;
+}

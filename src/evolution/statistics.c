@@ -1,0 +1,185 @@
+/* statistics.c: what designs are made of, and how a population stands.
+ *
+ * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, how many of the n genotypes hold voxel v:
+ *   over all pairs          Σ_v c_v (n − c_v)
+ *   of one to all others    Σ_v (n − c_v where it holds v, c_v where it does not)
+ * Both are integers below 2^53, exact in double as well. Columns are summed 64 at a time: no memory is needed. */
+#include "evolution/internal.h"
+
+#include "morphospace/bits.h"
+
+#include <math.h>
+
+/* ---- distances ---- */
+
+/* Column sums of word w of the genotypes. */
+static void sum_columns(const uint64_t *genotypes, size_t words, size_t w, uint32_t n, uint32_t counts[64])
+{
+  memset(counts, 0, 64 * sizeof(*counts));
+  for (size_t i = 0; i < n; i++)
+    for (uint64_t rest = genotypes[words * i + w]; rest != 0; rest &= rest - 1)
+      counts[__builtin_ctzll(rest)]++;
+}
+
+double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n)
+{
+  const size_t words = mo_workspace_words(workspace);
+  uint64_t sum = 0;
+  if (n < 2)
+    return 0.0;
+  for (size_t w = 0; w < words; w++) {
+    uint32_t counts[64];
+    sum_columns(genotypes, words, w, n, counts);
+    for (int v = 0; v < 64; v++)
+      sum += (uint64_t)counts[v] * (n - counts[v]);
+  }
+  const uint64_t pairs = (uint64_t)n * (n - 1) / 2;
+  return (double)sum / ((double)pairs * mo_workspace_voxels(workspace));
+}
+
+void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, double *sums)
+{
+  const size_t words = mo_workspace_words(workspace);
+  for (size_t i = 0; i < n; i++)
+    sums[i] = 0.0;
+  for (size_t w = 0; w < words; w++) {
+    uint32_t counts[64];
+    int64_t all = 0;
+    sum_columns(genotypes, words, w, n, counts);
+    for (int v = 0; v < 64; v++)
+      all += counts[v];
+    for (size_t i = 0; i < n; i++) {
+      int64_t sum = all;
+      for (uint64_t rest = genotypes[words * i + w]; rest != 0; rest &= rest - 1)
+        sum += (int64_t)n - 2 * (int64_t)counts[__builtin_ctzll(rest)];
+      sums[i] += (double)sum;
+    }
+  }
+}
+
+void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, double *distances)
+{
+  mo_distance_sums(workspace, genotypes, n, distances);
+  const double others = n < 2 ? 1.0 : (double)(n - 1);
+  for (size_t i = 0; i < n; i++)
+    distances[i] /= others * mo_workspace_voxels(workspace);
+}
+
+/* ---- sizes ---- */
+
+int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_design_size *size)
+{
+  uint64_t local[64]; /* enough for the default workspace */
+  const uint32_t words = mo_workspace_words(lattice->workspace);
+  const uint32_t mass_words = (lattice->n_masses + 63) / 64, spring_words = (lattice->n_springs + 63) / 64;
+  const size_t marks = (size_t)mass_words + spring_words;
+  uint64_t *masses = local;
+  if (marks <= sizeof(local) / sizeof(local[0]))
+    memset(local, 0, marks * sizeof(*local));
+  else if ((masses = calloc(marks, sizeof(*masses))) == NULL)
+    return MO_ERR_NO_MEMORY;
+  uint64_t *springs = masses + mass_words;
+  struct mo_design_size found = {0};
+  uint32_t column = UINT32_MAX;
+  for (uint32_t w = 0; w < words; w++)
+    for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
+      const size_t voxel = (size_t)w * 64 + (size_t)__builtin_ctzll(rest);
+      const uint32_t its_column = (uint32_t)(voxel / lattice->workspace.nz); /* ascending */
+      found.voxels++;
+      found.footprint += its_column != column;
+      column = its_column;
+      for (int i = 0; i < 8; i++)
+        mo_bits_set(masses, lattice->voxel_mass[8 * voxel + i]);
+      for (int i = 0; i < 24; i++)
+        mo_bits_set(springs, lattice->voxel_spring[24 * voxel + i]);
+    }
+  found.masses = mo_bits_count(masses, mass_words);
+  found.springs = mo_bits_count(springs, spring_words);
+  if (masses != local)
+    free(masses);
+  *size = found;
+  return MO_OK;
+}
+
+/* ---- populations ---- */
+
+/* Finite scores, ascending, to `sound`; returns how many. */
+static uint32_t sort_scores(const double *scores, uint32_t n, struct mo_rank *sound)
+{
+  uint32_t found = 0;
+  for (uint32_t i = 0; i < n; i++)
+    if (isfinite(scores[i]))
+      sound[found++] = (struct mo_rank){.score = scores[i], .number = i};
+  mo_rank_sort(sound, found);
+  return found;
+}
+
+static void describe_scores(const struct mo_rank *sound, uint32_t n, struct mo_population_stats *stats)
+{
+  static const double shares[MO_QUANTILES] = {0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0};
+  double sum = 0.0;
+  for (uint32_t i = 0; i < n; i++)
+    sum += sound[i].score;
+  stats->mean_score = n > 0 ? sum / n : NAN;
+  for (int q = 0; q < MO_QUANTILES; q++) {
+    stats->quantiles[q] = NAN;
+    if (n == 0)
+      continue;
+    const double at = shares[q] * (double)(n - 1);
+    const uint32_t low = (uint32_t)at;
+    const uint32_t high = low + 1 < n ? low + 1 : low;
+    stats->quantiles[q] = sound[low].score + (at - low) * (sound[high].score - sound[low].score);
+  }
+}
+
+/* `first`: one field of the first of n sizes. */
+static struct mo_spread spread_of(const uint32_t *first, uint32_t n)
+{
+  const size_t stride = sizeof(struct mo_design_size) / sizeof(uint32_t);
+  if (n == 0)
+    return (struct mo_spread){0};
+  uint32_t least = *first, most = *first;
+  uint64_t sum = 0;
+  for (size_t i = 0; i < n; i++) {
+    const uint32_t value = first[stride * i];
+    least = value < least ? value : least;
+    most = value > most ? value : most;
+    sum += value;
+  }
+  return (struct mo_spread){least, (double)sum / n, most};
+}
+
+static int count_species(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, uint32_t *species)
+{
+  struct mo_seen *seen = NULL;
+  int r = mo_seen_create(workspace, NULL, &seen);
+  for (size_t i = 0; i < n && r >= 0; i++)
+    r = mo_seen_add(seen, genotypes + mo_workspace_words(workspace) * i);
+  if (r >= 0)
+    *species = (uint32_t)mo_seen_count(seen);
+  mo_seen_free(seen);
+  return r < 0 ? r : MO_OK;
+}
+
+int mo_population_stats(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
+                        const struct mo_design_size *sizes, uint32_t n, struct mo_population_stats *stats)
+{
+  struct mo_population_stats made = {.n = n};
+  int r = count_species(workspace, genotypes, n, &made.species);
+  if (r < 0)
+    return r;
+  struct mo_rank *sound = malloc((n > 0 ? n : 1) * sizeof(*sound));
+  if (sound == NULL)
+    return MO_ERR_NO_MEMORY;
+  const uint32_t n_sound = sort_scores(scores, n, sound);
+  made.n_diverged = n - n_sound;
+  describe_scores(sound, n_sound, &made);
+  free(sound);
+  made.diversity = mo_diversity(workspace, genotypes, n);
+  made.voxels = spread_of(&sizes->voxels, n);
+  made.footprint = spread_of(&sizes->footprint, n);
+  made.masses = spread_of(&sizes->masses, n);
+  made.springs = spread_of(&sizes->springs, n);
+  *stats = made;
+  return MO_OK;
+}

@@ -1,0 +1,206 @@
+/* variation.c: the children of a generation (paper, section 2.5).
+ *
+ * Which numbers are taken from which stream is part of what a seed means: never change it.
+ *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of 0 … n − 1; its first
+ *                 round(share · n) places mutate, in this order, the others recombine
+ *   mutants       (MUTATION, generation, i) for the child at place i: mo_genotype_mutate again and again
+ *   recombinants  (CROSSOVER, generation, 0): a pair is below(g), then below(g − 1) among the others, g the size of the group
+ *   fallbacks     (MUTATION, generation, i) for the child at place i: below(g) chooses the parent, then as for mutants
+ * Places of children are given to those that are born: what is discarded takes none. */
+#include "evolution/internal.h"
+
+#include "morphospace/bits.h"
+
+#include <string.h>
+
+#define PAIRS_FRUITLESS 1000 /* discards in a row after which no pair is tried any more */
+#define RATE_MAX        0.5
+#define ASK_EVERY       64
+
+struct nursery {
+  const struct mo_campaign_settings *settings;
+  uint32_t generation;
+  const uint64_t *parents;
+  const uint32_t *group; /* (n_group) places of those that recombine */
+  uint32_t n_group;
+  struct mo_seen *seen;
+  uint64_t *children;
+  struct mo_birth *births;
+  uint32_t n;
+  struct mo_variation_counts counts;
+  const volatile int *cancel;
+  size_t words;
+};
+
+static const uint64_t *parent_at(const struct nursery *nursery, uint32_t place)
+{
+  return nursery->parents + nursery->words * place;
+}
+
+static uint64_t *next_child(const struct nursery *nursery)
+{
+  return nursery->children + nursery->words * nursery->n;
+}
+
+static bool is_due(const struct nursery *nursery, uint32_t attempts)
+{
+  return attempts % ASK_EVERY == 1 && mo_is_cancelled(nursery->cancel);
+}
+
+/* What variation left in the next place: 1: it is new and was born; 0: empty or seen. */
+static int try_child(struct nursery *nursery, int made)
+{
+  if (made == MO_ERR_EMPTY)
+    return 0;
+  return made < 0 ? made : mo_seen_add(nursery->seen, next_child(nursery));
+}
+
+static void bear(struct nursery *nursery, enum mo_operator operator, uint32_t first, uint32_t second, uint32_t attempts)
+{
+  nursery->births[nursery->n++] =
+      (struct mo_birth){.operator= operator, .parents = {first, second}, .attempts = attempts};
+}
+
+/* One mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
+static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
+{
+  const struct mo_campaign_settings *settings = nursery->settings;
+  double rate =
+      settings->mutation_rate > 0.0 ? settings->mutation_rate : 1.0 / (double)mo_workspace_voxels(settings->workspace);
+  for (uint32_t attempts = 1; attempts <= MO_FRUITLESS_MAX; attempts++) {
+    rate = rate < RATE_MAX ? rate : RATE_MAX;
+    if (is_due(nursery, attempts))
+      return MO_ERR_CANCELLED;
+    nursery->counts.mutation_attempts++;
+    const int r = try_child(
+        nursery, mo_genotype_mutate(settings->workspace, parent_at(nursery, place), rate, random, next_child(nursery)));
+    if (r < 0)
+      return r;
+    if (r == 1) {
+      bear(nursery, MO_BORN_MUTATION, place, MO_NO_PARENT, attempts);
+      nursery->counts.mutants++;
+      return 1;
+    }
+    rate *= settings->mutation_growth;
+  }
+  return 0;
+}
+
+static struct mo_random mutation_stream(const struct nursery *nursery)
+{
+  struct mo_random random;
+  mo_random_init(&random, nursery->settings->seed, MO_PURPOSE_MUTATION, nursery->generation, nursery->n);
+  return random;
+}
+
+/* These three return 1 when they did what they could, 0 when the morphospace is exhausted. */
+
+static int bear_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
+{
+  int r = 1;
+  for (uint32_t i = 0; i < n && r == 1; i++) {
+    struct mo_random random = mutation_stream(nursery);
+    r = bear_mutant(nursery, places[i], &random);
+  }
+  return r;
+}
+
+static int bear_recombinants(struct nursery *nursery)
+{
+  const struct mo_campaign_settings *settings = nursery->settings;
+  const uint32_t g = nursery->n_group;
+  struct mo_random random;
+  mo_random_init(&random, settings->seed, MO_PURPOSE_CROSSOVER, nursery->generation, 0);
+  for (uint32_t attempts = 1; g >= 2 && nursery->n < settings->population && attempts <= PAIRS_FRUITLESS; attempts++) {
+    if (is_due(nursery, attempts))
+      return MO_ERR_CANCELLED;
+    const uint32_t first = mo_random_below(&random, g);
+    uint32_t second = mo_random_below(&random, g - 1);
+    second += second >= first;
+    const uint32_t a = nursery->group[first], b = nursery->group[second];
+    nursery->counts.crossover_attempts++;
+    const int r = try_child(nursery, mo_genotype_crossover(settings->workspace, parent_at(nursery, a),
+                                                           parent_at(nursery, b), next_child(nursery)));
+    if (r < 0)
+      return r;
+    if (r == 1) {
+      bear(nursery, MO_BORN_CROSSOVER, a, b, attempts);
+      nursery->counts.recombinants++;
+      attempts = 0;
+    }
+  }
+  return 1;
+}
+
+static int bear_fallbacks(struct nursery *nursery)
+{
+  int r = 1;
+  while (nursery->n < nursery->settings->population && r == 1) {
+    struct mo_random random = mutation_stream(nursery);
+    const uint32_t place = nursery->group[mo_random_below(&random, nursery->n_group)];
+    r = bear_mutant(nursery, place, &random);
+    nursery->counts.fallbacks += r == 1;
+  }
+  return r;
+}
+
+/* Moves `first` random ones of 0 … n − 1 to the front of `places`. */
+static void shuffle(uint32_t *places, uint32_t n, uint32_t first, struct mo_random *random)
+{
+  for (uint32_t i = 0; i < n; i++)
+    places[i] = i;
+  for (uint32_t i = 0; i < first; i++) {
+    const uint32_t j = i + mo_random_below(random, n - i);
+    const uint32_t swapped = places[i];
+    places[i] = places[j];
+    places[j] = swapped;
+  }
+}
+
+static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parents)
+{
+  const struct mo_campaign_settings *settings = nursery->settings;
+  const uint32_t share = (uint32_t)(settings->mutation_share * n_parents + 0.5);
+  uint32_t n_mutate = share < n_parents ? share : n_parents;
+  struct mo_random random;
+  mo_random_init(&random, settings->seed, MO_PURPOSE_SELECTION, nursery->generation, MO_STREAM_GROUPS);
+  shuffle(places, n_parents, n_mutate, &random);
+  const bool lonely = n_parents - n_mutate < 2;
+  nursery->group = lonely ? places : places + n_mutate;
+  nursery->n_group = lonely ? n_parents : n_parents - n_mutate;
+  n_mutate = n_mutate < settings->population ? n_mutate : settings->population;
+  int r = bear_mutants(nursery, places, n_mutate);
+  if (r == 1)
+    r = bear_recombinants(nursery);
+  if (r == 1)
+    r = bear_fallbacks(nursery);
+  return r;
+}
+
+int mo_variation(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *parents,
+                 uint32_t n_parents, struct mo_seen *seen, uint64_t *children, struct mo_birth *births, uint32_t *n,
+                 struct mo_variation_counts *counts, const volatile int *cancel)
+{
+  struct nursery nursery = {.settings = settings,
+                            .generation = generation,
+                            .parents = parents,
+                            .seen = seen,
+                            .children = children,
+                            .births = births,
+                            .cancel = cancel,
+                            .words = mo_workspace_words(settings->workspace)};
+  int r = 0;
+  if (n_parents > 0) {
+    uint32_t *places = malloc(n_parents * sizeof(*places));
+    if (places == NULL)
+      return MO_ERR_NO_MEMORY;
+    r = bear_all(&nursery, places, n_parents);
+    free(places);
+  }
+  if (r < 0)
+    return r;
+  nursery.counts.exhausted = r == 0;
+  *n = nursery.n;
+  *counts = nursery.counts;
+  return MO_OK;
+}
