@@ -109,19 +109,67 @@ struct mo_wish {
   struct mo_wish *next;
 };
 
-/* What a running training is asked to do; the larger one counts. */
-enum mo_trainer_wish { MO_WISH_NONE = 0, MO_WISH_PAUSE, MO_WISH_STOP, MO_WISH_CANCEL };
+/* ---- runners: jobs that have a thread of their own (runners.c, attempt.c) ---- */
 
-/* A thread that runs one training after the other. Fields under trainers_mutex, but for the flags that the back end reads. */
-struct mo_trainer {
+/* What a running job is asked to do; the larger one counts. */
+enum mo_runner_wish { MO_WISH_NONE = 0, MO_WISH_PAUSE, MO_WISH_STOP, MO_WISH_CANCEL };
+
+struct mo_runner;
+struct mo_attempt;
+
+/* What one kind of such jobs has of its own. */
+struct mo_runner_kind {
+  const char *noun; /* "training" */
+  int64_t (*queued)(struct mo_store *store, int64_t *ids, size_t limit);
+  int (*start)(struct mo_store *store, int64_t id);
+  int (*park)(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
+              enum mo_job_state *after);
+  /* Runs a job that was started, to its end or until a wish; tells the store what came of it. Returns whether it ended an attempt
+   * with an error. */
+  bool (*run)(struct mo_runner *runner, int64_t id);
+  void (*begin)(struct mo_runner *runner); /* sets the live figures of a job that was claimed; under the mutex */
+  /* Changes the phase that the live figures show, with a reason for waiting; returns the one before. */
+  int (*set_phase)(struct mo_attempt *attempt, int phase, const char *reason);
+  int waiting, busy; /* phases: waits for room; what it returns to at least */
+};
+
+/* A thread that runs one job after the other. Fields under the mutex of its runners, but for the flags that the back end reads. */
+struct mo_runner {
   struct mo_jobs *jobs;
+  struct mo_runners *runners;
   pthread_t thread;
   bool thread_started;
   int64_t id; /* 0: it runs none */
-  enum mo_trainer_wish wish;
-  struct mo_training_live live;
+  enum mo_runner_wish wish;
+  union {
+    struct mo_training_live training;
+  } live;
   volatile int interrupt;     /* set with every wish */
-  volatile uint64_t replayed; /* written by the draw */
+  volatile uint64_t replayed; /* written by draws of bodies that were drawn before */
+};
+
+/* All threads for one kind of jobs. */
+struct mo_runners {
+  const struct mo_runner_kind *kind;
+  pthread_mutex_t mutex;
+  pthread_cond_t news;      /* wishes, queued jobs, ends of threads */
+  struct mo_runner *runner; /* (n) */
+  uint32_t n;
+  uint32_t alive; /* threads that have not ended */
+  uint64_t look;  /* grows when there may be queued jobs */
+  bool stopping;
+  atomic_bool unsaved; /* one was stopped for which there was no room */
+  atomic_uint_fast64_t active;
+};
+
+/* A runner's attempt at a job; first member of what a kind knows of it. */
+struct mo_attempt {
+  struct mo_jobs *jobs;
+  struct mo_runner *runner;
+  int64_t id;
+  bool winding_down; /* a wish has come, or it has failed: only what is computed is saved */
+  int error;
+  char text[256]; /* of the error */
 };
 
 struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by who may touch what */
@@ -153,14 +201,7 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   bool abandon; /* stop waiting for saves that do not succeed */
   pthread_cond_t stop_done;
 
-  /* Trainings. */
-  pthread_mutex_t trainers_mutex;
-  pthread_cond_t trainers_news; /* wishes, queued trainings, ends of threads */
-  struct mo_trainer *trainers;  /* (config.max_active_trainings) */
-  uint32_t trainers_alive;      /* threads that have not ended */
-  uint64_t trainers_look;       /* grows when there may be queued ones */
-  bool trainers_stopping;
-  atomic_bool trainers_unsaved; /* one was stopped for which there was no room */
+  struct mo_runners trainings;
   char *code_version;
 
   /* The scheduler's own. */
@@ -185,15 +226,15 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
 
   atomic_uint_fast64_t active_batch, active_interactive, blocks_in_flight;
   atomic_uint_fast64_t computed, cached, shared, diverged, submitted, succeeded, failed, cancelled;
-  atomic_uint_fast64_t active_trainings, training_steps, training_robots, training_diverged, training_zeroed,
-      training_validations, training_checkpoints, training_ns;
+  atomic_uint_fast64_t training_steps, training_robots, training_diverged, training_zeroed, training_validations,
+      training_checkpoints, training_ns;
   atomic_int_fast64_t heartbeat_us;
   atomic_bool no_space, is_stopping;
 };
 
 int64_t mo_jobs_clock_us(void); /* monotonic */
 
-extern _Thread_local volatile int64_t mo_trainer_tag; /* the training that this thread runs, or −1 */
+extern _Thread_local volatile int64_t mo_runner_tag; /* the job that this thread runs, or −1 */
 
 /* ---- submit.c ---- */
 /* Places every genotype and finds its canonical form. MO_ERR_INVALID with the first that is none. */
@@ -202,21 +243,38 @@ int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *fo
 int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message); /* MO_ERR_BUSY */
 int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message);
 
-/* ---- trainings.c ---- */
-int mo_trainers_start(struct mo_jobs *jobs);
-void mo_trainers_stop(struct mo_jobs *jobs);                                  /* asks; does not wait */
-bool mo_trainers_wait(struct mo_jobs *jobs, const struct timespec *deadline); /* true: all have ended */
-void mo_trainers_free(struct mo_jobs *jobs);                                  /* stops, waits, frees */
-void mo_trainers_wake(struct mo_jobs *jobs);
-void mo_trainers_wish(struct mo_jobs *jobs, int64_t id, enum mo_trainer_wish wish);
-enum mo_trainer_wish mo_trainer_wished(struct mo_trainer *trainer);
+/* ---- runners.c ---- */
+void mo_runners_init(struct mo_runners *runners, const pthread_condattr_t *monotonic);
+void mo_runners_destroy(struct mo_runners *runners);
+int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, const struct mo_runner_kind *kind, uint32_t n);
+void mo_runners_stop(struct mo_runners *runners);                                  /* asks; does not wait */
+bool mo_runners_wait(struct mo_runners *runners, const struct timespec *deadline); /* true: all have ended */
+void mo_runners_free(struct mo_runners *runners);                                  /* stops, waits, frees the threads */
+void mo_runners_wake(struct mo_runners *runners);
+void mo_runners_wish(struct mo_runners *runners, int64_t id, enum mo_runner_wish wish);
+/* The runner of a job, NULL: none; under the mutex. */
+struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id);
+enum mo_runner_wish mo_runner_wished(struct mo_runner *runner);
+bool mo_runner_is_interrupted(const struct mo_runner *runner);
 /* Sleeps until the time is over or a wish of at least `least` has come. */
-void mo_trainer_sleep(struct mo_trainer *trainer, uint32_t ms, enum mo_trainer_wish least);
+void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_runner_wish least);
+
+/* ---- attempt.c ---- */
+/* Notes the text that an error is to be told with, and returns the error. */
+int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text);
+/* As mo_attempt_fail, for a file of weights that cannot be used. */
+int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const struct mo_sha256 *sha256);
+void mo_attempt_warn(const struct mo_attempt *attempt, int error, const char *text);
+/* Runs `write` until it is done or fails for a reason that does not pass by itself: want of room is waited for, and told as
+ * `what` that cannot be written. MO_ERR_CANCELLED: a wish came first. */
+int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context, const char *what);
+/* The end of an attempt with `error`. MO_ERR_CANCELLED: a wish has come; `save` saves what is computed. Returns whether it failed. */
+bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context), void *context);
+/* There is not even memory for an attempt: it is noted as soon as it can be. */
+void mo_attempt_give_up(struct mo_runner *runner, int64_t id);
 
 /* ---- training_run.c ---- */
-/* Runs a training that was started, to its end or until a wish; tells the store what came of it. Returns whether it ended an attempt
- * with an error. */
-bool mo_training_run(struct mo_trainer *trainer, int64_t id);
+extern const struct mo_runner_kind mo_training_runners;
 
 /* ---- training_held_out.c ---- */
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status, struct mo_held_out *held_out);

@@ -154,8 +154,7 @@ static void init_locks(struct mo_jobs *jobs)
   pthread_mutex_init(&jobs->admission_mutex, NULL);
   pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->mutex, NULL);
-  pthread_mutex_init(&jobs->trainers_mutex, NULL);
-  pthread_cond_init(&jobs->trainers_news, &monotonic);
+  mo_runners_init(&jobs->trainings, &monotonic);
   pthread_cond_init(&jobs->ended, &monotonic);
   pthread_cond_init(&jobs->news, &monotonic);
   pthread_cond_init(&jobs->stop_done, &monotonic);
@@ -187,8 +186,7 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_loaded_free_all(jobs);
   mo_lattice_free(jobs->lattice);
   free(jobs->code_version);
-  pthread_mutex_destroy(&jobs->trainers_mutex);
-  pthread_cond_destroy(&jobs->trainers_news);
+  mo_runners_destroy(&jobs->trainings);
   pthread_mutex_destroy(&jobs->admission_mutex);
   pthread_mutex_destroy(&jobs->wait_mutex);
   pthread_mutex_destroy(&jobs->mutex);
@@ -216,11 +214,11 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const str
   atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
   if (error == MO_OK)
-    error = mo_trainers_start(jobs);
+    error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners, jobs->config.max_active_trainings);
   if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
     error = MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
-    mo_trainers_free(jobs);
+    mo_runners_free(&jobs->trainings);
     free_jobs(jobs);
     return mo_fail(message, error, "the scheduler cannot start: %s", mo_error_text(error));
   }
@@ -247,7 +245,7 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   struct timespec deadline = after_ms(deadline_ms);
   bool stopped;
   atomic_store(&jobs->is_stopping, true);
-  mo_trainers_stop(jobs);
+  mo_runners_stop(&jobs->trainings);
   pthread_mutex_lock(&jobs->mutex);
   jobs->stopping = true;
   jobs->look = true;
@@ -257,8 +255,8 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
       break;
   stopped = jobs->stopped;
   pthread_mutex_unlock(&jobs->mutex);
-  stopped = mo_trainers_wait(jobs, &deadline) && stopped;
-  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainers_unsaved) ? MO_OK : MO_ERR_BUSY;
+  stopped = mo_runners_wait(&jobs->trainings, &deadline) && stopped;
+  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainings.unsaved) ? MO_OK : MO_ERR_BUSY;
 }
 
 void mo_jobs_free(struct mo_jobs *jobs)
@@ -272,7 +270,7 @@ void mo_jobs_free(struct mo_jobs *jobs)
   jobs->look = true;
   pthread_cond_signal(&jobs->news);
   pthread_mutex_unlock(&jobs->mutex);
-  mo_trainers_free(jobs);
+  mo_runners_free(&jobs->trainings);
   pthread_join(jobs->thread, NULL);
   free_jobs(jobs);
 }
@@ -301,9 +299,9 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   if (job.kind == MO_JOB_TRAINING || change_to == MO_CHANGE_RESUME) {
     free(wish);
     if (change_to != MO_CHANGE_RESUME)
-      mo_trainers_wish(jobs, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
+      mo_runners_wish(&jobs->trainings, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
     else if (job.kind == MO_JOB_TRAINING)
-      mo_trainers_wake(jobs);
+      mo_runners_wake(&jobs->trainings);
     else
       mo_jobs_wake(jobs);
     return MO_OK;
@@ -371,7 +369,7 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .jobs_succeeded = atomic_load(&jobs->succeeded),
       .jobs_failed = atomic_load(&jobs->failed),
       .jobs_cancelled = atomic_load(&jobs->cancelled),
-      .active_trainings = atomic_load(&jobs->active_trainings),
+      .active_trainings = atomic_load(&jobs->trainings.active),
       .training_steps = atomic_load(&jobs->training_steps),
       .training_robots = atomic_load(&jobs->training_robots),
       .training_diverged = atomic_load(&jobs->training_diverged),

@@ -12,14 +12,13 @@
 
 #include "jobs/internal.h"
 
-#define ROWS_MAX       256
-#define RATES          16 /* steps that the speed is averaged over */
-#define ROWS_EVERY_US  INT64_C(1000000)
-#define RETRY_SPACE_MS 1000
+#define ROWS_MAX      256
+#define RATES         16 /* steps that the speed is averaged over */
+#define ROWS_EVERY_US INT64_C(1000000)
 
 struct run {
+  struct mo_attempt attempt;
   struct mo_jobs *jobs;
-  struct mo_trainer *trainer;
   int64_t id;
   struct mo_training_status status; /* as it was at the claim */
   struct mo_training *training;
@@ -37,87 +36,30 @@ struct run {
     int64_t end_us;
   } rates[RATES];
   uint64_t n_rates;
-  bool code_noted;   /* this run's code is in the lineage */
-  bool winding_down; /* a wish has come: only what is computed is saved */
-  char text[256];    /* of an error */
+  bool code_noted; /* this run's code is in the lineage */
 };
 
-static int fail(struct run *run, int error, const char *text)
+static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
 {
-  snprintf(run->text, sizeof(run->text), "%s", text);
-  return error;
-}
-
-static void warn(const struct run *run, int error, const char *text)
-{
-  if (run->jobs->config.warn != NULL)
-    run->jobs->config.warn(run->jobs->config.warn_context, run->id, error, text);
-}
-
-static bool is_interrupted(const struct run *run)
-{
-  return __atomic_load_n(&run->trainer->interrupt, __ATOMIC_RELAXED) != 0;
-}
-
-static enum mo_training_phase set_phase(struct run *run, enum mo_training_phase phase, const char *reason)
-{
-  struct mo_training_live *live = &run->trainer->live;
+  struct run *run = (struct run *)attempt;
+  struct mo_runner *runner = attempt->runner;
+  struct mo_training_live *live = &runner->live.training;
   enum mo_training_phase before;
-  pthread_mutex_lock(&run->jobs->trainers_mutex);
+  pthread_mutex_lock(&runner->runners->mutex);
   before = live->phase;
-  live->phase = phase;
+  live->phase = (enum mo_training_phase)phase;
   live->step = run->training != NULL ? mo_training_step(run->training) : 0;
   snprintf(live->reason, sizeof(live->reason), "%s", reason);
-  pthread_mutex_unlock(&run->jobs->trainers_mutex);
-  return before;
+  pthread_mutex_unlock(&runner->runners->mutex);
+  return (int)before;
+}
+
+static int enter(struct run *run, enum mo_training_phase phase)
+{
+  return set_phase(&run->attempt, phase, "");
 }
 
 /* ---- writes that wait for room ---- */
-
-/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the note of that. */
-static bool is_passing(const struct run *run, int error)
-{
-  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY || (error == MO_ERR_NO_MEMORY && run->winding_down);
-}
-
-static const char *passing_text(int error)
-{
-  switch (error) {
-  case MO_ERR_NO_SPACE: return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
-  case MO_ERR_BUSY:
-    return "another program holds the database locked, %s cannot be written: end it; it goes on by itself";
-  default: return "no memory for %s: it goes on by itself when there is some";
-  }
-}
-
-/* Runs `write` until it is done or fails for a reason that does not pass. MO_ERR_CANCELLED: a wish came first. */
-static int persist(struct run *run, int (*write)(struct run *run), const char *what)
-{
-  enum mo_trainer_wish least = run->winding_down ? MO_WISH_STOP : MO_WISH_PAUSE;
-  enum mo_training_phase phase = MO_TRAINING_LEARN;
-  char reason[160];
-  bool waits = false;
-  int error;
-  for (;;) {
-    error = write(run);
-    if (!is_passing(run, error))
-      break;
-    if (!waits) {
-      snprintf(reason, sizeof(reason), passing_text(error), what);
-      phase = set_phase(run, MO_TRAINING_WAIT, reason);
-      warn(run, error, reason);
-      waits = true;
-    }
-    if (mo_trainer_wished(run->trainer) >= least) {
-      error = MO_ERR_CANCELLED;
-      break;
-    }
-    mo_trainer_sleep(run->trainer, RETRY_SPACE_MS, least);
-  }
-  if (waits)
-    (void)set_phase(run, phase, "");
-  return error;
-}
 
 static const char *number(double value, char text[32])
 {
@@ -125,10 +67,11 @@ static const char *number(double value, char text[32])
   return text;
 }
 
-static int write_rows(struct run *run)
+static int write_rows(void *context)
 {
+  struct run *run = context;
   const struct mo_training_report *report = &run->rows[run->n_rows - 1].report;
-  const struct mo_training_live *live = &run->trainer->live; /* which this thread alone changes */
+  const struct mo_training_live *live = &run->attempt.runner->live.training; /* which this thread alone changes */
   char data[480], loss[32], norm[32], rate[32], clipped[32], speed[32], left[32];
   int error;
   snprintf(data, sizeof(data),
@@ -147,11 +90,12 @@ static int write_rows(struct run *run)
 
 static int flush(struct run *run)
 {
-  return run->n_rows > 0 ? persist(run, write_rows, "the learning curve") : MO_OK;
+  return run->n_rows > 0 ? mo_attempt_persist(&run->attempt, write_rows, run, "the learning curve") : MO_OK;
 }
 
-static int write_checkpoint(struct run *run)
+static int write_checkpoint(void *context)
 {
+  struct run *run = context;
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t step = mo_training_step(run->training);
@@ -171,15 +115,14 @@ static int write_checkpoint(struct run *run)
 /* Rows first: the curve has no holes before a checkpoint. */
 static int save(struct run *run)
 {
-  enum mo_training_phase phase;
   char what[64];
-  int error = flush(run);
+  int phase, error = flush(run);
   if (error != MO_OK || mo_training_step(run->training) == run->checkpoint_step)
     return error;
-  phase = set_phase(run, MO_TRAINING_SAVE, "");
+  phase = enter(run, MO_TRAINING_SAVE);
   snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)mo_training_step(run->training));
-  error = persist(run, write_checkpoint, what);
-  (void)set_phase(run, phase, "");
+  error = mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
+  (void)set_phase(&run->attempt, phase, "");
   return error;
 }
 
@@ -208,7 +151,7 @@ static int load_checkpoint(struct run *run)
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s", (unsigned)rows[i].step,
              error == MO_ERR_IO ? "it cannot be read" : message.text,
              i + 1 < n ? "the one before it is taken" : "the training begins anew");
-    warn(run, error, text);
+    mo_attempt_warn(&run->attempt, error, text);
   }
   return MO_ERR_NOT_FOUND;
 }
@@ -219,7 +162,6 @@ static int begin_anew(struct run *run)
   struct mo_message message = {.text = ""};
   struct mo_controller *parent = NULL;
   struct mo_bits *genotypes = NULL;
-  char digits[MO_SHA256_DIGITS + 1];
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t n = 0;
@@ -229,22 +171,16 @@ static int begin_anew(struct run *run)
     if (error == MO_OK)
       error = mo_controller_decode(bytes, size, &parent, NULL);
     free(bytes);
-    if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT) {
-      mo_sha256_to_hex(&record->parent_sha256, digits);
-      snprintf(run->text, sizeof(run->text),
-               "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
-               "/v1/controllers/<name>), then submit again",
-               digits);
-      return error;
-    }
+    if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT)
+      return mo_attempt_fail_controller(&run->attempt, error, &record->parent_sha256);
   }
   if (error == MO_OK && record->n_designs > 0)
     error = mo_store_training_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
     error = mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL, n,
                                &run->training, &message);
-  if (error != MO_OK && run->text[0] == '\0')
-    snprintf(run->text, sizeof(run->text), "the training cannot be prepared: %.200s",
+  if (error != MO_OK && run->attempt.text[0] == '\0')
+    snprintf(run->attempt.text, sizeof(run->attempt.text), "the training cannot be prepared: %.200s",
              message.text[0] != '\0' ? message.text : mo_error_text(error));
   free(genotypes);
   mo_controller_free(parent);
@@ -256,7 +192,7 @@ static int prepare(struct run *run)
   const struct mo_training_settings *settings = &run->status.record.settings;
   int error = mo_store_training(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return fail(run, error, "the training cannot be read");
+    return mo_attempt_fail(&run->attempt, error, "the training cannot be read");
   run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
   error = load_checkpoint(run);
   if (error == MO_ERR_NOT_FOUND)
@@ -291,12 +227,13 @@ static void note_speed(struct run *run, double seconds)
     if (run->rates[i].end_us < oldest)
       oldest = run->rates[i].end_us;
   }
-  pthread_mutex_lock(&run->jobs->trainers_mutex);
-  run->trainer->live.step = mo_training_step(run->training);
-  run->trainer->live.robots_per_s = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
+  pthread_mutex_lock(&run->attempt.runner->runners->mutex);
+  run->attempt.runner->live.training.step = mo_training_step(run->training);
+  run->attempt.runner->live.training.robots_per_s = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* With what lies between steps: validations, checkpoints. */
-  run->trainer->live.seconds_left = left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
-  pthread_mutex_unlock(&run->jobs->trainers_mutex);
+  run->attempt.runner->live.training.seconds_left =
+      left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
+  pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
 }
 
 static int draw(struct run *run, const struct mo_robot **robots)
@@ -305,23 +242,25 @@ static int draw(struct run *run, const struct mo_robot **robots)
   bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && mo_training_step(run->training) > 0;
   int error;
   if (replays) {
-    pthread_mutex_lock(&run->jobs->trainers_mutex);
-    run->trainer->live.replay_total = (uint64_t)mo_training_step(run->training) * settings->batch;
-    pthread_mutex_unlock(&run->jobs->trainers_mutex);
-    (void)set_phase(run, MO_TRAINING_REPLAY, "");
+    pthread_mutex_lock(&run->attempt.runner->runners->mutex);
+    run->attempt.runner->live.training.replay_total = (uint64_t)mo_training_step(run->training) * settings->batch;
+    pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
+    (void)enter(run, MO_TRAINING_REPLAY);
   }
-  error = mo_training_draw(run->training, &run->trainer->interrupt, &run->trainer->replayed, robots);
+  error = mo_training_draw(run->training, &run->attempt.runner->interrupt, &run->attempt.runner->replayed, robots);
   if (replays)
-    (void)set_phase(run, MO_TRAINING_LEARN, "");
+    (void)enter(run, MO_TRAINING_LEARN);
   if (error == MO_ERR_CORRUPT)
-    return fail(run, error, "its bodies were drawn by another version of the program: they cannot be drawn again");
+    return mo_attempt_fail(&run->attempt, error,
+                           "its bodies were drawn by another version of the program: they cannot be drawn again");
   if (error == MO_ERR_EXHAUSTED)
-    return fail(run, error, "no new bodies are left to learn from");
+    return mo_attempt_fail(&run->attempt, error, "no new bodies are left to learn from");
   return error;
 }
 
-static int write_code(struct run *run)
+static int write_code(void *context)
 {
+  struct run *run = context;
   return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->training),
                                 mo_compute_gradient_fingerprint(run->jobs->compute), &run->status.code);
 }
@@ -329,7 +268,7 @@ static int write_code(struct run *run)
 /* Other code gives other bits: it goes on, but says so. */
 static int note_code(struct run *run)
 {
-  int error = run->code_noted ? MO_OK : persist(run, write_code, "the lineage");
+  int error = run->code_noted ? MO_OK : mo_attempt_persist(&run->attempt, write_code, run, "the lineage");
   run->code_noted = error == MO_OK;
   return error;
 }
@@ -345,7 +284,7 @@ static int step(struct run *run)
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
                                     .urgency = run->status.job.priority,
-                                    .cancel = &run->trainer->interrupt,
+                                    .cancel = &run->attempt.runner->interrupt,
                                     .tag = run->id,
                                     .d_parameters = run->d_parameters,
                                     .outcomes = run->outcomes};
@@ -374,8 +313,9 @@ static int step(struct run *run)
   return error;
 }
 
-static int write_validation(struct run *run)
+static int write_validation(void *context)
 {
+  struct run *run = context;
   return mo_store_training_progress(run->jobs->store, run->id, NULL, 0, &run->status.validation, NULL);
 }
 
@@ -388,14 +328,14 @@ static int validate(struct run *run)
   error = flush(run);
   if (error != MO_OK)
     return error;
-  (void)set_phase(run, MO_TRAINING_VALIDATE, "");
+  (void)enter(run, MO_TRAINING_VALIDATE);
   run->status.validation.step = here;
   error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->training),
-                            &run->status.record.settings.physics, run->id, &run->trainer->interrupt,
+                            &run->status.record.settings.physics, run->id, &run->attempt.runner->interrupt,
                             &run->status.validation);
   if (error == MO_OK)
-    error = persist(run, write_validation, "a validation");
-  (void)set_phase(run, MO_TRAINING_LEARN, "");
+    error = mo_attempt_persist(&run->attempt, write_validation, run, "a validation");
+  (void)enter(run, MO_TRAINING_LEARN);
   if (error == MO_OK) {
     run->validated = here;
     atomic_fetch_add(&run->jobs->training_validations, 1);
@@ -416,8 +356,9 @@ static bool checkpoint_is_due(const struct run *run)
 
 /* ---- the end ---- */
 
-static int write_result(struct run *run)
+static int write_result(void *context)
 {
+  struct run *run = context;
   const struct mo_training_record *record = &run->status.record;
   struct mo_controller *controller = NULL;
   char digits[MO_SHA256_DIGITS + 1], name[MO_NAME_BYTES_MAX + 1];
@@ -443,9 +384,9 @@ static int write_result(struct run *run)
 static int learn(struct run *run)
 {
   int error = MO_OK;
-  (void)set_phase(run, MO_TRAINING_LEARN, "");
+  (void)enter(run, MO_TRAINING_LEARN);
   while (error == MO_OK) {
-    if (is_interrupted(run))
+    if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
     error = validate(run);
     if (error != MO_OK || mo_training_step(run->training) == run->status.record.settings.n_steps)
@@ -458,105 +399,35 @@ static int learn(struct run *run)
   if (error == MO_OK)
     error = save(run);
   if (error == MO_OK) {
-    (void)set_phase(run, MO_TRAINING_SAVE, "");
-    error = persist(run, write_result, "the trained controller");
+    (void)enter(run, MO_TRAINING_SAVE);
+    error = mo_attempt_persist(&run->attempt, write_result, run, "the trained controller");
   }
   return error;
 }
 
-/* Back to the queue, unless somebody has paused or cancelled it. */
-static int write_park(struct run *run)
+/* For a run that somebody has stopped. */
+static int save_rest(void *context)
 {
-  return mo_store_training_park(run->jobs->store, run->id, MO_OK, NULL, 0, NULL);
+  struct run *run = context;
+  return run->training != NULL ? save(run) : MO_OK;
 }
 
-/* A run that somebody has stopped: what it has learned is saved, and the job goes back to the queue if it is to go on. */
-static void wind_down(struct run *run)
-{
-  int error = MO_OK, parked;
-  run->winding_down = true;
-  if (mo_trainer_wished(run->trainer) == MO_WISH_CANCEL)
-    return;
-  if (run->training != NULL)
-    error = save(run);
-  parked = persist(run, write_park, "its place in the queue");
-  if (error == MO_OK || error == MO_ERR_CANCELLED)
-    error = parked != MO_OK ? parked : error;
-  if (error != MO_OK && error != MO_ERR_CONFLICT && mo_trainer_wished(run->trainer) == MO_WISH_STOP)
-    atomic_store(&run->jobs->trainers_unsaved, true);
-  if (error != MO_OK && error != MO_ERR_CONFLICT && error != MO_ERR_CANCELLED)
-    warn(run, error, "what was learned since the last checkpoint could not be saved: it will be learned again");
-}
-
-static int write_failure(struct run *run)
-{
-  enum mo_job_state after = MO_JOB_QUEUED;
-  int error = mo_store_training_park(run->jobs->store, run->id, run->status.job.error, run->text,
-                                     run->jobs->config.max_attempts, &after);
-  if (error == MO_OK && after == MO_JOB_FAILED) {
-    atomic_fetch_add(&run->jobs->failed, 1);
-    mo_jobs_closed(run->jobs, 0);
-  }
-  return error;
-}
-
-/* There is not even memory for a run: an attempt that is noted as soon as it can be. */
-static void give_up(struct mo_trainer *trainer, int64_t id)
-{
-  struct mo_jobs *jobs = trainer->jobs;
-  enum mo_job_state after = MO_JOB_QUEUED;
-  int error;
-  for (;;) {
-    error =
-        mo_store_training_park(jobs->store, id, MO_ERR_NO_MEMORY, "out of memory", jobs->config.max_attempts, &after);
-    if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
-        mo_trainer_wished(trainer) >= MO_WISH_STOP)
-      break;
-    mo_trainer_sleep(trainer, RETRY_SPACE_MS, MO_WISH_STOP);
-  }
-  if (error == MO_OK && after == MO_JOB_FAILED) {
-    atomic_fetch_add(&jobs->failed, 1);
-    mo_jobs_closed(jobs, 0);
-  }
-}
-
-/* Returns whether the attempt failed. */
-static bool settle(struct run *run, int error)
-{
-  switch (error) {
-  case MO_OK:
-    atomic_fetch_add(&run->jobs->succeeded, 1);
-    mo_jobs_closed(run->jobs, 0);
-    return false;
-  case MO_ERR_CANCELLED: wind_down(run); return false;
-  case MO_ERR_CONFLICT: return false; /* paused or cancelled while its end was written: the job has that state */
-  default: break;
-  }
-  if (run->text[0] == '\0')
-    snprintf(run->text, sizeof(run->text), "the training cannot go on: %s", mo_error_text(error));
-  warn(run, error, run->text);
-  run->winding_down = true;
-  run->status.job.error = error;
-  (void)persist(run, write_failure, "the note of an error");
-  return true;
-}
-
-bool mo_training_run(struct mo_trainer *trainer, int64_t id)
+static bool run_training(struct mo_runner *runner, int64_t id)
 {
   struct run *run = calloc(1, sizeof(*run));
   bool failed;
   int error;
   if (run == NULL) {
-    give_up(trainer, id);
+    mo_attempt_give_up(runner, id);
     return true;
   }
-  run->jobs = trainer->jobs;
-  run->trainer = trainer;
+  run->attempt = (struct mo_attempt){.jobs = runner->jobs, .runner = runner, .id = id};
+  run->jobs = runner->jobs;
   run->id = id;
   error = prepare(run);
   if (error == MO_OK)
     error = learn(run);
-  failed = settle(run, error);
+  failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
   mo_gradient_state_free(run->gradients);
   mo_training_free(run->training);
   mo_held_out_free(&run->held_out);
@@ -565,3 +436,18 @@ bool mo_training_run(struct mo_trainer *trainer, int64_t id)
   free(run);
   return failed;
 }
+
+static void begin(struct mo_runner *runner)
+{
+  runner->live.training = (struct mo_training_live){.phase = MO_TRAINING_LEARN, .seconds_left = -1};
+}
+
+const struct mo_runner_kind mo_training_runners = {.noun = "training",
+                                                   .queued = mo_store_queued_trainings,
+                                                   .start = mo_store_training_start,
+                                                   .park = mo_store_training_park,
+                                                   .run = run_training,
+                                                   .begin = begin,
+                                                   .set_phase = set_phase,
+                                                   .waiting = MO_TRAINING_WAIT,
+                                                   .busy = MO_TRAINING_LEARN};

@@ -88,7 +88,7 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_training_submis
     return explain(error, submission, message);
   if (!*replayed) {
     atomic_fetch_add(&jobs->submitted, 1);
-    mo_trainers_wake(jobs);
+    mo_runners_wake(&jobs->trainings);
   }
   return MO_OK;
 }

@@ -1,0 +1,161 @@
+/* attempt.c: what every run of a job with a thread of its own does in the same way: waiting for room, failing, winding down.
+ *
+ * Want of room is waited for: a write is tried again every second until it succeeds or a wish comes. A stop does not wait: the next
+ * start goes on from what is saved. An error ends the attempt; the third one in a row ends the job. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/internal.h"
+
+#define RETRY_SPACE_MS 1000
+
+int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text)
+{
+  snprintf(attempt->text, sizeof(attempt->text), "%s", text);
+  return error;
+}
+
+int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const struct mo_sha256 *sha256)
+{
+  char digits[MO_SHA256_DIGITS + 1];
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(attempt->text, sizeof(attempt->text),
+           "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
+           "/v1/controllers/<name>), then submit again",
+           digits);
+  return error;
+}
+
+void mo_attempt_warn(const struct mo_attempt *attempt, int error, const char *text)
+{
+  const struct mo_jobs_config *config = &attempt->jobs->config;
+  if (config->warn != NULL)
+    config->warn(config->warn_context, attempt->id, error, text);
+}
+
+static const struct mo_runner_kind *kind_of(const struct mo_attempt *attempt)
+{
+  return attempt->runner->runners->kind;
+}
+
+/* ---- writes that wait for room ---- */
+
+/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the note of that. */
+static bool is_passing(const struct mo_attempt *attempt, int error)
+{
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY || (error == MO_ERR_NO_MEMORY && attempt->winding_down);
+}
+
+static const char *passing_text(int error)
+{
+  switch (error) {
+  case MO_ERR_NO_SPACE: return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
+  case MO_ERR_BUSY:
+    return "another program holds the database locked, %s cannot be written: end it; it goes on by itself";
+  default: return "no memory for %s: it goes on by itself when there is some";
+  }
+}
+
+int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context, const char *what)
+{
+  const struct mo_runner_kind *kind = kind_of(attempt);
+  enum mo_runner_wish least = attempt->winding_down ? MO_WISH_STOP : MO_WISH_PAUSE;
+  char reason[160];
+  bool waits = false;
+  int error, phase = kind->busy;
+  for (;;) {
+    error = write(context);
+    if (!is_passing(attempt, error))
+      break;
+    if (!waits) {
+      snprintf(reason, sizeof(reason), passing_text(error), what);
+      phase = kind->set_phase(attempt, kind->waiting, reason);
+      mo_attempt_warn(attempt, error, reason);
+      waits = true;
+    }
+    if (mo_runner_wished(attempt->runner) >= least) {
+      error = MO_ERR_CANCELLED;
+      break;
+    }
+    mo_runner_sleep(attempt->runner, RETRY_SPACE_MS, least);
+  }
+  if (waits)
+    (void)kind->set_phase(attempt, phase, "");
+  return error;
+}
+
+/* ---- the end ---- */
+
+/* Back to the queue, unless somebody has paused or cancelled it. */
+static int write_park(void *context)
+{
+  struct mo_attempt *attempt = context;
+  return kind_of(attempt)->park(attempt->jobs->store, attempt->id, MO_OK, NULL, 0, NULL);
+}
+
+/* Somebody has stopped it: what it has computed is saved, and the job goes back to the queue if it is to go on. */
+static void wind_down(struct mo_attempt *attempt, int (*save)(void *context), void *context)
+{
+  int error, parked;
+  attempt->winding_down = true;
+  if (mo_runner_wished(attempt->runner) == MO_WISH_CANCEL)
+    return;
+  error = save(context);
+  parked = mo_attempt_persist(attempt, write_park, attempt, "its place in the queue");
+  if (error == MO_OK || error == MO_ERR_CANCELLED)
+    error = parked != MO_OK ? parked : error;
+  if (error != MO_OK && error != MO_ERR_CONFLICT && mo_runner_wished(attempt->runner) == MO_WISH_STOP)
+    atomic_store(&attempt->runner->runners->unsaved, true);
+  if (error != MO_OK && error != MO_ERR_CONFLICT && error != MO_ERR_CANCELLED)
+    mo_attempt_warn(attempt, error, "what was done since the last save could not be saved: it will be done again");
+}
+
+static int note_failure(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id, int error,
+                        const char *text)
+{
+  enum mo_job_state after = MO_JOB_QUEUED;
+  int status = kind->park(jobs->store, id, error, text, jobs->config.max_attempts, &after);
+  if (status == MO_OK && after == MO_JOB_FAILED) {
+    atomic_fetch_add(&jobs->failed, 1);
+    mo_jobs_closed(jobs, 0);
+  }
+  return status;
+}
+
+static int write_failure(void *context)
+{
+  struct mo_attempt *attempt = context;
+  return note_failure(attempt->jobs, kind_of(attempt), attempt->id, attempt->error, attempt->text);
+}
+
+bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context), void *context)
+{
+  switch (error) {
+  case MO_OK:
+    atomic_fetch_add(&attempt->jobs->succeeded, 1);
+    mo_jobs_closed(attempt->jobs, 0);
+    return false;
+  case MO_ERR_CANCELLED: wind_down(attempt, save, context); return false;
+  case MO_ERR_CONFLICT: return false; /* paused or cancelled while its end was written: the job has that state */
+  default: break;
+  }
+  if (attempt->text[0] == '\0')
+    snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s", kind_of(attempt)->noun,
+             mo_error_text(error));
+  mo_attempt_warn(attempt, error, attempt->text);
+  attempt->winding_down = true;
+  attempt->error = error;
+  (void)mo_attempt_persist(attempt, write_failure, attempt, "the note of an error");
+  return true;
+}
+
+void mo_attempt_give_up(struct mo_runner *runner, int64_t id)
+{
+  for (;;) {
+    int error = note_failure(runner->jobs, runner->runners->kind, id, MO_ERR_NO_MEMORY, "out of memory");
+    if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
+        mo_runner_wished(runner) >= MO_WISH_STOP)
+      return;
+    mo_runner_sleep(runner, RETRY_SPACE_MS, MO_WISH_STOP);
+  }
+}
