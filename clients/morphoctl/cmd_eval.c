@@ -91,7 +91,7 @@ static int save_array(struct ctl *ctl, const char *folder, const char *id, size_
   return status;
 }
 
-static int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder)
+int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder)
 {
   if (mkdir(folder, 0777) != 0 && errno != EEXIST)
     return complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));

@@ -25,16 +25,28 @@ int run_job_list(struct ctl *ctl)
     json_array_foreach(items, i, job)
     {
       char designs[32], count[32], work[48], done[16], time[32];
-      const json_t *training = json_object_get(job, "training");
-      int64_t total = training != NULL ? number_of(training, "steps") : number_of(job, "rollouts_total");
-      int64_t so_far = training != NULL ? number_of(training, "step") : number_of(job, "rollouts_done");
+      const json_t *training = json_object_get(job, "training"), *campaign = json_object_get(job, "campaign");
+      int64_t total, so_far, n_designs = number_of(campaign != NULL ? campaign : job, "n_designs");
+      const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
+      if (training != NULL) {
+        total = number_of(training, "steps");
+        so_far = number_of(training, "step");
+      } else if (campaign != NULL) {
+        total = number_of(campaign, "generations");
+        so_far = number_of(campaign, "generation");
+      } else {
+        total = number_of(job, "rollouts_total");
+        so_far = number_of(job, "rollouts_done");
+      }
       snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
-      snprintf(work, sizeof(work), "%s %s", count_text(total, count), training != NULL ? "steps" : "rollouts");
+      snprintf(work, sizeof(work), "%s %s", count_text(total, count), unit);
       const char *cells[] = {text_of(job, "id"),
-                             training != NULL ? text_of(training, "kind") : text_of(job, "kind"),
+                             training != NULL   ? text_of(training, "kind")
+                             : campaign != NULL ? text_of(campaign, "mode")
+                                                : text_of(job, "kind"),
                              text_of(job, "state"),
                              text_of(job, "priority"),
-                             training != NULL ? "" : count_text(number_of(job, "n_designs"), designs),
+                             training != NULL ? "" : count_text(n_designs, designs),
                              work,
                              done,
                              time_text(json_object_get(job, "created_at"), time),

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "campaign.h"
 #include "commands.h"
 #include "follow.h"
 #include "table.h"
@@ -44,6 +45,8 @@ static int show_event(void *context, const char *type, const char *data)
     progress_end(&watch->progress);
     if (total > 0)
       snprintf(words, sizeof(words), "  %s of %s rollouts", count_text(done, a), count_text(total, b));
+    else if (strncmp(type, "campaign.", 9) == 0)
+      campaign_event_text(type, details, words, sizeof(words));
     else
       training_event_text(type, details, words, sizeof(words));
     if (*job != 0)

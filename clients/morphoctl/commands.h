@@ -25,6 +25,13 @@ int run_train_show(struct ctl *ctl);
 int run_train_watch(struct ctl *ctl);
 int run_train_export(struct ctl *ctl);
 int run_train_compare(struct ctl *ctl);
+int run_campaign_start(struct ctl *ctl);
+int run_campaign_list(struct ctl *ctl);
+int run_campaign_show(struct ctl *ctl);
+int run_campaign_watch(struct ctl *ctl);
+int run_campaign_extend(struct ctl *ctl);
+int run_campaign_champions(struct ctl *ctl);
+int run_campaign_export(struct ctl *ctl);
 int run_controller_list(struct ctl *ctl);
 int run_controller_info(struct ctl *ctl);
 int run_controller_get(struct ctl *ctl);
@@ -56,6 +63,10 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
 
 /* Posts an evaluation. With `wait`, waits to its end with progress; *evaluation is then the final one with results. */
 int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation);
+/* Waits for the end of one that was posted already, as above. */
+int evaluation_wait(struct ctl *ctl, const char *id, json_t **evaluation);
+/* What an evaluation recorded, as NumPy files, and evaluation.json in a folder, which is made. */
+int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *folder);
 /* STATUS_OK if it succeeded, else STATUS_NEGATIVE and a complaint. */
 int evaluation_outcome(const json_t *evaluation);
 

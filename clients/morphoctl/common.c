@@ -183,6 +183,15 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
     print_job_times(ctl, job);
     return;
   }
+  const json_t *campaign = json_object_get(job, "campaign");
+  if (json_is_object(campaign)) {
+    print_fact(ctl, "mode", "%s", text_of(campaign, "mode"));
+    print_fact(ctl, "progress", "generation %s of %s; morphoctl campaign show %s tells more",
+               count_text(number_of(campaign, "generation"), a), count_text(number_of(campaign, "generations"), b),
+               text_of(job, "id"));
+    print_job_times(ctl, job);
+    return;
+  }
   const json_t *controller = json_object_get(job, "controller");
   const char *name = text_of(controller, "name");
   print_fact(ctl, "controller", "%s%ssha256:%s", name, *name != 0 ? ", " : "", text_of(controller, "sha256"));

@@ -173,18 +173,24 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
   return status;
 }
 
+int evaluation_wait(struct ctl *ctl, const char *id, json_t **evaluation)
+{
+  char path[64];
+  snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
+  *evaluation = NULL;
+  int status = wait_for(ctl, id);
+  return status == STATUS_OK ? transport_get_json(ctl, path, 0, evaluation) : status;
+}
+
 int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluation)
 {
   int status = post_job(ctl, "/v1/evaluations", request, wait ? 1 : 0, evaluation);
   if (status != STATUS_OK || !wait || is_final(text_of(*evaluation, "state")))
     return status;
-  char path[64], id[24];
+  char id[24];
   snprintf(id, sizeof(id), "%s", text_of(*evaluation, "id"));
-  snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
   json_decref(*evaluation);
-  *evaluation = NULL;
-  status = wait_for(ctl, id);
-  return status == STATUS_OK ? transport_get_json(ctl, path, 0, evaluation) : status;
+  return evaluation_wait(ctl, id, evaluation);
 }
 
 int evaluation_outcome(const json_t *evaluation)
