@@ -30,18 +30,23 @@ static void tag(struct mo_request *request, const char *what, const struct mo_jo
   mo_reply_etag(request, "%s-%lld-%lld", what, (long long)job->id, (long long)job->version);
 }
 
-/* An item of the list of jobs, or what is told of a job by its id. */
-static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job)
+/* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is not, or not any more, in the state that is
+ * asked for (−1: any). */
+static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job, int state,
+                     const char *before)
 {
   if (job->kind != MO_JOB_TRAINING) {
+    mo_text_add(text, before);
     mo_job_write(text, job, NULL);
     return MO_OK;
   }
   struct mo_training_live live;
   struct mo_training_status *training = malloc(sizeof(*training));
   int code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
-  if (code == MO_OK)
+  if (code == MO_OK && (state < 0 || mo_training_state(training, &live) == (enum mo_job_state)state)) {
+    mo_text_add(text, before);
     mo_training_json_job(text, training, &live);
+  }
   free(training);
   return code;
 }
@@ -57,7 +62,7 @@ static void reply_job(struct mo_request *request, unsigned status, const struct 
   if (code == MO_OK && with_results)
     mo_job_write(&text, job, results);
   else if (code == MO_OK)
-    code = write_job(request->http, &text, job);
+    code = write_job(request->http, &text, job, -1, "");
   mo_evaluation_results_free(results);
   if (code != MO_OK) {
     mo_text_free(&text);
@@ -264,7 +269,9 @@ void mo_handle_jobs(struct mo_request *request)
 {
   static const char *const names[] = {"state", "kind", "limit", "cursor"};
   struct mo_query_value values[4];
-  struct mo_job_query query = {0, -1, -1};
+  int64_t waiting[MO_WAITING_MAX];
+  struct mo_job_query query = {
+      .state = -1, .kind = -1, .waiting = waiting, .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
   size_t limit;
   if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[2], &limit))
@@ -295,12 +302,14 @@ void mo_handle_jobs(struct mo_request *request)
     return;
   }
   struct mo_text text = {0};
+  const char *comma = "";
   int code = MO_OK;
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
-    code = write_job(request->http, &text, &jobs[i]);
+    size_t size = text.size;
+    code = write_job(request->http, &text, &jobs[i], query.state, comma);
+    if (text.size > size)
+      comma = ",";
   }
   if ((size_t)n == limit)
     mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)jobs[n - 1].id);

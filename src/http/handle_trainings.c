@@ -224,8 +224,9 @@ void mo_handle_trainings(struct mo_request *request)
   static const char *const names[] = {"state", "limit", "cursor"};
   struct mo_http *http = request->http;
   struct mo_query_value values[3];
+  struct mo_job_query query = {.state = -1, .kind = -1};
+  int64_t waiting[MO_WAITING_MAX];
   enum mo_job_state state;
-  int64_t before = 0;
   size_t limit;
   if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[1], &limit))
@@ -234,22 +235,27 @@ void mo_handle_trainings(struct mo_request *request)
     mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
     return;
   }
-  if (values[2].present && !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &before)) {
+  if (values[2].present && !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &query.before)) {
     mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
     return;
   }
+  if (values[0].present)
+    query.state = (int)state;
+  query.waiting = waiting;
+  query.n_waiting = mo_jobs_waiting(http->services.jobs, waiting);
   struct mo_training_status *page = malloc(limit * sizeof(*page));
-  int64_t n = page != NULL
-                  ? mo_store_trainings(http->services.store, before, values[0].present ? (int)state : -1, page, limit)
-                  : MO_ERR_NO_MEMORY;
+  int64_t n = page != NULL ? mo_store_trainings(http->services.store, &query, page, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_training_live live = {.seconds_left = -1};
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_training_live(http->services.jobs, page[i].job.id, &live);
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
+    if (query.state >= 0 && mo_training_state(&page[i], &live) != (enum mo_job_state)query.state)
+      continue; /* it has begun or ceased to wait since it was found */
+    mo_text_add(&text, comma);
+    comma = ",";
     mo_training_json_write(&text, &page[i], &live);
   }
   if (n > 0 && (size_t)n == limit)

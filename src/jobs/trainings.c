@@ -23,6 +23,17 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
   return MO_OK;
 }
 
+size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
+{
+  size_t n = 0;
+  pthread_mutex_lock(&jobs->trainers_mutex);
+  for (uint32_t i = 0; i < jobs->config.max_active_trainings && jobs->trainers != NULL && n < MO_WAITING_MAX; i++)
+    if (jobs->trainers[i].id != 0 && jobs->trainers[i].live.phase == MO_TRAINING_WAIT)
+      ids[n++] = jobs->trainers[i].id;
+  pthread_mutex_unlock(&jobs->trainers_mutex);
+  return n;
+}
+
 const char *mo_jobs_code_version(const struct mo_jobs *jobs)
 {
   return jobs->code_version;

@@ -52,6 +52,8 @@ struct mo_training_live {
 };
 int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id,
                           struct mo_training_live *live); /* idle if it does not run */
+/* Those that wait (MO_TRAINING_WAIT) now, for mo_job_query: while they run they are shown as paused. Returns their number. */
+size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* What trained controllers say of the code that made them ("morphod.version"): as given in the configuration, with the fingerprint of
  * the gradients. Lives as long as `jobs`. */

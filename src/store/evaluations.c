@@ -1,5 +1,6 @@
 /* evaluations.c: reading jobs, their results and their trajectories. */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -105,12 +106,33 @@ int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
   return error;
 }
 
+bool mo_job_query_waits(const struct mo_job_query *query)
+{
+  return query->n_waiting > 0 && (query->state == MO_JOB_RUNNING || query->state == MO_JOB_PAUSED);
+}
+
+int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query)
+{
+  char text[MO_WAITING_MAX * 24 + 8] = "[";
+  size_t size = 1;
+  if (query->n_waiting > MO_WAITING_MAX)
+    return MO_ERR_LIMIT;
+  for (size_t i = 0; i < query->n_waiting; i++)
+    size +=
+        (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "", (long long)query->waiting[i]);
+  text[size++] = ']';
+  return sqlite3_bind_text(statement, index, text, (int)size, SQLITE_TRANSIENT) == SQLITE_OK ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit)
 {
   static const char all_sql[] =
       "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
   static const char state_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
                                   "WHERE j.state=?4 AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+  static const char shown_sql[] =
+      "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
+      "WHERE " MO_JOB_SHOWN_IN("?4", "?5") " AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
   struct mo_connection *reader;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -118,7 +140,7 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, query->state < 0 ? all_sql : state_sql, &error);
+  statement = mo_sql(reader, query->state < 0 ? all_sql : mo_job_query_waits(query) ? shown_sql : state_sql, &error);
   if (statement != NULL) {
     int step = 0;
     sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
@@ -126,6 +148,8 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
     sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
     if (query->state >= 0)
       sqlite3_bind_int64(statement, 4, query->state);
+    if (mo_job_query_waits(query))
+      error = mo_bind_waiting(statement, 5, query);
     while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
       error = mo_job_from_row(statement, &jobs[n++]);
     if (step < 0)

@@ -161,6 +161,13 @@ int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
                   int64_t id);
+/* With ?state and ?waiting (mo_bind_waiting): the jobs j that are shown in this state. */
+#define MO_JOB_SHOWN_IN(state, waiting)                                                                                \
+  "((j.state=" state " AND (" state "<>1 OR j.id NOT IN (SELECT value FROM json_each(" waiting "))))"                  \
+  " OR (" state "=2 AND j.state=1 AND j.id IN (SELECT value FROM json_each(" waiting "))))"
+/* Whether the query needs that: the plain state needs no sorting. */
+bool mo_job_query_waits(const struct mo_job_query *query);
+int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query); /* MO_ERR_LIMIT */
 /* The row of a fingerprint: found, or made. */
 int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
 /* Inside an operation: a new version of a training that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */

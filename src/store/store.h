@@ -83,7 +83,11 @@ struct mo_job_query {
   int64_t before; /* only ids below this; 0: from the newest */
   int state;      /* enum mo_job_state or −1 */
   int kind;       /* enum mo_job_kind or −1 */
+  /* (n_waiting ≤ MO_WAITING_MAX) jobs that, while they run, are shown and so found as paused; nullable. */
+  const int64_t *waiting;
+  size_t n_waiting;
 };
+#define MO_WAITING_MAX 64
 /* Newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an error. Next page: before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit);
 /* Jobs per state. */

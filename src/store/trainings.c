@@ -253,26 +253,31 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
 
 /* ---- lists ---- */
 
-static int64_t list_ids(struct mo_connection *reader, int64_t before, int state, int64_t *ids, size_t limit)
+static int64_t list_ids(struct mo_connection *reader, const struct mo_job_query *query, int64_t *ids, size_t limit)
 {
+  static const char shown_sql[] =
+      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
+          "?2", "?4") " ORDER BY t.job DESC LIMIT ?3";
   static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
                             " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
   int error = MO_OK;
   int64_t n = 0;
   int step;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  sqlite3_stmt *statement = mo_sql(reader, mo_job_query_waits(query) ? shown_sql : sql, &error);
   if (statement == NULL)
     return error;
-  sqlite3_bind_int64(statement, 1, before > 0 ? before : INT64_MAX);
-  sqlite3_bind_int64(statement, 2, state);
+  sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
+  sqlite3_bind_int64(statement, 2, query->state);
   sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+  if (mo_job_query_waits(query) && (error = mo_bind_waiting(statement, 4, query)) != MO_OK)
+    return error;
   while ((step = mo_sql_step(reader, statement)) > 0)
     ids[n++] = sqlite3_column_int64(statement, 0);
   return step < 0 ? step : n;
 }
 
-int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, struct mo_training_status *statuses,
-                           size_t limit)
+int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
+                           struct mo_training_status *statuses, size_t limit)
 {
   int64_t ids[MO_PAGE_MAX] = {0};
   struct mo_connection *reader;
@@ -282,7 +287,7 @@ int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, st
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
   error = mo_sql_exec(reader, "BEGIN");
-  n = error == MO_OK ? list_ids(reader, before, state, ids, limit) : error;
+  n = error == MO_OK ? list_ids(reader, query, ids, limit) : error;
   for (int64_t i = 0; i < n && error == MO_OK; i++)
     error = load_status(reader, ids[i], &statuses[i]);
   mo_reader_release(store, reader);

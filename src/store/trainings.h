@@ -80,9 +80,9 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_su
 /* ---- reading ---- */
 
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status); /* MO_ERR_NOT_FOUND */
-/* Newest first, ids below `before` (0: from the newest). Returns the number or an error. */
-int64_t mo_store_trainings(struct mo_store *store, int64_t before, int state, struct mo_training_status *statuses,
-                           size_t limit);
+/* As mo_store_jobs, trainings alone whatever the query's kind. */
+int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
+                           struct mo_training_status *statuses, size_t limit);
 /* Steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are multiples of it. */
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit);

@@ -192,6 +192,9 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed):
         assert waiting["progress"]["step"] == 10
         listed = [item for item in one.get("/v1/jobs").json()["items"] if item["id"] == first]
         assert listed[0]["state"] == "paused", listed
+        for path in ("/v1/jobs", "/v1/trainings"):  # it is found by the state that it shows
+            found = {state: [item["id"] for item in one.get(f"{path}?state={state}").json()["items"]] for state in ("running", "paused")}
+            assert found == {"running": [], "paused": [first]}, found
         second = train(one, request)
         assert one.session.delete(f"{one.address}/v1/jobs/{first}").status_code in (200, 202)
         await_training(one, first, lambda now: now["state"] == "cancelled")

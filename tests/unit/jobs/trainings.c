@@ -504,14 +504,17 @@ static void waits_for_room(void)
   struct mo_jobs_stats stats;
   struct mo_job job;
   double begin;
-  int64_t id;
+  int64_t id, waiting[MO_WAITING_MAX] = {0};
   REQUIRE(start(&service, 1) == MO_OK);
+  CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 0);
   limit_files(8 << 20);
   id = submit(&service, &request);
   REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
   CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of step 6") != NULL &&
         strstr(live.reason, "by itself") != NULL);
   CHECK_INT(live.step, 6);
+  CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
+  CHECK_INT(waiting[0], id);
   usleep(1200000);
   CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
   CHECK_INT(live.phase, MO_TRAINING_WAIT);

@@ -70,7 +70,7 @@ static void survives_a_full_disk(void)
     failures++;
     CHECK_INT(error, MO_ERR_NO_SPACE);
     CHECK(stats.no_space);
-    CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, -1}, &job, 1), 0);
+    CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = -1}, &job, 1), 0);
     CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);
     CHECK_INT(n_designs, 0);
   }
@@ -209,7 +209,7 @@ static void check_life(struct training_life *life, int parts)
   struct mo_controller_record record;
   char path[512];
   if (parts <= SUBMIT) {
-    CHECK_INT(mo_store_trainings(store, 0, -1, &status, 1), 0);
+    CHECK_INT(mo_store_trainings(store, &(struct mo_job_query){.state = -1, .kind = -1}, &status, 1), 0);
     return;
   }
   REQUIRE(mo_store_training(store, life->id, &status) == MO_OK);
@@ -342,7 +342,7 @@ static void *read_many(void *context)
   struct submitter *submitter = context;
   struct mo_job *jobs = calloc(100, sizeof(*jobs));
   for (int i = 0; i < 200; i++) {
-    struct mo_job_query query = {0, -1, -1};
+    struct mo_job_query query = {.state = -1, .kind = -1};
     int64_t n = mo_store_jobs(submitter->store, &query, jobs, 100);
     for (int64_t k = 1; k < n; k++)
       submitter->failures += jobs[k].id >= jobs[k - 1].id;

@@ -6,7 +6,7 @@
 #include "../check.h"
 #include "fixture.h"
 
-static const struct mo_job_query any_job = {0, -1, -1};
+static const struct mo_job_query any_job = {.state = -1, .kind = -1};
 
 /* Runs SQL on the database behind the store's back: between closing and opening it. */
 static int outside(const struct fixture *fixture, const char *sql)

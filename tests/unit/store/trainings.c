@@ -14,7 +14,7 @@
 #include "fixture.h"
 #include "store/trainings.h"
 
-static const struct mo_job_query any_job = {0, -1, -1};
+static const struct mo_job_query any_job = {.state = -1, .kind = -1};
 
 static struct mo_training_submission submission_of(uint32_t n_steps)
 {
@@ -294,13 +294,14 @@ static void submits_and_reads_back(void)
   tune.parent = "small";
   CHECK_INT(submit(&fixture, &tune), MO_ERR_UNSUPPORTED);
   /* Lists. */
-  CHECK_INT(mo_store_trainings(fixture.store, 0, -1, page, 5), 2);
+  CHECK_INT(mo_store_trainings(fixture.store, &any_job, page, 5), 2);
   CHECK(page[0].job.id == second && page[1].job.id == id);
-  CHECK_INT(mo_store_trainings(fixture.store, second, MO_JOB_QUEUED, page, 5), 1);
-  CHECK_INT(mo_store_trainings(fixture.store, 0, MO_JOB_RUNNING, page, 5), 0);
+  CHECK_INT(
+      mo_store_trainings(fixture.store, &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED}, page, 5), 1);
+  CHECK_INT(mo_store_trainings(fixture.store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5), 0);
   CHECK_INT(mo_store_jobs(fixture.store, &any_job, jobs, 5), 2);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_TRAINING}, jobs, 5), 2);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 5), 0);
+  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5), 2);
+  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5), 0);
   CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
   CHECK_INT(counts[MO_JOB_QUEUED], 2);
   CHECK_INT(mo_store_job(fixture.store, second, &job), MO_OK);
@@ -690,6 +691,49 @@ static void names_the_code(void)
   fixture_end(&fixture);
 }
 
+/* One that waits for room runs in the rows and is shown as paused: the filter goes by what is shown, page by page. */
+static void finds_by_the_state_that_is_shown(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(10);
+  struct mo_training_status page[8];
+  struct mo_job jobs[8];
+  int64_t ids[6], waiting[2], none[MO_WAITING_MAX + 1] = {0};
+  struct mo_job_query query = {.kind = -1, .waiting = waiting, .n_waiting = 2};
+  REQUIRE(fixture_start(&fixture) == 0);
+  for (int i = 0; i < 6; i++) {
+    ids[i] = submit(&fixture, &submission);
+    REQUIRE(i == 5 || mo_store_training_start(fixture.store, ids[i]) == MO_OK);
+  }
+  waiting[0] = ids[1];
+  waiting[1] = ids[3]; /* paused while it waited */
+  REQUIRE(mo_store_change_job(fixture.store, ids[3], MO_CHANGE_PAUSE, NULL) == MO_OK);
+  REQUIRE(mo_store_change_job(fixture.store, ids[4], MO_CHANGE_PAUSE, NULL) == MO_OK);
+  query.state = MO_JOB_RUNNING;
+  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), 2);
+  CHECK(page[0].job.id == ids[2] && page[1].job.id == ids[0]);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), 2);
+  CHECK(jobs[0].id == ids[2] && jobs[1].id == ids[0]);
+  query.state = MO_JOB_PAUSED;
+  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 2), 2);
+  CHECK(page[0].job.id == ids[4] && page[1].job.id == ids[3]);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 2), 2);
+  CHECK(jobs[0].id == ids[4] && jobs[1].id == ids[3]);
+  query.before = ids[3];
+  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 2), 1);
+  CHECK(page[0].job.id == ids[1]);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 2), 1);
+  CHECK(jobs[0].id == ids[1]);
+  query = (struct mo_job_query){.state = MO_JOB_QUEUED, .kind = -1, .waiting = waiting, .n_waiting = 2};
+  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), 1);
+  query = (struct mo_job_query){.state = MO_JOB_RUNNING, .kind = -1, .waiting = none, .n_waiting = MO_WAITING_MAX};
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), 3);
+  query.n_waiting++;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), MO_ERR_LIMIT);
+  fixture_end(&fixture);
+}
+
 static void finishes_with_its_controller(void)
 {
   struct fixture fixture;
@@ -884,6 +928,7 @@ static const struct check_case cases[] = {
     {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
     {"names the code", names_the_code},
+    {"finds by the state that is shown", finds_by_the_state_that_is_shown},
     {"finishes with its controller", finishes_with_its_controller},
     {"parks and requeues", parks_and_requeues},
     {"ranks a population", ranks_a_population},
