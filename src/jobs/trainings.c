@@ -25,12 +25,13 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
 
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
 {
+  struct mo_runners *runners = &jobs->trainings;
   size_t n = 0;
-  pthread_mutex_lock(&jobs->trainers_mutex);
-  for (uint32_t i = 0; i < jobs->config.max_active_trainings && jobs->trainers != NULL && n < MO_WAITING_MAX; i++)
-    if (jobs->trainers[i].id != 0 && jobs->trainers[i].live.phase == MO_TRAINING_WAIT)
-      ids[n++] = jobs->trainers[i].id;
-  pthread_mutex_unlock(&jobs->trainers_mutex);
+  pthread_mutex_lock(&runners->mutex);
+  for (uint32_t i = 0; i < runners->n && n < MO_WAITING_MAX; i++)
+    if (runners->runner[i].id != 0 && runners->runner[i].live.training.phase == MO_TRAINING_WAIT)
+      ids[n++] = runners->runner[i].id;
+  pthread_mutex_unlock(&runners->mutex);
   return n;
 }
 
