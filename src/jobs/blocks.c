@@ -150,6 +150,7 @@ static struct mo_flight *new_flight(struct mo_jobs *jobs, struct mo_active *acti
                                     .urgency = work->job.priority,
                                     .cancel = &flight->cancel,
                                     .tag = active->id,
+                                    .share = jobs->evaluations,
                                     .done = flight_done,
                                     .context = flight};
   return flight;
@@ -160,7 +161,7 @@ static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_fli
 {
   double cost = (double)flight->block.n_environments * flight->block.physics.n_steps;
   int error;
-  active->pass += cost;
+  active->pass += cost / active->weight;
   active->references++;
   flight->owner = active;
   flight->serial = ++jobs->serial;

@@ -38,6 +38,7 @@ struct mo_active {
   struct mo_work *work; /* NULL: could not be loaded */
   int64_t id;
   enum mo_urgency priority;
+  double weight;
   struct mo_loaded *controller;
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
   uint8_t *left;   /* (n_designs) cells that are not done */
@@ -47,7 +48,7 @@ struct mo_active {
    * what is told meanwhile never goes back. */
   uint64_t done_before, cached_before, diverged_before;
   uint64_t own_before; /* rollouts that this job computed then: found in the store, but not counted as cached */
-  double pass;         /* virtual time: the job with the least goes next */
+  double pass;         /* virtual time, rollout steps over weight: the job with the least goes next */
   bool private_runs;   /* verify or recording: shares nothing, looks nothing up */
   bool detached;       /* cancelled, paused, failed: makes no more blocks; what comes back is counted still */
   bool failing;        /* detached, and the note of it is not committed yet */
@@ -106,7 +107,16 @@ struct mo_pending {
 struct mo_wish {
   int64_t id;
   bool cancel; /* blocks that nobody else waits for are broken off */
+  bool weigh;  /* only its weight has changed */
   struct mo_wish *next;
+};
+
+/* The part of the back end of a running training or campaign. */
+struct mo_job_share {
+  int64_t id;
+  enum mo_job_kind kind;
+  struct mo_compute_share *share;
+  struct mo_job_share *next;
 };
 
 /* ---- runners: jobs that have a thread of their own (runners.c, attempt.c) ---- */
@@ -201,6 +211,13 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   bool abandon; /* stop waiting for saves that do not succeed */
   pthread_cond_t stop_done;
 
+  /* Shares. */
+  pthread_mutex_t weigh_mutex;  /* taken before shares_mutex: a weight is read from the store and set in one go */
+  pthread_mutex_t shares_mutex; /* for moments */
+  struct mo_job_share *shares;
+  double ended_s[MO_JOB_KINDS];         /* worker seconds of shares that are gone */
+  struct mo_compute_share *evaluations; /* of all evaluations together */
+
   struct mo_runners trainings;
   char *code_version;
 
@@ -241,6 +258,7 @@ extern _Thread_local volatile int64_t mo_runner_tag; /* the job that this thread
 int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,
                      struct mo_message *message);
 int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message); /* MO_ERR_BUSY */
+int mo_weight_check(double weight, struct mo_message *message);                         /* MO_ERR_RANGE; 0 is none */
 int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message);
 
 /* ---- runners.c ---- */
@@ -273,6 +291,15 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
 /* There is not even memory for an attempt: it is noted as soon as it can be. */
 void mo_attempt_give_up(struct mo_runner *runner, int64_t id);
 
+/* ---- shares.c ---- */
+/* For the thread that runs a training or a campaign: a share of the job's weight, which follows that weight until it is closed. Name
+ * it in every block and batch of the job. MO_ERR_NO_MEMORY, and what reading the job gives. */
+int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind, struct mo_compute_share **share);
+void mo_share_close(struct mo_jobs *jobs,
+                    int64_t id); /* when none of its blocks is queued or running; no share: nothing */
+void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* the weight in the store has changed */
+void mo_shares_worker_s(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS]);
+
 /* ---- training_run.c ---- */
 extern const struct mo_runner_kind mo_training_runners;
 
@@ -280,8 +307,8 @@ extern const struct mo_runner_kind mo_training_runners;
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status, struct mo_held_out *held_out);
 /* Scores it with weights as they are. MO_ERR_CANCELLED; MO_ERR_NO_MEMORY and other errors of blocks. */
 int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
-                      const struct mo_physics *physics, int64_t tag, const volatile int *cancel,
-                      struct mo_training_validation_row *row);
+                      const struct mo_physics *physics, int64_t tag, struct mo_compute_share *share,
+                      const volatile int *cancel, struct mo_training_validation_row *row);
 
 /* ---- scheduler.c ---- */
 void *mo_scheduler_loop(void *jobs);

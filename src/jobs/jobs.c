@@ -138,6 +138,8 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
     error = mo_store_fingerprint(jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
                                  &jobs->fingerprints[precision]);
   if (error == MO_OK)
+    error = mo_compute_share_create(jobs->compute, 1, &jobs->evaluations);
+  if (error == MO_OK)
     error = recover(jobs, marker);
   if (error == MO_OK)
     error = mo_jobs_recount(jobs);
@@ -155,6 +157,8 @@ static void init_locks(struct mo_jobs *jobs)
   pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->mutex, NULL);
   mo_runners_init(&jobs->trainings, &monotonic);
+  pthread_mutex_init(&jobs->weigh_mutex, NULL);
+  pthread_mutex_init(&jobs->shares_mutex, NULL);
   pthread_cond_init(&jobs->ended, &monotonic);
   pthread_cond_init(&jobs->news, &monotonic);
   pthread_cond_init(&jobs->stop_done, &monotonic);
@@ -187,6 +191,9 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_lattice_free(jobs->lattice);
   free(jobs->code_version);
   mo_runners_destroy(&jobs->trainings);
+  mo_compute_share_free(jobs->evaluations);
+  pthread_mutex_destroy(&jobs->weigh_mutex);
+  pthread_mutex_destroy(&jobs->shares_mutex);
   pthread_mutex_destroy(&jobs->admission_mutex);
   pthread_mutex_destroy(&jobs->wait_mutex);
   pthread_mutex_destroy(&jobs->mutex);
@@ -277,6 +284,15 @@ void mo_jobs_free(struct mo_jobs *jobs)
 
 /* ---- control ---- */
 
+static void tell_scheduler(struct mo_jobs *jobs, struct mo_wish *wish)
+{
+  pthread_mutex_lock(&jobs->mutex);
+  wish->next = jobs->wishes;
+  jobs->wishes = wish;
+  pthread_cond_signal(&jobs->news);
+  pthread_mutex_unlock(&jobs->mutex);
+}
+
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
   struct mo_wish *wish = calloc(1, sizeof(*wish));
@@ -308,11 +324,7 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   }
   wish->id = id;
   wish->cancel = change_to == MO_CHANGE_CANCEL;
-  pthread_mutex_lock(&jobs->mutex);
-  wish->next = jobs->wishes;
-  jobs->wishes = wish;
-  pthread_cond_signal(&jobs->news);
-  pthread_mutex_unlock(&jobs->mutex);
+  tell_scheduler(jobs, wish);
   return MO_OK;
 }
 
@@ -329,6 +341,27 @@ int mo_jobs_pause(struct mo_jobs *jobs, int64_t id)
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id)
 {
   return change(jobs, id, MO_CHANGE_RESUME);
+}
+
+int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
+{
+  struct mo_wish *wish;
+  int error;
+  if (!(weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX))
+    return MO_ERR_RANGE;
+  wish = calloc(1, sizeof(*wish));
+  if (wish == NULL)
+    return MO_ERR_NO_MEMORY;
+  error = mo_store_set_weight(jobs->store, id, weight);
+  if (error != MO_OK) {
+    free(wish);
+    return error;
+  }
+  mo_share_reweigh(jobs, id);
+  wish->id = id;
+  wish->weigh = true;
+  tell_scheduler(jobs, wish);
+  return MO_OK;
 }
 
 /* ---- waiting and figures ---- */
@@ -381,4 +414,5 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),
   };
+  mo_shares_worker_s(jobs, stats->worker_s);
 }

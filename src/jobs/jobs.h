@@ -1,8 +1,9 @@
 /* jobs.h: accepts evaluations and trainings (jobs/trainings.h), runs them on a compute back end, keeps their results in the store.
  *
  * A scheduler thread claims queued jobs, cuts them into blocks (one design, up to MO_BLOCK_LANES environments), keeps a small
- * window of blocks in flight in the back end, and saves losses in grouped writes as they come. Interactive jobs go first; jobs
- * of one priority share the back end evenly. A score that the store holds, or that another job is computing, is not computed
+ * window of blocks in flight in the back end, and saves losses in grouped writes as they come. Interactive jobs go first. Batch
+ * work shares the back end by weight: every running training has a share of worker time of its own, all evaluations
+ * together have one, whose weight is the sum of theirs, and divide it by weight among them. A score that the store holds, or that another job is computing, is not computed
  * again. What a crash costs is the blocks in flight.
  *
  * States:  queued → running → succeeded | failed         pause:  queued, running → paused      resume: paused → queued
@@ -60,6 +61,7 @@ struct mo_evaluation_request {
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
   int priority;      /* enum mo_urgency, or −1: interactive up to 64 rollouts */
+  double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
   const char *label; /* nullable */
   bool verify, record_com, record_masses;
   uint32_t record_stride;       /* 1 … n_steps; ignored when nothing is recorded */
@@ -81,6 +83,9 @@ int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
 int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);  /* pausing a paused job: MO_OK, nothing changes */
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id); /* resuming a queued or running job: MO_OK, nothing changes */
 
+/* Counts at once, also while the job runs. MO_ERR_RANGE; MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job is over. */
+int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
+
 /* ---- waiting: mo_store_subscribe tells of every change (event type "job.finished", …). For a thread that may block: ---- */
 /* Waits until the job is final or `timeout_ms` passed; fills *job with its last state. MO_ERR_NOT_FOUND. */
 int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job);
@@ -96,13 +101,16 @@ struct mo_jobs_stats {
   uint64_t jobs_submitted, jobs_succeeded, jobs_failed, jobs_cancelled; /* since the start */
   uint64_t active_trainings;                                            /* running or being prepared */
   uint64_t training_steps, training_robots, training_diverged, training_zeroed, training_validations,
-      training_checkpoints; /* since the start */
-  double training_step_s;   /* sum of the wall time of these steps */
-  int64_t heartbeat_us;     /* monotonic clock: when the scheduler last came round (at least once per s) */
-  bool no_space;            /* running jobs wait for room on the disk; they go on by themselves */
+      training_checkpoints;      /* since the start */
+  double training_step_s;        /* sum of the wall time of these steps */
+  double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
+  int64_t heartbeat_us;          /* monotonic clock: when the scheduler last came round (at least once per s) */
+  bool no_space;                 /* running jobs wait for room on the disk; they go on by themselves */
   bool stopping;
 };
-void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats); /* lock-free */
+void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats); /* waits for no computing and no store */
+/* Worker seconds that a running training or campaign has had since it was last started; < 0: it has no share now. */
+double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a marker file that was opened

@@ -2,8 +2,9 @@
  *
  * Each round: take in finished blocks, wishes and the result of a save; claim queued jobs while there are places; fill the back
  * end's window, interactive jobs first; start a save when one is due; sleep until news or the next due time. Among jobs
- * of one priority the one with the least virtual time goes next: a block advances its job's time by rollouts × steps, and a job
- * that comes new starts at the time of those that run, so that none waits for the others to end. */
+ * of one priority the one with the least virtual time goes next: a block advances its job's time by rollouts × steps over its
+ * weight, and a job that comes new starts at the time of those that run, so that none waits for the others to end. What all of them
+ * together get beside trainings and campaigns is the back end's business: their share there weighs as much as they do. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -166,6 +167,7 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
     snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(MO_ERR_NO_MEMORY));
     return MO_ERR_NO_MEMORY;
   }
+  active->weight = active->work->job.weight;
   mark_finished(active);
   error = mo_loaded_acquire(jobs, &active->work->job.controller_sha256, &active->controller);
   if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT) {
@@ -189,6 +191,7 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
     return false;
   active->id = id;
   active->priority = priority;
+  active->weight = 1;
   active->pass = jobs->pass[priority];
   active->last_event_us = mo_jobs_clock_us();
   error = load_active(jobs, active, text);
@@ -315,6 +318,19 @@ static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
     mo_flights_cancel(jobs, false);
 }
 
+/* What the job is ahead or behind stays the same in rollout steps. */
+static void reweigh(struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_active *active = mo_active_find(jobs, id);
+  struct mo_job job;
+  double lead;
+  if (active == NULL || mo_store_job(jobs->store, id, &job) != MO_OK)
+    return;
+  lead = (active->pass - jobs->pass[active->priority]) * active->weight;
+  active->weight = job.weight;
+  active->pass = jobs->pass[active->priority] + lead / active->weight;
+}
+
 static void take_in(struct mo_jobs *jobs, struct inbox *inbox)
 {
   while (inbox->finished != NULL) {
@@ -325,12 +341,25 @@ static void take_in(struct mo_jobs *jobs, struct inbox *inbox)
   while (inbox->wishes != NULL) {
     struct mo_wish *wish = inbox->wishes;
     inbox->wishes = wish->next;
-    detach(jobs, wish);
-    inbox->look = true;
+    if (wish->weigh)
+      reweigh(jobs, wish->id);
+    else
+      detach(jobs, wish);
+    inbox->look = inbox->look || !wish->weigh;
     free(wish);
   }
   if (inbox->saved)
     mo_saver_finished(jobs, inbox->save_status);
+}
+
+static void weigh_evaluations(const struct mo_jobs *jobs)
+{
+  double sum = 0;
+  for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
+    if (!active->detached && active->priority == MO_BATCH)
+      sum += active->weight;
+  if (sum > 0)
+    mo_compute_share_set_weight(jobs->evaluations, sum);
 }
 
 /* Claims and computes. Returns whether there is more to do at once. */
@@ -341,6 +370,7 @@ static bool go_on(struct mo_jobs *jobs, bool look)
     claim_priority(jobs, MO_INTERACTIVE, jobs->config.max_active_interactive);
     claim_priority(jobs, MO_BATCH, jobs->config.max_active_batch);
   }
+  weigh_evaluations(jobs);
   if (mo_saver_is_behind(jobs))
     return false;
   more = fill(jobs, MO_INTERACTIVE, &jobs->flights_interactive, jobs->config.window_interactive);

@@ -15,6 +15,13 @@ int mo_submission_check_texts(const char *label, const char *idempotency_key, st
   return MO_OK;
 }
 
+int mo_weight_check(double weight, struct mo_message *message)
+{
+  if (weight == 0 || (weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX))
+    return MO_OK;
+  return mo_fail(message, MO_ERR_RANGE, "a weight is %g to %g, not %g", MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
+}
+
 static int check_request(const struct mo_evaluation_request *request, struct mo_message *message)
 {
   uint32_t where;
@@ -40,7 +47,9 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
     return mo_fail(message, MO_ERR_INVALID, "no such precision");
   if (request->priority < -1 || request->priority > MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  error = mo_submission_check_texts(request->label, request->idempotency_key, message);
+  error = mo_weight_check(request->weight, message);
+  if (error == MO_OK)
+    error = mo_submission_check_texts(request->label, request->idempotency_key, message);
   if (error != MO_OK)
     return error;
   if ((request->record_com || request->record_masses) &&
@@ -155,6 +164,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
                                      .controller = request->controller != NULL ? request->controller : "default",
                                      .physics = request->physics,
                                      .precision = request->precision,
+                                     .weight = request->weight,
                                      .label = request->label,
                                      .verify = request->verify,
                                      .record_com = request->record_com,

@@ -91,8 +91,8 @@ static void take(struct tally *tally, const struct mo_block *block, struct mo_tr
 }
 
 int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
-                      const struct mo_physics *physics, int64_t tag, const volatile int *cancel,
-                      struct mo_training_validation_row *row)
+                      const struct mo_physics *physics, int64_t tag, struct mo_compute_share *share,
+                      const volatile int *cancel, struct mo_training_validation_row *row)
 {
   uint32_t per_design = (held_out->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   size_t total = (size_t)per_design * held_out->n_designs;
@@ -114,7 +114,8 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, 
                                     .precision = MO_FLOAT32,
                                     .urgency = MO_BATCH,
                                     .cancel = cancel,
-                                    .tag = tag};
+                                    .tag = tag,
+                                    .share = share};
       for (uint32_t i = 0; i < blocks[b].n_environments; i++)
         blocks[b].environments[i] = &held_out->environments[from + i];
     }

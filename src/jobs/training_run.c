@@ -23,6 +23,7 @@ struct run {
   struct mo_training_status status; /* as it was at the claim */
   struct mo_training *training;
   struct mo_gradient_state *gradients;
+  struct mo_compute_share *share;
   struct mo_held_out held_out;
   double *d_parameters;
   struct mo_outcome *outcomes;
@@ -205,6 +206,8 @@ static int prepare(struct run *run)
   error = run->d_parameters == NULL || run->outcomes == NULL
               ? MO_ERR_NO_MEMORY
               : mo_gradient_state_create(run->jobs->compute, &run->gradients);
+  if (error == MO_OK)
+    error = mo_share_open(run->jobs, run->id, MO_JOB_TRAINING, &run->share);
   if (error == MO_OK && run->status.record.validate_every_steps > 0)
     error = mo_held_out_load(run->jobs->store, &run->status, &run->held_out);
   return error;
@@ -286,6 +289,7 @@ static int step(struct run *run)
                                     .urgency = run->status.job.priority,
                                     .cancel = &run->attempt.runner->interrupt,
                                     .tag = run->id,
+                                    .share = run->share,
                                     .d_parameters = run->d_parameters,
                                     .outcomes = run->outcomes};
   int error = draw(run, &robots);
@@ -331,7 +335,7 @@ static int validate(struct run *run)
   (void)enter(run, MO_TRAINING_VALIDATE);
   run->status.validation.step = here;
   error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->training),
-                            &run->status.record.settings.physics, run->id, &run->attempt.runner->interrupt,
+                            &run->status.record.settings.physics, run->id, run->share, &run->attempt.runner->interrupt,
                             &run->status.validation);
   if (error == MO_OK)
     error = mo_attempt_persist(&run->attempt, write_validation, run, "a validation");
@@ -429,6 +433,7 @@ static bool run_training(struct mo_runner *runner, int64_t id)
     error = learn(run);
   failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
   mo_gradient_state_free(run->gradients);
+  mo_share_close(run->jobs, id);
   mo_training_free(run->training);
   mo_held_out_free(&run->held_out);
   free(run->d_parameters);

@@ -39,7 +39,8 @@ static int check_request(const struct mo_training_request *request, struct mo_me
     return mo_fail(message, MO_ERR_INVALID, "a validation needs at least one design and one environment");
   if (request->priority != MO_BATCH && request->priority != MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
-  return mo_submission_check_texts(request->label, request->idempotency_key, message);
+  error = mo_weight_check(request->weight, message);
+  return error != MO_OK ? error : mo_submission_check_texts(request->label, request->idempotency_key, message);
 }
 
 static int explain(int error, const struct mo_training_submission *submission, struct mo_message *message)
@@ -99,6 +100,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   struct mo_training_submission submission = {.record = request->record,
                                               .parent = request->parent,
                                               .priority = (enum mo_urgency)request->priority,
+                                              .weight = request->weight,
                                               .label = request->label,
                                               .idempotency_key = request->idempotency_key,
                                               .body_sha256 = request->body_sha256};

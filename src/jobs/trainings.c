@@ -12,6 +12,7 @@ const char *mo_training_phase_name(enum mo_training_phase phase)
 int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_live *live)
 {
   struct mo_runner *runner;
+  double busy_s = mo_jobs_busy_s(jobs, id);
   *live = (struct mo_training_live){.phase = MO_TRAINING_IDLE, .seconds_left = -1};
   pthread_mutex_lock(&jobs->trainings.mutex);
   runner = mo_runners_find(&jobs->trainings, id);
@@ -20,6 +21,7 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
     live->replayed = __atomic_load_n(&runner->replayed, __ATOMIC_RELAXED);
   }
   pthread_mutex_unlock(&jobs->trainings.mutex);
+  live->busy_s = busy_s;
   return MO_OK;
 }
 

@@ -20,6 +20,7 @@ struct mo_training_request {
   int64_t population;          /* finetune: a succeeded evaluation; 0: genotypes */
   uint32_t population_best;    /* 0: all of them */
   int priority;                /* MO_BATCH */
+  double weight;               /* as in mo_evaluation_request */
   const char *label;           /* nullable */
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
@@ -47,6 +48,7 @@ struct mo_training_live {
   uint32_t step;       /* applied */
   double robots_per_s; /* over the last steps; 0: not known yet */
   double seconds_left; /* estimate; < 0: not known yet */
+  double busy_s;       /* worker seconds that it has had since it was last started; < 0: it has no share now */
   uint64_t replayed, replay_total;
   char reason[160]; /* MO_TRAINING_WAIT: why, and what to do */
 };

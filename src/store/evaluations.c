@@ -65,6 +65,9 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   job->kind = (enum mo_job_kind)kind;
   job->state = (enum mo_job_state)state;
   job->priority = (enum mo_urgency)priority;
+  job->weight = sqlite3_column_double(row, 28);
+  if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
+    return MO_ERR_CORRUPT;
   job->has_label = sqlite3_column_type(row, 5) != SQLITE_NULL;
   mo_column_text(row, 5, job->label, sizeof(job->label));
   job->created_us = sqlite3_column_int64(row, 6);

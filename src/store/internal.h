@@ -141,12 +141,12 @@ bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
 #define MO_JOB_COLUMNS                                                                                                 \
   "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
   "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \
-  "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step"
+  "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step,j.weight"
 #define MO_JOB_TABLES                                                                                                  \
   " FROM jobs j LEFT JOIN evaluations e ON e.job=j.id LEFT JOIN trainings t ON t.job=j.id"                             \
   " LEFT JOIN controllers c ON c.id=coalesce(e.controller,t.parent)"                                                   \
   " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s ON s.id=e.environment_set "
-#define MO_JOB_N_COLUMNS 28
+#define MO_JOB_N_COLUMNS 29
 int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */

@@ -23,12 +23,15 @@
 #define MO_NAME_BYTES_MAX        64    /* of a controller's name or a set of environments */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
+#define MO_WEIGHT_MIN            1e-3 /* of a job */
+#define MO_WEIGHT_MAX            1e3
 
 struct mo_bits {
   uint64_t words[MO_DEFAULT_WORDS];
 };
 
 enum mo_job_kind { MO_JOB_EVALUATION = 0, MO_JOB_TRAINING = 1, MO_JOB_CAMPAIGN = 2 };
+#define MO_JOB_KINDS 3
 enum mo_job_state {
   MO_JOB_QUEUED = 0,
   MO_JOB_RUNNING = 1,
@@ -55,6 +58,7 @@ struct mo_job {
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;
+  double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
   bool has_label;
   int64_t created_us, started_us, finished_us;
@@ -82,7 +86,7 @@ struct mo_event {
   int64_t time_us;
   int64_t job; /* 0: not about a job */
   char type
-      [32]; /* "job.created", "job.started", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
+      [32]; /* "job.created", "job.started", "job.weight", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
                        "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "controller.stored",
                        "controller.removed" */
   char data[512]; /* a JSON object */

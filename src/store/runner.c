@@ -82,6 +82,47 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
   return error;
 }
 
+struct weight_arguments {
+  int64_t id;
+  double weight;
+};
+
+static int set_weight(struct mo_store *store, void *arguments)
+{
+  static const char sql[] = "UPDATE jobs SET weight=?2,version=version+1 WHERE id=?1 AND weight<>?2";
+  const struct weight_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  enum mo_job_state state = MO_JOB_QUEUED;
+  enum mo_job_kind kind = MO_JOB_EVALUATION;
+  sqlite3_stmt *statement;
+  char data[160];
+  int error = mo_job_state_get(writer, call->id, &state, &kind);
+  if (error != MO_OK)
+    return error;
+  if (mo_job_state_is_final(state))
+    return MO_ERR_CONFLICT;
+  statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_double(statement, 2, call->weight);
+  error = mo_sql_run(writer, statement);
+  if (error != MO_OK || sqlite3_changes(writer->db) == 0)
+    return error;
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\",\"weight\":%.9g}",
+           (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(state), call->weight);
+  return mo_writer_event(store, call->id, "job.weight", data);
+}
+
+int mo_store_set_weight(struct mo_store *store, int64_t id, double weight)
+{
+  struct weight_arguments call = {.id = id, .weight = weight};
+  int error = mo_write(store, set_weight, &call);
+  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
+    error = mo_write(store, set_weight, &call);
+  return error;
+}
+
 /* ---- start ---- */
 
 struct requeue_arguments {

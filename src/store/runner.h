@@ -20,6 +20,7 @@ struct mo_submission {
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_urgency priority;
+  double weight;     /* 0: 1 */
   const char *label; /* nullable */
   bool verify, record_com, record_masses;
   uint32_t record_stride;
@@ -37,6 +38,9 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME };
 /* *before: the state that it left. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change, enum mo_job_state *before);
+
+/* Of a job that is not over, with its event; the same weight changes nothing. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: it is over. */
+int mo_store_set_weight(struct mo_store *store, int64_t id, double weight);
 
 /* ---- start ---- */
 

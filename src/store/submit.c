@@ -265,8 +265,9 @@ static int insert_job(struct mo_connection *writer, const struct mo_submission *
                       const struct setting *setting, int64_t now_us, int64_t *id)
 {
   static const char job_sql[] =
-      "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error)"
-      " VALUES(0,0,?1,1,0,0,?2,?3,0,0,0)";
+      "INSERT INTO "
+      "jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error,weight)"
+      " VALUES(0,0,?1,1,0,0,?2,?3,0,0,0,?4)";
   static const char evaluation_sql[] =
       "INSERT INTO evaluations(job,controller,controller_name,physics,environment_set,n_designs,n_environments,verify,"
       "record,record_stride,done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
@@ -278,6 +279,7 @@ static int insert_job(struct mo_connection *writer, const struct mo_submission *
   sqlite3_bind_int64(statement, 1, submission->priority);
   sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
   sqlite3_bind_int64(statement, 3, now_us);
+  sqlite3_bind_double(statement, 4, submission->weight > 0 ? submission->weight : 1);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   *id = sqlite3_last_insert_rowid(writer->db);

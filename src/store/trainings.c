@@ -21,8 +21,9 @@ static int insert_job(struct mo_connection *writer, const struct mo_training_sub
                       int64_t *id)
 {
   static const char sql[] =
-      "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error)"
-      " VALUES(1,0,?1,1,0,0,?2,?3,0,0,0)";
+      "INSERT INTO "
+      "jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error,weight)"
+      " VALUES(1,0,?1,1,0,0,?2,?3,0,0,0,?4)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -30,6 +31,7 @@ static int insert_job(struct mo_connection *writer, const struct mo_training_sub
   sqlite3_bind_int64(statement, 1, submission->priority);
   sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
   sqlite3_bind_int64(statement, 3, now_us);
+  sqlite3_bind_double(statement, 4, submission->weight > 0 ? submission->weight : 1);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   *id = sqlite3_last_insert_rowid(writer->db);

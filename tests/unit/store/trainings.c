@@ -167,6 +167,7 @@ static void migrates_an_old_database(void)
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
   CHECK_TEXT(job.label, "from before");
+  CHECK(job.weight == 1);
   CHECK_INT(job.n_designs, 20);
   CHECK_INT(job.kind, MO_JOB_EVALUATION);
   CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);

@@ -1,0 +1,104 @@
+/* shares.c: who has which part of the back end: one share for each running training and campaign, one for all evaluations.
+ *
+ * The store says what a job weighs. A share that is opened takes its weight from there after it can be found here, and a new weight
+ * is written there before the share is looked for: whichever comes first, the share ends up with the newest. */
+#include <stdlib.h>
+
+#include "jobs/internal.h"
+
+static double busy_s(const struct mo_compute_share *share)
+{
+  struct mo_compute_share_stats stats;
+  mo_compute_share_get_stats(share, &stats);
+  return stats.busy_s;
+}
+
+/* Under shares_mutex. */
+static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_job_share *entry = jobs->shares;
+  while (entry != NULL && entry->id != id)
+    entry = entry->next;
+  return entry;
+}
+
+static int take_weight(struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_job_share *entry;
+  struct mo_job job;
+  int error;
+  pthread_mutex_lock(&jobs->weigh_mutex);
+  error = mo_store_job(jobs->store, id, &job);
+  pthread_mutex_lock(&jobs->shares_mutex);
+  entry = find(jobs, id);
+  if (error == MO_OK && entry != NULL)
+    mo_compute_share_set_weight(entry->share, job.weight);
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  pthread_mutex_unlock(&jobs->weigh_mutex);
+  return error;
+}
+
+int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind, struct mo_compute_share **share)
+{
+  struct mo_job_share *entry = calloc(1, sizeof(*entry));
+  int error = entry == NULL ? MO_ERR_NO_MEMORY : mo_compute_share_create(jobs->compute, 1, &entry->share);
+  if (error != MO_OK) {
+    free(entry);
+    return error;
+  }
+  entry->id = id;
+  entry->kind = kind;
+  *share = entry->share;
+  pthread_mutex_lock(&jobs->shares_mutex);
+  entry->next = jobs->shares;
+  jobs->shares = entry;
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  error = take_weight(jobs, id);
+  if (error != MO_OK)
+    mo_share_close(jobs, id);
+  return error;
+}
+
+void mo_share_close(struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_job_share *entry, **link = &jobs->shares;
+  pthread_mutex_lock(&jobs->shares_mutex);
+  while (*link != NULL && (*link)->id != id)
+    link = &(*link)->next;
+  entry = *link;
+  if (entry != NULL) {
+    *link = entry->next;
+    jobs->ended_s[entry->kind] += busy_s(entry->share);
+    mo_compute_share_free(entry->share);
+  }
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  free(entry);
+}
+
+void mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
+{
+  (void)take_weight(jobs, id); /* a store that cannot be read now: the weight counts from the next start */
+}
+
+double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
+{
+  const struct mo_job_share *entry;
+  double seconds = -1;
+  pthread_mutex_lock(&jobs->shares_mutex);
+  entry = find(jobs, id);
+  if (entry != NULL)
+    seconds = busy_s(entry->share);
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  return seconds;
+}
+
+void mo_shares_worker_s(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS])
+{
+  pthread_mutex_lock(&jobs->shares_mutex);
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+    worker_s[kind] = jobs->ended_s[kind];
+  for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next)
+    worker_s[entry->kind] += busy_s(entry->share);
+  pthread_mutex_unlock(&jobs->shares_mutex);
+  worker_s[MO_JOB_EVALUATION] += busy_s(jobs->evaluations);
+}
