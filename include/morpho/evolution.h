@@ -113,8 +113,9 @@ uint64_t mo_seen_count(const struct mo_seen *seen); /* added by mo_seen_add */
 size_t mo_seen_bytes(const struct mo_seen *seen);   /* without `excluded` */
 
 /* Adds the forms of the first n_bodies that a pretraining of `seed` learned from (as mo_training_draw draws them: held-out forms left
- * out) and that fit `workspace`, to `set` (of `workspace`). Both as in mo_training_draw: cancel, done nullable. 6 µs each. MO_ERR_CANCELLED,
- * MO_ERR_NO_MEMORY. */
+ * out) and that fit `workspace`, to `set` (of `workspace`). cancel, done (bodies so far) nullable, as in mo_training_draw. 6 µs each. Memory: `set`
+ * alone if it is empty and of the default workspace, else a set of n_bodies forms beside it. MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, MO_ERR_EXHAUSTED: `set` may
+ * hold some of them. */
 int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace, const volatile int *cancel,
                          volatile uint64_t *done, struct mo_form_set *set);
 
@@ -204,7 +205,7 @@ void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes
 
 /* m of n (m ≤ n): the best, and the others at even steps over the ranking by score (diverged ones left out while there are
  * enough); in the order of their mean Hamming distance to each other, most distinct first; ties: better score, then lower place.
- * picks: (m) places. MO_ERR_NO_MEMORY. */
+ * picks: (m) places. MO_ERR_NO_MEMORY; MO_ERR_RANGE: m > n. */
 int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores, uint32_t n, uint32_t m,
                  uint32_t *picks);
 
@@ -221,7 +222,7 @@ void mo_ancestors(const struct mo_descent *descents, uint32_t n, uint32_t number
 void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t number, uint8_t *marks);
 
 /* Newick text of the forest in which each design hangs on its first parent, one line ("…;\n") per root, children in order of birth, labels
- * are numbers, branch lengths generations. Iterative; `write` gets pieces; its non-zero return ends it and is returned. born: (n)
+ * are numbers, branch lengths generations (a root has none). Iterative; `write` gets pieces; its non-zero return ends it and is returned. born: (n)
  * generations. keep: nullable (n) bytes: only these designs and the path to their roots. MO_ERR_NO_MEMORY. */
 int mo_newick(const struct mo_descent *descents, const uint32_t *born, const uint8_t *keep, uint32_t n,
               int (*write)(void *context, const char *text, size_t length), void *context);

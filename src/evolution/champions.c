@@ -1,0 +1,65 @@
+/* champions.c: a few designs that stand for a population (paper, appendix: morphological distinctiveness). */
+#include "evolution/internal.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Places of the population by score; what diverged last. */
+static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_sound)
+{
+  struct mo_rank *ranks = malloc(n * sizeof(*ranks));
+  if (ranks == NULL)
+    return NULL;
+  *n_sound = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    const bool sound = isfinite(scores[i]);
+    ranks[i] = (struct mo_rank){.score = sound ? scores[i] : INFINITY, .number = i, .place = i};
+    *n_sound += sound;
+  }
+  mo_rank_sort(ranks, n);
+  return ranks;
+}
+
+/* `chosen`: (m) ranked places, best first; reorders them by distinctiveness. sums, genotypes: scratch for m. */
+static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen, uint32_t m,
+                  uint64_t *genotypes, double *sums, struct mo_rank *ranks, uint32_t *picks)
+{
+  const size_t words = mo_workspace_words(workspace);
+  for (size_t i = 0; i < m; i++)
+    memcpy(genotypes + words * i, population + words * chosen[i], words * sizeof(*genotypes));
+  mo_distance_sums(workspace, genotypes, m, sums);
+  for (uint32_t i = 0; i < m; i++)
+    ranks[i] = (struct mo_rank){.score = -sums[i], .number = i, .place = chosen[i]};
+  mo_rank_sort(ranks, m);
+  for (uint32_t i = 0; i < m; i++)
+    picks[i] = ranks[i].place;
+}
+
+int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores, uint32_t n, uint32_t m,
+                 uint32_t *picks)
+{
+  if (m > n)
+    return MO_ERR_RANGE;
+  if (m == 0)
+    return MO_OK;
+  uint32_t n_sound = 0;
+  struct mo_rank *ranks = rank_all(scores, n, &n_sound);
+  uint32_t *chosen = malloc(m * sizeof(*chosen));
+  uint64_t *some = malloc((size_t)m * mo_workspace_words(workspace) * sizeof(*some));
+  double *sums = malloc(m * sizeof(*sums));
+  int r = MO_ERR_NO_MEMORY;
+  if (ranks != NULL && chosen != NULL && some != NULL && sums != NULL) {
+    const uint64_t last = (n_sound > m ? n_sound : m) - 1;
+    const uint64_t steps = m > 1 ? m - 1 : 1;
+    for (uint32_t i = 0; i < m; i++)
+      chosen[i] = ranks[(i * last + steps / 2) / steps].place;
+    order(workspace, genotypes, chosen, m, some, sums, ranks, picks);
+    r = MO_OK;
+  }
+  free(sums);
+  free(some);
+  free(chosen);
+  free(ranks);
+  return r;
+}

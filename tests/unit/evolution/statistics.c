@@ -1,0 +1,208 @@
+/* statistics.c: diversity, distinctiveness, sizes and champions against their definitions. */
+#include "fixture.h"
+
+/* n random bodies of a workspace, some of them twice; NULL: no memory. */
+static uint64_t *bodies_of(struct mo_workspace workspace, uint32_t n, uint32_t step)
+{
+  const uint32_t words = mo_workspace_words(workspace);
+  uint64_t *bodies = calloc((size_t)n * words, sizeof(*bodies));
+  for (uint32_t i = 0; bodies != NULL && i < n; i++) {
+    struct mo_random random = check_stream(step, i / 5 * 5 + (i % 5 < 3 ? i % 5 : 0));
+    if (mo_genotype_random(workspace, &random, bodies + (size_t)words * i) != MO_OK) {
+      free(bodies);
+      return NULL;
+    }
+  }
+  return bodies;
+}
+
+static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1}, {3, 3, 3}, {6, 6, 2}, {20, 9, 7}};
+#define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
+
+static void distances(void)
+{
+  for (size_t k = 0; k < WORKSPACES; k++)
+    for (uint32_t n = 2; n <= 130; n += 1 + n / 2) {
+      const struct mo_workspace w = workspaces[k];
+      const uint32_t words = mo_workspace_words(w), voxels = mo_workspace_voxels(w);
+      uint64_t *bodies = bodies_of(w, n, n);
+      REQUIRE(bodies != NULL);
+      double each[130];
+      mo_distinctiveness(w, bodies, n, each);
+      uint64_t all = 0;
+      for (uint32_t i = 0; i < n; i++) {
+        uint64_t sum = 0;
+        for (uint32_t j = 0; j < n; j++)
+          for (uint32_t v = 0; v < voxels; v++)
+            sum += (bodies[(size_t)words * i + v / 64] >> v % 64 & 1) !=
+                   (bodies[(size_t)words * j + v / 64] >> v % 64 & 1);
+        all += sum;
+        CHECK(each[i] == (double)sum / ((double)(n - 1) * voxels));
+      }
+      CHECK(mo_diversity(w, bodies, n) == (double)(all / 2) / ((double)((uint64_t)n * (n - 1) / 2) * voxels));
+      free(bodies);
+    }
+}
+
+static void distances_of_few(void)
+{
+  const uint64_t bodies[] = {1, 0, 0, 3, 0, 0}, equal[] = {5, 0, 0, 5, 0, 0};
+  double each[2] = {-1, -1};
+  CHECK(mo_diversity(MO_DEFAULT_WORKSPACE, bodies, 0) == 0.0);
+  CHECK(mo_diversity(MO_DEFAULT_WORKSPACE, bodies, 1) == 0.0);
+  CHECK(mo_diversity(MO_DEFAULT_WORKSPACE, equal, 2) == 0.0);
+  CHECK(mo_diversity(MO_DEFAULT_WORKSPACE, bodies, 2) == 1.0 / 144.0);
+  mo_distinctiveness(MO_DEFAULT_WORKSPACE, bodies, 1, each);
+  CHECK(each[0] == 0.0 && each[1] == -1);
+  mo_distinctiveness(MO_DEFAULT_WORKSPACE, bodies, 2, each);
+  CHECK(each[0] == 1.0 / 144.0 && each[1] == each[0]);
+}
+
+static void sizes(void)
+{
+  for (size_t k = 0; k < WORKSPACES; k++) {
+    const struct mo_workspace w = workspaces[k];
+    struct mo_lattice *lattice = NULL;
+    uint64_t *bodies = bodies_of(w, 100, 3);
+    REQUIRE(bodies != NULL && mo_lattice_create(w, &lattice) == MO_OK);
+    for (uint32_t i = 0; i < 100; i++) {
+      const uint64_t *bits = bodies + (size_t)mo_workspace_words(w) * i;
+      struct mo_body *body = NULL;
+      struct mo_design_size size;
+      REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
+      CHECK_INT(mo_design_size(lattice, bits, &size), MO_OK);
+      uint32_t footprint = 0;
+      for (uint32_t x = 0; x < w.nx; x++)
+        for (uint32_t y = 0; y < w.ny; y++) {
+          bool any = false;
+          for (uint32_t z = 0; z < w.nz; z++)
+            any |= plain_bit(w, bits, x, y, z);
+          footprint += any;
+        }
+      CHECK(size.voxels == body->n_voxels && size.masses == body->n_masses && size.springs == body->n_springs);
+      CHECK_INT(size.footprint, footprint);
+      mo_body_free(body);
+    }
+    free(bodies);
+    mo_lattice_free(lattice);
+  }
+}
+
+static void populations(void)
+{
+  const struct mo_workspace w = MO_DEFAULT_WORKSPACE;
+  uint64_t *bodies = bodies_of(w, 21, 9);
+  double scores[21];
+  struct mo_design_size size[21];
+  struct mo_population_stats stats;
+  struct plain_set set = {0};
+  REQUIRE(bodies != NULL);
+  for (uint32_t i = 0; i < 21; i++) {
+    scores[i] = (double)((i * 8) % 21) / 20.0; /* 0 … 1 in another order */
+    size[i] = (struct mo_design_size){.voxels = i + 1, .footprint = 4, .masses = 100 - i, .springs = i * i};
+    plain_add(&set, w, bodies + (size_t)W * i);
+  }
+  CHECK_INT(mo_population_stats(w, bodies, scores, size, 21, &stats), MO_OK);
+  CHECK(stats.n == 21 && stats.n_diverged == 0);
+  CHECK_NEAR(stats.mean_score, 0.5, 1e-15);
+  const double expected[MO_QUANTILES] = {0, 0.05, 0.25, 0.5, 0.75, 0.95, 1};
+  for (int q = 0; q < MO_QUANTILES; q++)
+    CHECK_NEAR(stats.quantiles[q], expected[q], 1e-15);
+  CHECK(stats.diversity == mo_diversity(w, bodies, 21) && stats.diversity > 0.0);
+  CHECK_INT(stats.species, set.n);
+  CHECK(set.n < 21 && set.n > 5);
+  CHECK(stats.voxels.least == 1 && stats.voxels.mean == 11 && stats.voxels.most == 21);
+  CHECK(stats.footprint.least == 4 && stats.footprint.mean == 4 && stats.footprint.most == 4);
+  CHECK(stats.masses.least == 80 && stats.masses.mean == 90 && stats.masses.most == 100);
+  CHECK_NEAR(stats.springs.mean, 2870.0 / 21.0, 1e-12);
+
+  /* Two of four diverged: quantiles between the others. */
+  const double some[] = {INFINITY, 0.25, INFINITY, 0.75};
+  CHECK_INT(mo_population_stats(w, bodies, some, size, 4, &stats), MO_OK);
+  CHECK(stats.n_diverged == 2 && stats.mean_score == 0.5 && stats.quantiles[0] == 0.25 && stats.quantiles[6] == 0.75);
+  CHECK_NEAR(stats.quantiles[1], 0.275, 1e-15);
+  CHECK_INT(mo_population_stats(w, bodies, some, size, 1, &stats), MO_OK);
+  CHECK(stats.n_diverged == 1 && isnan(stats.mean_score) && isnan(stats.quantiles[3]) && stats.diversity == 0.0);
+  CHECK_INT(mo_population_stats(w, bodies, some, size, 0, &stats), MO_OK);
+  CHECK(stats.n == 0 && stats.species == 0 && stats.voxels.mean == 0.0);
+  free(set.forms);
+  free(bodies);
+}
+
+/* ---- champions ---- */
+
+/* The places by score, the diverged behind, by plain insertion. */
+static void rank(const double *scores, uint32_t n, uint32_t *order)
+{
+  for (uint32_t i = 0; i < n; i++) {
+    uint32_t at = i;
+    while (at > 0 && scores[order[at - 1]] > scores[i]) {
+      order[at] = order[at - 1];
+      at--;
+    }
+    order[at] = i;
+  }
+}
+
+static double mean_distance(const uint64_t *bodies, const uint32_t *picks, uint32_t m, uint32_t i)
+{
+  uint64_t sum = 0;
+  for (uint32_t j = 0; j < m; j++)
+    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, bodies + (size_t)W * picks[i], bodies + (size_t)W * picks[j]);
+  return (double)sum;
+}
+
+static void champions(void)
+{
+  enum { N = 97 };
+  double scores[N];
+  uint32_t order[N], picks[N];
+  for (uint32_t step = 0; step < 5; step++) {
+    struct mo_random random = check_stream(step, 1000);
+    uint64_t *bodies = bodies_of(MO_DEFAULT_WORKSPACE, N, step);
+    REQUIRE(bodies != NULL);
+    for (uint32_t i = 0; i < N; i++)
+      scores[i] = mo_random_below(&random, 8) == 0 ? INFINITY : (double)mo_random_below(&random, 40) / 40.0;
+    rank(scores, N, order);
+    uint32_t sound = 0;
+    while (sound < N && isfinite(scores[order[sound]]))
+      sound++;
+    for (uint32_t m = 1; m <= N; m++) {
+      CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, m, picks), MO_OK);
+      uint8_t picked[N] = {0};
+      for (uint32_t i = 0; i < m; i++) {
+        CHECK(!picked[picks[i]]);
+        picked[picks[i]] = 1;
+      }
+      CHECK(picked[order[0]]);
+      CHECK(m == 1 || picked[order[(m < sound ? sound : m) - 1]]); /* the other end of the ranking */
+      uint32_t last = 0, widest = 0, narrowest = N;                /* even steps */
+      for (uint32_t i = 1; i < N; i++)
+        if (picked[order[i]]) {
+          widest = i - last > widest ? i - last : widest;
+          narrowest = i - last < narrowest ? i - last : narrowest;
+          last = i;
+        }
+      CHECK(m == 1 || widest - narrowest <= 1);
+      for (uint32_t i = 0; m <= sound && i < m; i++)
+        CHECK(isfinite(scores[picks[i]]));
+      for (uint32_t i = 1; i < m; i++) {
+        const double before = mean_distance(bodies, picks, m, i - 1), here = mean_distance(bodies, picks, m, i);
+        const double better = scores[picks[i - 1]], worse = scores[picks[i]];
+        CHECK(before > here || (before == here && (better < worse || (better == worse && picks[i - 1] < picks[i]))));
+      }
+    }
+    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, 0, picks), MO_OK);
+    CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, N + 1, picks), MO_ERR_RANGE);
+    free(bodies);
+  }
+}
+
+static const struct check_case cases[] = {
+    {"distances as defined, pair by pair", distances},
+    {"distances of fewer than two, and of equals", distances_of_few},
+    {"sizes as the body has them", sizes},
+    {"statistics of a population", populations},
+    {"champions: the best, even steps, most distinct first", champions},
+};
+CHECK_MAIN(cases)
