@@ -1,150 +1,5 @@
-/* trainings.c: trainings with a fake back end, whose gradients are a function of robots and weights: whatever interrupts a run, it
- * ends with the same weights. */
-#include <fcntl.h>
-#include <pthread.h>
-#include <signal.h>
-#include <sys/resource.h>
-#include <sys/wait.h>
-
-#include "../store/fault_vfs.h"
-#include "watch.h"
-
-#define STEPS 18
-#define BATCH 8
-
-static struct mo_training_request pretraining(const char *name)
-{
-  struct mo_training_request request = {.record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
-                                                   .validate_every_steps = 10,
-                                                   .checkpoint_every_steps = 6,
-                                                   .checkpoints_kept = 2}};
-  request.record.settings.n_steps = STEPS;
-  request.record.settings.batch = BATCH;
-  request.record.settings.held_out_designs = 3;
-  request.record.settings.held_out_environments = 20;
-  snprintf(request.record.name, sizeof(request.record.name), "%s", name);
-  return request;
-}
-
-static int64_t submit(struct service *service, const struct mo_training_request *request)
-{
-  int64_t id = 0;
-  bool replayed = false;
-  int error = mo_jobs_submit_training(service->jobs, request, &id, &replayed, &service->fixture.message);
-  if (error != MO_OK)
-    printf("# submission: %s\n", service->fixture.message.text);
-  return error != MO_OK ? error : id;
-}
-
-/* The weights of a training that nothing disturbs, as the hash of its file. */
-static bool expect(const struct mo_training_request *request, const struct mo_controller *parent,
-                   const char *parent_digits, const struct mo_bits *designs, uint32_t n,
-                   const struct mo_training_lineage *lineage, struct mo_sha256 *sha256)
-{
-  struct mo_training *training = NULL;
-  struct mo_controller *controller = NULL;
-  struct mo_outcome outcomes[BATCH];
-  double *gradient = NULL;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error = mo_training_create(&request->record.settings, parent, designs != NULL ? designs[0].words : NULL, n,
-                                 &training, NULL);
-  if (error == MO_OK)
-    gradient = calloc(mo_training_controller(training)->n_parameters, sizeof(*gradient));
-  while (error == MO_OK && mo_training_step(training) < request->record.settings.n_steps) {
-    const struct mo_robot *robots = NULL;
-    struct mo_gradient_counts counts;
-    error = mo_training_draw(training, NULL, NULL, &robots);
-    if (error == MO_OK) {
-      fake_gradient(mo_training_controller(training), robots, request->record.settings.batch, gradient, outcomes,
-                    &counts);
-      error = mo_training_apply(training, gradient, outcomes, &counts, NULL);
-    }
-  }
-  if (error == MO_OK)
-    error = mo_training_export(training, parent_digits, "fake gradient", lineage, &controller);
-  if (error == MO_OK)
-    error = mo_controller_encode(controller, &bytes, &size);
-  if (error == MO_OK)
-    mo_sha256_of(bytes, size, sha256);
-  free(bytes);
-  free(gradient);
-  mo_controller_free(controller);
-  mo_training_free(training);
-  return error == MO_OK;
-}
-
-static const struct mo_training_lineage one_code = {1, {{0, "fake gradient"}}};
-
-static struct mo_sha256 undisturbed(void)
-{
-  static struct mo_sha256 sha256;
-  static bool known;
-  struct mo_training_request request = pretraining("");
-  if (!known)
-    known = expect(&request, NULL, NULL, NULL, 0, &one_code, &sha256);
-  return sha256;
-}
-
-static bool has_result(struct service *service, int64_t id, const struct mo_sha256 *expected)
-{
-  struct mo_training_status status;
-  return mo_store_training(service->fixture.store, id, &status) == MO_OK && status.job.state == MO_JOB_SUCCEEDED &&
-         status.has_result && mo_sha256_equal(&status.result_sha256, expected);
-}
-
-static bool await_step(struct service *service, int64_t id, uint32_t step)
-{
-  struct mo_training_live live;
-  double end = now_s() + 20;
-  do {
-    usleep(500);
-    (void)mo_jobs_training_live(service->jobs, id, &live);
-  } while (live.step < step && now_s() < end);
-  return live.step >= step;
-}
-
-static bool await_phase(struct service *service, int64_t id, enum mo_training_phase phase,
-                        struct mo_training_live *live)
-{
-  double end = now_s() + 20;
-  do {
-    usleep(500);
-    (void)mo_jobs_training_live(service->jobs, id, live);
-  } while (live->phase != phase && now_s() < end);
-  return live->phase == phase;
-}
-
-static char warned[256];
-static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
-static int warnings;
-
-static void hear(void *context, int64_t job, int error, const char *text)
-{
-  (void)context;
-  (void)job;
-  (void)error;
-  pthread_mutex_lock(&warned_mutex);
-  snprintf(warned, sizeof(warned), "%s", text);
-  warnings++;
-  pthread_mutex_unlock(&warned_mutex);
-}
-
-static int start(struct service *service, uint32_t side_by_side)
-{
-  int error = service_start(service);
-  if (error != MO_OK)
-    return error;
-  service_close(service);
-  pthread_mutex_lock(&warned_mutex);
-  warnings = 0;
-  pthread_mutex_unlock(&warned_mutex);
-  service->config.max_active_trainings = side_by_side;
-  service->config.warn = hear;
-  return service_open(service);
-}
-
-/* ---- cases ---- */
+/* trainings.c: trainings with a fake back end, whose gradients are a function of robots and weights: what they ask for, do and leave. */
+#include "learning.h"
 
 static void learns(void)
 {
@@ -215,6 +70,45 @@ static void learns(void)
   service_end(&service);
 }
 
+static void takes_turns(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_job job;
+  int64_t ids[4], tags[4 * STEPS + 1], last = 0;
+  size_t n;
+  int changes = 0;
+  REQUIRE(start(&service, 1) == MO_OK);
+  request.record.validate_every_steps = request.record.checkpoint_every_steps = 0;
+  for (int i = 0; i < 4; i++)
+    ids[i] = submit(&service, &request);
+  for (int i = 0; i < 4; i++)
+    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  n = fake_history(tags, 4 * STEPS + 1);
+  CHECK_INT(n, 4 * STEPS);
+  for (size_t i = 0; i < n; i++) {
+    CHECK(tags[i] >= last);
+    last = tags[i];
+  }
+  service_close(&service);
+  /* Two at a time. */
+  service.config.max_active_trainings = 2;
+  REQUIRE(service_open(&service) == MO_OK);
+  fake_forget();
+  fake_plan.gradient_delay_us = 5000;
+  for (int i = 0; i < 3; i++)
+    ids[i] = submit(&service, &request);
+  for (int i = 0; i < 3; i++)
+    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  n = fake_history(tags, 3 * STEPS);
+  for (size_t i = 1; i < n; i++) {
+    changes += tags[i] != tags[i - 1];
+    CHECK(i >= STEPS || tags[i] != ids[2]); /* the third waits for a place */
+  }
+  CHECK(changes > STEPS / 2);
+  service_end(&service);
+}
+
 __attribute__((unused)) static void validates_as_an_evaluation_does(void)
 {
   struct service service;
@@ -268,391 +162,6 @@ __attribute__((unused)) static void validates_as_an_evaluation_does(void)
   service_end(&service);
 }
 
-static void pauses_and_resumes(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_status status;
-  struct mo_training_live live;
-  struct mo_job job;
-  double begin;
-  int64_t id;
-  request.record.checkpoint_every_steps = 0; /* only the pauses save */
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_delay_us = 20000;
-  id = submit(&service, &request);
-  for (uint32_t step = 3; step <= 12; step += 3) {
-    REQUIRE(await_step(&service, id, step));
-    begin = now_s();
-    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
-    CHECK(now_s() - begin < 5);
-    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
-    CHECK_INT(status.job.state, MO_JOB_PAUSED);
-    CHECK(status.checkpoint_step >= step && status.checkpoint_step == status.step);
-    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    usleep(30000);
-    CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
-    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  }
-  /* Paused and resumed at once: it goes on. */
-  for (int i = 0; i < 5; i++) {
-    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-    usleep(5000 * i);
-  }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0);
-  CHECK(has_result(&service, id, &expected));
-  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
-  service_end(&service);
-}
-
-static void stops_and_goes_on(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_status status;
-  struct mo_job job;
-  double begin;
-  int64_t id;
-  request.record.checkpoint_every_steps = 0;
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_delay_us = 20000;
-  id = submit(&service, &request);
-  for (uint32_t step = 4; step <= 12; step += 4) {
-    REQUIRE(await_step(&service, id, step));
-    begin = now_s();
-    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
-    CHECK(now_s() - begin < 3);
-    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
-    CHECK_INT(status.job.state, MO_JOB_QUEUED);
-    CHECK(status.checkpoint_step >= step && status.checkpoint_step == status.step);
-    service_close(&service);
-    REQUIRE(service_open(&service) == MO_OK);
-  }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0);
-  CHECK(has_result(&service, id, &expected));
-  CHECK_INT(warnings, 0);
-  service_end(&service);
-}
-
-/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage tells every change. */
-static void tells_of_other_code(void)
-{
-  static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_training_lineage lineage = {0};
-  struct mo_training_status status;
-  struct mo_sha256 expected;
-  struct mo_event events[60];
-  struct mo_job job;
-  int64_t id, n;
-  int changes = 0;
-  request.record.checkpoint_every_steps = 0;
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_delay_us = 20000;
-  id = submit(&service, &request);
-  for (uint32_t round = 0; round < 3; round++) {
-    REQUIRE(await_step(&service, id, 4 * (round + 1)));
-    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
-    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
-    CHECK_INT(status.code.n, round + 1);
-    CHECK_TEXT(status.code.codes[status.code.n - 1].fingerprint, codes[round]);
-    lineage = status.code;
-    service_close(&service);
-    atomic_store(&fake_plan.gradient_fingerprint, codes[round < 2 ? round + 1 : 2]);
-    REQUIRE(service_open(&service) == MO_OK);
-    if (round < 2) {
-      REQUIRE(await_step(&service, id, status.checkpoint_step + 1));
-      REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
-      CHECK_INT(status.code.codes[status.code.n - 1].from_step, status.checkpoint_step);
-    }
-  }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  REQUIRE(expect(&request, NULL, NULL, NULL, 0, &lineage, &expected));
-  CHECK(has_result(&service, id, &expected));
-  n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
-  for (int64_t i = 0; i < n; i++)
-    changes += strcmp(events[i].type, "training.code_changed") == 0;
-  CHECK_INT(changes, 2);
-  service_end(&service);
-}
-
-static void cancels(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("never");
-  struct mo_controller_record record;
-  struct mo_training_live live;
-  struct mo_jobs_stats stats;
-  double begin;
-  int64_t id, waiting;
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_delay_us = 10000000;
-  id = submit(&service, &request);
-  waiting = submit(&service, &request);
-  REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
-  REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
-  CHECK_INT(mo_jobs_cancel(service.jobs, waiting), MO_OK); /* before it starts */
-  begin = now_s();
-  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK); /* inside a gradient */
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
-  CHECK(now_s() - begin < 3);
-  CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
-  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
-  CHECK_INT(stats.open_jobs, 0);
-  CHECK_INT(stats.jobs_cancelled, 2);
-  service_end(&service);
-}
-
-__attribute__((unused)) static void tries_three_times(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_job job;
-  int64_t id;
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_fails = 1;
-  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
-  id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
-  CHECK_INT(job.error, MO_OK);
-  CHECK(has_result(&service, id, &expected));
-  fake_plan.gradient_fails = 1000;
-  id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.state, MO_JOB_FAILED);
-  CHECK_INT(job.attempts, 3);
-  CHECK_INT(job.error, MO_ERR_NO_MEMORY);
-  CHECK(strstr(job.error_text, "out of memory") != NULL);
-  CHECK_INT(warnings, 4);
-  CHECK_INT(settled(&service).jobs_failed, 1);
-  service_end(&service);
-}
-
-static int damage(struct service *service, int64_t id, uint32_t step)
-{
-  char path[512];
-  int fd, error = -1;
-  snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", service->fixture.path, (long long)id, step);
-  fd = open(path, O_WRONLY);
-  if (fd >= 0) {
-    error = pwrite(fd, "damage", 6, 5000) == 6 ? 0 : -1;
-    close(fd);
-  }
-  return error;
-}
-
-__attribute__((unused)) static void passes_over_damaged_checkpoints(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_checkpoint_row rows[5];
-  struct mo_job job;
-  int64_t id;
-  REQUIRE(start(&service, 1) == MO_OK);
-  fake_plan.gradient_delay_us = 20000;
-  id = submit(&service, &request);
-  /* The newest, then all of them. */
-  for (int round = 1; round <= 2; round++) {
-    REQUIRE(await_step(&service, id, 12));
-    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
-    REQUIRE(mo_store_training_checkpoints(service.fixture.store, id, rows, 5) == 2);
-    service_close(&service);
-    for (int i = 0; i < round; i++)
-      REQUIRE(damage(&service, id, rows[i].step) == 0);
-    warnings = 0;
-    REQUIRE(service_open(&service) == MO_OK);
-    REQUIRE(await_step(&service, id, 2));
-    pthread_mutex_lock(&warned_mutex);
-    CHECK_INT(warnings, round);
-    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "begins anew") != NULL);
-    pthread_mutex_unlock(&warned_mutex);
-  }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0);
-  CHECK(has_result(&service, id, &expected));
-  service_end(&service);
-}
-
-/* No file may grow beyond so many bytes: the database can, checkpoints cannot. */
-static void limit_files(rlim_t bytes)
-{
-  struct rlimit limit;
-  signal(SIGXFSZ, SIG_IGN);
-  getrlimit(RLIMIT_FSIZE, &limit);
-  limit.rlim_cur = bytes;
-  setrlimit(RLIMIT_FSIZE, &limit);
-}
-
-static void waits_for_room(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
-  struct mo_jobs_stats stats;
-  struct mo_job job;
-  double begin;
-  int64_t id, waiting[MO_WAITING_MAX] = {0};
-  REQUIRE(start(&service, 1) == MO_OK);
-  CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 0);
-  limit_files(8 << 20);
-  id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of step 6") != NULL &&
-        strstr(live.reason, "by itself") != NULL);
-  CHECK_INT(live.step, 6);
-  CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
-  CHECK_INT(waiting[0], id);
-  usleep(1200000);
-  CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
-  CHECK_INT(live.phase, MO_TRAINING_WAIT);
-  CHECK_INT(warnings, 1);
-  /* Somebody pauses it: it has nowhere to save to, and waits on; resumed, it goes on when there is room. */
-  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  limit_files(RLIM_INFINITY);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0);
-  CHECK(has_result(&service, id, &expected));
-  /* Cancelled while it waits. */
-  limit_files(8 << 20);
-  id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  begin = now_s();
-  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
-  CHECK(now_s() - begin < 1);
-  /* Stopped while it waits: at once, without its last steps, which come again. */
-  id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  begin = now_s();
-  CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_ERR_BUSY);
-  CHECK(now_s() - begin < 2);
-  mo_jobs_get_stats(service.jobs, &stats);
-  CHECK_INT(stats.active_trainings, 0);
-  service_close(&service);
-  limit_files(RLIM_INFINITY);
-  REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK(has_result(&service, id, &expected));
-  service_end(&service);
-}
-
-__attribute__((unused)) static void waits_for_the_database(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
-  struct mo_job job;
-  int64_t id;
-  REQUIRE(fault_vfs_register() == SQLITE_OK);
-  memset(&fault_plan, 0, sizeof(fault_plan));
-  REQUIRE(start(&service, 1) == MO_OK);
-  service_close(&service);
-  service.vfs = "faults";
-  REQUIRE(service_open(&service) == MO_OK);
-  fake_plan.gradient_delay_us = 20000;
-  id = submit(&service, &request);
-  REQUIRE(await_step(&service, id, 2));
-  for (int i = 0; i < 2; i++) {
-    fault_plan.writes_left = 0;
-    fault_plan.write_error = i == 0 ? SQLITE_FULL : SQLITE_BUSY;
-    REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-    CHECK(strstr(live.reason, i == 0 ? "no space" : "locked") != NULL);
-    fault_plan.write_error = 0;
-    REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
-  }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK(has_result(&service, id, &expected));
-  service_end(&service);
-}
-
-/* No memory, not even for the note that there was none: it is written when there is. */
-__attribute__((unused)) static void notes_a_failure_when_it_can(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_sha256 expected = undisturbed();
-  struct mo_training_live live;
-  struct mo_job job;
-  int64_t id;
-  request.record.validate_every_steps = 0;
-  REQUIRE(fault_vfs_register() == SQLITE_OK);
-  memset(&fault_plan, 0, sizeof(fault_plan));
-  REQUIRE(start(&service, 1) == MO_OK);
-  service_close(&service);
-  service.vfs = "faults";
-  REQUIRE(service_open(&service) == MO_OK);
-  fake_plan.gradient_delay_us = 300000;
-  fake_plan.gradient_fails = 1;
-  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
-  id = submit(&service, &request);
-  REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
-  fault_plan.writes_left = 0;
-  fault_plan.write_error = SQLITE_NOMEM;
-  CHECK(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  CHECK(strstr(live.reason, "no memory") != NULL);
-  CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
-  fake_plan.gradient_delay_us = 0;
-  fault_plan.write_error = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-  CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
-  CHECK(has_result(&service, id, &expected));
-  service_end(&service);
-}
-
-static void takes_turns(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_job job;
-  int64_t ids[4], tags[4 * STEPS + 1], last = 0;
-  size_t n;
-  int changes = 0;
-  REQUIRE(start(&service, 1) == MO_OK);
-  request.record.validate_every_steps = request.record.checkpoint_every_steps = 0;
-  for (int i = 0; i < 4; i++)
-    ids[i] = submit(&service, &request);
-  for (int i = 0; i < 4; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
-  n = fake_history(tags, 4 * STEPS + 1);
-  CHECK_INT(n, 4 * STEPS);
-  for (size_t i = 0; i < n; i++) {
-    CHECK(tags[i] >= last);
-    last = tags[i];
-  }
-  service_close(&service);
-  /* Two at a time. */
-  service.config.max_active_trainings = 2;
-  REQUIRE(service_open(&service) == MO_OK);
-  fake_forget();
-  fake_plan.gradient_delay_us = 5000;
-  for (int i = 0; i < 3; i++)
-    ids[i] = submit(&service, &request);
-  for (int i = 0; i < 3; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
-  n = fake_history(tags, 3 * STEPS);
-  for (size_t i = 1; i < n; i++) {
-    changes += tags[i] != tags[i - 1];
-    CHECK(i >= STEPS || tags[i] != ids[2]); /* the third waits for a place */
-  }
-  CHECK(changes > STEPS / 2);
-  service_end(&service);
-}
-
 __attribute__((unused)) static void tunes_a_population(void)
 {
   struct service service;
@@ -701,53 +210,6 @@ __attribute__((unused)) static void tunes_a_population(void)
   free(best);
   free(forms);
   free(genotypes);
-  service_end(&service);
-}
-
-static int crash_fd;
-
-static void on_fault(int number)
-{
-  mo_jobs_crash_note(crash_fd, number);
-  _exit(99);
-}
-
-/* A process that dies on the training's own thread, again and again: the training is blamed, and parked. */
-__attribute__((unused)) static void blames_crashes_on_the_training(void)
-{
-  struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_job job = {.id = 0};
-  char marker[512];
-  int64_t id;
-  int status;
-  REQUIRE(start(&service, 1) == MO_OK);
-  snprintf(marker, sizeof(marker), "%s/crash", service.fixture.path);
-  service.config.crash_marker = marker;
-  fake_plan.gradient_delay_us = 60000000;
-  id = submit(&service, &request);
-  for (int round = 1; round <= 3; round++) {
-    pid_t child;
-    service_close(&service);
-    child = fork();
-    REQUIRE(child >= 0);
-    if (child == 0) {
-      crash_fd = open(marker, O_WRONLY | O_CREAT | O_APPEND, 0600);
-      signal(SIGSEGV, on_fault);
-      fake_plan.gradient_delay_us = 0;
-      fake_plan.gradient_crash = true;
-      if (service_open(&service) == MO_OK)
-        sleep(20);
-      _exit(0);
-    }
-    REQUIRE(waitpid(child, &status, 0) == child);
-    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 99);
-    REQUIRE(service_open(&service) == MO_OK);
-    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
-    CHECK_INT(job.attempts, round);
-  }
-  CHECK_INT(job.state, MO_JOB_FAILED);
-  CHECK(strstr(job.error_text, "signal 11") != NULL);
   service_end(&service);
 }
 
@@ -821,20 +283,10 @@ __attribute__((unused)) static void refuses(void)
 
 static const struct check_case cases[] = {
     {"learns", learns},
-    {"pauses and resumes", pauses_and_resumes},
-    {"stops and goes on", stops_and_goes_on},
-    {"tells of other code", tells_of_other_code},
-    {"cancels", cancels},
-    {"waits for room", waits_for_room},
     {"takes turns", takes_turns},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"validates as an evaluation does", validates_as_an_evaluation_does},
-    {"tries three times", tries_three_times},
-    {"passes over damaged checkpoints", passes_over_damaged_checkpoints},
-    {"waits for the database", waits_for_the_database},
-    {"notes a failure when it can", notes_a_failure_when_it_can},
     {"tunes a population", tunes_a_population},
-    {"blames crashes on the training", blames_crashes_on_the_training},
     {"refuses", refuses},
 #endif
 };

@@ -1,0 +1,208 @@
+/* training-stops.c: whatever people or ends of the process do to a training, it ends with the same weights. */
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/wait.h>
+
+#include "learning.h"
+
+static void pauses_and_resumes(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_sha256 expected = undisturbed();
+  struct mo_training_status status;
+  struct mo_training_live live;
+  struct mo_job job;
+  double begin;
+  int64_t id;
+  request.record.checkpoint_every_steps = 0; /* only the pauses save */
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit(&service, &request);
+  for (uint32_t step = 3; step <= 12; step += 3) {
+    REQUIRE(await_step(&service, id, step));
+    begin = now_s();
+    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+    CHECK(now_s() - begin < 5);
+    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+    CHECK_INT(status.job.state, MO_JOB_PAUSED);
+    CHECK(status.checkpoint_step >= step && status.checkpoint_step == status.step);
+    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    usleep(30000);
+    CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
+    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+  }
+  /* Paused and resumed at once: it goes on. */
+  for (int i = 0; i < 5; i++) {
+    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+    usleep(5000 * i);
+  }
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 0);
+  CHECK(has_result(&service, id, &expected));
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
+  service_end(&service);
+}
+
+static void stops_and_goes_on(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_sha256 expected = undisturbed();
+  struct mo_training_status status;
+  struct mo_job job;
+  double begin;
+  int64_t id;
+  request.record.checkpoint_every_steps = 0;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit(&service, &request);
+  for (uint32_t step = 4; step <= 12; step += 4) {
+    REQUIRE(await_step(&service, id, step));
+    begin = now_s();
+    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+    CHECK(now_s() - begin < 3);
+    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+    CHECK_INT(status.job.state, MO_JOB_QUEUED);
+    CHECK(status.checkpoint_step >= step && status.checkpoint_step == status.step);
+    service_close(&service);
+    REQUIRE(service_open(&service) == MO_OK);
+  }
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 0);
+  CHECK(has_result(&service, id, &expected));
+  CHECK_INT(warnings, 0);
+  service_end(&service);
+}
+
+/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage tells every change. */
+static void tells_of_other_code(void)
+{
+  static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_training_lineage lineage = {0};
+  struct mo_training_status status;
+  struct mo_sha256 expected;
+  struct mo_event events[60];
+  struct mo_job job;
+  int64_t id, n;
+  int changes = 0;
+  request.record.checkpoint_every_steps = 0;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit(&service, &request);
+  for (uint32_t round = 0; round < 3; round++) {
+    REQUIRE(await_step(&service, id, 4 * (round + 1)));
+    CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+    REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+    CHECK_INT(status.code.n, round + 1);
+    CHECK_TEXT(status.code.codes[status.code.n - 1].fingerprint, codes[round]);
+    lineage = status.code;
+    service_close(&service);
+    atomic_store(&fake_plan.gradient_fingerprint, codes[round < 2 ? round + 1 : 2]);
+    REQUIRE(service_open(&service) == MO_OK);
+    if (round < 2) {
+      REQUIRE(await_step(&service, id, status.checkpoint_step + 1));
+      REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
+      CHECK_INT(status.code.codes[status.code.n - 1].from_step, status.checkpoint_step);
+    }
+  }
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(expect(&request, NULL, NULL, NULL, 0, &lineage, &expected));
+  CHECK(has_result(&service, id, &expected));
+  n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
+    changes += strcmp(events[i].type, "training.code_changed") == 0;
+  CHECK_INT(changes, 2);
+  service_end(&service);
+}
+
+static void cancels(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("never");
+  struct mo_controller_record record;
+  struct mo_training_live live;
+  struct mo_jobs_stats stats;
+  double begin;
+  int64_t id, waiting;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 10000000;
+  id = submit(&service, &request);
+  waiting = submit(&service, &request);
+  REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
+  REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
+  CHECK_INT(mo_jobs_cancel(service.jobs, waiting), MO_OK); /* before it starts */
+  begin = now_s();
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK); /* inside a gradient */
+  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(now_s() - begin < 3);
+  CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
+  stats = settled(&service);
+  CHECK_INT(stats.open_jobs, 0);
+  CHECK_INT(stats.jobs_cancelled, 2);
+  service_end(&service);
+}
+
+static int crash_fd;
+
+static void on_fault(int number)
+{
+  mo_jobs_crash_note(crash_fd, number);
+  _exit(99);
+}
+
+/* A process that dies on the training's own thread, again and again: the training is blamed, and parked. */
+__attribute__((unused)) static void blames_crashes_on_the_training(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_job job = {.id = 0};
+  char marker[512];
+  int64_t id;
+  int status;
+  REQUIRE(start(&service, 1) == MO_OK);
+  snprintf(marker, sizeof(marker), "%s/crash", service.fixture.path);
+  service.config.crash_marker = marker;
+  fake_plan.gradient_delay_us = 60000000;
+  id = submit(&service, &request);
+  for (int round = 1; round <= 3; round++) {
+    pid_t child;
+    service_close(&service);
+    child = fork();
+    REQUIRE(child >= 0);
+    if (child == 0) {
+      crash_fd = open(marker, O_WRONLY | O_CREAT | O_APPEND, 0600);
+      signal(SIGSEGV, on_fault);
+      fake_plan.gradient_delay_us = 0;
+      fake_plan.gradient_crash = true;
+      if (service_open(&service) == MO_OK)
+        sleep(20);
+      _exit(0);
+    }
+    REQUIRE(waitpid(child, &status, 0) == child);
+    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 99);
+    REQUIRE(service_open(&service) == MO_OK);
+    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
+    CHECK_INT(job.attempts, round);
+  }
+  CHECK_INT(job.state, MO_JOB_FAILED);
+  CHECK(strstr(job.error_text, "signal 11") != NULL);
+  service_end(&service);
+}
+
+static const struct check_case cases[] = {
+    {"pauses and resumes", pauses_and_resumes},
+    {"stops and goes on", stops_and_goes_on},
+    {"tells of other code", tells_of_other_code},
+    {"cancels", cancels},
+#ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
+    {"blames crashes on the training", blames_crashes_on_the_training},
+#endif
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,126 @@
+/* by_hand.h: the database as others see it, and scores as the scheduler saves them, by hand. */
+#ifndef MORPHO_TESTS_STORE_BY_HAND_H
+#define MORPHO_TESTS_STORE_BY_HAND_H
+
+#include <pthread.h>
+#include <sqlite3.h>
+
+#include "../check.h"
+#include "fixture.h"
+
+static const struct mo_job_query any_job = {.state = -1, .kind = -1};
+
+/* Runs SQL on the database behind the store's back: between closing and opening it. */
+static inline int outside(const struct fixture *fixture, const char *sql)
+{
+  char path[512];
+  sqlite3 *db = NULL;
+  int result;
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture->path);
+  result = sqlite3_open(path, &db);
+  if (result == SQLITE_OK)
+    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
+  sqlite3_close(db);
+  return result;
+}
+
+static inline int64_t outside_integer(const struct fixture *fixture, const char *sql)
+{
+  char path[512];
+  sqlite3 *db = NULL;
+  sqlite3_stmt *statement = NULL;
+  int64_t value = -1;
+  snprintf(path, sizeof(path), "%s/morphod.db", fixture->path);
+  if (sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL) == SQLITE_OK &&
+      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK && sqlite3_step(statement) == SQLITE_ROW)
+    value = sqlite3_column_int64(statement, 0);
+  sqlite3_finalize(statement);
+  sqlite3_close(db);
+  return value;
+}
+
+struct waiter {
+  pthread_mutex_t mutex;
+  pthread_cond_t changed;
+  int status;
+  bool done;
+};
+
+static inline void save_done(struct mo_save *save, int status)
+{
+  struct waiter *waiter = save->context;
+  pthread_mutex_lock(&waiter->mutex);
+  waiter->status = status;
+  waiter->done = true;
+  pthread_cond_signal(&waiter->changed);
+  pthread_mutex_unlock(&waiter->mutex);
+}
+
+static inline int save_and_wait(struct mo_store *store, struct mo_save *save)
+{
+  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
+  int error;
+  save->done = save_done;
+  save->context = &waiter;
+  error = mo_store_save(store, save);
+  if (error != MO_OK)
+    return error;
+  pthread_mutex_lock(&waiter.mutex);
+  while (!waiter.done)
+    pthread_cond_wait(&waiter.changed, &waiter.mutex);
+  pthread_mutex_unlock(&waiter.mutex);
+  return waiter.status;
+}
+
+static inline double made_up_loss(uint32_t n, uint32_t k)
+{
+  return 0.1 * (n + 1) + 0.001 * k + 1e-17 * n;
+}
+
+/* Runs a whole job by hand: starts it, saves made-up losses, ends it. */
+static inline int run_by_hand(struct mo_store *store, int64_t id, double (*loss)(uint32_t n, uint32_t k))
+{
+  struct mo_work *work = NULL;
+  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START}, {.job = id, .step = MO_STEP_SUCCEED}};
+  struct mo_saved_score *scores;
+  struct mo_saved_design *designs;
+  struct mo_save save = {.updates = updates, .n_updates = 2};
+  int64_t fingerprint = 0;
+  int error = mo_store_fingerprint(store, "by hand", &fingerprint);
+  if (error == MO_OK)
+    error = mo_store_load_work(store, id, &work);
+  if (error != MO_OK)
+    return error;
+  scores = calloc((size_t)work->n_designs * work->n_environments, sizeof(*scores));
+  designs = calloc(work->n_designs, sizeof(*designs));
+  for (uint32_t n = 0; n < work->n_designs; n++) {
+    for (uint32_t k = 0; k < work->n_environments; k++) {
+      double value = loss(n, k);
+      scores[save.n_scores++] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
+                                                        .controller = work->controller,
+                                                        .physics = work->physics,
+                                                        .environment = work->environment_rows[k],
+                                                        .fingerprint = fingerprint,
+                                                        .loss = value,
+                                                        .diverged_step = isinf(value) ? 17 : 0,
+                                                        .verify_job = work->job.verify ? id : 0,
+                                                        .design_position = n,
+                                                        .environment_position = k};
+    }
+    designs[n] =
+        (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics, work->environment_set};
+  }
+  save.scores = scores;
+  save.designs = designs;
+  save.n_designs = work->environment_set != 0 ? work->n_designs : 0;
+  updates[1].done = updates[1].total = save.n_scores;
+  error = save_and_wait(store, &save);
+  if (error == MO_OK && (!updates[0].applied || !updates[1].applied))
+    error = MO_ERR_CONFLICT;
+  free(scores);
+  free(designs);
+  mo_work_free(work);
+  return error;
+}
+
+#endif

@@ -1,0 +1,209 @@
+/* checkpoints.c: the checkpoints of trainings: rows and files go together, whatever comes between. */
+#include <dirent.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <signal.h>
+#include <stdatomic.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+
+#include "../check.h"
+#include "training_fixture.h"
+
+static int files_of(const struct fixture *fixture, int64_t id)
+{
+  char path[512];
+  struct dirent *entry;
+  DIR *folder;
+  int n = 0;
+  snprintf(path, sizeof(path), "%s/trainings/%lld", fixture->path, (long long)id);
+  folder = opendir(path);
+  while (folder != NULL && (entry = readdir(folder)) != NULL)
+    n += entry->d_name[0] != '.' || strncmp(entry->d_name, ".tmp-", 5) == 0;
+  if (folder != NULL)
+    closedir(folder);
+  return n;
+}
+
+static int put_file(const struct fixture *fixture, const char *name, const char *text)
+{
+  char path[512];
+  FILE *file;
+  snprintf(path, sizeof(path), "%s/trainings/%s", fixture->path, name);
+  file = fopen(path, "w");
+  if (file == NULL)
+    return -1;
+  fputs(text, file);
+  return fclose(file);
+}
+
+static void keeps_checkpoints(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_checkpoint_row rows[5];
+  struct mo_training_status status;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  char name[512];
+  int64_t id;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NOT_FOUND);
+  for (uint32_t step = 10; step <= 40; step += 10) {
+    snprintf(name, sizeof(name), "state after %u", (unsigned)step);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)name, strlen(name), 2), MO_OK);
+  }
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
+  CHECK_INT(files_of(&fixture, id), 2);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  CHECK(size == 14 && memcmp(bytes, "state after 40", 14) == 0);
+  free(bytes);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 30, &bytes, &size), MO_OK);
+  free(bytes);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size), MO_ERR_NOT_FOUND);
+  /* Damage is noticed: another byte, another length, no file. */
+  snprintf(name, sizeof(name), "%lld/40.checkpoint", (long long)id);
+  REQUIRE(put_file(&fixture, name, "state after 41") == 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  REQUIRE(put_file(&fixture, name, "state") == 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  CHECK(rows[0].step == 35 && rows[1].step == 30);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.checkpoint_step, 35);
+  /* A file that a crash left without its row, an unfinished one, and a folder of nobody. */
+  snprintf(name, sizeof(name), "%lld/36.checkpoint", (long long)id);
+  REQUIRE(put_file(&fixture, name, "36") == 0);
+  snprintf(name, sizeof(name), "%lld/.tmp-7", (long long)id);
+  REQUIRE(put_file(&fixture, name, "half") == 0);
+  snprintf(name, sizeof(name), "%s/trainings/77", fixture.path);
+  REQUIRE(mkdir(name, 0700) == 0 && put_file(&fixture, "77/5.checkpoint", "5") == 0);
+  CHECK_INT(files_of(&fixture, id), 4);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(files_of(&fixture, id), 2);
+  CHECK(access(name, F_OK) != 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
+  free(bytes);
+  /* Of an earlier life of the process: not this one's to write. */
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2), MO_ERR_CONFLICT);
+  CHECK_INT(files_of(&fixture, id), 2);
+  fixture_end(&fixture);
+}
+
+struct checkpointer {
+  struct mo_store *store;
+  int64_t id;
+  atomic_bool ended;
+};
+
+static void *write_checkpoints(void *context)
+{
+  struct checkpointer *writer = context;
+  uint8_t bytes[1000] = {0};
+  int error = MO_OK;
+  for (uint32_t step = 2; step <= 300 && error == MO_OK; step++) {
+    bytes[0] = (uint8_t)step;
+    error = mo_store_training_checkpoint(writer->store, writer->id, step, bytes, sizeof(bytes), 1);
+  }
+  CHECK_INT(error, MO_OK);
+  atomic_store(&writer->ended, true);
+  return NULL;
+}
+
+/* Whoever asks for the newest checkpoint gets one that is whole, however fast they follow each other. */
+static void reads_checkpoints_while_they_go(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(1000);
+  struct checkpointer writer = {.ended = false};
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  pthread_t thread;
+  int bad = 0;
+  REQUIRE(fixture_start(&fixture) == 0);
+  writer.store = fixture.store;
+  writer.id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, writer.id) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) == MO_OK);
+  REQUIRE(pthread_create(&thread, NULL, write_checkpoints, &writer) == 0);
+  while (!atomic_load(&writer.ended)) {
+    int error = mo_store_training_checkpoint_bytes(fixture.store, writer.id, 0, &bytes, &size);
+    bad += error != MO_OK;
+    if (error == MO_OK)
+      free(bytes);
+  }
+  pthread_join(thread, NULL);
+  CHECK_INT(bad, 0);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, writer.id, 299, &bytes, &size), MO_ERR_NOT_FOUND);
+  fixture_end(&fixture);
+}
+
+/* A process that can open no more files has lost no checkpoint: taken for damaged, the training would begin anew. */
+static void keeps_apart_damage_and_want_of_descriptors(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct rlimit before, small;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int64_t id;
+  int next;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  free(bytes);
+  next = open("/dev/null", O_RDONLY | O_CLOEXEC);
+  REQUIRE(next >= 0 && close(next) == 0 && getrlimit(RLIMIT_NOFILE, &before) == 0);
+  small = before;
+  small.rlim_cur = (rlim_t)next;
+  setrlimit(RLIMIT_NOFILE, &small);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NO_MEMORY);
+  setrlimit(RLIMIT_NOFILE, &before);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  free(bytes);
+  fixture_end(&fixture);
+}
+
+/* Files larger than a limit cannot be written: as on a full disk, but for small ones. */
+static void survives_a_full_disk(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(100);
+  struct mo_training_checkpoint_row rows[5];
+  struct rlimit before, small;
+  size_t size = 4 << 20;
+  uint8_t *bytes = calloc(1, size);
+  int64_t id;
+  REQUIRE(bytes != NULL && fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 1, bytes, 1000, 2), MO_OK);
+  signal(SIGXFSZ, SIG_IGN);
+  getrlimit(RLIMIT_FSIZE, &before);
+  small = before;
+  small.rlim_cur = 3 << 20;
+  setrlimit(RLIMIT_FSIZE, &small);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_ERR_NO_SPACE);
+  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 1);
+  setrlimit(RLIMIT_FSIZE, &before);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 2, bytes, size, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
+  free(bytes);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"keeps checkpoints", keeps_checkpoints},
+    {"reads checkpoints while they go", reads_checkpoints_while_they_go},
+    {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
+    {"survives a full disk", survives_a_full_disk},
+};
+CHECK_MAIN(cases)

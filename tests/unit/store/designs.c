@@ -1,0 +1,291 @@
+/* designs.c: what the store keeps of designs, scores and controllers, to the bit, and how it ranks. */
+#include <math.h>
+
+#include "by_hand.h"
+#include "training_fixture.h"
+
+static void shares_designs_between_orientations(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes, images[2], same_forms[2];
+  struct mo_submission submission;
+  struct mo_design *design = NULL;
+  uint64_t n = 0;
+  int64_t id;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 40, &forms, &genotypes) == MO_OK);
+  images[0] = genotypes[0];
+  for (unsigned i = 0; i < 40; i++) { /* a body that is not its own mirror image */
+    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words) == MO_OK);
+    mo_genotype_place(MO_DEFAULT_WORKSPACE, images[1].words);
+    images[0] = genotypes[i];
+    same_forms[0] = same_forms[1] = forms[i];
+    if (memcmp(&images[0], &images[1], sizeof(images[0])) != 0)
+      break;
+  }
+  REQUIRE(memcmp(&images[0], &images[1], sizeof(images[0])) != 0);
+  submission = fixture_submission(same_forms, images, 2);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
+  CHECK_INT(mo_store_design_count(fixture.store, &n), MO_OK);
+  CHECK_INT(n, 1);
+  REQUIRE(mo_store_design(fixture.store, &same_forms[0], &design) == MO_OK);
+  CHECK_INT(design->n_orientations, 2);
+  CHECK(memcmp(&design->orientations[1].genotype, &images[1], sizeof(images[1])) == 0);
+  REQUIRE(design->orientations[1].n_scores == 1);
+  CHECK_TEXT(design->orientations[1].scores[0].environment_set, "paper-test");
+  CHECK_INT(design->orientations[1].scores[0].n_losses, 10);
+  CHECK(design->orientations[1].scores[0].losses[3] == made_up_loss(1, 3));
+  CHECK_TEXT(design->orientations[1].scores[0].fingerprint, "by hand");
+  CHECK_NEAR(design->orientations[1].scores[0].score, 0.2045, 1e-12);
+  mo_design_free(design);
+  CHECK_INT(mo_store_design(fixture.store, &genotypes[39], &design), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static double odd_loss(uint32_t n, uint32_t k)
+{
+  static const double values[] = {-0.0, 0.0, 4.9e-324, 1.0 / 3.0, INFINITY, 1.7976931348623157e308};
+  return values[(n + k) % 6];
+}
+
+static double other_loss(uint32_t n, uint32_t k)
+{
+  return n == 1 && k == 2 ? nextafter(odd_loss(n, k), 2.0) : odd_loss(n, k);
+}
+
+static void keeps_every_bit(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_evaluation_results *results = NULL;
+  struct mo_environment environments[6];
+  int64_t id, again;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(2, 3, &forms, &genotypes) == MO_OK);
+  for (unsigned k = 0; k < 6; k++)
+    mo_environment_training(9, 0, k, &environments[k]);
+  environments[2].light_xy_m[0] = -0.0;
+  submission = fixture_submission(forms, genotypes, 3);
+  submission.environment_set = NULL;
+  submission.environments = environments;
+  submission.n_environments = 6;
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(run_by_hand(fixture.store, id, odd_loss) == MO_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  REQUIRE(mo_store_results(fixture.store, id, &results) == MO_OK);
+  for (uint32_t n = 0; n < 3; n++)
+    for (uint32_t k = 0; k < 6; k++) {
+      double expected = odd_loss(n, k);
+      CHECK(memcmp(&results->losses[n * 6 + k], &expected, 8) == 0);
+      CHECK_INT(results->diverged_steps[n * 6 + k], isinf(expected) ? 17 : 0);
+    }
+  CHECK(isinf(results->scores[0]));
+  CHECK(memcmp(results->forms, forms, 3 * sizeof(*forms)) == 0);
+  mo_evaluation_results_free(results);
+  /* A second writer of the same scores changes nothing; a verify job reports both. */
+  submission.verify = true;
+  REQUIRE(mo_store_submit(fixture.store, &submission, &again, &replayed) == MO_OK);
+  REQUIRE(run_by_hand(fixture.store, again, other_loss) == MO_OK);
+  REQUIRE(mo_store_results(fixture.store, again, &results) == MO_OK);
+  REQUIRE(results->agrees != NULL && results->stored_losses != NULL);
+  CHECK(results->agrees[0] == 1 && results->agrees[1] == 0 && results->agrees[2] == 1);
+  CHECK(results->losses[8] == other_loss(1, 2) && results->stored_losses[8] == odd_loss(1, 2));
+  mo_evaluation_results_free(results);
+  REQUIRE(mo_store_results(fixture.store, id, &results) == MO_OK);
+  CHECK(results->losses[8] == odd_loss(1, 2));
+  CHECK(results->agrees == NULL);
+  mo_evaluation_results_free(results);
+  CHECK_INT(mo_store_results(fixture.store, 77, &results), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void ranks_designs(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_controller_record record;
+  struct mo_design_query query = {
+      .sort = MO_DESIGNS_BY_SCORE, .environment_set = "paper-test", .precision = MO_FLOAT32};
+  struct mo_design_row rows[8];
+  int64_t id, seen = 0;
+  double last = -1;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(6, 20, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 20);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(mo_store_controller(fixture.store, "default", &record) == MO_OK);
+  query.controller_sha256 = record.sha256;
+  query.physics = mo_default_physics();
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 0);
+  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
+  for (;;) {
+    int64_t n = mo_store_designs(fixture.store, &query, rows, 8);
+    REQUIRE(n >= 0);
+    for (int64_t i = 0; i < n; i++) {
+      CHECK(rows[i].score > last);
+      last = rows[i].score;
+      CHECK(memcmp(&rows[i].form, &forms[seen], sizeof(forms[0])) == 0);
+      seen++;
+    }
+    if (n == 0)
+      break;
+    query.after_row = rows[n - 1].genotype_row;
+    query.after_score = rows[n - 1].score;
+  }
+  CHECK_INT(seen, 20);
+  query = (struct mo_design_query){.sort = MO_DESIGNS_BY_ID};
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
+  CHECK(memcmp(&rows[7].form, &forms[7], sizeof(forms[0])) == 0);
+  query.after_row = rows[7].row;
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 8), 8);
+  CHECK(memcmp(&rows[0].form, &forms[8], sizeof(forms[0])) == 0);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void keeps_controllers(void)
+{
+  struct fixture fixture;
+  struct mo_controller_record first, second, listed[4];
+  char path[512], digits[65], reference[80], *metadata = NULL;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  FILE *file;
+  REQUIRE(fixture_start(&fixture) == 0);
+  CHECK_INT(mo_store_controller(fixture.store, "default", &first), MO_OK);
+  CHECK_INT(first.version, 1);
+  CHECK_INT(first.n_parameters, 620912);
+  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_OK);
+  CHECK_INT(size, first.size);
+  free(bytes);
+  CHECK_INT(mo_store_controller_metadata(fixture.store, &first.sha256, &metadata), MO_OK);
+  CHECK(metadata != NULL && strstr(metadata, "\"sensor\":\"inverse_sqrt\"") != NULL);
+  CHECK(metadata != NULL && strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\u000a\\\\ \xc3\xa9 note\"") != NULL);
+  free(metadata);
+  /* The same content under the same name changes nothing; other content moves the name. */
+  CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);
+  CHECK(second.version == 1 && second.stored_us == first.stored_us);
+  CHECK_INT(fixture_controller(fixture.store, "default", 2, &second), MO_OK);
+  CHECK(second.version == 2 && !mo_sha256_equal(&first.sha256, &second.sha256));
+  CHECK_INT(fixture_controller(fixture.store, "another-one", 1, &second), MO_OK);
+  CHECK_INT(mo_store_controllers(fixture.store, NULL, listed, 4), 2);
+  CHECK_TEXT(listed[0].name, "another-one");
+  CHECK_INT(mo_store_controllers(fixture.store, "another-one", listed, 4), 1);
+  CHECK_TEXT(listed[0].name, "default");
+  mo_sha256_to_hex(&first.sha256, digits);
+  snprintf(reference, sizeof(reference), "sha256:%s", digits);
+  CHECK_INT(mo_store_controller(fixture.store, reference, &second), MO_OK);
+  CHECK(mo_sha256_equal(&first.sha256, &second.sha256) && second.name[0] == '\0');
+  CHECK_INT(mo_store_controller(fixture.store, "sha256:12", &second), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_controller_remove(fixture.store, "another-one"), MO_OK);
+  CHECK_INT(mo_store_controller_remove(fixture.store, "another-one"), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_controller(fixture.store, "another-one", &second), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_controller_name_check("bootstrap"), MO_OK);
+  CHECK_INT(mo_controller_name_check("a.b_c-0"), MO_OK);
+  CHECK_INT(mo_controller_name_check(""), MO_ERR_FORMAT);
+  CHECK_INT(mo_controller_name_check("../x"), MO_ERR_FORMAT);
+  CHECK_INT(mo_controller_name_check("Upper"), MO_ERR_FORMAT);
+  CHECK_INT(mo_controller_name_check("a/b"), MO_ERR_FORMAT);
+  CHECK_INT(mo_controller_name_check("0123456789012345678901234567890123456789012345678901234567890123x"),
+            MO_ERR_FORMAT);
+  /* A damaged file is found out, and healed by the next upload. */
+  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
+  file = fopen(path, "r+");
+  REQUIRE(file != NULL);
+  fseek(file, 5000, SEEK_SET);
+  fputs("scratched", file);
+  fclose(file);
+  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);
+  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_OK);
+  free(bytes);
+  unlink(path);
+  CHECK_INT(mo_store_controller_bytes(fixture.store, &first.sha256, &bytes, &size), MO_ERR_CORRUPT);
+  fixture_end(&fixture);
+}
+
+/* Ends an evaluation of 6 designs with losses of which design i's are losses[i]. */
+static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
+{
+  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
+  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START}, {.job = id, .step = MO_STEP_SUCCEED}};
+  struct mo_saved_score scores[6 * MO_PAPER_TEST_COUNT];
+  struct mo_save save = {.scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
+  struct mo_work *work = NULL;
+  int64_t fingerprint = 0;
+  int error = mo_store_fingerprint(fixture->store, "by hand", &fingerprint);
+  if (error == MO_OK)
+    error = mo_store_load_work(fixture->store, id, &work);
+  for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
+    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+      scores[n * MO_PAPER_TEST_COUNT + k] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
+                                                                    .controller = work->controller,
+                                                                    .physics = work->physics,
+                                                                    .environment = work->environment_rows[k],
+                                                                    .fingerprint = fingerprint,
+                                                                    .loss = losses[n],
+                                                                    .diverged_step = isinf(losses[n]) ? 3 : 0};
+  save.n_scores = 6 * MO_PAPER_TEST_COUNT;
+  if (error == MO_OK)
+    error = mo_store_save(fixture->store, &save);
+  pthread_mutex_lock(&waiter.mutex);
+  while (!waiter.done && error == MO_OK)
+    pthread_cond_wait(&waiter.changed, &waiter.mutex);
+  pthread_mutex_unlock(&waiter.mutex);
+  mo_work_free(work);
+  return error;
+}
+
+static void ranks_a_population(void)
+{
+  static const double losses[6] = {0.5, 0.25, INFINITY, 0.75, 0.125, 0.25};
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes, *best = NULL;
+  struct mo_submission evaluation;
+  struct mo_training_submission training = submission_of(10);
+  int64_t id = 0;
+  uint32_t n = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(5, 6, &forms, &genotypes) == MO_OK);
+  forms[5] = forms[1]; /* asked for twice */
+  genotypes[5] = genotypes[1];
+  evaluation = fixture_submission(forms, genotypes, 6);
+  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
+  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_population(fixture.store, id + 1, 0, &best, &n), MO_ERR_NOT_FOUND);
+  REQUIRE(evaluate(&fixture, id, losses) == MO_OK);
+  CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_OK);
+  CHECK_INT(n, 4);
+  CHECK(n == 4 && memcmp(&best[0], &genotypes[4], sizeof(*best)) == 0 &&
+        memcmp(&best[1], &genotypes[1], sizeof(*best)) == 0 && memcmp(&best[2], &genotypes[0], sizeof(*best)) == 0 &&
+        memcmp(&best[3], &genotypes[3], sizeof(*best)) == 0);
+  free(best);
+  CHECK_INT(mo_store_population(fixture.store, id, 2, &best, &n), MO_OK);
+  CHECK_INT(n, 2);
+  free(best);
+  CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"shares a design between its orientations", shares_designs_between_orientations},
+    {"keeps every bit of a loss", keeps_every_bit},
+    {"ranks designs by score", ranks_designs},
+    {"keeps controllers by content and by name", keeps_controllers},
+    {"ranks a population", ranks_a_population},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,320 @@
+/* jobs.c: what the store keeps of jobs: evaluations with their results and trajectories, keys, states, events, pages. */
+#include "by_hand.h"
+
+static void submits_and_reads_back(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_controller_record record;
+  struct mo_job job;
+  struct mo_work *work = NULL;
+  struct mo_environment paper[MO_PAPER_TEST_COUNT];
+  int64_t id = 0, queued[4];
+  bool replayed = true;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(1, 5, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 5);
+  submission.label = "first \xc3\xa9vidence";
+  submission.precision = MO_FLOAT64;
+  submission.physics.drop_height_m = 0.25;
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  CHECK(!replayed);
+  CHECK_INT(id, 1);
+  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_QUEUED);
+  CHECK_INT(job.version, 1);
+  CHECK_TEXT(job.label, "first \xc3\xa9vidence");
+  CHECK(job.has_label);
+  CHECK_TEXT(job.environment_set, "paper-test");
+  CHECK_TEXT(job.controller_name, "default");
+  CHECK_INT(job.precision, MO_FLOAT64);
+  CHECK(job.physics.drop_height_m == 0.25 && job.physics.dt_s == 0.004 && job.physics.n_steps == 1000);
+  CHECK_INT(job.rollouts_total, 50);
+  CHECK(job.created_us > 0 && job.started_us == 0 && job.finished_us == 0);
+  CHECK_INT(mo_store_controller(fixture.store, "default", &record), MO_OK);
+  CHECK(mo_sha256_equal(&record.sha256, &job.controller_sha256));
+  CHECK_INT(mo_store_job(fixture.store, 2, &job), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_queued(fixture.store, MO_BATCH, 0, queued, 4), 1);
+  CHECK_INT(queued[0], id);
+  CHECK_INT(mo_store_queued(fixture.store, MO_INTERACTIVE, 0, queued, 4), 0);
+  REQUIRE(mo_store_load_work(fixture.store, id, &work) == MO_OK);
+  mo_environment_paper_test(paper);
+  CHECK(memcmp(work->environments, paper, sizeof(paper)) == 0);
+  CHECK(memcmp(work->genotypes, genotypes, 5 * sizeof(*genotypes)) == 0);
+  mo_work_free(work);
+  submission.controller = "nobody";
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
+  submission.controller = "default";
+  submission.environment_set = "no such set";
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_jobs(fixture.store, &any_job, &job, 1), 1);
+  CHECK_INT(job.id, 1); /* the refused ones left nothing */
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void answers_a_repeated_key(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_store_config config;
+  int64_t id = 0, again = 0;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(3, 1, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  submission.idempotency_key = "key-1";
+  mo_sha256_of("body", 4, &submission.body_sha256);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
+  CHECK(!replayed);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_OK);
+  CHECK(replayed && again == id);
+  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_OK);
+  CHECK_INT(mo_store_replay(fixture.store, "key-2", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
+  mo_sha256_of("other", 5, &submission.body_sha256);
+  CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_ERR_CONFLICT);
+  /* Keys older than their time are forgotten. */
+  mo_store_close(fixture.store);
+  REQUIRE(outside(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") == SQLITE_OK);
+  config = (struct mo_store_config){.path = fixture.path};
+  REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
+  for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
+    enum mo_job_state before;
+    CHECK_INT(mo_store_change_job(fixture.store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before), MO_OK);
+  }
+  usleep(50000);
+  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void pages_through_jobs(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_job *page = calloc(10, sizeof(*page));
+  struct mo_job_query query = any_job;
+  uint64_t counts[MO_JOB_STATES];
+  int64_t id, expected = 25;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  for (int i = 0; i < 25; i++)
+    REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, 10, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, 20, MO_CHANGE_CANCEL, NULL), MO_OK);
+  for (;;) {
+    int64_t n = mo_store_jobs(fixture.store, &query, page, 10);
+    REQUIRE(n >= 0);
+    for (int64_t i = 0; i < n; i++)
+      CHECK_INT(page[i].id, expected--);
+    if (n == 0)
+      break;
+    query.before = page[n - 1].id;
+  }
+  CHECK_INT(expected, 0);
+  query = any_job;
+  query.state = MO_JOB_CANCELLED;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, page, 10), 2);
+  CHECK_INT(page[0].id, 20);
+  CHECK_INT(page[1].id, 10);
+  query.before = 20;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, page, 10), 1);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
+  CHECK_INT(counts[MO_JOB_QUEUED], 23);
+  CHECK_INT(counts[MO_JOB_CANCELLED], 2);
+  free(page);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void changes_states(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_job job;
+  enum mo_job_state before;
+  struct mo_job_update update = {.step = MO_STEP_START};
+  struct mo_save save = {.updates = &update, .n_updates = 1};
+  int64_t id;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  update.job = id;
+  CHECK_INT(mo_store_change_job(fixture.store, 99, MO_CHANGE_PAUSE, &before), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &before), MO_OK);
+  CHECK_INT(before, MO_JOB_QUEUED);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, &before), MO_OK);
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK(!update.applied); /* a paused job does not start */
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, &before), MO_OK);
+  CHECK_INT(before, MO_JOB_PAUSED);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &before), MO_OK);
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK(update.applied);
+  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_RUNNING);
+  CHECK(job.started_us > 0);
+  /* Errors of the runner: twice again, then parked. */
+  update.step = MO_STEP_RETRY;
+  update.error = MO_ERR_NO_MEMORY;
+  update.max_attempts = 2;
+  snprintf(update.error_text, sizeof(update.error_text), "ran out");
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_INT(update.state, MO_JOB_QUEUED);
+  update.step = MO_STEP_START;
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  update.step = MO_STEP_RETRY;
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_INT(update.state, MO_JOB_FAILED);
+  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_INT(job.attempts, 2);
+  CHECK_INT(job.error, MO_ERR_NO_MEMORY);
+  CHECK_TEXT(job.error_text, "ran out");
+  CHECK(job.finished_us > 0);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, &before), MO_ERR_CONFLICT);
+  /* Fenced: what another opening of the store started is not ours to end. */
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  update = (struct mo_job_update){.job = id, .step = MO_STEP_START};
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  update.step = MO_STEP_SUCCEED;
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK(!update.applied);
+  /* Restart after a crash that the marker blames on the job. */
+  CHECK_INT(mo_store_requeue(fixture.store, id, 3, "signal 11"), MO_OK);
+  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_QUEUED);
+  CHECK_INT(job.attempts, 1);
+  for (int i = 0; i < 2; i++) {
+    update.step = MO_STEP_START;
+    CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+    CHECK(update.applied);
+    CHECK_INT(mo_store_requeue(fixture.store, i == 0 ? 0 : id, 2, "signal 11"), MO_OK);
+  }
+  REQUIRE(mo_store_job(fixture.store, id, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_FAILED);
+  CHECK_TEXT(job.error_text, "signal 11");
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+struct heard {
+  int64_t sequences[64];
+  size_t n;
+};
+
+static void hear(void *context, const struct mo_event *events, size_t n)
+{
+  struct heard *heard = context;
+  for (size_t i = 0; i < n && heard->n < 64; i++)
+    heard->sequences[heard->n++] = events[i].sequence;
+}
+
+static void tells_of_changes(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct heard heard = {.n = 0};
+  struct mo_event events[32];
+  struct mo_store_config config;
+  int64_t id, oldest, newest, n;
+  bool replayed;
+  int handle;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(4, 1, &forms, &genotypes) == MO_OK);
+  CHECK_INT(mo_store_subscribe(fixture.store, hear, &heard, &handle), MO_OK);
+  submission = fixture_submission(forms, genotypes, 1);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
+  mo_store_unsubscribe(fixture.store, handle);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  CHECK_INT(heard.n, 3);
+  n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
+  REQUIRE(n == 5); /* the controller, then created, started, finished, created */
+  CHECK_TEXT(events[0].type, "controller.stored");
+  CHECK_TEXT(events[1].type, "job.created");
+  CHECK_TEXT(events[2].type, "job.started");
+  CHECK_TEXT(events[3].type, "job.finished");
+  CHECK(strstr(events[3].data, "\"succeeded\"") != NULL);
+  for (size_t i = 0; i < 3; i++)
+    CHECK_INT(heard.sequences[i], events[i + 1].sequence);
+  CHECK_INT(oldest, events[0].sequence);
+  CHECK_INT(newest, events[4].sequence);
+  CHECK_INT(mo_store_events(fixture.store, events[1].sequence, 1, events, 32, NULL, NULL), 2);
+  CHECK_INT(mo_store_events(fixture.store, newest, 0, events, 32, NULL, NULL), 0);
+  /* Pruned: the oldest that is kept tells. */
+  mo_store_close(fixture.store);
+  config = (struct mo_store_config){.path = fixture.path, .events_kept = 100};
+  REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
+  for (int i = 0; i < 1200; i++)
+    CHECK_INT(mo_store_change_job(fixture.store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, NULL), MO_OK);
+  usleep(50000);
+  n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
+  CHECK(n == 32 && oldest > 900 && newest == 1205);
+  CHECK_INT(events[0].sequence, oldest);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void keeps_trajectories(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_trajectory *trajectory = NULL;
+  double com[9] = {1, -0.0, NAN, 4, 5, 6, 7, 8, 9};
+  float mass[18] = {0.1F, -0.0F, NAN};
+  struct mo_saved_trajectory saved = {.design_position = 1,
+                                      .environment_position = 4,
+                                      .stride = 500,
+                                      .frames = 3,
+                                      .n_masses = 2,
+                                      .com_m = com,
+                                      .mass_m = mass};
+  struct mo_save save = {.trajectories = &saved, .n_trajectories = 1};
+  int64_t id;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(4, 2, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 2);
+  submission.record_com = submission.record_masses = true;
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  saved.job = id;
+  CHECK_INT(save_and_wait(fixture.store, &save), MO_OK);
+  CHECK_INT(mo_store_trajectory(fixture.store, id, 1, 3, &trajectory), MO_ERR_NOT_FOUND);
+  REQUIRE(mo_store_trajectory(fixture.store, id, 1, 4, &trajectory) == MO_OK);
+  CHECK(memcmp(trajectory->com_m, com, sizeof(com)) == 0);
+  CHECK(memcmp(trajectory->mass_m, mass, sizeof(mass)) == 0);
+  CHECK(trajectory->stride == 500 && trajectory->n_frames == 3 && trajectory->n_masses == 2 &&
+        trajectory->dt_s == 0.004);
+  mo_trajectory_free(trajectory);
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"submits a job and reads it back", submits_and_reads_back},
+    {"answers a repeated key with the same job", answers_a_repeated_key},
+    {"pages through jobs", pages_through_jobs},
+    {"changes states only as the machine allows", changes_states},
+    {"tells of changes, in order, and prunes", tells_of_changes},
+    {"keeps trajectories", keeps_trajectories},
+};
+CHECK_MAIN(cases)

@@ -1,0 +1,71 @@
+/* training_fixture.h: a training as it is asked for, and rows of its curve. */
+#ifndef MORPHO_TESTS_STORE_TRAINING_FIXTURE_H
+#define MORPHO_TESTS_STORE_TRAINING_FIXTURE_H
+
+#include <math.h>
+
+#include "fixture.h"
+#include "store/trainings.h"
+
+static inline struct mo_training_submission submission_of(uint32_t n_steps)
+{
+  return (struct mo_training_submission){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                                                                 .seed = UINT64_C(0xFEDCBA9876543210),
+                                                                 .n_steps = n_steps,
+                                                                 .batch = 16,
+                                                                 .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                                                                              .peak = 1e-3,
+                                                                              .floor = 1e-5,
+                                                                              .decay = 0.7,
+                                                                              .cycle_steps = 10,
+                                                                              .cycle_growth = 2,
+                                                                              .warmup_steps = 3},
+                                                                 .beta1 = 0.9,
+                                                                 .beta2 = 0.999,
+                                                                 .epsilon = 1e-8,
+                                                                 .norm_limit = 1,
+                                                                 .adjoint_bound = 2,
+                                                                 .physics = mo_default_physics(),
+                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
+                                                                 .held_out_designs = 5,
+                                                                 .held_out_environments = 7},
+                                                    .name = "walker",
+                                                    .validate_every_steps = 11,
+                                                    .checkpoint_every_steps = 12,
+                                                    .checkpoint_every_s = 13,
+                                                    .checkpoints_kept = 2},
+                                         .priority = MO_BATCH,
+                                         .label = "a label"};
+}
+
+static inline int64_t submit(struct fixture *fixture, const struct mo_training_submission *submission)
+{
+  int64_t id = 0;
+  bool replayed = true;
+  int error = mo_store_submit_training(fixture->store, submission, &id, &replayed);
+  return error != MO_OK ? error : id;
+}
+
+static inline enum mo_job_state state_of(struct fixture *fixture, int64_t id)
+{
+  struct mo_job job = {.state = MO_JOB_FAILED};
+  (void)mo_store_job(fixture->store, id, &job);
+  return job.state;
+}
+
+static inline struct mo_training_step_row row_of(uint32_t step)
+{
+  return (struct mo_training_step_row){.report = {.step = step,
+                                                  .mean_loss = step == 3 ? NAN : 1.0 / (step + 2),
+                                                  .rate = 1e-3 / step,
+                                                  .gradient_norm = 0.1 * step,
+                                                  .clipped_share = 0.25,
+                                                  .clipped_robots_share = 0.5,
+                                                  .diverged = step,
+                                                  .zeroed = step + 1,
+                                                  .skipped = step == 3,
+                                                  .bounded = step + 2},
+                                       .seconds = 0.125};
+}
+
+#endif
