@@ -6,6 +6,7 @@
 #include <sys/stat.h>
 
 #include "commands.h"
+#include "fields.h"
 #include "table.h"
 #include "transport.h"
 
@@ -158,8 +159,11 @@ int run_eval(struct ctl *ctl)
       json_object_set_new(request, "label", json_string(label));
     if (priority != NULL)
       json_object_set_new(request, "priority", json_string(priority));
-    status = evaluate(ctl, request, wait, &evaluation);
+    static const struct field weight = {"weight", "weight", FIELD_REAL};
+    status = fill_fields(ctl, request, &weight, 1);
   }
+  if (status == STATUS_OK)
+    status = evaluate(ctl, request, wait, &evaluation);
   if (status == STATUS_OK && !wait) {
     if (ctl->json)
       print_json(evaluation);

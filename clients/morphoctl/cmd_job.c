@@ -1,5 +1,6 @@
-/* cmd_job.c: job list, show, cancel, pause, resume. */
+/* cmd_job.c: job list, show, cancel, pause, resume, weight. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -122,4 +123,29 @@ int run_job_pause(struct ctl *ctl)
 int run_job_resume(struct ctl *ctl)
 {
   return change(ctl, "POST", "/resume");
+}
+
+int run_job_weight(struct ctl *ctl)
+{
+  const char *id = ctl->operands[0], *words = ctl->operands[1];
+  char *end, path[64], body[64];
+  double weight = strtod(words, &end);
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  if (end == words || *end != 0 || !isfinite(weight))
+    return complain(STATUS_USAGE, "\"%s\" is not a number", words);
+  snprintf(path, sizeof(path), "/v1/jobs/%s/weight", id);
+  int n = snprintf(body, sizeof(body), "{\"weight\":%.17g}", weight);
+  struct request request = {
+      .method = "POST", .path = path, .body = body, .body_bytes = (size_t)n, .content_type = "application/json"};
+  struct reply reply;
+  int status = transport_send(ctl, &request, &reply);
+  json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
+  if (job != NULL && ctl->json)
+    print_json(job);
+  else if (job != NULL && !ctl->quiet)
+    print_plain_line(stdout, "job %s has the weight %g", id, json_number_value(json_object_get(job, "weight")));
+  json_decref(job);
+  reply_free(&reply);
+  return status;
 }

@@ -26,6 +26,7 @@ static const struct field fields[] = {
     {"checkpoint-seconds", "checkpoint.every_s", FIELD_WHOLE},
     {"checkpoint-keep", "checkpoint.keep", FIELD_WHOLE},
     {"priority", "priority", FIELD_WORD},
+    {"weight", "weight", FIELD_REAL},
     {"label", "label", FIELD_WORD},
 };
 

@@ -18,6 +18,7 @@ int run_job_show(struct ctl *ctl);
 int run_job_cancel(struct ctl *ctl);
 int run_job_pause(struct ctl *ctl);
 int run_job_resume(struct ctl *ctl);
+int run_job_weight(struct ctl *ctl);
 int run_watch(struct ctl *ctl);
 int run_train_start(struct ctl *ctl);
 int run_train_list(struct ctl *ctl);

@@ -11,6 +11,7 @@ static const struct option_spec eval_options[] = {
     {"output", 'o', "FOLDER", "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
     {"label", 'l', "TEXT", "A label to find the job by."},
     {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch."},
+    {"weight", 0, "X", "Part of the cores beside other batch work, 0.001 to 1000 (default: 1)."},
     {"wait", 0, NULL, "Wait for the result (the default)."},
     {"no-wait", 0, NULL, "Print the id of the evaluation and do not wait."},
     {"sort", 0, "input|score", "Order of the table (default: input)."},
@@ -66,6 +67,7 @@ static const struct option_spec train_start_options[] = {
     {"checkpoint-seconds", 0, "N", "Save the state every N seconds; 0: by steps alone (default: 60)."},
     {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3)."},
     {"priority", 0, "batch|interactive", "Default: batch."},
+    {"weight", 0, "X", "Part of the cores beside other work, 0.001 to 1000 (default: 1)."},
     {"label", 'l', "TEXT", "A label to find the job by."},
     {"watch", 'w', NULL, "Watch it to its end, as train watch does."},
     {"idempotency-key", 0, "KEY",
@@ -187,6 +189,10 @@ const struct command commands[] = {
     {"job cancel", "ID...", "Cancel jobs.", "Scores that are stored already stay.", NULL, 1, MANY, run_job_cancel},
     {"job pause", "ID...", "Set jobs aside.", NULL, NULL, 1, MANY, run_job_pause},
     {"job resume", "ID...", "Go on with paused jobs.", NULL, NULL, 1, MANY, run_job_resume},
+    {"job weight", "ID X", "Give a job another part of the cores.",
+     "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at once, also while the job "
+     "runs.",
+     NULL, 2, 2, run_job_weight},
     {"watch", "[JOB]", "Follow a job to its end, or all events.",
      "With --json one event per line. After a break the stream goes on where it was. Exit status of a job: 0 if it "
      "succeeded, 3 "

@@ -56,15 +56,16 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
     } else if (mo_json_is(key, "priority")) {
       if (mo_read_choice(json, "batch", "interactive", &choice))
         request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
+    } else if (mo_json_is(key, "weight")) {
+      mo_read_weight(json, &request->weight);
     } else if (mo_json_is(key, "label")) {
       if (mo_read_label(json, parsed->label))
         request->label = parsed->label;
     } else if (mo_json_is(key, "verify")) {
       mo_json_bool(json, &request->verify);
     } else {
-      mo_read_unknown(
-          json,
-          "designs, environments, controller, record, record_stride, physics, precision, priority, label, verify");
+      mo_read_unknown(json, "designs, environments, controller, record, record_stride, physics, precision, priority, "
+                            "weight, label, verify");
     }
   }
   if (code != MO_OK || json->stop)
@@ -84,6 +85,7 @@ int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluati
   parsed->request.physics = mo_default_physics();
   parsed->request.precision = MO_FLOAT32;
   parsed->request.priority = -1;
+  parsed->request.weight = 1;
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;

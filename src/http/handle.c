@@ -36,6 +36,7 @@ enum mo_handled mo_handle(struct mo_request *request)
     break;
   case MO_ROUTE_JOB_PAUSE:
   case MO_ROUTE_JOB_RESUME: mo_handle_job_change(request); break;
+  case MO_ROUTE_JOB_WEIGHT: mo_handle_job_weight(request); break;
   case MO_ROUTE_DESIGNS: mo_handle_designs(request); break;
   case MO_ROUTE_DESIGN: mo_handle_design(request); break;
   case MO_ROUTE_CONTROLLERS: mo_handle_controllers(request); break;

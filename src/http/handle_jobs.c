@@ -6,6 +6,7 @@
 #include "http/evaluation_request.h"
 #include "http/field.h"
 #include "http/job_json.h"
+#include "http/request_parts.h"
 #include "http/server.h"
 #include "http/training_json.h"
 
@@ -359,6 +360,75 @@ void mo_handle_job_change(struct mo_request *request)
     reply_job(request, 200, job, false);
   request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
   free(job);
+}
+
+/* {"weight": x}. MO_ERR_FORMAT, MO_ERR_INVALID: the faults tell. */
+static int read_weight(const struct mo_request *request, double *weight, struct mo_faults *faults)
+{
+  struct mo_json *json = malloc(sizeof(*json));
+  struct mo_json_slice key;
+  bool given = false;
+  if (json == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_json_start(json, request->body != NULL ? request->body : "", request->body_size, faults);
+  bool object = mo_json_object(json);
+  while (object && mo_json_member(json, &key))
+    if (mo_json_is(key, "weight")) {
+      given = true;
+      mo_read_weight(json, weight);
+    } else {
+      mo_read_unknown(json, "weight");
+    }
+  if (object && !json->stop && !given)
+    mo_json_fault_at(json, 0, "", "weight is missing: a number from %g to %g", MO_WEIGHT_MIN, MO_WEIGHT_MAX);
+  mo_json_finish(json);
+  free(json);
+  return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
+}
+
+static void set_weight(struct mo_request *request, int64_t id, struct mo_faults *faults, struct mo_job *job)
+{
+  double weight = 1;
+  int code = read_weight(request, &weight, faults);
+  bool conflict = false;
+  if (code == MO_ERR_FORMAT) {
+    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
+    return;
+  }
+  if (code == MO_ERR_INVALID) {
+    mo_reply_problem(request, 422, faults, NULL);
+    return;
+  }
+  if (code == MO_OK)
+    code = mo_jobs_set_weight(request->http->services.jobs, id, weight);
+  conflict = code == MO_ERR_CONFLICT;
+  if (code == MO_OK || conflict)
+    code = mo_store_job(request->http->services.store, id, job);
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "job");
+  } else if (conflict) {
+    mo_reply_problem(request, 409, NULL, "The job has no use for a weight: it is %s.", mo_job_state_name(job->state));
+  } else {
+    reply_job(request, 200, job, false);
+    request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
+  }
+}
+
+void mo_handle_job_weight(struct mo_request *request)
+{
+  struct mo_query_value none;
+  int64_t id;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
+      !mo_check_content(request, "application/json", NULL))
+    return;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  struct mo_job *job = malloc(sizeof(*job));
+  if (faults != NULL && job != NULL)
+    set_weight(request, id, faults, job);
+  else
+    mo_reply_error(request, MO_ERR_NO_MEMORY, "job");
+  free(job);
+  free(faults);
 }
 
 /* ---- trajectories ---- */

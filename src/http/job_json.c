@@ -101,6 +101,7 @@ void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo
 {
   mo_text_member(text, "state", mo_job_state_name(state));
   mo_text_member(text, "priority", job->priority == MO_INTERACTIVE ? "interactive" : "batch");
+  mo_text_member_number(text, "weight", job->weight);
   if (job->has_label)
     mo_text_member(text, "label", job->label);
   else

@@ -138,6 +138,20 @@ static void write_jobs(struct mo_http *http, struct mo_text *text)
         j.rollouts_shared);
 }
 
+/* Urgent blocks among them. */
+static void write_worker_time(struct mo_http *http, struct mo_text *text)
+{
+  struct mo_jobs_stats j;
+  mo_jobs_get_stats(http->services.jobs, &j);
+  head(text, "morphod_job_worker_seconds_total", "counter",
+       "Time of computing threads by kind of job, since the start.");
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
+    mo_text_format(text, "morphod_job_worker_seconds_total{kind=\"%s\"} ", mo_job_kind_name((enum mo_job_kind)kind));
+    mo_text_json_number(text, j.worker_s[kind]);
+    mo_text_add(text, "\n");
+  }
+}
+
 static void write_trainings(struct mo_http *http, struct mo_text *text)
 {
   struct mo_jobs_stats j;
@@ -186,6 +200,7 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_http(http, text);
   write_compute(http, text);
   write_jobs(http, text);
+  write_worker_time(http, text);
   write_trainings(http, text);
   write_store(http, text);
 }

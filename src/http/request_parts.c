@@ -482,6 +482,11 @@ bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
   return true;
 }
 
+bool mo_read_weight(struct mo_json *json, double *weight)
+{
+  return mo_json_bounded(json, MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
+}
+
 /* One of two words; false when it is neither. */
 bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice)
 {

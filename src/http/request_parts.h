@@ -45,6 +45,9 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id);
 /* At most 200 characters. */
 bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1]);
 
+/* A job's weight, MO_WEIGHT_MIN to MO_WEIGHT_MAX. Untouched if it is not one. */
+bool mo_read_weight(struct mo_json *json, double *weight);
+
 /* One of two words: 0 or 1 in *choice; false when it is neither. */
 bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice);
 

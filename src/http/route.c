@@ -23,6 +23,7 @@ const struct mo_route_info mo_routes[MO_ROUTES] = {
     [MO_ROUTE_JOB] = {"/v1/jobs/{id}", MO_GET | MO_DELETE, false, false},
     [MO_ROUTE_JOB_PAUSE] = {"/v1/jobs/{id}/pause", MO_POST, false, false},
     [MO_ROUTE_JOB_RESUME] = {"/v1/jobs/{id}/resume", MO_POST, false, false},
+    [MO_ROUTE_JOB_WEIGHT] = {"/v1/jobs/{id}/weight", MO_POST, false, false},
     [MO_ROUTE_DESIGNS] = {"/v1/designs", MO_GET, false, false},
     [MO_ROUTE_DESIGN] = {"/v1/designs/{id}", MO_GET, false, false},
     [MO_ROUTE_CONTROLLERS] = {"/v1/controllers", MO_GET, false, false},

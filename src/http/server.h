@@ -175,6 +175,7 @@ void mo_handle_trajectory(struct mo_request *request);
 void mo_handle_jobs(struct mo_request *request);
 enum mo_handled mo_handle_job_get(struct mo_request *request);
 void mo_handle_job_change(struct mo_request *request);
+void mo_handle_job_weight(struct mo_request *request);
 void mo_handle_trainings_post(struct mo_request *request);
 void mo_handle_trainings(struct mo_request *request);
 enum mo_handled mo_handle_training(struct mo_request *request);

@@ -107,6 +107,7 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   mo_text_member_bool(text, "skipped", any && last->skipped);
   mo_text_member_number(text, "bodies_per_s", runs && live->robots_per_s > 0 ? live->robots_per_s : (double)NAN);
   mo_text_member_number(text, "seconds_left", runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
+  mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
   mo_text_member_count(text, "replayed", runs ? live->replayed : 0);
   mo_text_member_count(text, "replay_total", runs ? live->replay_total : 0);
   mo_text_add(text, "}");

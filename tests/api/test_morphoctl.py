@@ -102,6 +102,9 @@ def test_jobs(ctl):
     assert ctl("job", "pause", job)[0] == 0
     assert "paused" in ctl("job", "show", job)[1]
     assert any(line.split()[0] == job and "paused" in line for line in ctl("job", "list", "--state", "paused")[1].splitlines()[1:])
+    assert ctl("job", "weight", job, "2.5") == (0, f"job {job} has the weight 2.5\n", "")
+    assert re.search(r"^weight +2.5$", ctl("job", "show", job)[1], re.M)
+    assert ctl("job", "weight", job, "0")[0] == 6 and ctl("job", "weight", job, "2x")[0] == 2
     assert ctl("job", "resume", job)[0] == 0
     status, out, err = ctl("job", "cancel", job)
     assert status == 0, err
