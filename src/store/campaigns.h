@@ -114,12 +114,16 @@ struct mo_campaign_query {
   int64_t before; /* only ids below this; 0: from the newest */
   int state;      /* enum mo_job_state or −1 */
   int64_t group;  /* 0: any */
+  /* (n_waiting ≤ MO_WAITING_MAX) campaigns that, while they run, are shown and so found as paused; nullable. */
+  const int64_t *waiting;
+  size_t n_waiting;
 };
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
                            struct mo_campaign_status *statuses, size_t limit);
 int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo_environment **environments,
                                    uint32_t *n);
-/* The initial designs that were listed or copied from another campaign (malloc). */
+/* The initial designs (malloc): record.n_listed listed ones, then those of initial_campaign's newest population, best first, as many as the
+ * population has room for; what is listed already, or does not fit the campaign's workspace, was left out. */
 int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits **genotypes, uint32_t *n);
 
 /* Generations > after (−1: from the first), ascending. */
@@ -214,6 +218,10 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 /* The newest of a generation ≥ the newest committed one (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT. */
 int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation, uint32_t *step,
                                        uint8_t **bytes, size_t *size);
+/* The newest of this generation: of the newest committed one, what scored its population, whatever the generation under way has
+ * learned since. Others are not kept. */
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation, uint32_t *step,
+                                    uint8_t **bytes, size_t *size);
 
 /* A whole generation, one transaction. */
 struct mo_campaign_commit {
@@ -240,7 +248,9 @@ struct mo_campaign_commit {
   const char *event_data;    /* JSON of "campaign.generation" */
   const char *collapse_data; /* nullable: JSON of "campaign.diversity_collapse" */
 };
-/* MO_ERR_NO_SPACE: nothing changed. */
+/* MO_ERR_NO_SPACE: nothing changed. MO_ERR_CONFLICT as for trainings, or it is not the turn of this generation. MO_ERR_INVALID,
+ * MO_ERR_RANGE: a mistake of the caller: parents are not the stored population in its order, a survivor named twice, a score that is
+ * NaN, row.born_before is not the number of designs so far. Generation 0 has no parents: all of it are children. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id, const struct mo_campaign_commit *commit);
 /* running → succeeded. controller: nullable; under its name, as mo_store_training_finish. MO_ERR_CONFLICT also: it was extended meanwhile
  * (generations > expected): go on. */

@@ -3,13 +3,13 @@
 
 #include <string.h>
 
-static void put_u32(uint32_t value, uint8_t *bytes)
+void mo_encode_u32(uint32_t value, uint8_t bytes[4])
 {
   for (int i = 0; i < 4; i++)
     bytes[i] = (uint8_t)(value >> (8 * i));
 }
 
-static uint32_t get_u32(const uint8_t *bytes)
+uint32_t mo_decode_u32(const uint8_t bytes[4])
 {
   uint32_t value = 0;
   for (int i = 3; i >= 0; i--)
@@ -52,14 +52,14 @@ void mo_encode_floats(const float *values, size_t n, uint8_t *bytes)
   for (size_t i = 0; i < n; i++) {
     uint32_t word;
     memcpy(&word, &values[i], sizeof(word));
-    put_u32(word, bytes + 4 * i);
+    mo_encode_u32(word, bytes + 4 * i);
   }
 }
 
 void mo_decode_floats(const uint8_t *bytes, size_t n, float *values)
 {
   for (size_t i = 0; i < n; i++) {
-    uint32_t word = get_u32(bytes + 4 * i);
+    uint32_t word = mo_decode_u32(bytes + 4 * i);
     memcpy(&values[i], &word, sizeof(word));
   }
 }
@@ -89,11 +89,11 @@ void mo_encode_physics(const struct mo_physics *physics, enum mo_precision preci
   bytes[0] = 1;
   for (size_t i = 0; i < 9; i++)
     mo_encode_double(values[i] == 0.0 ? 0.0 : values[i], bytes + 1 + 8 * i);
-  put_u32(physics->n_steps, words);
-  put_u32((uint32_t)physics->impact, words + 4);
-  put_u32(physics->impact == MO_IMPACT_BISECTION ? physics->bisections : 0, words + 8);
-  put_u32((uint32_t)precision, words + 12);
-  put_u32((uint32_t)sensor, words + 16);
+  mo_encode_u32(physics->n_steps, words);
+  mo_encode_u32((uint32_t)physics->impact, words + 4);
+  mo_encode_u32(physics->impact == MO_IMPACT_BISECTION ? physics->bisections : 0, words + 8);
+  mo_encode_u32((uint32_t)precision, words + 12);
+  mo_encode_u32((uint32_t)sensor, words + 16);
 }
 
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics, enum mo_precision *precision,
@@ -104,14 +104,14 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   if (size != MO_PHYSICS_BYTES || bytes[0] != 1)
     return MO_ERR_CORRUPT;
   words = bytes + 1 + 9 * 8;
-  impact = get_u32(words + 4);
-  chosen_precision = get_u32(words + 12);
-  chosen_sensor = get_u32(words + 16);
+  impact = mo_decode_u32(words + 4);
+  chosen_precision = mo_decode_u32(words + 12);
+  chosen_sensor = mo_decode_u32(words + 16);
   if (impact > MO_IMPACT_BISECTION || chosen_precision > MO_FLOAT64 || chosen_sensor > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
   *physics = (struct mo_physics){
       .dt_s = mo_decode_double(bytes + 1),
-      .n_steps = get_u32(words),
+      .n_steps = mo_decode_u32(words),
       .stiffness_n_per_m = mo_decode_double(bytes + 9),
       .mass_kg = mo_decode_double(bytes + 17),
       .drag_per_s = mo_decode_double(bytes + 25),
@@ -121,7 +121,7 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
       .friction_cap = mo_decode_double(bytes + 57),
       .drop_height_m = mo_decode_double(bytes + 65),
       .impact = (enum mo_impact)impact,
-      .bisections = impact == MO_IMPACT_BISECTION ? get_u32(words + 8) : 8,
+      .bisections = impact == MO_IMPACT_BISECTION ? mo_decode_u32(words + 8) : 8,
   };
   *precision = (enum mo_precision)chosen_precision;
   *sensor = (enum mo_sensor)chosen_sensor;
@@ -143,9 +143,9 @@ void mo_encode_training(const struct mo_training_settings *settings, uint8_t byt
   uint8_t *at = bytes;
   *at++ = 1;
   for (size_t i = 0; i < 10; i++, at += 4)
-    put_u32(words[i], at);
-  put_u32((uint32_t)settings->seed, at);
-  put_u32((uint32_t)(settings->seed >> 32), at + 4);
+    mo_encode_u32(words[i], at);
+  mo_encode_u32((uint32_t)settings->seed, at);
+  mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, 8, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * 8);
 }
@@ -161,8 +161,8 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   if (size != MO_TRAINING_BYTES || bytes[0] != 1)
     return MO_ERR_CORRUPT;
   for (size_t i = 0; i < 10; i++, at += 4)
-    words[i] = get_u32(at);
-  seed = (uint64_t)get_u32(at + 4) << 32 | get_u32(at);
+    words[i] = mo_decode_u32(at);
+  seed = (uint64_t)mo_decode_u32(at + 4) << 32 | mo_decode_u32(at);
   mo_decode_doubles(at + 8, 8, values);
   if (words[0] > MO_TRAINING_FINETUNE || words[3] > MO_SCHEDULE_CONSTANT)
     return MO_ERR_CORRUPT;
@@ -187,6 +187,87 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   settings->held_out_environments = words[8];
   error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision, &settings->sensor);
   settings->physics.bisections = words[9];
+  return error;
+}
+
+#define CAMPAIGN_WORDS  19
+#define CAMPAIGN_VALUES 13
+
+/* Version 1: the byte 1; 32-bit words mode, workspace x, y, z, population, generations, selection kind, tournament size, layers, age
+ * gap, exclude pretraining, parent steps, child steps, batch, schedule kind, cycle steps, cycle growth, warm-up, impact's
+ * bisections; the 64-bit seed; doubles mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1,
+ * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor. */
+void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES])
+{
+  const struct mo_schedule *schedule = &settings->schedule;
+  const struct mo_selection *selection = &settings->selection;
+  const uint32_t words[CAMPAIGN_WORDS] = {
+      (uint32_t)settings->mode, settings->workspace.nx, settings->workspace.ny,        settings->workspace.nz,
+      settings->population,     settings->generations,  (uint32_t)selection->kind,     selection->tournament_size,
+      selection->n_layers,      selection->age_gap,     settings->exclude_pretraining, settings->parent_steps,
+      settings->child_steps,    settings->batch,        (uint32_t)schedule->kind,      schedule->cycle_steps,
+      schedule->cycle_growth,   schedule->warmup_steps, settings->physics.bisections};
+  const double values[CAMPAIGN_VALUES] = {
+      settings->mutation_share, settings->mutation_rate, settings->mutation_growth, selection->novelty_weight,
+      settings->collapse_share, schedule->peak,          schedule->floor,           schedule->decay,
+      settings->beta1,          settings->beta2,         settings->epsilon,         settings->norm_limit,
+      settings->adjoint_bound};
+  uint8_t *at = bytes;
+  *at++ = 1;
+  for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
+    mo_encode_u32(words[i], at);
+  mo_encode_u32((uint32_t)settings->seed, at);
+  mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
+  mo_encode_doubles(values, CAMPAIGN_VALUES, at + 8);
+  mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * CAMPAIGN_VALUES);
+}
+
+int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings)
+{
+  uint32_t words[CAMPAIGN_WORDS];
+  double values[CAMPAIGN_VALUES];
+  enum mo_precision precision;
+  const uint8_t *at = bytes + 1;
+  int error;
+  if (size != MO_CAMPAIGN_BYTES || bytes == NULL || bytes[0] != 1)
+    return MO_ERR_CORRUPT;
+  for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
+    words[i] = mo_decode_u32(at);
+  mo_decode_doubles(at + 8, CAMPAIGN_VALUES, values);
+  if (words[0] > MO_SIMULTANEOUS || words[6] > MO_SELECT_AGE_LAYERED || words[14] > MO_SCHEDULE_CONSTANT ||
+      words[1] > UINT16_MAX || words[2] > UINT16_MAX || words[3] > UINT16_MAX || words[4] > MO_POPULATION_MAX)
+    return MO_ERR_CORRUPT;
+  *settings = (struct mo_campaign_settings){
+      .mode = (enum mo_campaign_mode)words[0],
+      .seed = (uint64_t)mo_decode_u32(at + 4) << 32 | mo_decode_u32(at),
+      .workspace = {(uint16_t)words[1], (uint16_t)words[2], (uint16_t)words[3]},
+      .population = words[4],
+      .generations = words[5],
+      .mutation_share = values[0],
+      .mutation_rate = values[1],
+      .mutation_growth = values[2],
+      .selection = {(enum mo_selection_kind)words[6], words[7], values[3], words[8], words[9]},
+      .exclude_pretraining = words[10] != 0,
+      .collapse_share = values[4],
+      .parent_steps = words[11],
+      .child_steps = words[12],
+      .batch = words[13],
+      .schedule = {.kind = (enum mo_schedule_kind)words[14],
+                   .peak = values[5],
+                   .floor = values[6],
+                   .decay = values[7],
+                   .cycle_steps = words[15],
+                   .cycle_growth = words[16],
+                   .warmup_steps = words[17]},
+      .beta1 = values[8],
+      .beta2 = values[9],
+      .epsilon = values[10],
+      .norm_limit = values[11],
+      .adjoint_bound = values[12],
+  };
+  error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics, &precision,
+                            &settings->sensor);
+  settings->physics.bisections = words[18];
   return error;
 }
 

@@ -4,7 +4,7 @@
 
 #include <stdint.h>
 
-#include <morpho/learning.h>
+#include <morpho/evolution.h>
 
 #include "store/records.h"
 
@@ -12,7 +12,10 @@
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
 #define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES)
+#define MO_CAMPAIGN_BYTES    (1 + 19 * 4 + 8 + 13 * 8 + MO_PHYSICS_BYTES)
 
+void mo_encode_u32(uint32_t value, uint8_t bytes[4]);
+uint32_t mo_decode_u32(const uint8_t bytes[4]);
 void mo_encode_double(double value, uint8_t bytes[8]);
 double mo_decode_double(const uint8_t bytes[8]);
 void mo_encode_doubles(const double *values, size_t n, uint8_t *bytes);
@@ -32,6 +35,10 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
 /* All settings of a training, bit for bit; −0 is kept. */
 void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES]);
 int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
+
+/* All settings of a campaign, likewise. */
+void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES]);
+int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
 
 /* The stored form of genotypes, as mo_genotype_to_bytes writes it. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);

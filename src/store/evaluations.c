@@ -54,6 +54,30 @@ static int training_from_row(sqlite3_stmt *row, struct mo_job *job)
   return MO_OK;
 }
 
+static int campaign_from_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  struct mo_campaign_settings settings;
+  const void *encoding = sqlite3_column_blob(row, 30);
+  int64_t n_environments = sqlite3_column_int64(row, 33), generation = sqlite3_column_int64(row, 32);
+  int error = mo_decode_campaign(encoding, (size_t)sqlite3_column_bytes(row, 30), &settings);
+  if (error == MO_OK && (n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX))
+    error = MO_ERR_CORRUPT;
+  if (error == MO_OK && sqlite3_column_type(row, 13) != SQLITE_NULL)
+    error = mo_column_hash(row, 13, &job->controller_sha256);
+  if (error != MO_OK)
+    return error;
+  mo_column_text(row, 29, job->controller_name, sizeof(job->controller_name));
+  mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
+  job->n_designs = settings.population;
+  job->n_environments = (uint32_t)n_environments;
+  job->physics = settings.physics;
+  job->sensor = settings.sensor;
+  job->precision = MO_FLOAT32;
+  job->steps_total = (uint32_t)sqlite3_column_int64(row, 31);
+  job->steps_done = generation > 0 ? (uint32_t)generation : 0;
+  return MO_OK;
+}
+
 int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   int kind = sqlite3_column_int(row, 2), state = sqlite3_column_int(row, 3), priority = sqlite3_column_int(row, 4);
@@ -79,6 +103,7 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   switch (kind) {
   case MO_JOB_EVALUATION: return evaluation_from_row(row, job);
   case MO_JOB_TRAINING: return training_from_row(row, job);
+  case MO_JOB_CAMPAIGN: return campaign_from_row(row, job);
   default: return MO_ERR_CORRUPT;
   }
 }

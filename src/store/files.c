@@ -212,3 +212,28 @@ int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)
   closedir(folder);
   return error;
 }
+
+int mo_job_folders_clean(const struct mo_store *store, const char *path,
+                         bool (*has_row)(void *cleaning, const char *name), struct mo_cleaning *cleaning)
+{
+  size_t size = strlen(path) + 32;
+  char *inner = malloc(size);
+  struct dirent *entry;
+  DIR *folder = opendir(path);
+  if (folder == NULL || inner == NULL)
+    cleaning->error = folder == NULL ? MO_ERR_IO : MO_ERR_NO_MEMORY;
+  while (cleaning->error == MO_OK &&
+         (entry = readdir(folder)) != NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
+    char *end;
+    cleaning->job = strtoll(entry->d_name, &end, 10);
+    if (cleaning->job <= 0 || *end != '\0')
+      continue;
+    snprintf(inner, size, "%s/%lld", path, (long long)cleaning->job);
+    (void)mo_folder_clean(store, inner, has_row, cleaning);
+    (void)store->files->rmdir(store->files->context, inner); /* when nothing is left */
+  }
+  if (folder != NULL)
+    closedir(folder);
+  free(inner);
+  return cleaning->error;
+}

@@ -68,7 +68,7 @@ struct mo_operation {
 };
 
 struct mo_store {
-  char *path, *database_path, *controllers_path, *trainings_path, *reserve_path, *vfs;
+  char *path, *database_path, *controllers_path, *trainings_path, *campaigns_path, *reserve_path, *vfs;
   const struct mo_file_operations *files;
   int lock_fd;
   int64_t epoch;
@@ -141,12 +141,14 @@ bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
 #define MO_JOB_COLUMNS                                                                                                 \
   "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
   "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \
-  "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step,j.weight"
+  "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step,j.weight,"                   \
+  "m.controller_name,m.settings,m.generations,m.generation,m.n_environments"
 #define MO_JOB_TABLES                                                                                                  \
   " FROM jobs j LEFT JOIN evaluations e ON e.job=j.id LEFT JOIN trainings t ON t.job=j.id"                             \
-  " LEFT JOIN controllers c ON c.id=coalesce(e.controller,t.parent)"                                                   \
-  " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s ON s.id=e.environment_set "
-#define MO_JOB_N_COLUMNS 29
+  " LEFT JOIN campaigns m ON m.job=j.id LEFT JOIN controllers c ON c.id=coalesce(e.controller,t.parent,m.controller)"  \
+  " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s"                                                \
+  " ON s.id=coalesce(e.environment_set,m.environment_set) "
+#define MO_JOB_N_COLUMNS 34
 int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
@@ -157,6 +159,15 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, co
 /* The designs of a job, in order. sql: inserts (?1 job, ?2 position, ?3 genotype's row). */
 int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
                       const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
+/* What submissions name or give: found, or made. */
+int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row);
+int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
+                   enum mo_sensor sensor, int64_t *row);
+/* A named set and its size. MO_ERR_NOT_FOUND. */
+int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row, int64_t *n);
+/* A rollout's row, unless it is there; and the mean over a named set, unless it is incomplete or there. */
+int mo_score_insert(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us);
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
 /* The job of a key. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: of another body. */
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
@@ -207,8 +218,17 @@ int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)
                     void *context);
 /* A file or folder. MO_ERR_NO_MEMORY: it cannot be opened now; MO_ERR_IO. */
 int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder);
-/* Removes files of trainings of which no row speaks. Before the writer starts. */
+/* Removes files of trainings and campaigns of which no row speaks. Before the writer starts. */
 int mo_trainings_clean(struct mo_store *store);
+int mo_campaigns_clean(struct mo_store *store);
+/* Cleans the folders <path>/<job>, and removes those that are empty then. has_row gets the cleaning; it may set its error. */
+struct mo_cleaning {
+  struct mo_connection *connection;
+  int64_t job;
+  int error;
+};
+int mo_job_folders_clean(const struct mo_store *store, const char *path,
+                         bool (*has_row)(void *cleaning, const char *name), struct mo_cleaning *cleaning);
 
 /* Row of a controller by name or "sha256:…". MO_ERR_NOT_FOUND. */
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);

@@ -238,6 +238,7 @@ static void free_store(struct mo_store *store)
   free(store->database_path);
   free(store->controllers_path);
   free(store->trainings_path);
+  free(store->campaigns_path);
   free(store->reserve_path);
   free(store->vfs);
   free(store);
@@ -269,12 +270,13 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->database_path = join(config->path, "morphod.db");
   store->controllers_path = join(config->path, "controllers");
   store->trainings_path = join(config->path, "trainings");
+  store->campaigns_path = join(config->path, "campaigns");
   store->reserve_path = join(config->path, "reserve");
   store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
   store->readers = calloc(store->n_readers, sizeof(*store->readers));
   if (store->path == NULL || store->database_path == NULL || store->controllers_path == NULL ||
-      store->trainings_path == NULL || store->reserve_path == NULL || store->readers == NULL ||
-      (config->vfs != NULL && store->vfs == NULL)) {
+      store->trainings_path == NULL || store->campaigns_path == NULL || store->reserve_path == NULL ||
+      store->readers == NULL || (config->vfs != NULL && store->vfs == NULL)) {
     free_store(store);
     return NULL;
   }
@@ -298,9 +300,13 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, s
   if (error == MO_OK)
     error = prepare_folder(store, store->trainings_path, message);
   if (error == MO_OK)
+    error = prepare_folder(store, store->campaigns_path, message);
+  if (error == MO_OK)
     error = prepare_database(store, message);
   if (error == MO_OK)
     error = mo_trainings_clean(store);
+  if (error == MO_OK)
+    error = mo_campaigns_clean(store);
   if (error == MO_OK)
     error = open_readers(store);
   if (error == MO_OK) {

@@ -50,7 +50,8 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* A job and, for an evaluation, all of it but its results; for a training what a list shows (the rest: store/trainings.h). Owns
+/* A job and, for an evaluation, all of it but its results; for a training or a campaign what a list shows (the rest:
+ * store/trainings.h, store/campaigns.h). Owns
  * nothing: copy freely. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
@@ -65,7 +66,8 @@ struct mo_job {
   uint32_t attempts; /* crashes and runner errors so far */
   int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt */
   char error_text[256];
-  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights), sensor, physics, n_designs. */
+  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights), sensor, physics, n_designs. Of a
+   * campaign: controller likewise, environments, sensor, physics, n_designs: its population. */
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as asked for at submission; "" if asked by hash */
   struct mo_sha256 controller_sha256;
   enum mo_sensor sensor;
@@ -77,7 +79,7 @@ struct mo_job {
   uint32_t record_stride;
   uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged; /* done includes cached; 0 in a
                                                                                  training */
-  /* Training. */
+  /* Training. Campaign: generations, and those that are committed; generation 0 is not counted. */
   uint32_t steps_total, steps_done;
 };
 
@@ -87,7 +89,8 @@ struct mo_event {
   int64_t job; /* 0: not about a job */
   char type
       [32]; /* "job.created", "job.started", "job.weight", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
-                       "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "controller.stored",
+                       "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "campaign.progress",
+                       "campaign.generation", "campaign.diversity_collapse", "campaign.extended", "controller.stored",
                        "controller.removed" */
   char data[512]; /* a JSON object */
 };

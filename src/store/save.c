@@ -61,7 +61,7 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   return error;
 }
 
-static int save_score(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us)
+int mo_score_insert(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us)
 {
   static const char sql[] = "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,diverged_step,"
                             "fingerprint,computed_us) VALUES(?1,?2,?3,?4,?5,?6,?7,?8)";
@@ -121,7 +121,7 @@ static int save_trajectory(struct mo_connection *writer, const struct mo_saved_t
 }
 
 /* The mean over a named set, from the stored bits, in the set's order. Incomplete: nothing is written. */
-static int save_set_score(struct mo_connection *writer, const struct mo_saved_design *design)
+int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design)
 {
   static const char known_sql[] =
       "SELECT 1 FROM set_scores WHERE controller=?1 AND physics=?2 AND environment_set=?3 AND genotype=?4";
@@ -294,11 +294,11 @@ static int save(struct mo_store *store, void *arguments)
   int64_t now_us = mo_store_now_us();
   int error = MO_OK;
   for (size_t i = 0; i < call->n_scores && error == MO_OK; i++)
-    error = save_score(writer, &call->scores[i], now_us);
+    error = mo_score_insert(writer, &call->scores[i], now_us);
   for (size_t i = 0; i < call->n_trajectories && error == MO_OK; i++)
     error = save_trajectory(writer, &call->trajectories[i]);
   for (size_t i = 0; i < call->n_designs && error == MO_OK; i++)
-    error = save_set_score(writer, &call->designs[i]);
+    error = mo_set_score_insert(writer, &call->designs[i]);
   for (size_t i = 0; i < call->n_updates && error == MO_OK; i++)
     error = apply_update(store, &call->updates[i]);
   return error;

@@ -31,7 +31,7 @@ static int content_row(struct mo_connection *writer, const char *find_sql, const
   return error;
 }
 
-static int environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row)
+int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
@@ -40,8 +40,8 @@ static int environment_row(struct mo_connection *writer, const struct mo_environ
   return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
-static int physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
-                       enum mo_sensor sensor, int64_t *row)
+int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
+                   enum mo_sensor sensor, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM physics WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO physics(sha256,encoding) VALUES(?1,?2)";
@@ -98,7 +98,7 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, co
 
 /* ---- named sets ---- */
 
-static int find_set(struct mo_connection *connection, const char *name, int64_t *row, int64_t *n)
+int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row, int64_t *n)
 {
   static const char sql[] = "SELECT id,n FROM environment_sets WHERE name=?1";
   int error = MO_OK;
@@ -120,7 +120,7 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   int64_t row, size = 0;
-  int error = find_set(reader, name, &row, &size);
+  int error = mo_environment_set_find(reader, name, &row, &size);
   mo_reader_release(store, reader);
   if (error == MO_OK && (size < 1 || size > MO_ENVIRONMENTS_MAX))
     error = MO_ERR_CORRUPT;
@@ -145,7 +145,7 @@ static int register_set(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   int64_t row = 0, n = 0, environment = 0;
   sqlite3_stmt *statement;
-  int error = find_set(writer, set->name, &row, &n);
+  int error = mo_environment_set_find(writer, set->name, &row, &n);
   if (error != MO_ERR_NOT_FOUND)
     return error;
   statement = mo_sql(writer, set_sql, &error);
@@ -156,7 +156,7 @@ static int register_set(struct mo_store *store, void *arguments)
   error = mo_sql_run(writer, statement);
   row = sqlite3_last_insert_rowid(writer->db);
   for (uint32_t i = 0; i < set->n && error == MO_OK; i++) {
-    error = environment_row(writer, &set->environments[i], &environment);
+    error = mo_environment_row(writer, &set->environments[i], &environment);
     if (error == MO_OK && (statement = mo_sql(writer, member_sql, &error)) != NULL) {
       sqlite3_bind_int64(statement, 1, row);
       sqlite3_bind_int64(statement, 2, i);
@@ -249,11 +249,11 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
     error = mo_controller_sensor(writer, setting->controller, &sensor);
   if (error != MO_OK)
     return error;
-  error = physics_row(writer, &submission->physics, submission->precision, sensor, &setting->physics);
+  error = mo_physics_row(writer, &submission->physics, submission->precision, sensor, &setting->physics);
   setting->set = 0;
   setting->n_environments = submission->n_environments;
   if (error == MO_OK && submission->environment_set != NULL) {
-    error = find_set(writer, submission->environment_set, &setting->set, &n);
+    error = mo_environment_set_find(writer, submission->environment_set, &setting->set, &n);
     if (error == MO_OK && (n < 1 || n > MO_ENVIRONMENTS_MAX))
       error = MO_ERR_CORRUPT;
     setting->n_environments = (uint32_t)n;
@@ -320,7 +320,7 @@ static int insert_environments(struct mo_connection *writer, const struct mo_sub
     return mo_sql_run(writer, statement);
   }
   for (uint32_t i = 0; i < submission->n_environments && error == MO_OK; i++) {
-    error = environment_row(writer, &submission->environments[i], &row);
+    error = mo_environment_row(writer, &submission->environments[i], &row);
     if (error == MO_OK && (statement = mo_sql(writer, insert_sql, &error)) != NULL) {
       sqlite3_bind_int64(statement, 1, id);
       sqlite3_bind_int64(statement, 2, i);

@@ -2,7 +2,6 @@
  *
  * Writes are fenced by the epoch: the training must have been started under this opening of the store and must not be over. One
  * that was paused, or resumed at once, takes rows and checkpoints still: its thread saves what it has applied. */
-#include <dirent.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -394,16 +393,10 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
 
 /* ---- files without rows ---- */
 
-struct cleaning {
-  struct mo_connection *connection;
-  int64_t id;
-  int error;
-};
-
 static bool has_row(void *context, const char *name)
 {
   static const char sql[] = "SELECT 1 FROM training_checkpoints WHERE job=?1 AND step=?2";
-  struct cleaning *cleaning = context;
+  struct mo_cleaning *cleaning = context;
   sqlite3_stmt *statement;
   int64_t found;
   int error = MO_OK;
@@ -413,7 +406,7 @@ static bool has_row(void *context, const char *name)
     return true; /* not ours */
   statement = mo_sql(cleaning->connection, sql, &error);
   if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, cleaning->id);
+    sqlite3_bind_int64(statement, 1, cleaning->job);
     sqlite3_bind_int64(statement, 2, step);
     error = mo_sql_integer(cleaning->connection, statement, &found);
   }
@@ -424,28 +417,8 @@ static bool has_row(void *context, const char *name)
 
 int mo_trainings_clean(struct mo_store *store)
 {
-  struct cleaning cleaning = {.connection = &store->writer};
-  struct dirent *entry;
-  DIR *folder = opendir(store->trainings_path);
-  if (folder == NULL)
-    return MO_ERR_IO;
-  while (cleaning.error == MO_OK &&
-         (entry = readdir(folder)) != NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
-    char *end, *path;
-    cleaning.id = strtoll(entry->d_name, &end, 10);
-    if (cleaning.id <= 0 || *end != '\0')
-      continue;
-    path = path_of(store, cleaning.id, -1);
-    if (path == NULL) {
-      cleaning.error = MO_ERR_NO_MEMORY;
-      break;
-    }
-    (void)mo_folder_clean(store, path, has_row, &cleaning);
-    (void)store->files->rmdir(store->files->context, path); /* when nothing is left */
-    free(path);
-  }
-  closedir(folder);
-  return cleaning.error;
+  struct mo_cleaning cleaning = {.connection = &store->writer};
+  return mo_job_folders_clean(store, store->trainings_path, has_row, &cleaning);
 }
 
 /* ---- ends ---- */

@@ -7,6 +7,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "store/campaigns.h"
 #include "store/internal.h"
 
 /* ---- submission ---- */
@@ -448,21 +449,41 @@ static int compare_ranked(const void *a, const void *b)
   return 0;
 }
 
-int mo_store_population(struct mo_store *store, int64_t evaluation, uint32_t best, struct mo_bits **ret,
-                        uint32_t *ret_n)
+/* The newest population of a campaign: best first already, each form once. */
+static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **ret,
+                                  uint32_t *ret_n)
+{
+  struct mo_campaign_state *state = NULL;
+  uint32_t n = 0;
+  int error = mo_store_campaign_state(store, id, &state);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CONFLICT : error;
+  for (uint32_t i = 0; i < state->n && (best == 0 || n < best); i++)
+    if (isfinite(state->scores[i]))
+      state->genotypes[n++] = state->genotypes[i];
+  *ret = state->genotypes;
+  *ret_n = n;
+  state->genotypes = NULL;
+  mo_campaign_state_free(state);
+  return MO_OK;
+}
+
+int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **ret, uint32_t *ret_n)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_bits *genotypes = NULL;
   struct ranked *ranked = NULL;
   struct mo_job job;
   uint32_t n_ranked = 0, n = 0;
-  int error = mo_store_job(store, evaluation, &job);
+  int error = mo_store_job(store, id, &job);
+  if (error == MO_OK && job.kind == MO_JOB_CAMPAIGN)
+    return population_of_campaign(store, id, best, ret, ret_n);
   if (error == MO_OK && job.kind != MO_JOB_EVALUATION)
     error = MO_ERR_NOT_FOUND;
   if (error == MO_OK && job.state != MO_JOB_SUCCEEDED)
     error = MO_ERR_CONFLICT;
   if (error == MO_OK)
-    error = mo_store_results(store, evaluation, &results);
+    error = mo_store_results(store, id, &results);
   if (error != MO_OK)
     return error;
   ranked = calloc(results->n_designs, sizeof(*ranked));

@@ -97,10 +97,10 @@ int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits
 /* A checkpoint's bytes (malloc), checked against the hash: MO_ERR_CORRUPT. step 0: the newest. */
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step, uint8_t **bytes,
                                        size_t *size);
-/* The placed genotypes of a finished evaluation, best score first (malloc); at most `best` of them (0: all), each once.
- * MO_ERR_NOT_FOUND: no such evaluation; MO_ERR_CONFLICT: it has not succeeded. Designs that diverged are left out: *n may be 0. */
-int mo_store_population(struct mo_store *store, int64_t evaluation, uint32_t best, struct mo_bits **genotypes,
-                        uint32_t *n);
+/* The placed genotypes of a finished evaluation, or of a campaign's newest population, best score first (malloc); at most `best` of
+ * them (0: all), each once. MO_ERR_NOT_FOUND: no such evaluation or campaign; MO_ERR_CONFLICT: the evaluation has not succeeded, the
+ * campaign has no generation yet. Designs that diverged are left out: *n may be 0. */
+int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **genotypes, uint32_t *n);
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 

@@ -1,0 +1,335 @@
+/* campaign_commit.c: a generation of a campaign, whole or not at all.
+ *
+ * Everything that a generation brought is one operation of the writer; the file of its checkpoint is there before. What the caller
+ * says is checked against what is stored: a generation out of turn is a conflict, parents that are not the stored population are
+ * a mistake. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/campaign_rows.h"
+
+struct commit_arguments {
+  int64_t id;
+  const struct mo_campaign_commit *commit;
+  struct mo_campaign_checkpoint checkpoint;
+  struct mo_campaign_head head;
+  int64_t *genotypes;  /* (n_children) rows */
+  uint8_t *lives;      /* (n_parents + n_children) */
+  uint8_t *births;     /* (n_children, MO_BIRTH_BYTES) */
+  uint8_t *population; /* (n_survivors, MO_MEMBER_BYTES) */
+  uint8_t *scores;     /* (n_parents, 8) as stored before */
+};
+
+/* ---- what is asked for ---- */
+
+static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth, int which)
+{
+  return birth->parents[which] == MO_NO_PARENT ? MO_NO_PARENT : commit->parent_numbers[birth->parents[which]];
+}
+
+static int check_births(const struct mo_campaign_commit *commit)
+{
+  for (uint32_t i = 0; i < commit->row.n_children; i++) {
+    const struct mo_birth *birth = &commit->births[i];
+    if ((unsigned)birth->operator>= MO_OPERATORS || isnan(commit->child_scores[i]))
+      return MO_ERR_INVALID;
+    for (int p = 0; p < 2; p++)
+      if (birth->parents[p] != MO_NO_PARENT && birth->parents[p] >= commit->n_parents)
+        return MO_ERR_INVALID;
+  }
+  for (uint32_t i = 0; i < commit->n_losses; i++)
+    if (commit->losses[i].place >= commit->row.n_children)
+      return MO_ERR_INVALID;
+  return MO_OK;
+}
+
+/* The blobs, and who lives on. */
+static int prepare(struct commit_arguments *call)
+{
+  const struct mo_campaign_commit *commit = call->commit;
+  uint32_t n_children = commit->row.n_children, n_parents = commit->n_parents;
+  uint64_t n = (uint64_t)n_parents + n_children;
+  int error;
+  if (n_children > MO_POPULATION_MAX || n_parents > MO_POPULATION_MAX || commit->n_survivors > n ||
+      commit->row.born_before + n_children > MO_CAMPAIGN_DESIGNS_MAX)
+    return MO_ERR_RANGE;
+  error = check_births(commit);
+  if (error != MO_OK)
+    return error;
+  call->genotypes = calloc(n_children + 1, sizeof(*call->genotypes));
+  call->lives = calloc(n + 1, 1);
+  call->births = calloc(n_children + 1, MO_BIRTH_BYTES);
+  call->population = calloc(commit->n_survivors + 1, MO_MEMBER_BYTES);
+  call->scores = calloc(n_parents + 1, 8);
+  if (call->genotypes == NULL || call->lives == NULL || call->births == NULL || call->population == NULL ||
+      call->scores == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < n_children; i++) {
+    uint8_t *at = call->births + (size_t)i * MO_BIRTH_BYTES;
+    at[0] = (uint8_t)commit->births[i].operator;
+    mo_encode_u32(parent_number(commit, &commit->births[i], 0), at + 1);
+    mo_encode_u32(parent_number(commit, &commit->births[i], 1), at + 5);
+  }
+  for (uint32_t i = 0; i < commit->n_survivors; i++) {
+    uint32_t place = commit->survivors[i];
+    bool is_child = place >= n_parents;
+    if (place >= n || call->lives[place])
+      return MO_ERR_INVALID;
+    call->lives[place] = 1;
+    mo_encode_u32(is_child ? (uint32_t)commit->row.born_before + place - n_parents : commit->parent_numbers[place],
+                  call->population + (size_t)i * MO_MEMBER_BYTES);
+    mo_encode_double(is_child ? commit->child_scores[place - n_parents] : commit->parent_scores[place],
+                     call->population + (size_t)i * MO_MEMBER_BYTES + 4);
+  }
+  return MO_OK;
+}
+
+/* The parents must be the newest population, in its order; notes their scores. */
+static int check_parents(struct mo_connection *writer, struct commit_arguments *call)
+{
+  const struct mo_campaign_commit *commit = call->commit;
+  struct mo_campaign_blobs blobs;
+  int error = MO_OK;
+  if (call->head.generation < 0)
+    return commit->n_parents == 0 ? MO_OK : MO_ERR_INVALID;
+  error = mo_campaign_blobs_get(writer, call->id, call->head.generation, &blobs);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  if (blobs.n != commit->n_parents)
+    error = MO_ERR_INVALID;
+  for (uint32_t i = 0; i < blobs.n && error == MO_OK; i++) {
+    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
+    if (mo_decode_u32(member) != commit->parent_numbers[i] || isnan(commit->parent_scores[i]))
+      error = MO_ERR_INVALID;
+    memcpy(call->scores + (size_t)8 * i, member + 4, 8);
+  }
+  (void)sqlite3_reset(blobs.statement);
+  return error;
+}
+
+static int check_turn(struct mo_store *store, struct commit_arguments *call)
+{
+  static const char sql[] =
+      "UPDATE jobs SET version=version+1,attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
+  const struct mo_campaign_generation *row = &call->commit->row;
+  struct mo_connection *writer = &store->writer;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, store->epoch);
+  error = mo_campaign_changed(writer, statement);
+  if (error == MO_OK)
+    error = mo_campaign_head_get(writer, call->id, &call->head);
+  if (error == MO_OK && call->head.generation + 1 != row->generation)
+    error = MO_ERR_CONFLICT;
+  if (error == MO_OK && call->head.n_designs != row->born_before)
+    error = MO_ERR_INVALID;
+  return error == MO_OK ? check_parents(writer, call) : error;
+}
+
+/* ---- designs ---- */
+
+static int write_size(const struct mo_design_size *size, int64_t *packed)
+{
+  if (size->springs > UINT16_MAX || size->masses > 1023 || size->voxels > 1023 || size->footprint > 1023)
+    return MO_ERR_RANGE;
+  *packed = (int64_t)((uint64_t)size->springs | (uint64_t)size->masses << 16 | (uint64_t)size->voxels << 26 |
+                      (uint64_t)size->footprint << 36);
+  return MO_OK;
+}
+
+static int insert_children(struct mo_connection *writer, struct commit_arguments *call, int64_t now_us)
+{
+  static const char sql[] =
+      "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,score,"
+      "size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
+  const struct mo_campaign_commit *commit = call->commit;
+  sqlite3_stmt *statement;
+  int64_t size = 0;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
+    error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us, &call->genotypes[i]);
+  for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
+    const struct mo_birth *birth = &commit->births[i];
+    uint8_t score[8];
+    statement = mo_sql(writer, sql, &error);
+    if (statement == NULL)
+      return error;
+    error = write_size(&commit->sizes[i], &size);
+    if (error != MO_OK)
+      return error;
+    mo_encode_double(commit->child_scores[i], score);
+    sqlite3_bind_int64(statement, 1, call->id);
+    sqlite3_bind_int64(statement, 2, (sqlite3_int64)(commit->row.born_before + i));
+    sqlite3_bind_int64(statement, 3, call->genotypes[i]);
+    sqlite3_bind_int64(statement, 4, birth->operator);
+    for (int p = 0; p < 2; p++)
+      if (birth->parents[p] != MO_NO_PARENT)
+        sqlite3_bind_int64(statement, 5 + p, parent_number(commit, birth, p));
+    sqlite3_bind_int64(statement, 7, commit->row.generation);
+    if (!call->lives[commit->n_parents + i])
+      sqlite3_bind_int64(statement, 8, commit->row.generation);
+    sqlite3_bind_blob(statement, 9, score, sizeof(score), SQLITE_STATIC);
+    sqlite3_bind_int64(statement, 10, size);
+    error = mo_sql_run(writer, statement);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  return error;
+}
+
+/* Parents that died, or that were scored anew. */
+static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
+{
+  static const char sql[] = "UPDATE campaign_designs SET died=?3,score=?4 WHERE job=?1 AND number=?2";
+  const struct mo_campaign_commit *commit = call->commit;
+  int error = MO_OK;
+  for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
+    sqlite3_stmt *statement;
+    uint8_t score[8];
+    mo_encode_double(commit->parent_scores[i], score);
+    if (call->lives[i] && memcmp(score, call->scores + (size_t)8 * i, 8) == 0)
+      continue;
+    statement = mo_sql(writer, sql, &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_int64(statement, 1, call->id);
+    sqlite3_bind_int64(statement, 2, commit->parent_numbers[i]);
+    if (!call->lives[i])
+      sqlite3_bind_int64(statement, 3, commit->row.generation);
+    sqlite3_bind_blob(statement, 4, score, sizeof(score), SQLITE_STATIC);
+    error = mo_campaign_changed(writer, statement);
+    if (error == MO_ERR_CONFLICT)
+      error = MO_ERR_CORRUPT;
+  }
+  return error;
+}
+
+/* Losses of the children, as evaluations save theirs. */
+static int insert_scores(struct mo_connection *writer, const struct commit_arguments *call, int64_t now_us)
+{
+  const struct mo_campaign_commit *commit = call->commit;
+  const struct mo_campaign_head *head = &call->head;
+  int64_t environments[MO_ENVIRONMENTS_MAX];
+  int error;
+  if (commit->n_losses == 0)
+    return MO_OK;
+  if (head->controller == 0)
+    return MO_ERR_INVALID;
+  error = mo_campaign_environment_rows(writer, head->group, environments, head->n_environments);
+  for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++) {
+    const struct mo_campaign_loss *loss = &commit->losses[i];
+    struct mo_saved_score score = {.genotype = call->genotypes[loss->place],
+                                   .controller = head->controller,
+                                   .physics = head->physics,
+                                   .fingerprint = commit->fingerprint};
+    struct mo_saved_design design = {score.genotype, head->controller, head->physics, head->environment_set};
+    for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
+      score.environment = environments[k];
+      score.loss = loss->losses[k];
+      score.diverged_step = loss->diverged_steps[k];
+      error = mo_score_insert(writer, &score, now_us);
+    }
+    if (error == MO_OK && head->environment_set != 0)
+      error = mo_set_score_insert(writer, &design);
+  }
+  return error;
+}
+
+/* ---- the generation ---- */
+
+static int insert_blobs(struct mo_connection *writer, const struct commit_arguments *call)
+{
+  static const char sql[] = "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
+  const struct mo_campaign_commit *commit = call->commit;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, commit->row.generation);
+  sqlite3_bind_blob(statement, 3, call->births, (int)(commit->row.n_children * MO_BIRTH_BYTES), SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 4, call->population, (int)(commit->n_survivors * MO_MEMBER_BYTES), SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+static int update_campaign(struct mo_connection *writer, const struct commit_arguments *call)
+{
+  static const char sql[] = "UPDATE campaigns SET generation=?2,n_designs=?3,best_score=?4,diversity_max=?5,scored=0,"
+                            "scored_generation=-1 WHERE job=?1";
+  const struct mo_campaign_commit *commit = call->commit;
+  double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, commit->row.generation);
+  sqlite3_bind_int64(statement, 3, (sqlite3_int64)(commit->row.born_before + commit->row.n_children));
+  if (commit->n_survivors > 0)
+    sqlite3_bind_double(statement, 4, mo_decode_double(call->population + 4));
+  sqlite3_bind_double(statement, 5, diversity > most ? diversity : most);
+  return mo_sql_run(writer, statement);
+}
+
+static int commit_generation(struct mo_store *store, void *arguments)
+{
+  struct commit_arguments *call = arguments;
+  const struct mo_campaign_commit *commit = call->commit;
+  struct mo_campaign_generation row = commit->row;
+  struct mo_connection *writer = &store->writer;
+  int64_t now_us = mo_store_now_us();
+  int error = check_turn(store, call);
+  row.stored_us = now_us;
+  if (error == MO_OK)
+    error = insert_children(writer, call, now_us);
+  if (error == MO_OK)
+    error = update_parents(writer, call);
+  if (error == MO_OK)
+    error = insert_scores(writer, call, now_us);
+  if (error == MO_OK)
+    error = mo_campaign_generation_write(writer, call->id, &row);
+  if (error == MO_OK)
+    error = insert_blobs(writer, call);
+  for (uint32_t i = 0; i < commit->n_steps && error == MO_OK; i++)
+    error = mo_campaign_step_write(writer, call->id, &commit->steps[i]);
+  if (error == MO_OK)
+    error = commit->checkpoint != NULL ? mo_campaign_checkpoint_row(store, &call->checkpoint)
+                                       : mo_campaign_checkpoint_drop(store, &call->checkpoint);
+  if (error == MO_OK && call->head.scored_generation >= 0)
+    error = mo_campaign_losses_drop(writer, call->id);
+  if (error == MO_OK)
+    error = update_campaign(writer, call);
+  if (error == MO_OK && commit->event_data != NULL)
+    error = mo_writer_event(store, call->id, "campaign.generation", commit->event_data);
+  if (error == MO_OK && commit->collapse_data != NULL)
+    error = mo_writer_event(store, call->id, "campaign.diversity_collapse", commit->collapse_data);
+  return error;
+}
+
+int mo_store_campaign_commit(struct mo_store *store, int64_t id, const struct mo_campaign_commit *commit)
+{
+  struct commit_arguments call = {.id = id,
+                                  .commit = commit,
+                                  .checkpoint = {.id = id,
+                                                 .generation = commit->row.generation,
+                                                 .step = commit->checkpoint_step,
+                                                 .committed = true,
+                                                 .size = commit->checkpoint_size}};
+  int error = prepare(&call);
+  if (error == MO_OK && commit->checkpoint != NULL)
+    error = mo_campaign_checkpoint_begin(store, commit->checkpoint, &call.checkpoint);
+  if (error == MO_OK)
+    error = mo_write(store, commit_generation, &call);
+  mo_campaign_checkpoint_end(store, &call.checkpoint, error);
+  free(call.genotypes);
+  free(call.lives);
+  free(call.births);
+  free(call.population);
+  free(call.scores);
+  return error;
+}

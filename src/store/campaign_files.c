@@ -1,0 +1,310 @@
+/* campaign_files.c: checkpoints of a campaign's learning: files campaigns/<job>/<generation>-<step>.checkpoint and their rows.
+ *
+ * Kept are the state after the newest committed generation and the newest one inside the generation under way: what learned last, and
+ * what the last population was scored with. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/campaign_rows.h"
+
+/* "campaigns/<job>" (malloc). */
+static char *folder_of(const struct mo_store *store, int64_t id)
+{
+  size_t size = strlen(store->campaigns_path) + 32;
+  char *path = malloc(size);
+  if (path != NULL)
+    snprintf(path, size, "%s/%lld", store->campaigns_path, (long long)id);
+  return path;
+}
+
+/* "campaigns/<job>/<generation>-<step>.checkpoint" (malloc). */
+static char *path_of(const struct mo_store *store, int64_t id, uint32_t generation, uint32_t step)
+{
+  size_t size = strlen(store->campaigns_path) + 80;
+  char *path = malloc(size);
+  if (path != NULL)
+    snprintf(path, size, "%s/%lld/%u-%u.checkpoint", store->campaigns_path, (long long)id, (unsigned)generation,
+             (unsigned)step);
+  return path;
+}
+
+struct found {
+  uint32_t generation, step;
+  uint64_t size;
+  struct mo_sha256 sha256;
+};
+
+/* The newest checkpoint of generations `from` … `to`; step UINT32_MAX: of any step. */
+static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int64_t to, uint32_t step,
+                           struct found *found)
+{
+  static const char sql[] =
+      "SELECT generation,step,sha256,size FROM campaign_checkpoints WHERE job=?1"
+      " AND generation BETWEEN CASE WHEN ?2<0 THEN (SELECT generation FROM campaigns WHERE job=?1)"
+      " ELSE ?2 END AND ?3 AND (?4<0 OR step=?4) ORDER BY generation DESC,step DESC LIMIT 1";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int result;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, from);
+    sqlite3_bind_int64(statement, 3, to);
+    sqlite3_bind_int64(statement, 4, step == UINT32_MAX ? -1 : (int64_t)step);
+    result = mo_sql_step(reader, statement);
+    error = result > 0 ? mo_column_hash(statement, 2, &found->sha256) : result < 0 ? result : MO_ERR_NOT_FOUND;
+    if (result > 0) {
+      found->generation = (uint32_t)sqlite3_column_int64(statement, 0);
+      found->step = (uint32_t)sqlite3_column_int64(statement, 1);
+      found->size = (uint64_t)sqlite3_column_int64(statement, 3);
+    }
+  }
+  mo_reader_release(store, reader);
+  return error;
+}
+
+/* ---- writing ---- */
+
+int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
+                                 struct mo_campaign_checkpoint *checkpoint)
+{
+  char *folder = folder_of(store, checkpoint->id);
+  struct found known;
+  uint8_t *there = NULL;
+  int error = MO_OK;
+  checkpoint->path = path_of(store, checkpoint->id, checkpoint->generation, checkpoint->step);
+  if (folder == NULL || checkpoint->path == NULL) {
+    free(folder);
+    return MO_ERR_NO_MEMORY;
+  }
+  mo_sha256_of(bytes, checkpoint->size, &checkpoint->sha256);
+  error =
+      find_checkpoint(store, checkpoint->id, checkpoint->generation, checkpoint->generation, checkpoint->step, &known);
+  checkpoint->was_there = error == MO_OK;
+  if (error == MO_ERR_NOT_FOUND)
+    error = MO_OK;
+  if (error == MO_OK)
+    error = mo_folder_make(store, store->campaigns_path, folder);
+  /* A checkpoint inside the learning may be that of its end, too. */
+  if (error == MO_OK && checkpoint->was_there && mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
+      mo_file_read(checkpoint->path, checkpoint->size, &there) == MO_OK && memcmp(there, bytes, checkpoint->size) == 0)
+    error = mo_folder_sync(store, folder);
+  else if (error == MO_OK)
+    error = mo_file_write(store, folder, checkpoint->path, bytes, checkpoint->size);
+  free(there);
+  free(folder);
+  return error;
+}
+
+/* Deletes the rows that the statement (?1 job, ?2 generation, ?3 step) selects, and notes their files. */
+static int drop_rows(struct mo_connection *writer, const char *list_sql, struct mo_campaign_checkpoint *checkpoint)
+{
+  static const char delete_sql[] = "DELETE FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+  int error = MO_OK;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(writer, list_sql, &error);
+  checkpoint->n_dropped = 0;
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, checkpoint->id);
+  sqlite3_bind_int64(statement, 2, checkpoint->generation);
+  sqlite3_bind_int64(statement, 3, checkpoint->step);
+  while (checkpoint->n_dropped < MO_CAMPAIGN_DROPPED_MAX && (step = mo_sql_step(writer, statement)) > 0) {
+    checkpoint->dropped[checkpoint->n_dropped][0] = (uint32_t)sqlite3_column_int64(statement, 0);
+    checkpoint->dropped[checkpoint->n_dropped++][1] = (uint32_t)sqlite3_column_int64(statement, 1);
+  }
+  (void)sqlite3_reset(statement);
+  if (step < 0)
+    return step;
+  for (size_t i = 0; i < checkpoint->n_dropped && error == MO_OK; i++) {
+    statement = mo_sql(writer, delete_sql, &error);
+    if (statement == NULL)
+      return error;
+    sqlite3_bind_int64(statement, 1, checkpoint->id);
+    sqlite3_bind_int64(statement, 2, checkpoint->dropped[i][0]);
+    sqlite3_bind_int64(statement, 3, checkpoint->dropped[i][1]);
+    error = mo_sql_run(writer, statement);
+  }
+  return error;
+}
+
+int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint)
+{
+  static const char sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND generation<?2 AND ?3>=0";
+  return drop_rows(&store->writer, sql, checkpoint);
+}
+
+int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint)
+{
+  static const char sql[] = "INSERT OR REPLACE INTO campaign_checkpoints(job,generation,step,sha256,size,stored_us)"
+                            " VALUES(?1,?2,?3,?4,?5,?6)";
+  /* The state after a generation is all that the next one needs; inside one, the state before it stays. */
+  static const char committed_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
+                                      " AND NOT (generation=?2 AND step=?3)";
+  static const char inside_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
+                                   " AND NOT (generation=?2 AND step=?3) AND generation<>?2-1";
+  struct mo_connection *writer = &store->writer;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, checkpoint->id);
+  sqlite3_bind_int64(statement, 2, checkpoint->generation);
+  sqlite3_bind_int64(statement, 3, checkpoint->step);
+  mo_bind_hash(statement, 4, &checkpoint->sha256);
+  sqlite3_bind_int64(statement, 5, (sqlite3_int64)checkpoint->size);
+  sqlite3_bind_int64(statement, 6, mo_store_now_us());
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error == MO_OK ? drop_rows(writer, checkpoint->committed ? committed_sql : inside_sql, checkpoint) : error;
+}
+
+void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint, int error)
+{
+  /* After an I/O error nobody knows whether the row is there. */
+  if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there)
+    (void)store->files->unlink(store->files->context, checkpoint->path);
+  for (size_t i = 0; i < checkpoint->n_dropped && error == MO_OK; i++) {
+    char *path = path_of(store, checkpoint->id, checkpoint->dropped[i][0], checkpoint->dropped[i][1]);
+    if (path != NULL)
+      (void)store->files->unlink(store->files->context, path); /* one that stays is removed at the next start */
+    free(path);
+  }
+  free(checkpoint->path);
+  checkpoint->path = NULL;
+}
+
+struct inside_arguments {
+  struct mo_campaign_checkpoint *checkpoint;
+  const struct mo_campaign_step *steps;
+  size_t n_steps;
+};
+
+static int save_inside(struct mo_store *store, void *arguments)
+{
+  struct inside_arguments *call = arguments;
+  struct mo_campaign_head head;
+  int64_t id = call->checkpoint->id;
+  int error = mo_campaign_touch(store, id);
+  if (error == MO_OK)
+    error = mo_campaign_head_get(&store->writer, id, &head);
+  if (error == MO_OK && head.generation + 1 != call->checkpoint->generation)
+    error = MO_ERR_CONFLICT;
+  for (size_t i = 0; i < call->n_steps && error == MO_OK; i++)
+    error = mo_campaign_step_write(&store->writer, id, &call->steps[i]);
+  return error == MO_OK ? mo_campaign_checkpoint_row(store, call->checkpoint) : error;
+}
+
+int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation, uint32_t step,
+                                 const uint8_t *bytes, size_t size, const struct mo_campaign_step *steps,
+                                 size_t n_steps)
+{
+  struct mo_campaign_checkpoint checkpoint = {.id = id, .generation = generation, .step = step, .size = size};
+  struct inside_arguments call = {&checkpoint, steps, n_steps};
+  int error = mo_campaign_checkpoint_begin(store, bytes, &checkpoint);
+  if (error == MO_OK)
+    error = mo_write(store, save_inside, &call);
+  mo_campaign_checkpoint_end(store, &checkpoint, error);
+  return error;
+}
+
+/* ---- reading ---- */
+
+/* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
+static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row, uint8_t **ret)
+{
+  struct mo_sha256 sha256;
+  char *path = path_of(store, id, row->generation, row->step);
+  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read(path, (size_t)row->size, ret);
+  free(path);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  mo_sha256_of(*ret, (size_t)row->size, &sha256);
+  if (mo_sha256_equal(&sha256, &row->sha256))
+    return MO_OK;
+  free(*ret);
+  *ret = NULL;
+  return MO_ERR_CORRUPT;
+}
+
+static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to, struct found *row, uint8_t **bytes)
+{
+  struct found again;
+  int error = find_checkpoint(store, id, from, to, UINT32_MAX, row);
+  while (error == MO_OK) {
+    error = read_checkpoint(store, id, row, bytes);
+    if (error != MO_ERR_CORRUPT)
+      break;
+    /* Damaged, unless a newer one has made it go meanwhile: its row goes before its file. */
+    error = find_checkpoint(store, id, from, to, UINT32_MAX, &again);
+    if (error == MO_OK && again.generation == row->generation && again.step == row->step &&
+        mo_sha256_equal(&again.sha256, &row->sha256))
+      error = MO_ERR_CORRUPT;
+    *row = again;
+  }
+  return error;
+}
+
+int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation, uint32_t *step,
+                                       uint8_t **bytes, size_t *size)
+{
+  struct found row = {0};
+  uint8_t *found = NULL;
+  int error = read_newest(store, id, -1, INT64_MAX, &row, &found);
+  if (error != MO_OK)
+    return error;
+  *generation = row.generation;
+  *step = row.step;
+  *bytes = found;
+  *size = (size_t)row.size;
+  return MO_OK;
+}
+
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation, uint32_t *step,
+                                    uint8_t **bytes, size_t *size)
+{
+  struct found row = {0};
+  uint8_t *found = NULL;
+  int error = read_newest(store, id, generation, generation, &row, &found);
+  if (error != MO_OK)
+    return error;
+  *step = row.step;
+  *bytes = found;
+  *size = (size_t)row.size;
+  return MO_OK;
+}
+
+/* ---- files without rows ---- */
+
+static bool has_row(void *context, const char *name)
+{
+  static const char sql[] = "SELECT 1 FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+  struct mo_cleaning *cleaning = context;
+  sqlite3_stmt *statement;
+  int64_t found;
+  int error = MO_OK;
+  char *dash, *end;
+  long long generation = strtoll(name, &dash, 10), step;
+  if (dash == name || *dash != '-')
+    return true; /* not ours */
+  step = strtoll(dash + 1, &end, 10);
+  if (end == dash + 1 || strcmp(end, ".checkpoint") != 0)
+    return true;
+  statement = mo_sql(cleaning->connection, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, cleaning->job);
+    sqlite3_bind_int64(statement, 2, generation);
+    sqlite3_bind_int64(statement, 3, step);
+    error = mo_sql_integer(cleaning->connection, statement, &found);
+  }
+  if (error != MO_OK && error != MO_ERR_NOT_FOUND)
+    cleaning->error = error;
+  return error != MO_ERR_NOT_FOUND;
+}
+
+int mo_campaigns_clean(struct mo_store *store)
+{
+  struct mo_cleaning cleaning = {.connection = &store->writer};
+  return mo_job_folders_clean(store, store->campaigns_path, has_row, &cleaning);
+}

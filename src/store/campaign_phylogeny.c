@@ -1,0 +1,253 @@
+/* campaign_phylogeny.c: every design that a campaign bore, its populations, its descents.
+ *
+ * A page of designs is one range of campaign_designs; a population, and the births of a generation, are one blob each. A campaign of
+ * a million designs has 9 MB of births. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/campaign_rows.h"
+
+int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
+                          struct mo_campaign_blobs *blobs)
+{
+  static const char sql[] = "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
+  int error = MO_OK;
+  int n_births, n;
+  int step;
+  *blobs = (struct mo_campaign_blobs){.statement = mo_sql(connection, sql, &error)};
+  if (blobs->statement == NULL)
+    return error;
+  sqlite3_bind_int64(blobs->statement, 1, id);
+  sqlite3_bind_int64(blobs->statement, 2, generation);
+  step = mo_sql_step(connection, blobs->statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  blobs->births = sqlite3_column_blob(blobs->statement, 0);
+  blobs->population = sqlite3_column_blob(blobs->statement, 1);
+  n_births = sqlite3_column_bytes(blobs->statement, 0);
+  n = sqlite3_column_bytes(blobs->statement, 1);
+  blobs->n_births = (uint32_t)n_births / MO_BIRTH_BYTES;
+  blobs->n = (uint32_t)n / MO_MEMBER_BYTES;
+  if (n_births % MO_BIRTH_BYTES == 0 && n % MO_MEMBER_BYTES == 0 && (blobs->births != NULL || n_births == 0) &&
+      (blobs->population != NULL || n == 0))
+    return MO_OK;
+  (void)sqlite3_reset(blobs->statement);
+  blobs->n = 0;
+  return MO_ERR_CORRUPT;
+}
+
+/* ---- designs ---- */
+
+#define DESIGN_COLUMNS                                                                                                 \
+  "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form FROM"                 \
+  " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON x.id=g.design"
+
+static uint32_t column_parent(sqlite3_stmt *row, int column)
+{
+  return sqlite3_column_type(row, column) == SQLITE_NULL ? MO_NO_PARENT : (uint32_t)sqlite3_column_int64(row, column);
+}
+
+static int design_from_row(sqlite3_stmt *row, struct mo_campaign_design *design)
+{
+  uint64_t size = (uint64_t)sqlite3_column_int64(row, 7);
+  int error;
+  design->number = (uint32_t)sqlite3_column_int64(row, 0);
+  design->descent =
+      (struct mo_descent){{column_parent(row, 2), column_parent(row, 3)}, (uint8_t)sqlite3_column_int(row, 1)};
+  design->born = (uint32_t)sqlite3_column_int64(row, 4);
+  design->died = sqlite3_column_type(row, 5) == SQLITE_NULL ? -1 : sqlite3_column_int64(row, 5);
+  design->size = (struct mo_design_size){.springs = (uint32_t)(size & 0xffff),
+                                         .masses = (uint32_t)(size >> 16 & 1023),
+                                         .voxels = (uint32_t)(size >> 26 & 1023),
+                                         .footprint = (uint32_t)(size >> 36 & 1023)};
+  error = mo_column_double(row, 6, &design->score);
+  if (error == MO_OK)
+    error = mo_column_bits(row, 8, &design->genotype);
+  return error == MO_OK ? mo_column_bits(row, 9, &design->form) : error;
+}
+
+int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after, struct mo_campaign_design *rows,
+                                  size_t limit)
+{
+  static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int step = 0;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, after);
+    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
+      error = design_from_row(statement, &rows[n++]);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : step < 0 ? step : n;
+}
+
+static int load_design(struct mo_connection *reader, int64_t id, uint32_t number, struct mo_campaign_design *design)
+{
+  static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number=?2";
+  int error = MO_OK;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, number);
+  step = mo_sql_step(reader, statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_NOT_FOUND;
+  error = design_from_row(statement, design);
+  (void)sqlite3_reset(statement);
+  return error;
+}
+
+int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers, size_t n,
+                                 struct mo_campaign_design *rows)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = mo_sql_exec(reader, "BEGIN");
+  for (size_t i = 0; i < n && error == MO_OK; i++)
+    error = load_design(reader, id, numbers[i], &rows[i]);
+  mo_reader_release(store, reader);
+  return error;
+}
+
+/* ---- populations ---- */
+
+static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t generation, uint32_t offset,
+                               struct mo_campaign_design *rows, size_t limit, uint32_t *n)
+{
+  struct mo_campaign_blobs blobs;
+  struct mo_campaign_head head;
+  int64_t filled = 0;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = mo_campaign_head_get(reader, id, &head);
+  if (error == MO_OK)
+    error = mo_campaign_blobs_get(reader, id, generation < 0 ? head.generation : generation, &blobs);
+  if (error != MO_OK)
+    return error;
+  *n = blobs.n;
+  for (uint32_t i = offset; i < blobs.n && (size_t)filled < limit; i++) {
+    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
+    error = load_design(reader, id, mo_decode_u32(member), &rows[filled]);
+    if (error != MO_OK)
+      return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+    rows[filled++].score = mo_decode_double(member + 4);
+  }
+  return filled;
+}
+
+int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation, uint32_t offset,
+                                     struct mo_campaign_design *rows, size_t limit, uint32_t *n)
+{
+  struct mo_connection *reader;
+  int64_t filled;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  filled = load_population(reader, id, generation, offset, rows, limit, n);
+  mo_reader_release(store, reader);
+  return filled;
+}
+
+/* ---- descents ---- */
+
+static int load_descents(struct mo_connection *reader, int64_t id, struct mo_descent **ret, uint32_t **ret_born,
+                         bool with_born, uint32_t *ret_n)
+{
+  static const char sql[] = "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
+  struct mo_campaign_head head;
+  struct mo_descent *descents;
+  sqlite3_stmt *statement;
+  uint32_t *born;
+  size_t filled = 0;
+  int step = 0;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = mo_campaign_head_get(reader, id, &head);
+  if (error == MO_OK && head.n_designs > MO_CAMPAIGN_DESIGNS_MAX)
+    error = MO_ERR_CORRUPT;
+  if (error != MO_OK)
+    return error;
+  descents = *ret = malloc((head.n_designs + 1) * sizeof(**ret));
+  born = *ret_born = with_born ? malloc((head.n_designs + 1) * sizeof(**ret_born)) : NULL;
+  if (descents == NULL || (with_born && born == NULL))
+    return MO_ERR_NO_MEMORY;
+  statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  while ((step = mo_sql_step(reader, statement)) > 0) {
+    uint32_t generation = (uint32_t)sqlite3_column_int64(statement, 0);
+    const uint8_t *at = sqlite3_column_blob(statement, 1);
+    size_t n = (size_t)sqlite3_column_bytes(statement, 1) / MO_BIRTH_BYTES;
+    if (n > head.n_designs - filled)
+      return MO_ERR_CORRUPT;
+    for (size_t i = 0; i < n; i++, at += MO_BIRTH_BYTES)
+      descents[filled + i] = (struct mo_descent){{mo_decode_u32(at + 1), mo_decode_u32(at + 5)}, at[0]};
+    for (size_t i = 0; i < n && born != NULL; i++)
+      born[filled + i] = generation;
+    filled += n;
+  }
+  *ret_n = (uint32_t)filled;
+  return step < 0 ? step : filled == head.n_designs ? MO_OK : MO_ERR_CORRUPT;
+}
+
+int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret, uint32_t **ret_born,
+                               uint32_t *ret_n)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_descent *descents = NULL;
+  uint32_t *born = NULL, n = 0;
+  int error = load_descents(reader, id, &descents, &born, ret_born != NULL, &n);
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    free(descents);
+    free(born);
+    return error;
+  }
+  *ret = descents;
+  if (ret_born != NULL)
+    *ret_born = born;
+  *ret_n = n;
+  return MO_OK;
+}
+
+/* ---- where a form was born ---- */
+
+int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form, int64_t after_campaign,
+                                     struct mo_campaign_place *places, size_t limit)
+{
+  static const char sql[] = "SELECT d.job,d.number FROM designs x CROSS JOIN genotypes g ON g.design=x.id CROSS JOIN"
+                            " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
+                            " ORDER BY d.job LIMIT ?3";
+  uint8_t bytes[MO_BITS_BYTES];
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  mo_encode_bits(form, bytes);
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_blob(statement, 1, bytes, sizeof(bytes), SQLITE_STATIC);
+    sqlite3_bind_int64(statement, 2, after_campaign);
+    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+    while ((error = mo_sql_step(reader, statement)) > 0)
+      places[n++] =
+          (struct mo_campaign_place){sqlite3_column_int64(statement, 0), (uint32_t)sqlite3_column_int64(statement, 1)};
+    (void)sqlite3_clear_bindings(statement);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}

@@ -1,0 +1,68 @@
+/* campaign_rows.h: what the files of campaigns share. For this room alone. */
+#ifndef MORPHO_STORE_CAMPAIGN_ROWS_H
+#define MORPHO_STORE_CAMPAIGN_ROWS_H
+
+#include "store/campaigns.h"
+#include "store/internal.h"
+
+#define MO_BIRTH_BYTES  9  /* operator, two parents */
+#define MO_MEMBER_BYTES 12 /* number, score */
+
+/* What operations need of a campaign's row. */
+struct mo_campaign_head {
+  enum mo_campaign_mode mode;
+  uint32_t population, generations, n_environments;
+  int64_t group, physics;
+  int64_t controller, environment_set; /* 0: none */
+  int64_t generation;                  /* −1: none */
+  uint64_t n_designs;
+  int64_t scored_generation, scored;
+  double diversity_max;
+};
+int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo_campaign_head *head);
+
+/* A new version of a campaign that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
+int mo_campaign_touch(struct mo_store *store, int64_t id);
+/* An event of a job's state; more: further members of the object, each with its comma. */
+int mo_campaign_announce(struct mo_store *store, int64_t id, const char *type, enum mo_job_state state,
+                         const char *more);
+/* MO_ERR_CONFLICT when the statement changed nothing. */
+int mo_campaign_changed(struct mo_connection *writer, sqlite3_stmt *statement);
+
+/* Rows of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
+int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows, uint32_t n);
+/* The blobs of a generation; they stay until the statement is reset. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of a wrong size. */
+struct mo_campaign_blobs {
+  const uint8_t *births, *population; /* (n_births, MO_BIRTH_BYTES), (n, MO_MEMBER_BYTES) */
+  uint32_t n_births, n;
+  sqlite3_stmt *statement;
+};
+int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
+                          struct mo_campaign_blobs *blobs);
+
+int mo_campaign_generation_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_generation *row);
+int mo_campaign_step_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_step *row);
+int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
+
+/* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that it makes needless (row, in an
+ * operation), then their files (end, always). `committed`: it is the state after its generation. */
+#define MO_CAMPAIGN_DROPPED_MAX 64
+struct mo_campaign_checkpoint {
+  int64_t id;
+  uint32_t generation, step;
+  bool committed;
+  uint64_t size;
+  struct mo_sha256 sha256;
+  char *path;
+  bool was_there;
+  uint32_t dropped[MO_CAMPAIGN_DROPPED_MAX][2];
+  size_t n_dropped;
+};
+int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
+                                 struct mo_campaign_checkpoint *checkpoint);
+int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
+/* Drops rows only: those of generations before `generation`. */
+int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
+void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint, int error);
+
+#endif

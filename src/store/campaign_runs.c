@@ -1,0 +1,552 @@
+/* campaign_runs.c: the runner's side of a campaign between its generations: start, park, end, state, losses on the way.
+ *
+ * Writes are fenced by the epoch as those of trainings: the campaign must have been started under this opening of the store and must
+ * not be over. One that was paused takes losses and generations still: its thread saves what it has computed. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "store/campaign_rows.h"
+
+int mo_campaign_changed(struct mo_connection *writer, sqlite3_stmt *statement)
+{
+  int error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error == MO_OK && sqlite3_changes(writer->db) == 0 ? MO_ERR_CONFLICT : error;
+}
+
+int mo_campaign_touch(struct mo_store *store, int64_t id)
+{
+  static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, store->epoch);
+  return mo_campaign_changed(&store->writer, statement);
+}
+
+int mo_campaign_announce(struct mo_store *store, int64_t id, const char *type, enum mo_job_state state,
+                         const char *more)
+{
+  char data[400];
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"campaign\",\"state\":\"%s\"%s}", (long long)id,
+           mo_job_state_name(state), more);
+  return mo_writer_event(store, id, type, data);
+}
+
+/* ---- the queue ---- */
+
+int64_t mo_store_queued_campaigns(struct mo_store *store, int64_t *ids, size_t limit)
+{
+  static const char sql[] = "SELECT id FROM jobs WHERE state=0 AND kind=2 ORDER BY priority DESC,id LIMIT ?1";
+  struct mo_connection *reader;
+  sqlite3_stmt *statement;
+  int error = MO_OK;
+  int64_t n = 0;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, (sqlite3_int64)limit);
+    while ((error = mo_sql_step(reader, statement)) > 0)
+      ids[n++] = sqlite3_column_int64(statement, 0);
+  }
+  mo_reader_release(store, reader);
+  return error < 0 ? error : n;
+}
+
+static int start(struct mo_store *store, void *arguments)
+{
+  static const char sql[] = "UPDATE jobs SET state=1,epoch=?2,version=version+1,"
+                            "started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
+                            " WHERE id=?1 AND kind=2 AND state=0";
+  const int64_t *id = arguments;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, *id);
+  sqlite3_bind_int64(statement, 2, store->epoch);
+  sqlite3_bind_int64(statement, 3, mo_store_now_us());
+  error = mo_campaign_changed(&store->writer, statement);
+  return error == MO_OK ? mo_campaign_announce(store, *id, "job.started", MO_JOB_RUNNING, "") : error;
+}
+
+int mo_store_campaign_start(struct mo_store *store, int64_t id)
+{
+  return mo_write(store, start, &id);
+}
+
+struct park_arguments {
+  int64_t id;
+  int error;
+  const char *text;
+  uint32_t max_attempts;
+  enum mo_job_state after;
+};
+
+static int park(struct mo_store *store, void *arguments)
+{
+  static const char park_sql[] =
+      "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2";
+  static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=version+1,error=?4,error_text=?5,"
+                                  "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
+                                  "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
+                                  " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2";
+  struct park_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  enum mo_job_kind kind;
+  int error = MO_OK;
+  bool applied;
+  sqlite3_stmt *statement = mo_sql(writer, call->error == MO_OK ? park_sql : retry_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, store->epoch);
+  if (call->error != MO_OK) {
+    sqlite3_bind_int64(statement, 3, mo_store_now_us());
+    sqlite3_bind_int64(statement, 4, call->error);
+    sqlite3_bind_text(statement, 5, call->text, -1, SQLITE_STATIC);
+    sqlite3_bind_int64(statement, 6, call->max_attempts);
+  }
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  applied = error == MO_OK && sqlite3_changes(writer->db) > 0;
+  if (error == MO_OK)
+    error = mo_job_state_get(writer, call->id, &call->after, &kind);
+  if (error != MO_OK || !applied)
+    return error;
+  return mo_campaign_announce(store, call->id, call->after == MO_JOB_FAILED ? "job.finished" : "job.requeued",
+                              call->after, "");
+}
+
+int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
+                           enum mo_job_state *after)
+{
+  struct park_arguments call = {id, error, error_text, max_attempts, MO_JOB_QUEUED};
+  int status = mo_write(store, park, &call);
+  if (status == MO_OK && after != NULL)
+    *after = call.after;
+  return status;
+}
+
+/* ---- the end ---- */
+
+struct finish_arguments {
+  int64_t id;
+  enum mo_campaign_end end;
+  uint32_t generations;
+  struct mo_controller_put *put; /* NULL: none */
+};
+
+static int finish(struct mo_store *store, void *arguments)
+{
+  static const char job_sql[] = "UPDATE jobs SET state=3,version=version+1,finished_us=?3,error=0,error_text=NULL"
+                                " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2"
+                                " AND (SELECT generations FROM campaigns WHERE job=?1)<=?4";
+  static const char sql[] = "UPDATE campaigns SET ended=?2,result=nullif(?3,0) WHERE job=?1";
+  const struct finish_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  char more[256], digits[MO_SHA256_DIGITS + 1];
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, job_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, store->epoch);
+  sqlite3_bind_int64(statement, 3, mo_store_now_us());
+  sqlite3_bind_int64(statement, 4, call->generations);
+  error = mo_campaign_changed(writer, statement);
+  if (error == MO_OK && call->put != NULL)
+    error = mo_controller_put_row(store, call->put);
+  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, call->end);
+  sqlite3_bind_int64(statement, 3, call->put != NULL ? call->put->row : 0);
+  error = mo_sql_run(writer, statement);
+  if (error != MO_OK)
+    return error;
+  snprintf(more, sizeof(more), ",\"end\":\"%s\"", call->end == MO_CAMPAIGN_EXHAUSTED ? "exhausted" : "completed");
+  if (call->put != NULL) {
+    size_t length = strlen(more);
+    mo_sha256_to_hex(&call->put->sha256, digits);
+    snprintf(more + length, sizeof(more) - length, ",\"controller\":\"%s\",\"sha256\":\"%s\"", call->put->name, digits);
+  }
+  return mo_campaign_announce(store, call->id, "job.finished", MO_JOB_SUCCEEDED, more);
+}
+
+int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end, uint32_t generations,
+                             const char *name, const uint8_t *bytes, size_t size,
+                             const struct mo_controller *controller)
+{
+  struct mo_controller_put put = {.name = name};
+  struct finish_arguments call = {id, end, generations, controller != NULL ? &put : NULL};
+  int error = MO_OK;
+  if (end != MO_CAMPAIGN_COMPLETED && end != MO_CAMPAIGN_EXHAUSTED)
+    return MO_ERR_INVALID;
+  if (controller != NULL)
+    error = mo_controller_put_begin(store, name, bytes, size, controller, &put);
+  if (error == MO_OK)
+    error = mo_write(store, finish, &call);
+  if (controller != NULL)
+    mo_controller_put_end(&put);
+  return error;
+}
+
+/* ---- the state that a run goes on from ---- */
+
+void mo_campaign_state_free(struct mo_campaign_state *state)
+{
+  if (state == NULL)
+    return;
+  free(state->numbers);
+  free(state->born);
+  free(state->genotypes);
+  free(state->scores);
+  free(state);
+}
+
+static int load_member(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state, uint32_t i)
+{
+  static const char sql[] = "SELECT d.born,g.bits FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
+                            " WHERE d.job=?1 AND d.number=?2";
+  int error = MO_OK;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, state->numbers[i]);
+  step = mo_sql_step(reader, statement);
+  if (step <= 0)
+    return step < 0 ? step : MO_ERR_CORRUPT;
+  state->born[i] = (uint32_t)sqlite3_column_int64(statement, 0);
+  return mo_column_bits(statement, 1, &state->genotypes[i]);
+}
+
+static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)
+{
+  struct mo_campaign_blobs blobs;
+  struct mo_campaign_head head;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = mo_campaign_head_get(reader, id, &head);
+  if (error == MO_OK)
+    error = mo_campaign_blobs_get(reader, id, head.generation, &blobs);
+  if (error != MO_OK)
+    return error;
+  state->generation = (uint32_t)head.generation;
+  state->n = blobs.n;
+  state->n_designs = head.n_designs;
+  state->diversity_max = head.diversity_max;
+  state->numbers = calloc(blobs.n + 1, sizeof(*state->numbers));
+  state->born = calloc(blobs.n + 1, sizeof(*state->born));
+  state->genotypes = calloc(blobs.n + 1, sizeof(*state->genotypes));
+  state->scores = calloc(blobs.n + 1, sizeof(*state->scores));
+  if (state->numbers == NULL || state->born == NULL || state->genotypes == NULL || state->scores == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < blobs.n && error == MO_OK; i++) {
+    const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
+    state->numbers[i] = mo_decode_u32(member);
+    state->scores[i] = mo_decode_double(member + 4);
+    error = load_member(reader, id, state, i);
+  }
+  return error;
+}
+
+int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campaign_state **ret)
+{
+  struct mo_campaign_state *state = calloc(1, sizeof(*state));
+  struct mo_connection *reader;
+  int error;
+  if (state == NULL)
+    return MO_ERR_NO_MEMORY;
+  reader = mo_reader_acquire(store);
+  error = load_state(reader, id, state);
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    mo_campaign_state_free(state);
+    return error;
+  }
+  *ret = state;
+  return MO_OK;
+}
+
+#define EACH_PAGE 4096
+
+/* Designs are only ever added: a page at a time, so that no reader is held while `take` is at work. */
+static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *page)
+{
+  static const char sql[] = "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
+                            " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  int64_t n = 0;
+  int step = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, after);
+    sqlite3_bind_int64(statement, 3, EACH_PAGE);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+      n++;
+      error =
+          sqlite3_column_int64(statement, 0) != after + n ? MO_ERR_CORRUPT : mo_column_bits(statement, 1, &page[n - 1]);
+    }
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : step < 0 ? step : n;
+}
+
+int mo_store_campaign_each(struct mo_store *store, int64_t id,
+                           int (*take)(void *context, const struct mo_bits *genotype), void *context)
+{
+  struct mo_bits *page = calloc(EACH_PAGE, sizeof(*page));
+  int64_t after = -1, n = EACH_PAGE;
+  int status = page == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  while (status == MO_OK && n == EACH_PAGE) {
+    n = load_page(store, id, after, page);
+    if (n < 0)
+      status = (int)n;
+    for (int64_t i = 0; i < n && status == MO_OK; i++)
+      status = take(context, &page[i]);
+    after += n;
+  }
+  free(page);
+  return status;
+}
+
+/* ---- losses of the generation under way ---- */
+
+struct losses_arguments {
+  int64_t id;
+  uint32_t generation;
+  const struct mo_campaign_loss *losses;
+  size_t n;
+  const char *event_data;
+};
+
+int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
+{
+  static const char sql[] = "DELETE FROM campaign_losses WHERE job=?1";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  return mo_sql_run(writer, statement);
+}
+
+static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_campaign_loss *loss, uint32_t n,
+                     int64_t *added)
+{
+  static const char sql[] = "INSERT OR IGNORE INTO campaign_losses(job,place,losses,diverged) VALUES(?1,?2,?3,?4)";
+  uint8_t losses[8 * MO_ENVIRONMENTS_MAX], diverged[4 * MO_ENVIRONMENTS_MAX];
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  mo_encode_doubles(loss->losses, n, losses);
+  for (uint32_t k = 0; k < n; k++)
+    mo_encode_u32((uint32_t)loss->diverged_steps[k], diverged + (size_t)4 * k);
+  sqlite3_bind_int64(statement, 1, id);
+  sqlite3_bind_int64(statement, 2, loss->place);
+  sqlite3_bind_blob(statement, 3, losses, (int)(8 * n), SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 4, diverged, (int)(4 * n), SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  *added += error == MO_OK && sqlite3_changes(writer->db) > 0;
+  return error;
+}
+
+static int save_losses(struct mo_store *store, void *arguments)
+{
+  static const char sql[] = "UPDATE campaigns SET scored_generation=?2,scored=?3 WHERE job=?1";
+  const struct losses_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  struct mo_campaign_head head;
+  sqlite3_stmt *statement;
+  int64_t scored = 0;
+  int error = mo_campaign_touch(store, call->id);
+  if (error == MO_OK)
+    error = mo_campaign_head_get(writer, call->id, &head);
+  if (error == MO_OK && head.generation + 1 != call->generation)
+    error = MO_ERR_CONFLICT;
+  if (error == MO_OK && head.scored_generation != call->generation)
+    error = mo_campaign_losses_drop(writer, call->id);
+  else if (error == MO_OK)
+    scored = head.scored;
+  for (size_t i = 0; i < call->n && error == MO_OK; i++)
+    error = call->losses[i].place >= 2 * head.population
+                ? MO_ERR_RANGE
+                : save_loss(writer, call->id, &call->losses[i], head.n_environments, &scored);
+  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->id);
+  sqlite3_bind_int64(statement, 2, call->generation);
+  sqlite3_bind_int64(statement, 3, scored);
+  error = mo_sql_run(writer, statement);
+  if (error == MO_OK && call->event_data != NULL)
+    error = mo_writer_event(store, call->id, "campaign.progress", call->event_data);
+  return error;
+}
+
+int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
+                                  const struct mo_campaign_loss *losses, size_t n, const char *event_data)
+{
+  struct losses_arguments call = {id, generation, losses, n, event_data};
+  return mo_write(store, save_losses, &call);
+}
+
+static int loss_from_row(sqlite3_stmt *row, uint32_t n, struct mo_campaign_loss *loss)
+{
+  const void *losses = sqlite3_column_blob(row, 1), *diverged = sqlite3_column_blob(row, 2);
+  if (losses == NULL || diverged == NULL || sqlite3_column_bytes(row, 1) != (int)(8 * n) ||
+      sqlite3_column_bytes(row, 2) != (int)(4 * n))
+    return MO_ERR_CORRUPT;
+  loss->place = (uint32_t)sqlite3_column_int64(row, 0);
+  mo_decode_doubles(losses, n, loss->losses);
+  for (uint32_t k = 0; k < n; k++)
+    loss->diverged_steps[k] = (int32_t)mo_decode_u32((const uint8_t *)diverged + (size_t)4 * k);
+  return MO_OK;
+}
+
+static int load_losses(struct mo_connection *reader, int64_t id, uint32_t generation, struct mo_campaign_loss **losses,
+                       size_t *n)
+{
+  static const char sql[] = "SELECT place,losses,diverged FROM campaign_losses WHERE job=?1 ORDER BY place";
+  struct mo_campaign_head head;
+  sqlite3_stmt *statement;
+  int64_t most;
+  int step = 0;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = mo_campaign_head_get(reader, id, &head);
+  if (error != MO_OK)
+    return error;
+  most = head.scored_generation == generation && head.generation + 1 == generation ? head.scored : 0;
+  *losses = calloc((size_t)most + 1, sizeof(**losses));
+  if (*losses == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (most == 0)
+    return MO_OK;
+  statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
+    error = (int64_t)*n == most ? MO_ERR_CORRUPT : loss_from_row(statement, head.n_environments, &(*losses)[(*n)++]);
+  if (step < 0)
+    return step;
+  return error == MO_OK && (int64_t)*n != most ? MO_ERR_CORRUPT : error;
+}
+
+int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation, struct mo_campaign_loss **ret,
+                             size_t *ret_n)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct mo_campaign_loss *losses = NULL;
+  size_t n = 0;
+  int error = load_losses(reader, id, generation, &losses, &n);
+  mo_reader_release(store, reader);
+  if (error != MO_OK) {
+    free(losses);
+    return error;
+  }
+  *ret = losses;
+  *ret_n = n;
+  return MO_OK;
+}
+
+/* ---- what was scored before ---- */
+
+struct known_keys {
+  struct mo_campaign_head head;
+  int64_t environments[MO_ENVIRONMENTS_MAX], lowest, highest;
+};
+
+/* 1: all of its losses are known. */
+static int find_known(struct mo_connection *reader, const struct known_keys *keys, const struct mo_bits *genotype,
+                      struct mo_campaign_loss *loss)
+{
+  static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
+  static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
+                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
+  uint8_t bits[MO_BITS_BYTES];
+  uint64_t found = 0;
+  int64_t row = 0;
+  int step = 0;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, find_sql, &error);
+  if (statement == NULL)
+    return error;
+  mo_encode_bits(genotype, bits);
+  sqlite3_bind_blob(statement, 1, bits, sizeof(bits), SQLITE_STATIC);
+  error = mo_sql_integer(reader, statement, &row);
+  (void)sqlite3_clear_bindings(statement);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? 0 : error;
+  statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, row);
+  sqlite3_bind_int64(statement, 2, keys->head.controller);
+  sqlite3_bind_int64(statement, 3, keys->head.physics);
+  sqlite3_bind_int64(statement, 4, keys->lowest);
+  sqlite3_bind_int64(statement, 5, keys->highest);
+  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+    int64_t environment = sqlite3_column_int64(statement, 0);
+    for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++)
+      if (keys->environments[k] == environment) {
+        error = mo_column_double(statement, 1, &loss->losses[k]);
+        loss->diverged_steps[k] = sqlite3_column_int(statement, 2);
+        found |= UINT64_C(1) << k;
+      }
+  }
+  (void)sqlite3_reset(statement);
+  if (error != MO_OK || step < 0)
+    return error != MO_OK ? error : step;
+  return found == UINT64_MAX >> (64 - keys->head.n_environments);
+}
+
+static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys *keys)
+{
+  int error = mo_campaign_head_get(reader, id, &keys->head);
+  if (error == MO_OK)
+    error = mo_campaign_environment_rows(reader, keys->head.group, keys->environments, keys->head.n_environments);
+  keys->lowest = INT64_MAX;
+  keys->highest = INT64_MIN;
+  for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++) {
+    if (keys->environments[k] < keys->lowest)
+      keys->lowest = keys->environments[k];
+    if (keys->environments[k] > keys->highest)
+      keys->highest = keys->environments[k];
+  }
+  return error;
+}
+
+int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, const struct mo_bits *genotypes, uint32_t n,
+                                struct mo_campaign_loss *losses)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  struct known_keys keys;
+  int64_t n_known = 0;
+  int error = mo_sql_exec(reader, "BEGIN");
+  if (error == MO_OK)
+    error = load_keys(reader, id, &keys);
+  for (uint32_t i = 0; i < n && error == MO_OK && keys.head.mode == MO_ZERO_SHOT && keys.head.controller != 0; i++) {
+    int known = find_known(reader, &keys, &genotypes[i], &losses[n_known]);
+    if (known < 0)
+      error = known;
+    else if (known > 0)
+      losses[n_known++].place = i;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n_known;
+}
