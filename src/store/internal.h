@@ -14,7 +14,7 @@
 #define MO_APPLICATION_ID    0x6D727068 /* "mrph" */
 #define MO_STATEMENTS_MAX    192
 #define MO_CHECKPOINT_FRAMES 2000
-#define MO_WAL_FRAMES_LONG   8000
+#define MO_WAL_LONG          4 /* times that */
 #define MO_BUSY_MS           5000
 #define MO_LISTENERS_MAX     64
 
@@ -97,7 +97,7 @@ struct mo_store {
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
-  int wal_frames;
+  int wal_frames, checkpoint_frames;
 
   pthread_mutex_t listeners_mutex;
   struct {

@@ -255,6 +255,9 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
   store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
   store->idempotency_keep_us = (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
+  store->checkpoint_frames = config->checkpoint_frames > 0 && config->checkpoint_frames <= 1000000
+                                 ? (int)config->checkpoint_frames
+                                 : MO_CHECKPOINT_FRAMES;
   store->fatal = config->fatal;
   store->fatal_context = config->fatal_context;
   pthread_mutex_init(&store->readers_mutex, NULL);

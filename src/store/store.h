@@ -23,12 +23,13 @@
 struct mo_store;
 
 struct mo_store_config {
-  const char *path;                               /* the state folder: must exist and be writable */
-  const char *vfs;                                /* NULL: SQLite's default; tests name one that fails on demand */
-  const struct mo_file_operations *files;         /* NULL: the system's; likewise; as long as the store is open */
-  uint32_t n_readers;                             /* read connections; 0: 4 */
-  uint64_t events_kept;                           /* older ones are pruned; 0: 100000 */
-  int64_t idempotency_keep_s;                     /* 0: 24 h */
+  const char *path;                       /* the state folder: must exist and be writable */
+  const char *vfs;                        /* NULL: SQLite's default; tests name one that fails on demand */
+  const struct mo_file_operations *files; /* NULL: the system's; likewise; as long as the store is open */
+  uint32_t n_readers;                     /* read connections; 0: 4 */
+  uint64_t events_kept;                   /* older ones are pruned; 0: 100000 */
+  int64_t idempotency_keep_s;             /* 0: 24 h */
+  uint32_t checkpoint_frames;             /* pages in the log after which it is copied into the database; 0: 2000 */
   void (*fatal)(void *context, const char *what); /* once, on any thread; nullable */
   void *fatal_context;
 };

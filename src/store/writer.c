@@ -266,7 +266,7 @@ static void checkpoint(struct mo_store *store)
   int64_t now = mo_monotonic_us();
   int mode = SQLITE_CHECKPOINT_PASSIVE;
   int result;
-  if (store->wal_frames >= MO_WAL_FRAMES_LONG && now - store->last_restart_us >= RESTART_US) {
+  if (store->wal_frames >= MO_WAL_LONG * store->checkpoint_frames && now - store->last_restart_us >= RESTART_US) {
     store->last_restart_us = now;
     mode = SQLITE_CHECKPOINT_RESTART;
     sqlite3_busy_timeout(db, RESTART_WAIT_MS);
@@ -292,7 +292,7 @@ static void maintain(struct mo_store *store)
     mo_reserve_make(store);
   if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
     prune(store);
-  if (store->wal_frames >= MO_CHECKPOINT_FRAMES)
+  if (store->wal_frames >= store->checkpoint_frames)
     checkpoint(store);
   statement = mo_sql(writer, pages_sql, &error);
   if (statement != NULL && mo_sql_integer(writer, statement, &pages) == MO_OK)

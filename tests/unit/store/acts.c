@@ -1,0 +1,598 @@
+/* acts.c: what is asked of the store, and what it means for the model. */
+#include <math.h>
+#include <pthread.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "life.h"
+
+/* ---- things by their seeds ---- */
+
+uint64_t life_hash(uint64_t seed, uint64_t place)
+{
+  uint64_t z = seed * UINT64_C(0x9E3779B97F4A7C15) + place + 1; /* SplitMix64's mixing */
+  z = (z ^ (z >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
+  z = (z ^ (z >> 27)) * UINT64_C(0x94D049BB133111EB);
+  return z ^ (z >> 31);
+}
+
+static size_t fill(uint64_t seed, size_t size, uint8_t **bytes)
+{
+  *bytes = malloc(size);
+  if (*bytes == NULL)
+    abort();
+  for (size_t i = 0; i < size; i++)
+    (*bytes)[i] = (uint8_t)life_hash(seed, i);
+  return size;
+}
+
+size_t life_content(uint64_t seed, uint8_t **bytes)
+{
+  return fill(seed, 1 + life_hash(seed, 1) % 20000, bytes);
+}
+
+size_t life_checkpoint(uint64_t seed, uint32_t step, uint8_t **bytes)
+{
+  const uint64_t own = life_hash(seed, step);
+  return fill(own, 1 + own % 30000, bytes);
+}
+
+double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *diverged_step)
+{
+  const uint64_t own = life_hash(seed, 100 + (uint64_t)design * MO_ENVIRONMENTS_MAX + environment);
+  *diverged_step = own % 16 == 0 ? 1 + (int32_t)(own >> 32) % 100 : 0;
+  return *diverged_step != 0 ? (double)INFINITY : (double)(own >> 11) * 0x1p-53 - 0.5;
+}
+
+struct mo_training_step_row life_step(uint64_t seed, uint32_t step)
+{
+  const uint64_t own = life_hash(seed, UINT64_C(1000000) + step);
+  return (struct mo_training_step_row){.report = {.step = step,
+                                                  .mean_loss = (double)(own >> 11) * 0x1p-53,
+                                                  .rate = 1e-3,
+                                                  .gradient_norm = (double)(own & 0xffff),
+                                                  .zeroed = (uint32_t)(own & 7)},
+                                       .seconds = 0.25};
+}
+
+void life_name(int index, char name[16])
+{
+  snprintf(name, 16, index == 0 ? "default" : "walker-%d", index);
+}
+
+void life_key(char kind, int index, char key[32])
+{
+  snprintf(key, 32, "%c%d", kind, index);
+}
+
+void life_backup_path(const struct life *life, int index, char path[512])
+{
+  snprintf(path, 512, "%s/backup-%d", disk_folder(life->disk), index);
+}
+
+void life_found(struct life *life, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  if (life->findings++ == 0)
+    vsnprintf(life->first, sizeof(life->first), format, arguments);
+  va_end(arguments);
+}
+
+/* ---- choosing ---- */
+
+static int some(struct life *life, int n)
+{
+  return (int)(disk_random(life->disk) % (uint64_t)n);
+}
+
+/* A thing in a fitting state; −1: there is none. Of those that fit one of the newest. */
+static int evaluation_in(const struct model *model, unsigned states)
+{
+  for (int i = model->n_evaluations - 1; i >= 0; i--)
+    if ((states >> model->evaluations[i].state & 1u) != 0)
+      return i;
+  return -1;
+}
+
+static int training_in(const struct model *model, unsigned states)
+{
+  for (int i = 0; i < model->n_trainings; i++)
+    if ((states >> model->trainings[i].state & 1u) != 0)
+      return i;
+  return -1;
+}
+
+#define IN(state) (1u << (state))
+
+static bool fits(struct life *life, struct act *act)
+{
+  const struct model *model = &life->model;
+  const unsigned queued = IN(MO_JOB_QUEUED), running = IN(MO_JOB_RUNNING), paused = IN(MO_JOB_PAUSED);
+  const struct evaluation_model *evaluation;
+  act->parts = 1;
+  switch (act->kind) {
+  case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
+    act->index = some(life, NAMES - 1) + 1;
+    if (model->n_contents > 0 && some(life, 4) == 0)
+      act->seed = model->contents[some(life, model->n_contents)];
+    return model->n_contents < CONTENTS_MAX - TRAININGS_MAX;
+  case ACT_REMOVE: act->index = some(life, NAMES - 1) + 1; return model->names[act->index].content >= 0;
+  case ACT_SUBMIT: act->index = model->n_evaluations; return model->n_evaluations < EVALUATIONS_MAX;
+  case ACT_SAVE:
+    act->index = evaluation_in(model, queued | running);
+    if (act->index < 0)
+      return false;
+    evaluation = &model->evaluations[act->index];
+    act->parts = act->n = 1 + (uint32_t)some(life, (int)(evaluation->n_designs - evaluation->saved));
+    return true;
+  case ACT_CHANGE:
+    act->n = (uint32_t)(some(life, 3) == 0 ? MO_CHANGE_CANCEL : MO_CHANGE_PAUSE);
+    act->index = evaluation_in(model, queued | running | paused);
+    if (act->index >= 0 && model->evaluations[act->index].state == MO_JOB_PAUSED)
+      act->n = MO_CHANGE_RESUME;
+    return act->index >= 0;
+  case ACT_TRAIN:
+    act->index = model->n_trainings;
+    return model->n_trainings < TRAININGS_MAX && training_in(model, queued | running) < 0;
+  case ACT_TRAIN_START: act->index = training_in(model, queued); return act->index >= 0;
+  case ACT_TRAIN_PROGRESS: act->n = 1 + (uint32_t)some(life, 20); break;
+  case ACT_TRAIN_CHECKPOINT: act->n = 1 + (uint32_t)some(life, KEPT_MAX); break;
+  case ACT_TRAIN_PARK: act->n = (uint32_t)some(life, 2); break;
+  case ACT_TRAIN_FINISH: break;
+  case ACT_BACKUP: act->index = model->n_backups; return model->n_backups < BACKUPS_MAX && some(life, 4) == 0;
+  default: return false;
+  }
+  act->index = training_in(model, running);
+  if (act->kind == ACT_TRAIN_CHECKPOINT && act->index >= 0 && model->trainings[act->index].position == 0)
+    return false;
+  return act->index >= 0 && (act->kind != ACT_TRAIN_FINISH || some(life, 4) == 0);
+}
+
+struct act life_choose(struct life *life)
+{
+  struct act act = {.kind = ACT_PUT, .parts = 1};
+  if (life->model.names[0].content < 0) { /* what evaluations score with */
+    act.seed = disk_random(life->disk) | 8;
+    return act;
+  }
+  do {
+    act = (struct act){.kind = (enum act_kind)some(life, ACT_KINDS), .seed = disk_random(life->disk)};
+  } while (!fits(life, &act));
+  return act;
+}
+
+/* ---- what an act means ---- */
+
+static int content_of(struct model *model, uint64_t seed)
+{
+  int i = 0;
+  while (i < model->n_contents && model->contents[i] != seed)
+    i++;
+  if (i == model->n_contents)
+    model->contents[model->n_contents++] = seed;
+  return i;
+}
+
+static void apply_put(struct model *model, const struct act *act)
+{
+  const int content = content_of(model, act->seed);
+  if (model->names[act->index].content == content)
+    return;
+  model->names[act->index].version = model->names[act->index].content < 0 ? 1 : model->names[act->index].version + 1;
+  model->names[act->index].content = content;
+  model->events++;
+}
+
+static void apply_checkpoint(struct training_model *training, uint32_t keep)
+{
+  uint32_t n = 0;
+  if (training->n_checkpoints == 0 || training->position > training->checkpoints[training->n_checkpoints - 1])
+    training->attempts = 0;
+  while (n < training->n_checkpoints && training->checkpoints[n] < training->position)
+    n++;
+  if (n == KEPT_MAX) {
+    memmove(training->checkpoints, training->checkpoints + 1, (KEPT_MAX - 1) * sizeof(uint32_t));
+    n--;
+  }
+  training->checkpoints[n] = training->position;
+  training->n_checkpoints = n + 1;
+  if (training->n_checkpoints > keep) {
+    memmove(training->checkpoints, training->checkpoints + training->n_checkpoints - keep, keep * sizeof(uint32_t));
+    training->n_checkpoints = keep;
+  }
+}
+
+static bool validates(const struct training_model *training, const struct act *act)
+{
+  return act->seed % 3 == 0 && training->position + act->n > training->last_validation;
+}
+
+static void apply_training(struct model *model, const struct act *act)
+{
+  struct training_model *training = &model->trainings[act->index];
+  model->events++;
+  switch (act->kind) {
+  case ACT_TRAIN_START: /* from its newest checkpoint */
+    training->state = MO_JOB_RUNNING;
+    training->position = training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
+    break;
+  case ACT_TRAIN_PROGRESS:
+    if (validates(training, act)) {
+      training->last_validation = training->position + act->n;
+      training->n_validations++;
+      model->events++;
+    }
+    training->position += act->n;
+    if (training->position > training->step)
+      training->step = training->position;
+    break;
+  case ACT_TRAIN_CHECKPOINT: apply_checkpoint(training, act->n); break;
+  case ACT_TRAIN_PARK:
+    training->attempts += act->n;
+    training->state = training->attempts >= 3 ? MO_JOB_FAILED : MO_JOB_QUEUED;
+    break;
+  default: /* finish */
+    training->state = MO_JOB_SUCCEEDED;
+    training->result = content_of(model, act->seed);
+    model->events++;
+    break;
+  }
+}
+
+void life_apply(struct model *model, const struct act *act, uint32_t parts)
+{
+  struct evaluation_model *evaluation = &model->evaluations[act->index];
+  if (parts == 0)
+    return;
+  switch (act->kind) {
+  case ACT_REQUEUE:
+    for (int i = 0; i < model->n_evaluations; i++)
+      if (model->evaluations[i].state == MO_JOB_RUNNING)
+        model->evaluations[i].state = MO_JOB_QUEUED;
+    for (int i = 0; i < model->n_trainings; i++)
+      if (model->trainings[i].state == MO_JOB_RUNNING)
+        model->trainings[i].state = MO_JOB_QUEUED;
+    break;
+  case ACT_PUT: apply_put(model, act); break;
+  case ACT_REMOVE:
+    model->names[act->index].content = -1;
+    model->events++;
+    break;
+  case ACT_SUBMIT:
+    *evaluation = (struct evaluation_model){.id = ++model->jobs,
+                                            .seed = act->seed,
+                                            .n_designs = 1 + (uint32_t)(act->seed % DESIGNS_MAX),
+                                            .state = MO_JOB_QUEUED};
+    model->n_evaluations++;
+    model->events++;
+    break;
+  case ACT_SAVE:
+    model->events += parts + (evaluation->state == MO_JOB_QUEUED);
+    evaluation->saved += parts;
+    evaluation->state = evaluation->saved == evaluation->n_designs ? MO_JOB_SUCCEEDED : MO_JOB_RUNNING;
+    break;
+  case ACT_CHANGE:
+    evaluation->state = act->n == MO_CHANGE_CANCEL  ? MO_JOB_CANCELLED
+                        : act->n == MO_CHANGE_PAUSE ? MO_JOB_PAUSED
+                                                    : MO_JOB_QUEUED;
+    model->events++;
+    break;
+  case ACT_TRAIN:
+    model->trainings[act->index] =
+        (struct training_model){.id = ++model->jobs, .seed = act->seed, .state = MO_JOB_QUEUED, .result = -1};
+    model->n_trainings++;
+    model->events++;
+    break;
+  case ACT_BACKUP: model->backups[model->n_backups++] = model->jobs; break;
+  default: apply_training(model, act); break;
+  }
+}
+
+/* ---- doing it ---- */
+
+struct put {
+  struct mo_controller controller;
+  struct mo_metadata_entry entry;
+  char key[8], *note;
+  uint8_t *bytes;
+  size_t size;
+};
+
+/* A quarter of all contents come with much metadata, so that the log grows long and is copied into the database now and then. */
+static void put_start(struct put *put, uint64_t seed)
+{
+  const size_t length = seed % 4 == 0 ? 100000 : 20;
+  *put = (struct put){.key = "note", .note = malloc(length + 1)};
+  if (put->note == NULL)
+    abort();
+  memset(put->note, 'x', length);
+  put->note[length] = '\0';
+  put->entry = (struct mo_metadata_entry){.key = put->key, .value = put->note};
+  put->controller = (struct mo_controller){.workspace = MO_DEFAULT_WORKSPACE, .metadata = &put->entry, .n_metadata = 1};
+  put->size = life_content(seed, &put->bytes);
+}
+
+static void put_end(struct put *put)
+{
+  free(put->note);
+  free(put->bytes);
+}
+
+static int do_put(struct life *life, const struct act *act)
+{
+  struct mo_controller_record record;
+  struct put put;
+  char name[16];
+  bool created;
+  int error;
+  put_start(&put, act->seed);
+  life_name(act->index, name);
+  error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller, &record, &created);
+  put_end(&put);
+  return error;
+}
+
+static int do_submit(struct life *life, const struct act *act)
+{
+  struct mo_submission submission = {.forms = life->forms + (size_t)act->index * DESIGNS_MAX,
+                                     .genotypes = life->genotypes + (size_t)act->index * DESIGNS_MAX,
+                                     .n_designs = 1 + (uint32_t)(act->seed % DESIGNS_MAX),
+                                     .environment_set = "paper-test",
+                                     .controller = "default",
+                                     .physics = mo_default_physics(),
+                                     .precision = MO_FLOAT32,
+                                     .priority = MO_BATCH,
+                                     .record_com = true,
+                                     .record_stride = 10};
+  char key[32];
+  int64_t id = 0;
+  bool replayed;
+  int error;
+  life_key('e', act->index, key);
+  submission.idempotency_key = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  error = mo_store_submit(life->store, &submission, &id, &replayed);
+  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
+    life_found(life, "a submission became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+  return error;
+}
+
+static int do_train(struct life *life, const struct act *act)
+{
+  struct mo_training_submission submission = {
+      .record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                              .seed = act->seed,
+                              .n_steps = 100000,
+                              .batch = 16,
+                              .schedule = {.kind = MO_SCHEDULE_RESTARTS, .peak = 1e-3, .decay = 0.7, .cycle_steps = 10},
+                              .physics = mo_default_physics(),
+                              .sensor = MO_SENSOR_INVERSE_SQUARE},
+                 .checkpoint_every_steps = 12,
+                 .checkpoints_kept = 2},
+      .priority = MO_BATCH};
+  char key[32];
+  int64_t id = 0;
+  bool replayed;
+  int error;
+  life_key('t', act->index, key);
+  submission.idempotency_key = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  error = mo_store_submit_training(life->store, &submission, &id, &replayed);
+  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
+    life_found(life, "a training became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+  return error;
+}
+
+static int do_training(struct life *life, const struct act *act)
+{
+  const struct training_model *training = &life->model.trainings[act->index];
+  struct mo_training_step_row rows[20];
+  struct mo_training_validation_row validation = {
+      .step = training->position + act->n, .rollouts = 4, .mean_score = 0.5};
+  struct put put;
+  uint8_t *bytes = NULL;
+  size_t size;
+  char name[32];
+  int error;
+  switch (act->kind) {
+  case ACT_TRAIN_START: return mo_store_training_start(life->store, training->id);
+  case ACT_TRAIN_PROGRESS:
+    for (uint32_t i = 0; i < act->n; i++)
+      rows[i] = life_step(training->seed, training->position + i + 1);
+    return mo_store_training_progress(life->store, training->id, rows, act->n,
+                                      validates(training, act) ? &validation : NULL, "{}");
+  case ACT_TRAIN_CHECKPOINT:
+    size = life_checkpoint(training->seed, training->position, &bytes);
+    error = mo_store_training_checkpoint(life->store, training->id, training->position, bytes, size, act->n);
+    free(bytes);
+    return error;
+  case ACT_TRAIN_PARK:
+    return mo_store_training_park(life->store, training->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+                                  act->n > 0 ? "out of memory" : NULL, 3, NULL);
+  default: /* finish */
+    put_start(&put, act->seed);
+    snprintf(name, sizeof(name), "training-%lld", (long long)training->id);
+    error = mo_store_training_finish(life->store, training->id, name, put.bytes, put.size, &put.controller);
+    put_end(&put);
+    return error;
+  }
+}
+
+/* ---- saving, several at once in one commit ---- */
+
+struct saving {
+  pthread_mutex_t mutex;
+  pthread_cond_t changed;
+  bool all_queued;
+  uint32_t answers, acknowledged; /* in order */
+  int error;
+};
+
+/* Of the first, which saves nothing: the writer waits until the others are queued, and takes them together. */
+static void wait_for_all(struct mo_save *save, int status)
+{
+  struct saving *saving = save->context;
+  pthread_mutex_lock(&saving->mutex);
+  while (!saving->all_queued)
+    pthread_cond_wait(&saving->changed, &saving->mutex);
+  saving->error = status;
+  saving->answers++;
+  pthread_cond_signal(&saving->changed);
+  pthread_mutex_unlock(&saving->mutex);
+}
+
+static void answered(struct mo_save *save, int status)
+{
+  struct saving *saving = save->context;
+  pthread_mutex_lock(&saving->mutex);
+  if (status == MO_OK && saving->error == MO_OK)
+    saving->acknowledged++;
+  else
+    saving->error = status;
+  saving->answers++;
+  pthread_cond_signal(&saving->changed);
+  pthread_mutex_unlock(&saving->mutex);
+}
+
+struct part {
+  struct mo_save save;
+  struct mo_saved_score scores[MO_PAPER_TEST_COUNT];
+  struct mo_saved_trajectory trajectory;
+  double com_m[9];
+  struct mo_saved_design design;
+  struct mo_job_update updates[2];
+};
+
+static void make_part(struct life *life, const struct act *act, const struct mo_work *work, uint32_t n,
+                      uint64_t *diverged, struct saving *saving, struct part *part)
+{
+  const struct evaluation_model *evaluation = &life->model.evaluations[act->index];
+  const uint32_t design = evaluation->saved + n;
+  const uint64_t total = (uint64_t)evaluation->n_designs * MO_PAPER_TEST_COUNT;
+  size_t n_updates = 0;
+  memset(part, 0, sizeof(*part));
+  for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
+    struct mo_saved_score *score = &part->scores[k];
+    *score = (struct mo_saved_score){.genotype = work->genotype_rows[design],
+                                     .controller = work->controller,
+                                     .physics = work->physics,
+                                     .environment = work->environment_rows[k],
+                                     .fingerprint = life->fingerprint};
+    score->loss = life_loss(evaluation->seed, design, k, &score->diverged_step);
+    *diverged += score->diverged_step != 0;
+  }
+  for (int i = 0; i < 9; i++)
+    part->com_m[i] = design + i * 0.125;
+  part->trajectory = (struct mo_saved_trajectory){
+      .job = evaluation->id, .design_position = design, .stride = 10, .frames = 3, .n_masses = 8, .com_m = part->com_m};
+  part->design =
+      (struct mo_saved_design){work->genotype_rows[design], work->controller, work->physics, work->environment_set};
+  if (evaluation->state == MO_JOB_QUEUED && n == 0)
+    part->updates[n_updates++] = (struct mo_job_update){.job = evaluation->id, .step = MO_STEP_START};
+  part->updates[n_updates++] =
+      (struct mo_job_update){.job = evaluation->id,
+                             .step = design + 1 == evaluation->n_designs ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
+                             .total = total,
+                             .done = (uint64_t)(design + 1) * MO_PAPER_TEST_COUNT,
+                             .diverged = *diverged};
+  part->save = (struct mo_save){.scores = part->scores,
+                                .n_scores = MO_PAPER_TEST_COUNT,
+                                .trajectories = &part->trajectory,
+                                .n_trajectories = 1,
+                                .designs = &part->design,
+                                .n_designs = 1,
+                                .updates = part->updates,
+                                .n_updates = n_updates,
+                                .done = answered,
+                                .context = saving};
+}
+
+static uint32_t do_save(struct life *life, const struct act *act, int *error)
+{
+  const struct evaluation_model *evaluation = &life->model.evaluations[act->index];
+  struct saving saving = {.all_queued = false};
+  struct mo_save gate = {.done = wait_for_all, .context = &saving};
+  struct part parts[DESIGNS_MAX];
+  struct mo_work *work = NULL;
+  uint32_t queued = 0;
+  uint64_t diverged = 0;
+  int32_t step;
+  *error = mo_store_load_work(life->store, evaluation->id, &work);
+  if (*error != MO_OK)
+    return 0;
+  for (uint32_t design = 0; design < evaluation->saved; design++)
+    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
+      (void)life_loss(evaluation->seed, design, k, &step);
+      diverged += step != 0;
+    }
+  pthread_mutex_init(&saving.mutex, NULL);
+  pthread_cond_init(&saving.changed, NULL);
+  *error = mo_store_save(life->store, &gate);
+  queued += *error == MO_OK;
+  for (uint32_t n = 0; n < act->n && *error == MO_OK; n++) {
+    make_part(life, act, work, n, &diverged, &saving, &parts[n]);
+    *error = mo_store_save(life->store, &parts[n].save);
+    queued += *error == MO_OK;
+  }
+  pthread_mutex_lock(&saving.mutex);
+  saving.all_queued = true;
+  pthread_cond_broadcast(&saving.changed);
+  while (saving.answers < queued)
+    pthread_cond_wait(&saving.changed, &saving.mutex);
+  pthread_mutex_unlock(&saving.mutex);
+  pthread_mutex_destroy(&saving.mutex);
+  pthread_cond_destroy(&saving.changed);
+  mo_work_free(work);
+  if (*error == MO_OK)
+    *error = saving.error;
+  return saving.acknowledged;
+}
+
+void life_settle(struct life *life)
+{
+  struct saving saving = {.all_queued = true};
+  struct mo_save save = {.done = wait_for_all, .context = &saving};
+  pthread_mutex_init(&saving.mutex, NULL);
+  pthread_cond_init(&saving.changed, NULL);
+  if (mo_store_save(life->store, &save) == MO_OK) {
+    pthread_mutex_lock(&saving.mutex);
+    while (saving.answers == 0)
+      pthread_cond_wait(&saving.changed, &saving.mutex);
+    pthread_mutex_unlock(&saving.mutex);
+  }
+  pthread_mutex_destroy(&saving.mutex);
+  pthread_cond_destroy(&saving.changed);
+}
+
+uint32_t life_do(struct life *life, const struct act *act, int *error)
+{
+  struct mo_message message;
+  char text[512];
+  switch (act->kind) {
+  case ACT_REQUEUE:
+    *error = mo_store_requeue(life->store, 0, 3, NULL);
+    if (*error == MO_OK)
+      *error = mo_store_fingerprint(life->store, "a test", &life->fingerprint);
+    break;
+  case ACT_PUT: *error = do_put(life, act); break;
+  case ACT_REMOVE:
+    life_name(act->index, text);
+    *error = mo_store_controller_remove(life->store, text);
+    break;
+  case ACT_SUBMIT: *error = do_submit(life, act); break;
+  case ACT_SAVE: return do_save(life, act, error);
+  case ACT_CHANGE:
+    *error = mo_store_change_job(life->store, life->model.evaluations[act->index].id, (enum mo_job_change)act->n, NULL);
+    break;
+  case ACT_TRAIN: *error = do_train(life, act); break;
+  case ACT_BACKUP:
+    life_backup_path(life, act->index, text);
+    *error = mo_store_backup(life->store, text, &message);
+    break;
+  default: *error = do_training(life, act); break;
+  }
+  return *error == MO_OK;
+}

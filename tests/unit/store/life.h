@@ -1,0 +1,113 @@
+/* life.h: the life of a state folder on a disk whose power fails: what is asked of the store, and what it has promised.
+ *
+ * The model is what was acknowledged. An act in doubt, whose call had not returned when everything stopped, is there wholly or not at all;
+ * one that saves several things in a row may have come through some of them. */
+#ifndef MORPHO_TESTS_STORE_LIFE_H
+#define MORPHO_TESTS_STORE_LIFE_H
+
+#include "disk.h"
+#include "store/runner.h"
+#include "store/trainings.h"
+
+enum {
+  NAMES = 4,
+  CONTENTS_MAX = 160,
+  EVALUATIONS_MAX = 60,
+  DESIGNS_MAX = 5, /* of an evaluation */
+  BODIES = EVALUATIONS_MAX * DESIGNS_MAX,
+  TRAININGS_MAX = 20,
+  KEPT_MAX = 3,
+  BACKUPS_MAX = 2
+};
+
+struct evaluation_model { /* its id is `id`; its designs are bodies from index · DESIGNS_MAX */
+  int64_t id;
+  uint64_t seed;
+  uint32_t n_designs, saved;
+  enum mo_job_state state;
+};
+struct training_model {
+  int64_t id;
+  uint64_t seed;
+  enum mo_job_state state;
+  uint32_t position; /* of the run that is under way */
+  uint32_t step, n_validations, last_validation;
+  uint32_t checkpoints[KEPT_MAX], n_checkpoints; /* ascending */
+  uint32_t attempts;
+  int result; /* content; −1: none */
+};
+struct model {
+  struct {
+    int content; /* −1: no such name */
+    int64_t version;
+  } names[NAMES];
+  uint64_t contents[CONTENTS_MAX]; /* seeds */
+  int n_contents;
+  struct evaluation_model evaluations[EVALUATIONS_MAX];
+  int n_evaluations;
+  struct training_model trainings[TRAININGS_MAX];
+  int n_trainings;
+  int64_t backups[BACKUPS_MAX]; /* jobs in each */
+  int n_backups;
+  int64_t jobs, events, epoch;
+};
+
+enum act_kind {
+  ACT_REQUEUE,
+  ACT_PUT,
+  ACT_REMOVE,
+  ACT_SUBMIT,
+  ACT_SAVE,
+  ACT_CHANGE,
+  ACT_TRAIN,
+  ACT_TRAIN_START,
+  ACT_TRAIN_PROGRESS,
+  ACT_TRAIN_CHECKPOINT,
+  ACT_TRAIN_PARK,
+  ACT_TRAIN_FINISH,
+  ACT_BACKUP,
+  ACT_KINDS
+};
+struct act {
+  enum act_kind kind;
+  int index; /* of the name, evaluation, training or backup */
+  uint64_t seed;
+  uint32_t n;     /* of what it has several of: parts of ACT_SAVE, steps, checkpoints kept; change; error */
+  uint32_t parts; /* that may be there without the next */
+};
+
+struct life {
+  struct disk *disk;
+  struct mo_store *store;
+  struct mo_bits *forms, *genotypes; /* (BODIES) */
+  struct model model;
+  struct act doing; /* with in_doubt */
+  bool in_doubt;
+  int64_t fingerprint;
+  unsigned findings, acts[ACT_KINDS];
+  char first[400]; /* finding */
+};
+
+/* Draws from a seed that a thing has: the same for who writes it and for who checks it. */
+uint64_t life_hash(uint64_t seed, uint64_t place);
+size_t life_content(uint64_t seed, uint8_t **bytes);                   /* of a controller's file (malloc) */
+size_t life_checkpoint(uint64_t seed, uint32_t step, uint8_t **bytes); /* (malloc) */
+double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *diverged_step);
+struct mo_training_step_row life_step(uint64_t seed, uint32_t step);
+void life_name(int index, char name[16]);
+void life_key(char kind, int index, char key[32]);
+void life_backup_path(const struct life *life, int index, char path[512]);
+
+void life_found(struct life *life, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+struct act life_choose(struct life *life);
+/* How many of its parts were acknowledged; *error: what the call that was not gave. */
+uint32_t life_do(struct life *life, const struct act *act, int *error);
+/* Waits until the writer has done what it does between commits: then the same seed gives the same order of changes. */
+void life_settle(struct life *life);
+/* The model after `parts` of an act. */
+void life_apply(struct model *model, const struct act *act, uint32_t parts);
+/* Is the store what the model says, exactly? Else `text` says where not. */
+bool life_matches(const struct life *life, const struct model *model, char text[300]);
+
+#endif

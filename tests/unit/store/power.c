@@ -1,0 +1,232 @@
+/* power.c: the power fails at any moment, again and again. What was acknowledged is there afterwards, bit for bit; of what was under way
+ * nothing or all.
+ *
+ * A folder lives through several cuts: in the middle of its work, while it is idle, while it is opened, in a row. Between some of them the
+ * process alone is killed, and the next one goes on with what the machine has in its memory. After each the store is opened, checked and
+ * compared with what it had promised, and works on. A disk that only says that it has synced is found out. */
+#include "../check.h"
+#include "fixture.h"
+#include "life.h"
+
+enum { CUTS_OF_A_LIFE = 5, ACTS_MAX = 60 };
+
+struct outcome {
+  unsigned cuts, in_openings, in_closings, idle, kills, doubts, came_through, findings, acts[ACT_KINDS];
+  char first[400];
+};
+
+static void open_store(struct life *life, int *error, struct mo_message *message)
+{
+  struct mo_store_config config = {.path = disk_folder(life->disk),
+                                   .vfs = disk_vfs(life->disk),
+                                   .files = disk_files(life->disk),
+                                   .n_readers = 1,
+                                   .checkpoint_frames = 200};
+  life->store = NULL;
+  *error = mo_store_open(&config, &life->store, message);
+  if (*error == MO_OK && mo_store_epoch(life->store) <= life->model.epoch)
+    life_found(life, "opening %lld came after %lld", (long long)mo_store_epoch(life->store),
+               (long long)life->model.epoch);
+  if (*error == MO_OK)
+    life->model.epoch = mo_store_epoch(life->store);
+}
+
+/* What was in doubt has come through as far as something that can be told. */
+static void resolve(struct life *life, struct outcome *outcome)
+{
+  const uint32_t n = life->in_doubt ? life->doing.parts : 0;
+  char text[300], last[300];
+  struct mo_message message;
+  if (mo_store_check(life->store, &message) != MO_OK) {
+    life_found(life, "%s", message.text);
+    return;
+  }
+  outcome->doubts += life->in_doubt;
+  life->in_doubt = false;
+  for (uint32_t parts = n + 1; parts-- > 0;) {
+    struct model model = life->model;
+    life_apply(&model, &life->doing, parts);
+    if (life_matches(life, &model, text)) {
+      life->model = model;
+      outcome->came_through += parts > 0;
+      return;
+    }
+    if (parts == n)
+      snprintf(last, sizeof(last), "%s", text);
+  }
+  life_found(life, "%s (with act %d of %u parts in doubt: %s)", text, n > 0 ? (int)life->doing.kind : -1, (unsigned)n,
+             last);
+}
+
+/* One act; false: everything stopped, or something is wrong. */
+static bool act_once(struct life *life, struct act act)
+{
+  uint32_t done;
+  int error = MO_OK;
+  life->doing = act;
+  life->in_doubt = true;
+  life->acts[act.kind]++;
+  done = life_do(life, &act, &error);
+  life_settle(life);
+  life_apply(&life->model, &act, done);
+  life->doing.parts -= done;
+  if (act.kind == ACT_SAVE)
+    life->doing.n -= done;
+  if (life->doing.parts == 0)
+    life->in_doubt = false;
+  if (error != MO_OK && !disk_has_stopped(life->disk))
+    life_found(life, "act %d: error %d on a disk that works", (int)act.kind, error);
+  return error == MO_OK && !disk_has_stopped(life->disk) && life->findings == 0;
+}
+
+/* Until everything stops, or for some acts. goes_well: it does not stop. */
+static void work(struct life *life, bool goes_well)
+{
+  const long changes = 1 + (long)(disk_random(life->disk) % 800);
+  int n = goes_well ? (int)(disk_random(life->disk) % ACTS_MAX) : ACTS_MAX;
+  if (!goes_well && disk_random(life->disk) % 2 == 0)
+    disk_stop_at_sync(life->disk, changes);
+  else if (!goes_well)
+    disk_stop_after(life->disk, changes);
+  if (!act_once(life, (struct act){.kind = ACT_REQUEUE, .parts = 1}))
+    return;
+  while (n-- > 0 && act_once(life, life_choose(life)))
+    ;
+}
+
+/* Opens, checks, works, stops. Returns whether a cut (not a kill) came. */
+static bool live_once(struct life *life, struct outcome *outcome)
+{
+  struct mo_message message;
+  const uint64_t how = disk_random(life->disk) % 8;
+  const bool kill = how == 0, opening = how == 1 || how == 2, idle = how == 3, closing = how == 4;
+  int error;
+  if (opening)
+    disk_stop_after(life->disk, 1 + (long)(disk_random(life->disk) % 40));
+  open_store(life, &error, &message);
+  if (error != MO_OK && !disk_has_stopped(life->disk)) {
+    life_found(life, "opening: %s", message.text);
+    return true;
+  }
+  if (error == MO_OK && !disk_has_stopped(life->disk)) {
+    disk_stop_after(life->disk, 0);
+    resolve(life, outcome);
+    if (life->findings == 0)
+      work(life, idle || closing);
+    if (idle)
+      disk_stop(life->disk);
+    if (closing)
+      disk_stop_after(life->disk, 1 + (long)(disk_random(life->disk) % 60));
+    outcome->idle += idle;
+    outcome->in_closings += closing;
+  } else {
+    outcome->in_openings++;
+  }
+  mo_store_close(life->store);
+  life->store = NULL;
+  if (kill)
+    disk_go_on(life->disk);
+  else if (disk_cut(life->disk) != 0)
+    life_found(life, "the disk cannot be made");
+  outcome->kills += kill;
+  outcome->cuts += !kill;
+  return !kill;
+}
+
+static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_bits *genotypes,
+                 struct outcome *outcome)
+{
+  static struct life life;
+  struct mo_message message;
+  int error;
+  life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
+  REQUIRE(life.disk != NULL);
+  for (int i = 0; i < NAMES; i++)
+    life.model.names[i].content = -1;
+  for (int n = 0; n < CUTS_OF_A_LIFE && life.findings == 0;)
+    n += live_once(&life, outcome);
+  if (life.findings == 0) { /* the last one, too, left something that opens */
+    open_store(&life, &error, &message);
+    if (error == MO_OK)
+      resolve(&life, outcome);
+    else
+      life_found(&life, "opening at the end: %s", message.text);
+    mo_store_close(life.store);
+  }
+  disk_free(life.disk);
+  for (int i = 0; i < ACT_KINDS; i++)
+    outcome->acts[i] += life.acts[i];
+  if (life.findings > 0 && outcome->findings++ == 0)
+    snprintf(outcome->first, sizeof(outcome->first), "seed %llu: %.300s", (unsigned long long)seed, life.first);
+}
+
+static void live_many(uint64_t seed, unsigned lies, unsigned cuts, struct outcome *outcome)
+{
+  struct mo_bits *forms = NULL, *genotypes = NULL;
+  *outcome = (struct outcome){0};
+  REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
+  while (outcome->cuts < cuts && (lies == DISK_HONEST || outcome->findings == 0))
+    live(seed++, lies, forms, genotypes, outcome);
+  free(forms);
+  free(genotypes);
+}
+
+static void keeps_promises(unsigned cuts)
+{
+  const char *given = getenv("MORPHO_POWER_SEED");
+  struct outcome outcome;
+  live_many(given != NULL ? strtoull(given, NULL, 10) : 1, DISK_HONEST, cuts, &outcome);
+  printf(
+      "# %u cuts (%u while opening, %u while closing, %u while idle), %u kills; of %u acts in doubt %u came through\n",
+      outcome.cuts, outcome.in_openings, outcome.in_closings, outcome.idle, outcome.kills, outcome.doubts,
+      outcome.came_through);
+  for (int i = 0; i < ACT_KINDS; i++)
+    CHECK(outcome.acts[i] > 0);
+  CHECK(outcome.in_openings > 0 && outcome.in_closings > 0 && outcome.idle > 0 && outcome.kills > 0);
+  CHECK(outcome.came_through > 0 && outcome.came_through < outcome.doubts);
+  CHECK_INT(outcome.findings, 0);
+  if (outcome.findings > 0)
+    printf("# %s\n", outcome.first);
+}
+
+static void keeps_promises_50(void)
+{
+  keeps_promises(50);
+}
+
+static void keeps_promises_500(void)
+{
+  keeps_promises(500);
+}
+
+static void is_found_out(unsigned lies)
+{
+  struct outcome outcome;
+  live_many(1, lies, 100, &outcome);
+  CHECK(outcome.findings > 0);
+  printf("# after %u cuts: %s\n", outcome.cuts, outcome.first);
+}
+
+static void needs_syncs_of_the_database(void)
+{
+  is_found_out(DISK_FORGETS_DATABASE);
+}
+
+static void needs_syncs_of_files(void)
+{
+  is_found_out(DISK_FORGETS_FILES);
+}
+
+static void needs_syncs_of_folders(void)
+{
+  is_found_out(DISK_FORGETS_FOLDERS);
+}
+
+static const struct check_case cases[] = {
+    {"short: keeps its promises through 50 power cuts", keeps_promises_50},
+    {"short: a disk that does not sync the database is found out", needs_syncs_of_the_database},
+    {"short: a disk that does not sync files is found out", needs_syncs_of_files},
+    {"short: a disk that does not sync folders is found out", needs_syncs_of_folders},
+    {"long: keeps its promises through 500 power cuts", keeps_promises_500},
+};
+CHECK_MAIN(cases)
