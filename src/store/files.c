@@ -181,7 +181,7 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   return error;
 }
 
-/* Also one that is there: who made it may have been killed before its name was durable. */
+/* Also one that is there: whoever made it may have failed to sync its name, for want of a descriptor or by being killed. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
   if (store->files->mkdir(store->files->context, path) != 0 && errno != EEXIST)

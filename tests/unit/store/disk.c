@@ -287,11 +287,24 @@ struct disk_file {
   struct disk *disk;
   struct inode *inode; /* NULL: a temporary file */
   char name[240];
-  bool synced; /* once: SQLite syncs the folder of a new log or journal with its first sync */
   sqlite3_file *real;
 };
 
-/* SQLite asks for a folder only to sync it: the default file system's call is replaced by one that also notes that. */
+/* In place of the C library's: what is certain is in memory, and the true disk may take its time. */
+__attribute__((visibility("default"))) int fsync(int fd)
+{
+  (void)fd;
+  return 0;
+}
+
+__attribute__((visibility("default"))) int fdatasync(int fd)
+{
+  (void)fd;
+  return 0;
+}
+
+/* SQLite syncs the folder of a new log or journal with that file's first sync, and after some removals. It asks for a folder only to sync it:
+ * the default file system's call is replaced by one that also notes that. */
 static int (*real_open_directory)(const char *path, int *fd);
 static _Thread_local bool folder_was_synced;
 
@@ -383,8 +396,7 @@ static int xSync(sqlite3_file *file, int flags)
   pthread_mutex_lock(&disk->mutex);
   if (change(disk, true) == TURN_GO) {
     folder_was_synced = false;
-    result = disk_file->synced ? SQLITE_OK : real->pMethods->xSync(real, flags); /* the true disk may take its time */
-    disk_file->synced = true;
+    result = real->pMethods->xSync(real, flags);
     if (result == SQLITE_OK && disk_file->inode != NULL && (disk->lies & DISK_FORGETS_DATABASE) == 0) {
       inode_sync(disk_file->inode);
       if (folder_was_synced)
@@ -618,10 +630,10 @@ void disk_go_on(struct disk *disk)
 }
 
 /* Which of the changes that are not certain have happened. */
-static void choose_names(struct disk *disk, struct names *names)
+static void choose_names(struct disk *disk, enum disk_luck luck, struct names *names)
 {
   size_t n_first = disk->n_pending > 0 ? disk_random(disk) % (disk->n_pending + 1) : 0;
-  unsigned mode = (unsigned)(disk_random(disk) % 4);
+  const unsigned mode = luck == DISK_WORST ? 3 : (unsigned)(disk_random(disk) % 4); /* all, first ones, some, none */
   for (size_t i = 0; i < disk->n_pending; i++)
     if (mode == 0 || (mode == 1 && i < n_first) || (mode == 2 && chance(disk, 2)))
       names_apply(names, &disk->pending[i]);
@@ -629,9 +641,9 @@ static void choose_names(struct disk *disk, struct names *names)
 }
 
 /* Which sectors of the writes that are not certain are there, and how long the file is. */
-static void choose_data(struct disk *disk, const struct inode *inode, struct content *content)
+static void choose_data(struct disk *disk, enum disk_luck luck, const struct inode *inode, struct content *content)
 {
-  const unsigned mode = (unsigned)(disk_random(disk) % 6); /* 0: none, 1: all, else some */
+  const unsigned mode = luck == DISK_WORST ? 0 : (unsigned)(disk_random(disk) % 6); /* none, all, some */
   const unsigned kept = 2 + (unsigned)(disk_random(disk) % 3);
   const bool stale = chance(disk, 2);
   content_start(content, inode);
@@ -674,14 +686,14 @@ static int write_out(const char *folder, const char *name, const struct content 
   return fclose(file) == 0 ? result : -1;
 }
 
-int disk_cut(struct disk *disk)
+int disk_cut(struct disk *disk, enum disk_luck luck)
 {
   struct names after = {0};
   struct inode *inodes = NULL;
   char old[280], path[560];
   int result;
   names_copy(&after, &disk->durable);
-  choose_names(disk, &after);
+  choose_names(disk, luck, &after);
   snprintf(old, sizeof(old), "%s", disk->folder);
   disk->cuts++;
   result = make_folder(disk);
@@ -692,7 +704,7 @@ int disk_cut(struct disk *disk)
       result = mkdir(path, 0700);
       continue;
     }
-    choose_data(disk, after.list[i].inode, &content);
+    choose_data(disk, luck, after.list[i].inode, &content);
     result = write_out(disk->folder, after.list[i].path, &content);
     after.list[i].inode = inode_new(&inodes);
     inode_set(after.list[i].inode, &content);

@@ -36,6 +36,7 @@ long disk_calls(struct disk *disk);
 /* After a stop, with the store closed: the process was killed, the machine goes on. */
 void disk_go_on(struct disk *disk);
 /* At any time with the store closed: the power fails and comes back. 0 or −1. */
-int disk_cut(struct disk *disk);
+enum disk_luck { DISK_ANY, DISK_WORST /* nothing but what is certain */ };
+int disk_cut(struct disk *disk, enum disk_luck luck);
 
 #endif

@@ -31,7 +31,7 @@ static void open_store(struct life *life, int *error, struct mo_message *message
     life->model.epoch = mo_store_epoch(life->store);
 }
 
-/* What was in doubt has come through as far as something that can be told. */
+/* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have not. */
 static void resolve(struct life *life, struct outcome *outcome)
 {
   const uint32_t n = life->in_doubt ? life->doing.parts : 0;
@@ -48,6 +48,7 @@ static void resolve(struct life *life, struct outcome *outcome)
     life_apply(&model, &life->doing, parts);
     if (life_matches(life, &model, text)) {
       life->model = model;
+      life->doing.parts -= n > 0 ? parts : 0;
       outcome->came_through += parts > 0;
       return;
     }
@@ -126,11 +127,18 @@ static bool live_once(struct life *life, struct outcome *outcome)
   life->store = NULL;
   if (kill)
     disk_go_on(life->disk);
-  else if (disk_cut(life->disk) != 0)
+  else if (disk_cut(life->disk, DISK_ANY) != 0)
     life_found(life, "the disk cannot be made");
   outcome->kills += kill;
   outcome->cuts += !kill;
   return !kill;
+}
+
+static void start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_bits *genotypes)
+{
+  *life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
+  for (int i = 0; i < NAMES; i++)
+    life->model.names[i].content = -1;
 }
 
 static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_bits *genotypes,
@@ -139,10 +147,8 @@ static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_
   static struct life life;
   struct mo_message message;
   int error;
-  life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
+  start(&life, seed, lies, forms, genotypes);
   REQUIRE(life.disk != NULL);
-  for (int i = 0; i < NAMES; i++)
-    life.model.names[i].content = -1;
   for (int n = 0; n < CUTS_OF_A_LIFE && life.findings == 0;)
     n += live_once(&life, outcome);
   if (life.findings == 0) { /* the last one, too, left something that opens */
@@ -222,11 +228,176 @@ static void needs_syncs_of_folders(void)
   is_found_out(DISK_FORGETS_FOLDERS);
 }
 
+/* ---- at every change in turn ---- */
+
+static const struct act script[] = {
+    {ACT_PUT, 0, 9, 0, 1},
+    {ACT_TRAIN, 0, 21, 0, 1},
+    {ACT_TRAIN_START, 0, 0, 0, 1},
+    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1}, /* changes are counted from here on, or from the first opening on */
+    {ACT_PUT, 1, 10, 0, 1},
+    {ACT_SUBMIT, 0, 1, 0, 1},
+    {ACT_SAVE, 0, 0, 2, 2},
+    {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1},
+    {ACT_TRAIN_FINISH, 0, 17, 0, 1},
+};
+enum { SCRIPT = sizeof(script) / sizeof(script[0]), COUNTED_FROM = 4 };
+
+/* A training that was requeued is started again, from its checkpoint, and has perhaps nothing to write yet. */
+static bool prepare(struct life *life, enum act_kind kind)
+{
+  const struct training_model *training = &life->model.trainings[0];
+  bool goes_on = true;
+  if (kind <= ACT_TRAIN_START || kind > ACT_TRAIN_FINISH)
+    return true;
+  if (training->state == MO_JOB_QUEUED)
+    goes_on = act_once(life, (struct act){.kind = ACT_TRAIN_START, .parts = 1});
+  if (goes_on && kind == ACT_TRAIN_CHECKPOINT && training->position == 0)
+    goes_on = act_once(life, (struct act){.kind = ACT_TRAIN_PROGRESS, .n = 7, .parts = 1});
+  return goes_on;
+}
+
+/* The script from its act `from` on, up to `end`; returns the first that is not done. */
+static int play(struct life *life, int from, int end, long stop_after)
+{
+  struct act act;
+  if (!act_once(life, (struct act){.kind = ACT_REQUEUE, .parts = 1}))
+    return from;
+  for (; from < end; from++) {
+    if (from == COUNTED_FROM && stop_after > 0)
+      disk_stop_after(life->disk, stop_after);
+    act = script[from];
+    if (act.kind == ACT_SAVE) /* the part of it that is not done */
+      act.n = act.parts = act.n - life->model.evaluations[0].saved;
+    if (!prepare(life, act.kind) || !act_once(life, act))
+      break;
+  }
+  return from;
+}
+
+static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck, struct outcome *outcome)
+{
+  struct mo_message message;
+  int error = MO_OK;
+  disk_stop(life->disk);
+  mo_store_close(life->store);
+  life->store = NULL;
+  if (kill)
+    disk_go_on(life->disk);
+  else if (disk_cut(life->disk, luck) != 0)
+    life_found(life, "the disk cannot be made");
+  open_store(life, &error, &message);
+  if (error != MO_OK)
+    life_found(life, "opening: %s", message.text);
+  else
+    resolve(life, outcome);
+}
+
+struct stops {
+  bool opening, kill;
+  enum disk_luck luck;
+};
+
+/* Stopped at change `n` of the script or of the first opening: by a kill or a cut; then what is left of the script, and the worst cut. Returns
+ * whether there was such a change. */
+static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *forms, struct mo_bits *genotypes,
+                    struct outcome *outcome)
+{
+  static struct life life;
+  struct mo_message message;
+  bool stopped;
+  int next = 0, error = MO_OK;
+  start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes);
+  if (life.disk == NULL)
+    return false;
+  if (stops->opening)
+    disk_stop_after(life.disk, n);
+  open_store(&life, &error, &message);
+  if (error != MO_OK && !disk_has_stopped(life.disk))
+    life_found(&life, "opening: %s", message.text);
+  if (!stops->opening && error == MO_OK)
+    next = play(&life, 0, end, n);
+  stopped = disk_has_stopped(life.disk);
+  if (life.findings == 0)
+    stop_and_reopen(&life, stops->kill, stops->luck, outcome);
+  if (next < end && life.doing.kind == script[next].kind && life.doing.parts == 0)
+    next += !stops->opening;
+  if (life.findings == 0 && play(&life, next, end, 0) < end)
+    life_found(&life, "the script does not go on after act %d", next);
+  if (life.findings == 0)
+    stop_and_reopen(&life, false, DISK_WORST, outcome);
+  mo_store_close(life.store);
+  disk_free(life.disk);
+  outcome->cuts += 2 - stops->kill;
+  outcome->kills += stops->kill;
+  if (life.findings > 0 && outcome->findings++ == 0)
+    snprintf(outcome->first, sizeof(outcome->first), "change %ld: %.300s", n, life.first);
+  return stopped;
+}
+
+/* At every `stride`th change of the script up to its act `end`. */
+static void stops_everywhere(const struct stops *stops, long stride, int end)
+{
+  struct mo_bits *forms = NULL, *genotypes = NULL;
+  struct outcome outcome = {0};
+  long n = 1, tried = 0;
+  REQUIRE(fixture_bodies(7, DESIGNS_MAX, &forms, &genotypes) == MO_OK);
+  for (; stop_at(n, stops, end, forms, genotypes, &outcome); n += stride)
+    tried++;
+  printf("# %ld of about %ld changes; of %u acts in doubt %u came through\n", tried, n - 1, outcome.doubts,
+         outcome.came_through);
+  CHECK(n > 30);
+  CHECK_INT(outcome.findings, 0);
+  if (outcome.findings > 0)
+    printf("# %s\n", outcome.first);
+  free(forms);
+  free(genotypes);
+}
+
+/* A name that the killed process has made is not certain because the next one sees it. */
+static const struct stops kills = {.kill = true}, worst_cuts = {.luck = DISK_WORST}, any_cuts = {.luck = DISK_ANY},
+                          openings = {.opening = true};
+
+static void survives_kills(void)
+{
+  stops_everywhere(&kills, 1, COUNTED_FROM + 2);
+}
+
+static void survives_the_worst_cuts(void)
+{
+  stops_everywhere(&worst_cuts, 5, SCRIPT);
+}
+
+static void survives_any_cuts(void)
+{
+  stops_everywhere(&any_cuts, 5, SCRIPT);
+}
+
+static void survives_cuts_of_an_opening(void)
+{
+  stops_everywhere(&openings, 3, SCRIPT);
+}
+
+static void survives_all(void)
+{
+  stops_everywhere(&kills, 1, SCRIPT);
+  stops_everywhere(&worst_cuts, 1, SCRIPT);
+  stops_everywhere(&any_cuts, 1, SCRIPT);
+  stops_everywhere(&openings, 1, SCRIPT);
+}
+
 static const struct check_case cases[] = {
     {"short: keeps its promises through 50 power cuts", keeps_promises_50},
     {"short: a disk that does not sync the database is found out", needs_syncs_of_the_database},
     {"short: a disk that does not sync files is found out", needs_syncs_of_files},
     {"short: a disk that does not sync folders is found out", needs_syncs_of_folders},
+    {"short: a kill at every change of some acts, and a cut later", survives_kills},
+    {"short: a cut at many changes leaves only what is certain", survives_the_worst_cuts},
+    {"short: a cut at many changes leaves anything", survives_any_cuts},
+    {"short: a cut at many changes of the first opening", survives_cuts_of_an_opening},
     {"long: keeps its promises through 500 power cuts", keeps_promises_500},
+    {"long: a kill or cut at every change", survives_all},
 };
 CHECK_MAIN(cases)
