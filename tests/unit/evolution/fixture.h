@@ -27,7 +27,7 @@ static inline struct mo_random check_stream(uint32_t step, uint64_t index)
 
 /* ---- canonical forms, by another road: all eight images as lists of cells, the smallest of them as text ---- */
 
-#define CELLS_MAX 1024
+#define CELLS_MAX 720
 
 struct plain_form {
   uint32_t side[3];
@@ -86,38 +86,38 @@ static inline struct plain_form plain_canonical(struct mo_workspace w, const uin
   return best;
 }
 
-/* All forms so far, sorted. */
 struct plain_set {
   struct plain_form *forms;
   size_t n, room;
 };
 
-/* 1: new; 0: was there; −1: no memory. */
 static inline int plain_add(struct plain_set *set, struct mo_workspace w, const uint64_t *bits)
 {
-  const struct plain_form form = plain_canonical(w, bits);
-  size_t low = 0, high = set->n;
-  while (low < high) {
-    const size_t middle = (low + high) / 2;
-    const int order = plain_compare(&set->forms[middle], &form);
-    if (order == 0)
-      return 0;
-    if (order < 0)
-      low = middle + 1;
-    else
-      high = middle;
-  }
   if (set->n == set->room) {
     set->room = set->room * 2 + 64;
     struct plain_form *more = realloc(set->forms, set->room * sizeof(*more));
     if (more == NULL)
-      return -1;
+      return MO_ERR_NO_MEMORY;
     set->forms = more;
   }
-  memmove(set->forms + low + 1, set->forms + low, (set->n - low) * sizeof(form));
-  set->forms[low] = form;
-  set->n++;
-  return 1;
+  set->forms[set->n++] = plain_canonical(w, bits);
+  return MO_OK;
+}
+
+static inline int plain_order(const void *a, const void *b)
+{
+  return plain_compare(a, b);
+}
+
+/* How many different ones there are. */
+static inline size_t plain_distinct(struct plain_set *set)
+{
+  size_t distinct = 0;
+  if (set->n > 0)
+    qsort(set->forms, set->n, sizeof(*set->forms), plain_order);
+  for (size_t i = 0; i < set->n; i++)
+    distinct += i == 0 || plain_compare(&set->forms[i - 1], &set->forms[i]) != 0;
+  return distinct;
 }
 
 /* ---- a campaign without a world: a design's score is a hash of it ---- */

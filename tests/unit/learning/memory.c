@@ -69,6 +69,16 @@ static int export(void)
   return r;
 }
 
+static int set_designs(void)
+{
+  uint64_t other[MO_DEFAULT_WORDS];
+  const size_t before = mo_training_bytes(shared);
+  memcpy(other, designs, sizeof(other));
+  const int r = mo_training_set_designs(shared, other, 1, NULL);
+  CHECK((mo_training_bytes(shared) == before) == (r != MO_OK));
+  return r;
+}
+
 static int hold_out(void)
 {
   uint64_t some[2 * MO_DEFAULT_WORDS];
@@ -86,6 +96,7 @@ static void functions(void)
   each_fails(encode);
   each_fails(decode);
   each_fails(export);
+  each_fails(set_designs);
   each_fails(hold_out);
   free(checkpoint);
   mo_training_free(shared);

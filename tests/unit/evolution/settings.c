@@ -1,0 +1,225 @@
+/* settings.c: names, presets, requests that must be refused with a reason, and the training inside a campaign. */
+#include "fixture.h"
+
+static void names(void)
+{
+  enum mo_campaign_mode mode = MO_ZERO_SHOT;
+  enum mo_selection_kind kind = MO_SELECT_TRUNCATION;
+  enum mo_preset preset = MO_PRESET_PAPER;
+  for (int i = 0; i < 3; i++) {
+    CHECK(mo_campaign_mode_from_name(mo_campaign_mode_name((enum mo_campaign_mode)i), &mode) == MO_OK &&
+          (int)mode == i);
+    CHECK(mo_preset_from_name(mo_preset_name((enum mo_preset)i), &preset) == MO_OK && (int)preset == i);
+  }
+  for (int i = 0; i < 4; i++)
+    CHECK(mo_selection_from_name(mo_selection_name((enum mo_selection_kind)i), &kind) == MO_OK && (int)kind == i);
+  CHECK_TEXT(mo_campaign_mode_name(MO_FEW_SHOT), "few-shot");
+  CHECK_TEXT(mo_selection_name(MO_SELECT_AGE_LAYERED), "age-layered");
+  CHECK_TEXT(mo_preset_name(MO_PRESET_WORKSTATION), "workstation");
+  CHECK_TEXT(mo_operator_name(MO_BORN_CROSSOVER), "crossover");
+  CHECK_TEXT(mo_operator_name(MO_BORN_RANDOM), "random");
+  CHECK_TEXT(mo_campaign_mode_name((enum mo_campaign_mode)3), "unknown");
+  CHECK_TEXT(mo_operator_name((enum mo_operator)MO_OPERATORS), "unknown");
+  mode = MO_SIMULTANEOUS;
+  CHECK(mo_campaign_mode_from_name("zero", &mode) == MO_ERR_NOT_FOUND && mode == MO_SIMULTANEOUS);
+  CHECK_INT(mo_selection_from_name("", &kind), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_preset_from_name("Paper", &preset), MO_ERR_NOT_FOUND);
+}
+
+static void presets(void)
+{
+  static const uint32_t populations[] = {8192, 512, 64};
+  static const uint32_t generations[3][3] = {{100, 7, 180}, {100, 10, 180}, {30, 3, 30}}; /* preset, mode */
+  for (int p = 0; p < 3; p++)
+    for (int m = 0; m < 3; m++) {
+      const struct mo_campaign_settings s = mo_campaign_preset((enum mo_campaign_mode)m, (enum mo_preset)p);
+      struct mo_message message = {""};
+      CHECK_INT(mo_campaign_settings_check(&s, &message), MO_OK);
+      CHECK((int)s.mode == m && s.population == populations[p] && s.generations == generations[p][m]);
+      CHECK(s.mutation_share == 0.25 && s.mutation_rate == 0.0 && s.mutation_growth == 1.025);
+      CHECK(s.selection.kind == MO_SELECT_TRUNCATION && s.exclude_pretraining && s.batch == 0);
+      CHECK(s.workspace.nx == 6 && s.workspace.ny == 6 && s.workspace.nz == 4);
+      CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
+      CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 && s.adjoint_bound == MO_ADJOINT_BOUND);
+    }
+}
+
+static void refused(void)
+{
+  enum what {
+    MODE,
+    KIND,
+    NX,
+    NZ,
+    POPULATION,
+    GENERATIONS,
+    SHARE,
+    RATE,
+    GROWTH,
+    SIZE,
+    WEIGHT,
+    LAYERS,
+    GAP,
+    COLLAPSE,
+    STEPS,
+    NO_STEPS,
+    BATCH,
+    BETA,
+    EPSILON,
+    NORM,
+    BOUND,
+    SENSOR,
+    PEAK,
+    DT
+  };
+  static const struct {
+    enum mo_campaign_mode mode;
+    enum what what;
+    double value;
+    int code;
+    const char *says;
+  } cases[] = {
+      {MO_ZERO_SHOT, MODE, 3, MO_ERR_INVALID, "mode is 3; it must be 0 (zero-shot)"},
+      {MO_ZERO_SHOT, KIND, 4, MO_ERR_INVALID, "selection is 4; it must be 0 (truncation)"},
+      {MO_ZERO_SHOT, NX, 7, MO_ERR_RANGE, "workspace is 7x6x4 voxels; it must be 1x1x1 to 6x6x4"},
+      {MO_ZERO_SHOT, NX, 0, MO_ERR_RANGE, "workspace is 0x6x4"},
+      {MO_ZERO_SHOT, NZ, 5, MO_ERR_RANGE, "workspace is 6x6x5"},
+      {MO_ZERO_SHOT, NZ, 1, MO_OK, ""},
+      {MO_ZERO_SHOT, POPULATION, 0, MO_ERR_RANGE, "population is 0; it must be 2 to 65536"},
+      {MO_ZERO_SHOT, POPULATION, 1, MO_ERR_RANGE, "population is 1; it must be 2 to 65536"},
+      {MO_ZERO_SHOT, POPULATION, 1e8, MO_ERR_RANGE, "population is 100000000; it must be 2 to 65536"},
+      {MO_ZERO_SHOT, POPULATION, 65536, MO_OK, ""},
+      {MO_FEW_SHOT, POPULATION, 10001, MO_ERR_RANGE,
+       "population is 10001; it must be at most 10000 in a campaign that"},
+      {MO_SIMULTANEOUS, POPULATION, 10000, MO_OK, ""},
+      {MO_ZERO_SHOT, GENERATIONS, 100001, MO_ERR_RANGE, "generations is 100001; it must be 0 to 100000"},
+      {MO_ZERO_SHOT, GENERATIONS, 0, MO_OK, ""},
+      {MO_ZERO_SHOT, GENERATIONS, 32768, MO_ERR_RANGE, "population × (generations + 1) is 268443648"},
+      {MO_ZERO_SHOT, GENERATIONS, 32767, MO_OK, ""},
+      {MO_ZERO_SHOT, SHARE, 1.5, MO_ERR_RANGE, "mutation_share is 1.5; it must be at least 0 and at most 1"},
+      {MO_ZERO_SHOT, SHARE, NAN, MO_ERR_INVALID, "mutation_share is not finite"},
+      {MO_ZERO_SHOT, SHARE, 1, MO_OK, ""},
+      {MO_ZERO_SHOT, RATE, 0.51, MO_ERR_RANGE, "mutation_rate is 0.51; it must be at least 0 and at most 0.5"},
+      {MO_ZERO_SHOT, RATE, -0.1, MO_ERR_RANGE, "mutation_rate is -0.1"},
+      {MO_ZERO_SHOT, GROWTH, 0.9, MO_ERR_RANGE, "mutation_growth is 0.9; it must be at least 1 and at most 2"},
+      {MO_ZERO_SHOT, GROWTH, 1, MO_OK, ""},
+      {MO_ZERO_SHOT, SIZE, 1, MO_ERR_RANGE, "tournament_size is 1; it must be 2 to 64"},
+      {MO_ZERO_SHOT, WEIGHT, -1, MO_ERR_RANGE, "novelty_weight is -1"},
+      {MO_ZERO_SHOT, LAYERS, 17, MO_ERR_RANGE, "layers is 17; it must be 2 to 16"},
+      {MO_ZERO_SHOT, GAP, 0, MO_ERR_RANGE, "age_gap is 0; it must be 1 to 1000"},
+      {MO_ZERO_SHOT, COLLAPSE, 2, MO_ERR_RANGE, "collapse_share is 2"},
+      {MO_FEW_SHOT, STEPS, 10001, MO_ERR_RANGE, "parent_steps is 10001; it must be 0 to 10000"},
+      {MO_FEW_SHOT, STEPS, 10000, MO_OK, ""},
+      {MO_FEW_SHOT, NO_STEPS, 0, MO_ERR_RANGE, "parent_steps and child_steps are both 0"},
+      {MO_SIMULTANEOUS, STEPS, 9999, MO_ERR_RANGE, "(parent_steps + child_steps) × generations is 1800000; it must be"},
+      {MO_ZERO_SHOT, STEPS, 1e6, MO_OK, ""}, /* learning is not looked at */
+      {MO_ZERO_SHOT, BETA, 2, MO_OK, ""},
+      {MO_ZERO_SHOT, PEAK, -1, MO_OK, ""},
+      {MO_FEW_SHOT, BATCH, 65537, MO_ERR_RANGE, "batch is 65537; it must be 1 to 65536, or 0 for the population"},
+      {MO_FEW_SHOT, BETA, 1, MO_ERR_RANGE, "beta1 is 1; it must be at least 0 and below 1"},
+      {MO_FEW_SHOT, EPSILON, 0, MO_ERR_RANGE, "epsilon is 0; it must be above 0"},
+      {MO_FEW_SHOT, NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
+      {MO_FEW_SHOT, BOUND, -1, MO_ERR_RANGE, "adjoint_bound is -1"},
+      {MO_FEW_SHOT, BOUND, 0, MO_OK, ""},
+      {MO_SIMULTANEOUS, SENSOR, 2, MO_ERR_INVALID, "sensor is 2"},
+      {MO_SIMULTANEOUS, PEAK, -1, MO_ERR_RANGE, "peak is -1"},
+      {MO_ZERO_SHOT, DT, 1, MO_ERR_RANGE, "dt_s is 1"},
+  };
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_campaign_settings s = mo_campaign_preset(cases[i].mode, MO_PRESET_PAPER);
+    struct mo_message message = {""};
+    const double value = cases[i].value;
+    switch (cases[i].what) {
+    case MODE: s.mode = (enum mo_campaign_mode)value; break;
+    case KIND: s.selection.kind = (enum mo_selection_kind)value; break;
+    case NX: s.workspace.nx = (uint16_t)value; break;
+    case NZ: s.workspace.nz = (uint16_t)value; break;
+    case POPULATION: s.population = (uint32_t)value; break;
+    case GENERATIONS: s.generations = (uint32_t)value; break;
+    case SHARE: s.mutation_share = value; break;
+    case RATE: s.mutation_rate = value; break;
+    case GROWTH: s.mutation_growth = value; break;
+    case SIZE: s.selection.tournament_size = (uint32_t)value; break;
+    case WEIGHT: s.selection.novelty_weight = value; break;
+    case LAYERS: s.selection.n_layers = (uint32_t)value; break;
+    case GAP: s.selection.age_gap = (uint32_t)value; break;
+    case COLLAPSE: s.collapse_share = value; break;
+    case STEPS: s.parent_steps = (uint32_t)value; break;
+    case NO_STEPS: s.parent_steps = s.child_steps = 0; break;
+    case BATCH: s.batch = (uint32_t)value; break;
+    case BETA: s.beta1 = value; break;
+    case EPSILON: s.epsilon = value; break;
+    case NORM: s.norm_limit = value; break;
+    case BOUND: s.adjoint_bound = value; break;
+    case SENSOR: s.sensor = (enum mo_sensor)value; break;
+    case PEAK: s.schedule.peak = value; break;
+    case DT: s.physics.dt_s = value; break;
+    }
+    CHECK_INT(mo_campaign_settings_check(&s, &message), cases[i].code);
+    CHECK_INT(mo_campaign_settings_check(&s, NULL), cases[i].code);
+    if (strstr(message.text, cases[i].says) == NULL) {
+      printf("# \"%s\" lacks \"%s\"\n", message.text, cases[i].says);
+      CHECK(0);
+    }
+  }
+}
+
+static double rate(const struct mo_training_settings *training, uint32_t step)
+{
+  return mo_schedule_rate(&training->schedule, step, training->n_steps);
+}
+
+/* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4; a fresh start, with robots of its own, each generation. */
+static void few_shot(void)
+{
+  struct mo_campaign_settings s = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_PAPER);
+  uint64_t seeds[100];
+  for (uint32_t g = 0; g < 100; g++) {
+    const struct mo_training_settings training = mo_campaign_training(&s, g);
+    CHECK_INT(mo_training_settings_check(&training, NULL), MO_OK);
+    CHECK(training.kind == MO_TRAINING_FINETUNE && training.n_steps == 60 && training.batch == 8192);
+    CHECK(training.held_out_designs == 0 && training.held_out_environments == 0);
+    CHECK_NEAR(rate(&training, 0), 3.5e-4, 1e-12);
+    CHECK_NEAR(rate(&training, 59), 1.5e-4, 2e-6);
+    for (uint32_t t = 1; t < 60; t++)
+      CHECK(rate(&training, t) < rate(&training, t - 1));
+    seeds[g] = training.seed;
+    CHECK(training.seed < UINT64_C(1) << 53);
+    CHECK(mo_campaign_training(&s, g).seed == training.seed);
+    for (uint32_t other = 0; other < g; other++)
+      CHECK(seeds[other] != seeds[g]);
+  }
+  s.seed = 2;
+  CHECK(mo_campaign_training(&s, 3).seed != seeds[3]);
+  s.batch = 100;
+  s.child_steps = 5;
+  CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
+}
+
+/* Cycles of 10, 20, 40, … steps over the whole campaign; each begins at 0.65 of the one before. */
+static void simultaneous(void)
+{
+  struct mo_campaign_settings s = mo_campaign_preset(MO_SIMULTANEOUS, MO_PRESET_WORKSTATION);
+  s.seed = 41;
+  const struct mo_training_settings training = mo_campaign_training(&s, 9);
+  CHECK_INT(mo_training_settings_check(&training, NULL), MO_OK);
+  CHECK(training.n_steps == 360 && training.batch == 512 && training.seed == 41);
+  double peak = 1e-3;
+  for (uint32_t start = 0, length = 10; start < 360; start += length, length *= 2, peak *= 0.65) {
+    CHECK_NEAR(rate(&training, start), peak, 1e-12);
+    if (start + length < 360)
+      CHECK(rate(&training, start + length - 1) < 0.1 * peak + 1e-5);
+  }
+  CHECK(mo_campaign_training(&s, 1).seed == training.seed);
+  s.generations = 0; /* nothing is learned, but the training can be made */
+  CHECK_INT(mo_campaign_training(&s, 0).n_steps, 1);
+}
+
+static const struct check_case cases[] = {
+    {"names and back", names},
+    {"presets", presets},
+    {"settings that are refused, and why", refused},
+    {"few-shot: each generation's training", few_shot},
+    {"simultaneous: one training", simultaneous},
+};
+CHECK_MAIN(cases)
