@@ -25,6 +25,7 @@ int run_train_list(struct ctl *ctl);
 int run_train_show(struct ctl *ctl);
 int run_train_watch(struct ctl *ctl);
 int run_train_export(struct ctl *ctl);
+int run_train_prune(struct ctl *ctl);
 int run_train_compare(struct ctl *ctl);
 int run_campaign_start(struct ctl *ctl);
 int run_campaign_list(struct ctl *ctl);

@@ -24,7 +24,13 @@ enum mo_handled mo_handle(struct mo_request *request)
   case MO_ROUTE_TRAINING: return mo_handle_training(request);
   case MO_ROUTE_TRAINING_STEPS: mo_handle_training_steps(request); break;
   case MO_ROUTE_TRAINING_VALIDATIONS: mo_handle_training_validations(request); break;
-  case MO_ROUTE_TRAINING_CHECKPOINTS: mo_handle_training_checkpoints(request); break;
+  case MO_ROUTE_TRAINING_CHECKPOINTS:
+    if (request->method != MO_DELETE)
+      mo_handle_training_checkpoints(request);
+    else
+      mo_handle_training_checkpoints_delete(request);
+    break;
+  case MO_ROUTE_TRAINING_CHECKPOINT: mo_handle_training_checkpoints_delete(request); break;
   case MO_ROUTE_TRAINING_CONTROLLER: mo_handle_training_controller(request); break;
   case MO_ROUTE_TRAINING_HELD_OUT: mo_handle_training_held_out(request); break;
   case MO_ROUTE_HELD_OUT: mo_handle_held_out(request); break;

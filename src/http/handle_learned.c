@@ -79,7 +79,10 @@ void mo_handle_training_controller(struct mo_request *request)
                      "The training keeps no checkpoint of step %lld; GET /v1/trainings/%lld/checkpoints lists them.",
                      (long long)step, (long long)id);
   else if (code == MO_ERR_NOT_FOUND)
-    mo_reply_problem(request, 404, NULL, "The training has no checkpoint yet.");
+    mo_reply_problem(request, 404, NULL,
+                     mo_job_state_is_final(status->job.state)
+                         ? "The training has ended without a result and keeps no checkpoint."
+                         : "The training has no checkpoint yet.");
   else if (code == MO_ERR_CORRUPT)
     mo_reply_problem(request, 500, NULL, "The file of the %s in the state folder of the service is missing or damaged.",
                      status->has_result && at == n_steps ? "controller" : "checkpoint");

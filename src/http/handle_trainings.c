@@ -443,3 +443,40 @@ void mo_handle_training_checkpoints(struct mo_request *request)
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
 }
+
+void mo_handle_training_checkpoints_delete(struct mo_request *request)
+{
+  struct mo_query_value none;
+  struct mo_checkpoints_removed removed;
+  const char *text = request->parameters[1];
+  bool one = request->route == MO_ROUTE_TRAINING_CHECKPOINT;
+  int64_t id, step = 0;
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
+      !is_training(request, id))
+    return;
+  int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step) ? MO_ERR_NOT_FOUND : MO_OK;
+  if (code == MO_OK)
+    code = mo_store_training_checkpoints_remove(request->http->services.store, id, (uint32_t)step, &removed);
+  if (code == MO_ERR_NOT_FOUND) {
+    mo_reply_problem(request, 404, NULL,
+                     "The training keeps no checkpoint of this step; GET /v1/trainings/%lld/checkpoints lists them.",
+                     (long long)id);
+  } else if (code == MO_ERR_CONFLICT) {
+    mo_reply_problem(
+        request, 409, NULL,
+        "The training has not ended and goes on from its newest checkpoint, that of step %lld, after a restart "
+        "or a pause; it can be deleted when the training has ended or was cancelled.",
+        (long long)step);
+  } else if (code != MO_OK) {
+    mo_reply_error(request, code, "checkpoint");
+  } else {
+    struct mo_text reply = {0};
+    mo_text_add(&reply, "{\"removed\":[");
+    for (size_t i = 0; i < removed.n; i++)
+      mo_text_format(&reply, "%s%u", i > 0 ? "," : "", removed.steps[i]);
+    mo_text_add(&reply, "]");
+    mo_text_member_count(&reply, "bytes", removed.bytes);
+    mo_text_add(&reply, "}");
+    mo_reply_json(request, 200, &reply);
+  }
+}

@@ -182,6 +182,7 @@ enum mo_handled mo_handle_training(struct mo_request *request);
 void mo_handle_training_steps(struct mo_request *request);
 void mo_handle_training_validations(struct mo_request *request);
 void mo_handle_training_checkpoints(struct mo_request *request);
+void mo_handle_training_checkpoints_delete(struct mo_request *request); /* one of them, or those that are not needed */
 void mo_handle_training_controller(struct mo_request *request);
 void mo_handle_training_held_out(struct mo_request *request);
 void mo_handle_held_out(struct mo_request *request);

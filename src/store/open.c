@@ -232,6 +232,7 @@ static void free_store(struct mo_store *store)
   pthread_mutex_destroy(&store->mutex);
   pthread_cond_destroy(&store->work);
   pthread_mutex_destroy(&store->listeners_mutex);
+  pthread_mutex_destroy(&store->checkpoints_mutex);
   free(store->events);
   free(store->readers);
   free(store->path);
@@ -265,6 +266,7 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   pthread_mutex_init(&store->runner_mutex, NULL);
   pthread_mutex_init(&store->mutex, NULL);
   pthread_mutex_init(&store->listeners_mutex, NULL);
+  pthread_mutex_init(&store->checkpoints_mutex, NULL);
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_cond_init(&store->work, &monotonic);

@@ -121,6 +121,16 @@ int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step, co
  * nothing changed, try again when there is room. */
 int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step, const uint8_t *bytes, size_t size,
                                  uint32_t keep);
+/* Removes a checkpoint (step > 0), or all that are not needed (0): of a training that has ended every one; of another all but the newest, which
+ * it goes on from. On a full disk with the reserve. MO_ERR_NOT_FOUND: no such training, or it keeps no checkpoint of this
+ * step; MO_ERR_CONFLICT: the training has not ended and goes on from this one. */
+struct mo_checkpoints_removed {
+  uint32_t steps[MO_CHECKPOINTS_KEPT_MAX]; /* (n) descending */
+  size_t n;
+  uint64_t bytes; /* of their files */
+};
+int mo_store_training_checkpoints_remove(struct mo_store *store, int64_t id, uint32_t step,
+                                         struct mo_checkpoints_removed *removed);
 /* running → succeeded with its controller under its name, in one transaction (file first). */
 int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name, const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller);

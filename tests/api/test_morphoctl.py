@@ -196,6 +196,11 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
     lines = (tmp_path / "curve.csv").read_text().splitlines()
     assert lines[0].startswith("step,mean_loss,rate") and [line.split(",")[0] for line in lines[1:]] == list("123456")
     assert [line.split(",")[0] for line in (tmp_path / "validations.csv").read_text().splitlines()[1:]] == ["0", "3", "6"]
+    assert ctl("train", "prune", job, "--step", "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
+    assert ctl("train", "prune", job, "--step", "4")[0] == 3 and ctl("train", "prune", "x")[0] == 2
+    status, out, _ = ctl("train", "prune", job, "--json")
+    assert status == 0 and json.loads(out)["removed"] == [6, 2], out
+    assert ctl("train", "prune", job)[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
     status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6", "--environments", "2", "--physics", "n_steps=50")
     assert status == 0 and "Student t, 6 pairs" in out, (out, err)
 

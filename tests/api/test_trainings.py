@@ -294,6 +294,51 @@ def test_checkpoints(service, trained):
     assert service.request("GET", path, headers={"Accept": "text/csv"}).status == 406
 
 
+def test_checkpoints_are_deleted(service):
+    """What a training goes on from stays until it has ended; then nothing of it is needed."""
+    running = service.request("POST", "/v1/trainings", {**LONG, "checkpoint": {"every_steps": 1, "every_s": 0, "keep": 4}}).json()
+    path = running["links"]["checkpoints"]
+    deadline = time.monotonic() + 60
+    while len(service.request("GET", path).json()["items"]) < 4:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert service.request("POST", f"/v1/jobs/{running['id']}/pause").status == 200
+    while service.request("GET", f"/v1/trainings/{running['id']}").json()["phase"] != "idle":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    steps = [item["step"] for item in service.request("GET", path).json()["items"]]
+    reply = service.request("DELETE", f"{path}/{steps[0]}")
+    assert reply.status == 409 and f"step {steps[0]}" in reply.json()["detail"], reply.body
+    assert service.request("DELETE", f"{path}/{steps[1]}").json()["removed"] == [steps[1]]
+    for bad in (steps[1], 999999, 0, "x", "1000001"):
+        assert service.request("DELETE", f"{path}/{bad}").status == 404, bad
+    reply = service.request("DELETE", path).json()
+    assert reply["removed"] == steps[2:] and reply["bytes"] > 12e6 * len(steps[2:])
+    assert service.request("DELETE", path).json() == {"removed": [], "bytes": 0}
+    folder = service.state / "trainings" / running["id"]
+    assert [file.name for file in folder.iterdir()] == [f"{steps[0]}.checkpoint"]
+    assert service.request("GET", running["links"]["controller"]).headers["Morphod-Step"] == str(steps[0])
+    assert service.request("POST", f"/v1/jobs/{running['id']}/resume").status in (200, 202)
+    while service.request("GET", f"/v1/trainings/{running['id']}").json()["progress"]["step"] <= steps[0]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert service.request("DELETE", f"/v1/jobs/{running['id']}").status in (200, 202)
+    assert finished(service, running["id"]).json()["state"] == "cancelled"
+    while service.request("GET", f"/v1/trainings/{running['id']}").json()["phase"] != "idle":
+        assert time.monotonic() < deadline
+    assert service.request("DELETE", path).json()["removed"] and not folder.exists()
+    assert service.request("GET", f"/v1/trainings/{running['id']}").json()["checkpoint_step"] is None
+    gone = service.request("GET", running["links"]["controller"])
+    assert gone.status == 404 and "ended" in gone.json()["detail"]
+    # One that has succeeded has a controller of its own.
+    done = finished(service, service.request("POST", "/v1/trainings", {**TUNE, "name": "pruned"}).json()["id"]).json()
+    assert service.request("DELETE", done["links"]["checkpoints"]).json()["removed"] == [6, 4]
+    assert service.request("GET", done["links"]["controller"] + "?step=6").status == 200
+    assert service.request("GET", done["links"]["controller"] + "?step=4").status == 404
+    assert service.request("DELETE", "/v1/trainings/999999/checkpoints").status == 404
+    assert service.request("DELETE", done["links"]["checkpoints"] + "?all=1").status == 400
+
+
 def test_the_same_again(service, trained):
     """The same request gives the same file, under another name."""
     reply = service.request("POST", "/v1/trainings", {**TRAIN, "name": "again", "schedule": "paper-pretrain"})

@@ -200,10 +200,101 @@ static void survives_a_full_disk(void)
   fixture_end(&fixture);
 }
 
+/* What is needed to go on stays; of a training that has ended nothing is. */
+static void removes_what_is_not_needed(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(1000);
+  struct mo_checkpoints_removed removed = {.n = 99};
+  struct mo_training_status status;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  char folder[512];
+  int64_t id, version;
+  REQUIRE(fixture_start(&fixture) == 0);
+  id = submit(&fixture, &submission);
+  snprintf(folder, sizeof(folder), "%s/trainings/%lld", fixture.path, (long long)id);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK); /* none yet */
+  CHECK_INT(removed.n, 0);
+  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
+  for (uint32_t step = 10; step <= 50; step += 10)
+    REQUIRE(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)"state", 5, 9) == MO_OK);
+  REQUIRE(mo_store_training(fixture.store, id, &status) == MO_OK);
+  version = status.job.version;
+  removed.n = 99;
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 15, &removed), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id + 1, 0, &removed), MO_ERR_NOT_FOUND);
+  CHECK_INT(removed.n, 99);
+  CHECK_INT(files_of(&fixture, id), 5);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 20, &removed), MO_OK);
+  CHECK(removed.n == 1 && removed.steps[0] == 20 && removed.bytes == 5);
+  CHECK_INT(files_of(&fixture, id), 4);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK); /* it is to go on some time */
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
+  CHECK(removed.n == 3 && removed.steps[0] == 40 && removed.steps[2] == 10 && removed.bytes == 15);
+  CHECK_INT(files_of(&fixture, id), 1);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
+  free(bytes);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
+  CHECK(removed.n == 1 && removed.steps[0] == 50);
+  CHECK(access(folder, F_OK) != 0);
+  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
+  CHECK(status.checkpoint_step == 0 && status.job.version > version);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  fixture_end(&fixture);
+}
+
+static void *remove_checkpoints(void *context)
+{
+  struct checkpointer *writer = context;
+  struct mo_checkpoints_removed removed;
+  while (!atomic_load(&writer->ended))
+    for (uint32_t step = 1; step <= 3; step++)
+      (void)mo_store_training_checkpoints_remove(writer->store, writer->id, step, &removed);
+  return NULL;
+}
+
+/* A training whose newest checkpoints are damaged writes old steps anew, while somebody deletes those: what is there has its file. */
+static void writes_anew_what_is_removed(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission submission = submission_of(1000);
+  struct checkpointer remover = {.ended = false};
+  struct mo_training_checkpoint_row rows[9];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  pthread_t thread;
+  int64_t n;
+  REQUIRE(fixture_start(&fixture) == 0);
+  remover.store = fixture.store;
+  remover.id = submit(&fixture, &submission);
+  REQUIRE(mo_store_training_start(fixture.store, remover.id) == MO_OK);
+  REQUIRE(pthread_create(&thread, NULL, remove_checkpoints, &remover) == 0);
+  for (int i = 0; i < 150; i++) {
+    uint32_t step = (uint32_t)(1 + i % 3);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, remover.id, step, (const uint8_t *)"state", 5, 9), MO_OK);
+    int error = mo_store_training_checkpoint_bytes(fixture.store, remover.id, step, &bytes, &size);
+    CHECK(error == MO_OK || error == MO_ERR_NOT_FOUND); /* MO_ERR_CORRUPT: a row without its file */
+    if (error == MO_OK)
+      free(bytes);
+  }
+  atomic_store(&remover.ended, true);
+  pthread_join(thread, NULL);
+  n = mo_store_training_checkpoints(fixture.store, remover.id, rows, 9);
+  CHECK_INT(files_of(&fixture, remover.id), n);
+  fixture_end(&fixture);
+}
+
 static const struct check_case cases[] = {
     {"keeps checkpoints", keeps_checkpoints},
     {"reads checkpoints while they go", reads_checkpoints_while_they_go},
     {"keeps apart damage and want of descriptors", keeps_apart_damage_and_want_of_descriptors},
     {"survives a full disk", survives_a_full_disk},
+    {"removes what is not needed", removes_what_is_not_needed},
+    {"writes anew what is removed", writes_anew_what_is_removed},
 };
 CHECK_MAIN(cases)
