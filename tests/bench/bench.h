@@ -26,6 +26,7 @@ int bench_space(int argc, char **argv);
 int bench_store(int argc, char **argv);
 int bench_stream(int argc, char **argv);
 int bench_learning(int argc, char **argv);
+int bench_evolution(int argc, char **argv);
 int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */

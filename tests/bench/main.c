@@ -7,7 +7,8 @@
 #include <string.h>
 
 static const char usage[] =
-    "Usage: morpho-bench rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning "
+    "Usage: morpho-bench "
+    "rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning|evolution "
     "[OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
@@ -20,6 +21,7 @@ static const char usage[] =
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
     "  stream    the distinct bodies of a pretraining: time and memory\n"
     "  learning  trainings from random weights, and finetuning; `morpho-bench learning --help`\n"
+    "  evolution  a campaign's bookkeeping beside its rollouts; `morpho-bench evolution --help`\n"
     "\n"
     "  --bodies N         another number of bodies\n"
     "  --seed N           seed of the bodies' stream (default 1)\n"
@@ -63,6 +65,8 @@ int main(int argc, char **argv)
   const char *morphod = "build/src/daemon/morphod";
   if (argc > 1 && strcmp(argv[1], "learning") == 0) /* has options of its own */
     return bench_learning(argc - 1, argv + 1);
+  if (argc > 1 && strcmp(argv[1], "evolution") == 0)
+    return bench_evolution(argc - 1, argv + 1);
   int option;
   while ((option = getopt_long(argc, argv, "h", long_options, NULL)) != -1)
     switch (option) {

@@ -1,0 +1,364 @@
+/* evolution.c: what the bookkeeping of a campaign costs beside its rollouts; `morpho-bench evolution`.
+ *
+ * Real variation of a real population against a set of as many forms as a large pretraining has, real selection and statistics. Only the
+ * scores are not rollouts': they come from a file of recorded ones, or from a landscape over the voxels (made up, but heritable, so
+ * that the population converges and children that were seen become frequent, as in a real campaign). */
+#include "bench.h"
+
+#include <morpho/evolution.h>
+
+#include <errno.h>
+#include <getopt.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define W MO_DEFAULT_WORDS
+
+/* On one core, at the defaults. */
+#define BOUND_S   1.0
+#define BOUND_MIB 600.0
+
+static const char usage[] = "Usage: morpho-bench evolution [OPTION…]\n"
+                            "\n"
+                            "  --population N    default 8192\n"
+                            "  --generations N   default 100\n"
+                            "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
+                            "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
+                            "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, "
+                            "from the start again at the end\n"
+                            "  --seed N          of the campaign (default 1)\n";
+
+enum phase { VARIATION, SELECTION, STATISTICS, PHASES };
+static const char *const phase_names[PHASES] = {"variation", "selection", "statistics"};
+
+struct evolution {
+  struct mo_campaign_settings settings;
+  uint64_t n_forms;
+  const char *scores_path;
+  double *recorded; /* (n_recorded) */
+  size_t n_recorded;
+
+  struct mo_form_set *excluded;
+  struct mo_seen *seen;
+  struct mo_lattice *lattice;
+  uint32_t n, n_children;          /* parents, children */
+  uint64_t *genotypes, *next;      /* (2 population, W) parents, then children */
+  struct mo_candidate *candidates; /* (2 population) */
+  struct mo_design_size *sizes;    /* (2 population) */
+  struct mo_candidate *next_candidates;
+  struct mo_design_size *next_sizes;
+  struct mo_birth *births; /* (population) */
+  uint32_t *survivors;     /* (2 population) */
+  double *scores;          /* (population) */
+  uint64_t n_designs;
+  double *seconds[PHASES], *total;   /* (generations) */
+  struct mo_variation_counts counts; /* of all generations */
+};
+
+static double status_mib(const char *field)
+{
+  FILE *file = fopen("/proc/self/status", "r");
+  char line[256];
+  double kib = 0.0;
+  while (file != NULL && fgets(line, sizeof(line), file) != NULL)
+    if (strncmp(line, field, strlen(field)) == 0)
+      kib = strtod(line + strlen(field), NULL);
+  if (file != NULL)
+    fclose(file);
+  return kib / 1024.0;
+}
+
+static void *room(size_t n, size_t size)
+{
+  void *memory = calloc(n > 0 ? n : 1, size);
+  bench_check(memory == NULL ? MO_ERR_NO_MEMORY : MO_OK, "memory");
+  return memory;
+}
+
+static void read_scores(struct evolution *evolution)
+{
+  FILE *file = fopen(evolution->scores_path, "r");
+  size_t space = 0;
+  double score;
+  if (file == NULL) {
+    fprintf(stderr, "morpho-bench: %s: %s\n", evolution->scores_path, strerror(errno));
+    exit(1);
+  }
+  while (fscanf(file, "%lf", &score) == 1) {
+    if (isnan(score))
+      break;
+    if (evolution->n_recorded == space) {
+      space = 2 * space + 1024;
+      evolution->recorded = realloc(evolution->recorded, space * sizeof(*evolution->recorded));
+      bench_check(evolution->recorded == NULL ? MO_ERR_NO_MEMORY : MO_OK, "scores");
+    }
+    evolution->recorded[evolution->n_recorded++] = score;
+  }
+  const int whole = feof(file);
+  fclose(file);
+  if (!whole || evolution->n_recorded == 0) {
+    fprintf(stderr, "morpho-bench: %s: line %zu is not a score\n", evolution->scores_path, evolution->n_recorded + 1);
+    exit(1);
+  }
+}
+
+/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbours in their order, of random weights. */
+static double made_up_score(const uint64_t *genotype)
+{
+  static double weights[2][MO_DEFAULT_VOXELS];
+  static bool ready;
+  if (!ready) {
+    struct mo_random random;
+    mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
+    for (int i = 0; i < 2 * MO_DEFAULT_VOXELS; i++)
+      weights[i / MO_DEFAULT_VOXELS][i % MO_DEFAULT_VOXELS] = mo_random_normal(&random);
+    ready = true;
+  }
+  double sum = 0.0;
+  for (uint32_t w = 0; w < W; w++) {
+    const uint64_t next = genotype[w] >> 1 | (w + 1 < W ? genotype[w + 1] << 63 : 0);
+    for (uint64_t rest = genotype[w]; rest != 0; rest &= rest - 1) {
+      const int bit = __builtin_ctzll(rest);
+      sum += weights[0][64 * w + (uint32_t)bit] + (next >> bit & 1 ? weights[1][64 * w + (uint32_t)bit] : 0.0);
+    }
+  }
+  return 1.0 / (1.0 + exp(0.1 * sum));
+}
+
+/* Scores and sizes of the designs at places from … to − 1, born in this generation. */
+static void describe(struct evolution *evolution, uint32_t generation, uint32_t from, uint32_t to)
+{
+  for (uint32_t i = from; i < to; i++) {
+    const uint64_t number = evolution->n_designs++;
+    const double score = evolution->n_recorded > 0 ? evolution->recorded[number % evolution->n_recorded]
+                                                   : made_up_score(evolution->genotypes + (size_t)W * i);
+    evolution->candidates[i] = (struct mo_candidate){.score = score, .number = number, .born = generation};
+  }
+}
+
+static void measure_sizes(struct evolution *evolution, uint32_t from, uint32_t to)
+{
+  for (uint32_t i = from; i < to; i++)
+    bench_check(mo_design_size(evolution->lattice, evolution->genotypes + (size_t)W * i, &evolution->sizes[i]),
+                "sizes");
+}
+
+static void create(struct evolution *evolution)
+{
+  const struct mo_campaign_settings *settings = &evolution->settings;
+  const size_t n = settings->population;
+  evolution->genotypes = room(2 * n, W * sizeof(uint64_t));
+  evolution->next = room(2 * n, W * sizeof(uint64_t));
+  evolution->candidates = room(2 * n, sizeof(*evolution->candidates));
+  evolution->next_candidates = room(2 * n, sizeof(*evolution->candidates));
+  evolution->sizes = room(2 * n, sizeof(*evolution->sizes));
+  evolution->next_sizes = room(2 * n, sizeof(*evolution->sizes));
+  evolution->births = room(n, sizeof(*evolution->births));
+  evolution->survivors = room(2 * n, sizeof(*evolution->survivors));
+  evolution->scores = room(n, sizeof(*evolution->scores));
+  for (int phase = 0; phase < PHASES; phase++)
+    evolution->seconds[phase] = room(settings->generations, sizeof(double));
+  evolution->total = room(settings->generations, sizeof(double));
+  bench_check(mo_lattice_create(settings->workspace, &evolution->lattice), "lattice");
+  bench_check(mo_form_set_create(settings->workspace, &evolution->excluded), "set of forms");
+  double start = bench_now_s();
+  bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, NULL, NULL, evolution->excluded),
+              "bodies of the pretraining");
+  printf("excluded: the first %llu bodies of the pretraining of seed 1, drawn again in %.1f s, %.1f MiB\n",
+         (unsigned long long)mo_form_set_count(evolution->excluded), bench_now_s() - start,
+         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);
+  bench_check(mo_seen_create(settings->workspace, evolution->excluded, &evolution->seen), "seen");
+  start = bench_now_s();
+  bench_check(mo_population_initial(settings, evolution->seen, evolution->genotypes, 0, &evolution->n, NULL, NULL),
+              "initial population");
+  printf("initial population of %u random bodies: %.3f s\n", evolution->n, bench_now_s() - start);
+  describe(evolution, 0, 0, evolution->n);
+  measure_sizes(evolution, 0, evolution->n);
+}
+
+static void destroy(struct evolution *evolution)
+{
+  mo_seen_free(evolution->seen);
+  mo_form_set_free(evolution->excluded);
+  mo_lattice_free(evolution->lattice);
+  free(evolution->genotypes);
+  free(evolution->next);
+  free(evolution->candidates);
+  free(evolution->next_candidates);
+  free(evolution->sizes);
+  free(evolution->next_sizes);
+  free(evolution->births);
+  free(evolution->survivors);
+  free(evolution->scores);
+  free(evolution->recorded);
+  for (int phase = 0; phase < PHASES; phase++)
+    free(evolution->seconds[phase]);
+  free(evolution->total);
+}
+
+/* ---- one generation ---- */
+
+static void vary(struct evolution *evolution, uint32_t generation)
+{
+  struct mo_variation_counts counts;
+  bench_check(mo_variation(&evolution->settings, generation, evolution->genotypes, evolution->n, evolution->seen,
+                           evolution->genotypes + (size_t)W * evolution->n, evolution->births, &evolution->n_children,
+                           &counts, NULL),
+              "variation");
+  evolution->counts.mutation_attempts += counts.mutation_attempts;
+  evolution->counts.crossover_attempts += counts.crossover_attempts;
+  evolution->counts.mutants += counts.mutants;
+  evolution->counts.recombinants += counts.recombinants;
+  evolution->counts.fallbacks += counts.fallbacks;
+  evolution->counts.exhausted |= counts.exhausted;
+}
+
+static void choose(struct evolution *evolution, uint32_t generation)
+{
+  const uint32_t n = evolution->n + evolution->n_children;
+  bench_check(mo_select(&evolution->settings, generation, evolution->genotypes, evolution->candidates, n,
+                        evolution->survivors, &evolution->n),
+              "selection");
+  for (uint32_t i = 0; i < evolution->n; i++) {
+    const uint32_t from = evolution->survivors[i];
+    memcpy(evolution->next + (size_t)W * i, evolution->genotypes + (size_t)W * from, W * sizeof(uint64_t));
+    evolution->next_candidates[i] = evolution->candidates[from];
+    evolution->next_sizes[i] = evolution->sizes[from];
+    evolution->scores[i] = evolution->candidates[from].score;
+  }
+  uint64_t *genotypes = evolution->genotypes;
+  struct mo_candidate *candidates = evolution->candidates;
+  struct mo_design_size *sizes = evolution->sizes;
+  evolution->genotypes = evolution->next;
+  evolution->candidates = evolution->next_candidates;
+  evolution->sizes = evolution->next_sizes;
+  evolution->next = genotypes;
+  evolution->next_candidates = candidates;
+  evolution->next_sizes = sizes;
+}
+
+static void advance(struct evolution *evolution, uint32_t generation)
+{
+  double *seconds[PHASES];
+  for (int phase = 0; phase < PHASES; phase++)
+    seconds[phase] = &evolution->seconds[phase][generation - 1];
+  double start = bench_now_s();
+  vary(evolution, generation);
+  *seconds[VARIATION] = bench_now_s() - start;
+  describe(evolution, generation, evolution->n,
+           evolution->n + evolution->n_children); /* not measured: rollouts' work */
+  start = bench_now_s();
+  measure_sizes(evolution, evolution->n, evolution->n + evolution->n_children);
+  *seconds[STATISTICS] = bench_now_s() - start;
+  start = bench_now_s();
+  choose(evolution, generation);
+  *seconds[SELECTION] = bench_now_s() - start;
+  struct mo_population_stats stats;
+  start = bench_now_s();
+  bench_check(mo_population_stats(evolution->settings.workspace, evolution->genotypes, evolution->scores,
+                                  evolution->sizes, evolution->n, &stats),
+              "statistics");
+  *seconds[STATISTICS] += bench_now_s() - start;
+  for (int phase = 0; phase < PHASES; phase++)
+    evolution->total[generation - 1] += *seconds[phase];
+  if (generation == 1 || generation % 10 == 0)
+    printf("%10u %10.4f %10.4f %10.4f %10.4f %8.4f %9.3f %10.1f\n", generation, *seconds[VARIATION],
+           *seconds[SELECTION], *seconds[STATISTICS], stats.mean_score, stats.diversity, stats.voxels.mean,
+           stats.masses.mean);
+}
+
+static int report(struct evolution *evolution)
+{
+  const uint32_t n = evolution->settings.generations;
+  const struct mo_variation_counts *counts = &evolution->counts;
+  printf("\nseconds per generation     median      worst\n");
+  for (int phase = 0; phase <= PHASES; phase++) {
+    double *seconds = phase < PHASES ? evolution->seconds[phase] : evolution->total;
+    const double median = bench_median(seconds, n); /* sorts */
+    printf("%-22s %10.4f %10.4f\n", phase < PHASES ? phase_names[phase] : "together", median, seconds[n - 1]);
+  }
+  const double worst = evolution->total[n - 1];
+  printf("\n");
+  printf("%llu designs; attempts per mutant %.2f, per recombinant %.2f; %u mutants in place of recombinants\n",
+         (unsigned long long)evolution->n_designs,
+         (double)counts->mutation_attempts / (counts->mutants > 0 ? counts->mutants : 1),
+         (double)counts->crossover_attempts / (counts->recombinants > 0 ? counts->recombinants : 1), counts->fallbacks);
+  const double peak = status_mib("VmHWM:");
+  printf("memory: excluded forms %.1f MiB, designs of the campaign %.1f MiB, process at its largest %.1f MiB\n",
+         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20, (double)mo_seen_bytes(evolution->seen) / 0x1p20,
+         peak);
+  const int good = worst <= BOUND_S && peak <= BOUND_MIB && !counts->exhausted;
+  printf("bounds: worst generation %.1f s, %.0f MiB: %s\n", BOUND_S, BOUND_MIB, good ? "kept" : "MISSED");
+  return good ? EXIT_SUCCESS : EXIT_FAILURE;
+}
+
+static uint64_t number(const char *text, uint64_t low, uint64_t high)
+{
+  char *end = NULL;
+  errno = 0;
+  const unsigned long long value = strtoull(text, &end, 10);
+  if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value < low || value > high) {
+    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from %llu to %llu\n", text, (unsigned long long)low,
+            (unsigned long long)high);
+    exit(2);
+  }
+  return value;
+}
+
+static void read_options(struct evolution *evolution, int argc, char **argv)
+{
+  static const struct option options[] = {{"population", required_argument, NULL, 'p'},
+                                          {"generations", required_argument, NULL, 'g'},
+                                          {"forms", required_argument, NULL, 'f'},
+                                          {"selection", required_argument, NULL, 's'},
+                                          {"scores", required_argument, NULL, 'r'},
+                                          {"seed", required_argument, NULL, 'S'},
+                                          {"help", no_argument, NULL, 'h'},
+                                          {NULL, 0, NULL, 0}};
+  struct mo_campaign_settings *settings = &evolution->settings;
+  int option;
+  while ((option = getopt_long(argc, argv, "h", options, NULL)) != -1)
+    switch (option) {
+    case 'p': settings->population = (uint32_t)number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX); break;
+    case 'g': settings->generations = (uint32_t)number(optarg, 1, MO_GENERATIONS_MAX); break;
+    case 'f': evolution->n_forms = number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
+    case 's':
+      if (mo_selection_from_name(optarg, &settings->selection.kind) != MO_OK) {
+        fprintf(stderr, "morpho-bench: unknown selection \"%s\"\n", optarg);
+        exit(2);
+      }
+      break;
+    case 'r': evolution->scores_path = optarg; break;
+    case 'S': settings->seed = number(optarg, 0, UINT64_MAX); break;
+    case 'h': fputs(usage, stdout); exit(0);
+    default: fputs(usage, stderr); exit(2);
+    }
+  if (optind != argc) {
+    fputs(usage, stderr);
+    exit(2);
+  }
+}
+
+int bench_evolution(int argc, char **argv)
+{
+  struct evolution evolution = {.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER), .n_forms = 12000000};
+  setvbuf(stdout, NULL, _IOLBF, 0);
+  read_options(&evolution, argc, argv);
+  if (evolution.scores_path != NULL)
+    read_scores(&evolution);
+  printf("population %u, %u generations, selection by %s; real variation; ", evolution.settings.population,
+         evolution.settings.generations, mo_selection_name(evolution.settings.selection.kind));
+  if (evolution.n_recorded > 0)
+    printf("%zu recorded scores of %s, over and over\n", evolution.n_recorded, evolution.scores_path);
+  else
+    printf("scores made up: a random landscape over voxels, no rollouts\n");
+  create(&evolution);
+  printf("%10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection", "statistics", "mean score",
+         "diversity", "voxels", "masses");
+  for (uint32_t generation = 1; generation <= evolution.settings.generations; generation++)
+    advance(&evolution, generation);
+  const int status = report(&evolution);
+  destroy(&evolution);
+  return status;
+}
