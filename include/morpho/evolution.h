@@ -94,8 +94,9 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
 int mo_campaign_settings_check(const struct mo_campaign_settings *settings, struct mo_message *message);
 
 /* The training of a generation (few-shot: n_steps = parent + child steps, its seed, below 2^53, drawn from (seed, EVOLUTION_SEED,
- * generation)) or of the whole campaign (simultaneous: n_steps = (parent + child steps) · generations, 1 if there are none; seed the
- * campaign's). Kind MO_TRAINING_FINETUNE, nothing held out. */
+ * generation)) or of the whole campaign (simultaneous: n_steps = child steps + (parent + child steps) · generations, seed the
+ * campaign's). Generation 0 has no parents: it takes the child steps on the initial population, and n_steps of a few-shot campaign's is
+ * that, at least 1. Kind MO_TRAINING_FINETUNE, nothing held out. */
 struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings, uint32_t generation);
 
 /* ---- what was seen ---- */

@@ -382,6 +382,7 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
                                 .max_open_rollouts = settings->max_open_rollouts,
                                 .max_recorded_bytes = settings->max_recorded_bytes,
                                 .max_active_trainings = (uint32_t)settings->max_trainings,
+                                .max_active_campaigns = (uint32_t)settings->max_campaigns,
                                 .version = MORPHOD_VERSION,
                                 .crash_marker = last_marker,
                                 .warn = job_has_failed};
@@ -441,7 +442,7 @@ bool service_is_learning(struct service *service)
 {
   struct mo_jobs_stats stats;
   mo_jobs_get_stats(service->jobs, &stats);
-  return stats.active_trainings > 0;
+  return stats.active_trainings + stats.active_campaigns > 0;
 }
 
 static int64_t monotonic_us(void)

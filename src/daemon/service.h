@@ -37,7 +37,7 @@ int service_reload_tokens(struct service *service, const struct settings *settin
 
 /* Takes no new work from now on. */
 void service_drain(struct service *service);
-/* Whether no evaluation is being computed: what a stop waits for. A training would take hours: it is parked at once. */
+/* Whether no evaluation is being computed: what a stop waits for. Trainings and campaigns would take hours: they are parked at once. */
 bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);
 

@@ -78,6 +78,8 @@ const struct setting settings_table[] = {
               "Rollouts of all open jobs; more are refused with 503."),
     VALUE_ROW("max_trainings", SETTING_NUMBER, max_trainings, 1, 16, "1", NULL,
               "Trainings that run side by side; the others wait in the order in which they came."),
+    VALUE_ROW("max_campaigns", SETTING_NUMBER, max_campaigns, 1, 64, "4", NULL,
+              "Campaigns that run side by side; the others wait in the order in which they came."),
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,

@@ -208,10 +208,10 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
   if (steps[0] + steps[1] == 0)
     return mo_fail(message, MO_ERR_RANGE,
                    "parent_steps and child_steps are both 0; a campaign that learns needs a step in each generation");
-  const uint64_t all = (uint64_t)(steps[0] + steps[1]) * settings->generations;
+  const uint64_t all = steps[1] + (uint64_t)(steps[0] + steps[1]) * settings->generations;
   if (settings->mode == MO_SIMULTANEOUS && all > MO_TRAINING_STEPS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "(parent_steps + child_steps) × generations is %" PRIu64 "; it must be at most %d", all,
+                   "child_steps + (parent_steps + child_steps) × generations is %" PRIu64 "; it must be at most %d", all,
                    MO_TRAINING_STEPS_MAX);
   return MO_OK;
 }
@@ -263,14 +263,15 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings, stru
 struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings, uint32_t generation)
 {
   struct mo_training_settings training = mo_training_defaults(MO_TRAINING_FINETUNE);
+  const uint32_t first = settings->child_steps > 0 ? settings->child_steps : 1; /* generation 0 has no parents */
   const uint32_t steps = settings->parent_steps + settings->child_steps;
   training.seed = settings->seed;
-  training.n_steps = settings->generations > 0 ? steps * settings->generations : 1;
+  training.n_steps = settings->generations > 0 ? settings->child_steps + steps * settings->generations : first;
   if (settings->mode != MO_SIMULTANEOUS) {
     struct mo_random random;
     mo_random_init(&random, settings->seed, MO_PURPOSE_EVOLUTION_SEED, generation, 0);
     training.seed = mo_random_u64(&random) >> 11;
-    training.n_steps = steps;
+    training.n_steps = generation > 0 ? steps : first;
   }
   training.batch = settings->batch > 0 ? settings->batch : settings->population;
   training.schedule = settings->schedule;

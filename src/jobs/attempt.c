@@ -56,6 +56,15 @@ static const char *passing_text(int error)
   }
 }
 
+static int set_waiting(struct mo_attempt *attempt, bool waits, int phase, const char *reason)
+{
+  struct mo_runners *runners = attempt->runner->runners;
+  pthread_mutex_lock(&runners->mutex);
+  attempt->runner->waits = waits;
+  pthread_mutex_unlock(&runners->mutex);
+  return runners->kind->set_phase(attempt, phase, reason);
+}
+
 int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context, const char *what)
 {
   const struct mo_runner_kind *kind = kind_of(attempt);
@@ -69,7 +78,7 @@ int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), 
       break;
     if (!waits) {
       snprintf(reason, sizeof(reason), passing_text(error), what);
-      phase = kind->set_phase(attempt, kind->waiting, reason);
+      phase = set_waiting(attempt, true, kind->waiting, reason);
       mo_attempt_warn(attempt, error, reason);
       waits = true;
     }
@@ -80,7 +89,7 @@ int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), 
     mo_runner_sleep(attempt->runner, RETRY_SPACE_MS, least);
   }
   if (waits)
-    (void)kind->set_phase(attempt, phase, "");
+    (void)set_waiting(attempt, false, phase, "");
   return error;
 }
 

@@ -334,7 +334,7 @@ static void drop_flight(struct mo_jobs *jobs, struct mo_flight *flight)
   atomic_fetch_sub(&jobs->blocks_in_flight, 1);
 }
 
-static void describe(int status, char text[128])
+void mo_block_describe(int status, char text[128])
 {
   if (status == NOT_A_LOSS)
     snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
@@ -342,8 +342,7 @@ static void describe(int status, char text[128])
     snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(status));
 }
 
-/* A diverged rollout has the loss +infinity; no input may give NaN or −infinity, and neither may be stored. */
-static int check_outcome(const struct mo_block *block, uint32_t i)
+int mo_block_check(const struct mo_block *block, uint32_t i)
 {
   if (block->status != MO_OK)
     return block->status;
@@ -363,7 +362,7 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
       if (status != MO_ERR_CANCELLED) {
-        describe(status, text);
+        mo_block_describe(status, text);
         mo_active_fail(jobs, active, status, text);
       }
     }
@@ -384,7 +383,7 @@ static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
                                    .fingerprint = jobs->fingerprints[flight->block.precision],
                                    .loss = outcome->loss,
                                    .diverged_step = outcome->diverged_step};
-    int status = check_outcome(&flight->block, i);
+    int status = mo_block_check(&flight->block, i);
     if (status == MO_OK)
       status = mo_pending_score(jobs, &score);
     if (status == MO_OK) {
@@ -451,14 +450,14 @@ static void land_private(struct mo_jobs *jobs, struct mo_flight *flight)
   struct mo_active *active = flight->owner;
   char text[128];
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    int status = check_outcome(&flight->block, i);
+    int status = mo_block_check(&flight->block, i);
     if (status == MO_OK)
       status = land_private_cell(jobs, flight, i);
     if (status == MO_OK || active->detached)
       continue;
     return_cell(active, flight->cells[i]);
     if (status != MO_ERR_CANCELLED) {
-      describe(status, text);
+      mo_block_describe(status, text);
       mo_active_fail(jobs, active, status, text);
     }
   }

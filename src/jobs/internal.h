@@ -15,7 +15,7 @@
 #include <stdatomic.h>
 #include <stdio.h>
 
-#include "jobs/jobs.h"
+#include "jobs/campaigns.h"
 #include "jobs/trainings.h"
 #include "store/runner.h"
 
@@ -151,8 +151,10 @@ struct mo_runner {
   bool thread_started;
   int64_t id; /* 0: it runs none */
   enum mo_runner_wish wish;
+  bool waits; /* for room */
   union {
     struct mo_training_live training;
+    struct mo_campaign_live campaign;
   } live;
   volatile int interrupt;     /* set with every wish */
   volatile uint64_t replayed; /* written by draws of bodies that were drawn before */
@@ -218,7 +220,9 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   double ended_s[MO_JOB_KINDS];         /* worker seconds of shares that are gone */
   struct mo_compute_share *evaluations; /* of all evaluations together */
 
-  struct mo_runners trainings;
+  struct mo_runners trainings, campaigns;
+  pthread_mutex_t exclusions_mutex;
+  struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns (campaign_excluded.c) */
   char *code_version;
 
   /* The scheduler's own. */
@@ -243,6 +247,8 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
 
   atomic_uint_fast64_t active_batch, active_interactive, blocks_in_flight;
   atomic_uint_fast64_t computed, cached, shared, diverged, submitted, succeeded, failed, cancelled;
+  atomic_uint_fast64_t campaign_generations, campaign_designs, campaign_rollouts, campaign_cached, campaign_diverged,
+      campaign_steps;
   atomic_uint_fast64_t training_steps, training_robots, training_diverged, training_zeroed, training_validations,
       training_checkpoints, training_ns;
   atomic_int_fast64_t heartbeat_us;
@@ -257,8 +263,12 @@ extern _Thread_local volatile int64_t mo_runner_tag; /* the job that this thread
 /* Places every genotype and finds its canonical form. MO_ERR_INVALID with the first that is none. */
 int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,
                      struct mo_message *message);
-int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message); /* MO_ERR_BUSY */
-int mo_weight_check(double weight, struct mo_message *message);                         /* MO_ERR_RANGE; 0 is none */
+int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *message);   /* MO_ERR_BUSY */
+int mo_weight_check(double weight, struct mo_message *message);                           /* MO_ERR_RANGE; 0 is none */
+int mo_submission_explain(int error, const char *controller, struct mo_message *message); /* what the store said */
+/* 1 to MO_ENVIRONMENTS_MAX of them, each fit to be simulated in. MO_ERR_INVALID, MO_ERR_RANGE. whose: "an evaluation". */
+int mo_environments_check(const struct mo_environment *environments, uint32_t n, const char *whose,
+                          struct mo_message *message);
 int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message);
 
 /* ---- runners.c ---- */
@@ -300,6 +310,25 @@ void mo_share_close(struct mo_jobs *jobs,
 void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* the weight in the store has changed */
 void mo_shares_worker_s(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS]);
 
+/* ---- learner.c ---- */
+/* A training with what the back end needs for its gradients. */
+struct mo_learner {
+  struct mo_training *training;
+  struct mo_gradient_state *gradients;
+  double *d_parameters;
+  struct mo_outcome *outcomes;
+};
+/* Everything but the training, for it. MO_ERR_NO_MEMORY. */
+int mo_learner_prepare(struct mo_jobs *jobs, struct mo_learner *learner);
+/* The gradient of the robots that were drawn, and a step with it. seconds: its wall time. */
+int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
+                    struct mo_compute_share *share, const volatile int *cancel, struct mo_training_report *report,
+                    double *seconds);
+void mo_learner_free(struct mo_learner *learner); /* the training, too */
+
+/* ---- campaign_run.c ---- */
+extern const struct mo_runner_kind mo_campaign_runners;
+
 /* ---- training_run.c ---- */
 extern const struct mo_runner_kind mo_training_runners;
 
@@ -330,6 +359,10 @@ void mo_flight_land(struct mo_jobs *jobs, struct mo_flight *flight);
 /* Breaks off the flights that only detached jobs wait for; all: every flight. */
 void mo_flights_cancel(struct mo_jobs *jobs, bool all);
 void mo_rollout_forget(struct mo_jobs *jobs, struct mo_rollout *rollout);
+/* What came of lane i of a finished block. A diverged rollout has the loss +infinity; no input may give NaN or −infinity, and neither
+ * may be stored: an error as any other, which mo_block_describe puts in words. */
+int mo_block_check(const struct mo_block *block, uint32_t i);
+void mo_block_describe(int status, char text[128]);
 
 /* ---- saver.c ---- */
 int mo_pending_score(struct mo_jobs *jobs, const struct mo_saved_score *score);

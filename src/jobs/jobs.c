@@ -28,6 +28,10 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
     config->max_active_trainings = 1;
   if (config->max_active_trainings > 16)
     config->max_active_trainings = 16;
+  if (config->max_active_campaigns == 0)
+    config->max_active_campaigns = 4;
+  if (config->max_active_campaigns > 64)
+    config->max_active_campaigns = 64;
   if (config->window_batch == 0)
     config->window_batch = 2 * n_workers;
   if (config->window_interactive == 0)
@@ -156,7 +160,9 @@ static void init_locks(struct mo_jobs *jobs)
   pthread_mutex_init(&jobs->admission_mutex, NULL);
   pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->mutex, NULL);
+  pthread_mutex_init(&jobs->exclusions_mutex, NULL);
   mo_runners_init(&jobs->trainings, &monotonic);
+  mo_runners_init(&jobs->campaigns, &monotonic);
   pthread_mutex_init(&jobs->weigh_mutex, NULL);
   pthread_mutex_init(&jobs->shares_mutex, NULL);
   pthread_cond_init(&jobs->ended, &monotonic);
@@ -191,6 +197,8 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_lattice_free(jobs->lattice);
   free(jobs->code_version);
   mo_runners_destroy(&jobs->trainings);
+  mo_runners_destroy(&jobs->campaigns);
+  pthread_mutex_destroy(&jobs->exclusions_mutex);
   mo_compute_share_free(jobs->evaluations);
   pthread_mutex_destroy(&jobs->weigh_mutex);
   pthread_mutex_destroy(&jobs->shares_mutex);
@@ -201,6 +209,15 @@ static void free_jobs(struct mo_jobs *jobs)
   pthread_cond_destroy(&jobs->news);
   pthread_cond_destroy(&jobs->stop_done);
   free(jobs);
+}
+
+/* All are asked to stop before the first is waited for. */
+static void free_runners(struct mo_jobs *jobs)
+{
+  mo_runners_stop(&jobs->trainings);
+  mo_runners_stop(&jobs->campaigns);
+  mo_runners_free(&jobs->trainings);
+  mo_runners_free(&jobs->campaigns);
 }
 
 int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const struct mo_jobs_config *config,
@@ -222,10 +239,12 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const str
   error = prepare(jobs, config->crash_marker, config->version);
   if (error == MO_OK)
     error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners, jobs->config.max_active_trainings);
+  if (error == MO_OK)
+    error = mo_runners_start(jobs, &jobs->campaigns, &mo_campaign_runners, jobs->config.max_active_campaigns);
   if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
     error = MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
-    mo_runners_free(&jobs->trainings);
+    free_runners(jobs);
     free_jobs(jobs);
     return mo_fail(message, error, "the scheduler cannot start: %s", mo_error_text(error));
   }
@@ -253,6 +272,7 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   bool stopped;
   atomic_store(&jobs->is_stopping, true);
   mo_runners_stop(&jobs->trainings);
+  mo_runners_stop(&jobs->campaigns);
   pthread_mutex_lock(&jobs->mutex);
   jobs->stopping = true;
   jobs->look = true;
@@ -263,7 +283,11 @@ int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
   stopped = jobs->stopped;
   pthread_mutex_unlock(&jobs->mutex);
   stopped = mo_runners_wait(&jobs->trainings, &deadline) && stopped;
-  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainings.unsaved) ? MO_OK : MO_ERR_BUSY;
+  stopped = mo_runners_wait(&jobs->campaigns, &deadline) && stopped;
+  return stopped && !atomic_load(&jobs->no_space) && !atomic_load(&jobs->trainings.unsaved) &&
+                 !atomic_load(&jobs->campaigns.unsaved)
+             ? MO_OK
+             : MO_ERR_BUSY;
 }
 
 void mo_jobs_free(struct mo_jobs *jobs)
@@ -277,7 +301,7 @@ void mo_jobs_free(struct mo_jobs *jobs)
   jobs->look = true;
   pthread_cond_signal(&jobs->news);
   pthread_mutex_unlock(&jobs->mutex);
-  mo_runners_free(&jobs->trainings);
+  free_runners(jobs);
   pthread_join(jobs->thread, NULL);
   free_jobs(jobs);
 }
@@ -293,10 +317,21 @@ static void tell_scheduler(struct mo_jobs *jobs, struct mo_wish *wish)
   pthread_mutex_unlock(&jobs->mutex);
 }
 
+/* Of jobs that have a thread of their own; NULL: the scheduler runs them. */
+static struct mo_runners *runners_of(struct mo_jobs *jobs, enum mo_job_kind kind)
+{
+  switch (kind) {
+  case MO_JOB_TRAINING: return &jobs->trainings;
+  case MO_JOB_CAMPAIGN: return &jobs->campaigns;
+  default: return NULL;
+  }
+}
+
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
   struct mo_wish *wish = calloc(1, sizeof(*wish));
   struct mo_job job;
+  struct mo_runners *runners;
   enum mo_job_state before;
   int error;
   if (wish == NULL)
@@ -308,18 +343,19 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     free(wish);
     return error;
   }
+  runners = runners_of(jobs, job.kind);
   if (change_to == MO_CHANGE_CANCEL) {
     atomic_fetch_add(&jobs->cancelled, 1);
     mo_jobs_closed(jobs, job.rollouts_total);
   }
-  if (job.kind == MO_JOB_TRAINING || change_to == MO_CHANGE_RESUME) {
+  if (runners != NULL || change_to == MO_CHANGE_RESUME) {
     free(wish);
-    if (change_to != MO_CHANGE_RESUME)
-      mo_runners_wish(&jobs->trainings, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
-    else if (job.kind == MO_JOB_TRAINING)
-      mo_runners_wake(&jobs->trainings);
-    else
+    if (runners == NULL)
       mo_jobs_wake(jobs);
+    else if (change_to == MO_CHANGE_RESUME)
+      mo_runners_wake(runners);
+    else
+      mo_runners_wish(runners, id, change_to == MO_CHANGE_CANCEL ? MO_WISH_CANCEL : MO_WISH_PAUSE);
     return MO_OK;
   }
   wish->id = id;
@@ -386,6 +422,20 @@ int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct m
   }
 }
 
+size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
+{
+  struct mo_runners *all[] = {&jobs->trainings, &jobs->campaigns};
+  size_t n = 0;
+  for (size_t k = 0; k < sizeof(all) / sizeof(all[0]); k++) {
+    pthread_mutex_lock(&all[k]->mutex);
+    for (uint32_t i = 0; i < all[k]->n && n < MO_WAITING_MAX; i++)
+      if (all[k]->runner[i].id != 0 && all[k]->runner[i].waits)
+        ids[n++] = all[k]->runner[i].id;
+    pthread_mutex_unlock(&all[k]->mutex);
+  }
+  return n;
+}
+
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
 {
   *stats = (struct mo_jobs_stats){
@@ -410,6 +460,13 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .training_validations = atomic_load(&jobs->training_validations),
       .training_checkpoints = atomic_load(&jobs->training_checkpoints),
       .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
+      .active_campaigns = atomic_load(&jobs->campaigns.active),
+      .campaign_generations = atomic_load(&jobs->campaign_generations),
+      .campaign_designs = atomic_load(&jobs->campaign_designs),
+      .campaign_rollouts = atomic_load(&jobs->campaign_rollouts),
+      .campaign_cached = atomic_load(&jobs->campaign_cached),
+      .campaign_diverged = atomic_load(&jobs->campaign_diverged),
+      .campaign_steps = atomic_load(&jobs->campaign_steps),
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),

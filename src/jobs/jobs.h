@@ -25,6 +25,7 @@ struct mo_jobs_config {
   uint32_t max_active_batch;       /* jobs that run side by side; 0: 8 */
   uint32_t max_active_interactive; /* 0: 64 */
   uint32_t max_active_trainings;   /* trainings that run side by side, ≤ 16; 0: 1 */
+  uint32_t max_active_campaigns;   /* campaigns that run side by side, ≤ 64; 0: 4 */
   uint32_t window_batch;           /* blocks in flight; 0: 2 per worker */
   uint32_t window_interactive;     /* 0: 4 per worker */
   uint32_t controllers_kept;       /* controllers kept ready for the back end, least recently used go; 0: 8 */
@@ -100,6 +101,12 @@ struct mo_jobs_stats {
                                                                                        several jobs */
   uint64_t jobs_submitted, jobs_succeeded, jobs_failed, jobs_cancelled; /* since the start */
   uint64_t active_trainings;                                            /* running or being prepared */
+  uint64_t active_campaigns;                                            /* running or being prepared */
+  uint64_t campaign_generations, campaign_designs; /* committed; born in them; since the start, as all below */
+  uint64_t
+      campaign_rollouts; /* for scores, computed; campaign_cached, _diverged: of committed generations, found, diverged */
+  uint64_t campaign_cached, campaign_diverged;
+  uint64_t campaign_steps; /* of learning */
   uint64_t training_steps, training_robots, training_diverged, training_zeroed, training_validations,
       training_checkpoints;      /* since the start */
   double training_step_s;        /* sum of the wall time of these steps */
@@ -109,6 +116,8 @@ struct mo_jobs_stats {
   bool stopping;
 };
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats); /* waits for no computing and no store */
+/* Trainings and campaigns that wait for room now, for mo_job_query: while they run they are shown as paused. Returns their number. */
+size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 /* Worker seconds that a running training or campaign has had since it was last started; < 0: it has no share now. */
 double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 

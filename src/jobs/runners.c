@@ -87,6 +87,7 @@ static int64_t reserve(struct mo_runner *runner, const int64_t *ids, int64_t n)
   if (found != 0) {
     runner->id = found;
     runner->wish = MO_WISH_NONE;
+    runner->waits = false;
     runners->kind->begin(runner);
     __atomic_store_n(&runner->interrupt, 0, __ATOMIC_RELAXED);
     __atomic_store_n(&runner->replayed, 0, __ATOMIC_RELAXED);

@@ -22,24 +22,33 @@ int mo_weight_check(double weight, struct mo_message *message)
   return mo_fail(message, MO_ERR_RANGE, "a weight is %g to %g, not %g", MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
 }
 
+int mo_environments_check(const struct mo_environment *environments, uint32_t n, const char *whose,
+                          struct mo_message *message)
+{
+  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "%s has 1 to %d environments, not %u", whose, MO_ENVIRONMENTS_MAX,
+                   (unsigned)n);
+  for (uint32_t k = 0; k < n; k++) {
+    uint32_t where = 0;
+    int error = mo_environment_check(&environments[k], &where);
+    if (error != MO_OK)
+      return mo_fail(message, error, "environment %u: value %u is not finite or out of range", (unsigned)k,
+                     (unsigned)where);
+  }
+  return MO_OK;
+}
+
 static int check_request(const struct mo_evaluation_request *request, struct mo_message *message)
 {
-  uint32_t where;
   int error;
   if (request->n_designs < 1 || request->n_designs > MO_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not %u", MO_DESIGNS_MAX,
                    (unsigned)request->n_designs);
-  if (request->environment_set == NULL &&
-      (request->n_environments < 1 || request->n_environments > MO_ENVIRONMENTS_MAX))
-    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d environments, not %u", MO_ENVIRONMENTS_MAX,
-                   (unsigned)request->n_environments);
-  if (request->environment_set == NULL)
-    for (uint32_t k = 0; k < request->n_environments; k++) {
-      error = mo_environment_check(&request->environments[k], &where);
-      if (error != MO_OK)
-        return mo_fail(message, error, "environment %u: value %u is not finite or out of range", (unsigned)k,
-                       (unsigned)where);
-    }
+  if (request->environment_set == NULL) {
+    error = mo_environments_check(request->environments, request->n_environments, "an evaluation", message);
+    if (error != MO_OK)
+      return error;
+  }
   error = mo_physics_check(&request->physics, message);
   if (error != MO_OK)
     return error;
@@ -123,13 +132,12 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *me
   return error;
 }
 
-static int explain(int error, const struct mo_submission *submission, struct mo_message *message)
+int mo_submission_explain(int error, const char *controller, struct mo_message *message)
 {
   switch (error) {
-  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no controller \"%.80s\"", submission->controller);
+  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no controller \"%.80s\"", controller);
   case MO_ERR_CONFLICT: return mo_fail(message, error, "the idempotency key was used with another request");
-  case MO_ERR_UNSUPPORTED:
-    return mo_fail(message, error, "controller \"%.80s\" is for another workspace", submission->controller);
+  case MO_ERR_UNSUPPORTED: return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
   default: return mo_fail(message, error, "the job could not be stored: %s", mo_error_text(error));
   }
@@ -146,7 +154,7 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *sub
   if (error != MO_OK || *replayed)
     mo_jobs_closed(jobs, rollouts);
   if (error != MO_OK)
-    return explain(error, submission, message);
+    return mo_submission_explain(error, submission->controller, message);
   if (!*replayed) {
     atomic_fetch_add(&jobs->submitted, 1);
     mo_jobs_wake(jobs);
@@ -184,7 +192,7 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
     if (error == MO_OK)
       *replayed = true;
     if (error != MO_ERR_NOT_FOUND)
-      return error == MO_OK ? MO_OK : explain(error, &submission, message);
+      return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.controller, message);
   }
   if (request->environment_set != NULL) {
     error = mo_store_environment_set_size(jobs->store, request->environment_set, &submission.n_environments);

@@ -21,12 +21,9 @@ struct run {
   struct mo_jobs *jobs;
   int64_t id;
   struct mo_training_status status; /* as it was at the claim */
-  struct mo_training *training;
-  struct mo_gradient_state *gradients;
+  struct mo_learner learner;
   struct mo_compute_share *share;
   struct mo_held_out held_out;
-  double *d_parameters;
-  struct mo_outcome *outcomes;
   struct mo_training_step_row rows[ROWS_MAX]; /* not written yet */
   size_t n_rows;
   int64_t rows_us, checkpoint_us; /* when they were written last */
@@ -49,7 +46,7 @@ static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
   pthread_mutex_lock(&runner->runners->mutex);
   before = live->phase;
   live->phase = (enum mo_training_phase)phase;
-  live->step = run->training != NULL ? mo_training_step(run->training) : 0;
+  live->step = run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
   snprintf(live->reason, sizeof(live->reason), "%s", reason);
   pthread_mutex_unlock(&runner->runners->mutex);
   return (int)before;
@@ -99,8 +96,8 @@ static int write_checkpoint(void *context)
   struct run *run = context;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  uint32_t step = mo_training_step(run->training);
-  int error = mo_training_encode(run->training, &bytes, &size);
+  uint32_t step = mo_training_step(run->learner.training);
+  int error = mo_training_encode(run->learner.training, &bytes, &size);
   if (error == MO_OK)
     error =
         mo_store_training_checkpoint(run->jobs->store, run->id, step, bytes, size, run->status.record.checkpoints_kept);
@@ -118,10 +115,10 @@ static int save(struct run *run)
 {
   char what[64];
   int phase, error = flush(run);
-  if (error != MO_OK || mo_training_step(run->training) == run->checkpoint_step)
+  if (error != MO_OK || mo_training_step(run->learner.training) == run->checkpoint_step)
     return error;
   phase = enter(run, MO_TRAINING_SAVE);
-  snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)mo_training_step(run->training));
+  snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)mo_training_step(run->learner.training));
   error = mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
   (void)set_phase(&run->attempt, phase, "");
   return error;
@@ -143,10 +140,10 @@ static int load_checkpoint(struct run *run)
     char text[256];
     int error = mo_store_training_checkpoint_bytes(run->jobs->store, run->id, rows[i].step, &bytes, &size);
     if (error == MO_OK)
-      error = mo_training_decode(bytes, size, &run->training, &message);
+      error = mo_training_decode(bytes, size, &run->learner.training, &message);
     free(bytes);
     if (error == MO_OK)
-      run->checkpoint_step = mo_training_step(run->training);
+      run->checkpoint_step = mo_training_step(run->learner.training);
     if (error != MO_ERR_CORRUPT && error != MO_ERR_FORMAT && error != MO_ERR_IO)
       return error;
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s", (unsigned)rows[i].step,
@@ -179,7 +176,7 @@ static int begin_anew(struct run *run)
     error = mo_store_training_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
     error = mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL, n,
-                               &run->training, &message);
+                               &run->learner.training, &message);
   if (error != MO_OK && run->attempt.text[0] == '\0')
     snprintf(run->attempt.text, sizeof(run->attempt.text), "the training cannot be prepared: %.200s",
              message.text[0] != '\0' ? message.text : mo_error_text(error));
@@ -190,7 +187,6 @@ static int begin_anew(struct run *run)
 
 static int prepare(struct run *run)
 {
-  const struct mo_training_settings *settings = &run->status.record.settings;
   int error = mo_store_training(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
     return mo_attempt_fail(&run->attempt, error, "the training cannot be read");
@@ -201,11 +197,7 @@ static int prepare(struct run *run)
   if (error != MO_OK)
     return error;
   run->checkpoint_us = mo_jobs_clock_us();
-  run->d_parameters = calloc(mo_training_controller(run->training)->n_parameters, sizeof(double));
-  run->outcomes = calloc(settings->batch, sizeof(*run->outcomes));
-  error = run->d_parameters == NULL || run->outcomes == NULL
-              ? MO_ERR_NO_MEMORY
-              : mo_gradient_state_create(run->jobs->compute, &run->gradients);
+  error = mo_learner_prepare(run->jobs, &run->learner);
   if (error == MO_OK)
     error = mo_share_open(run->jobs, run->id, MO_JOB_TRAINING, &run->share);
   if (error == MO_OK && run->status.record.validate_every_steps > 0)
@@ -218,7 +210,7 @@ static int prepare(struct run *run)
 static void note_speed(struct run *run, double seconds)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
-  uint32_t left = settings->n_steps - mo_training_step(run->training);
+  uint32_t left = settings->n_steps - mo_training_step(run->learner.training);
   uint64_t n = run->n_rates < RATES ? run->n_rates + 1 : RATES;
   int64_t now = mo_jobs_clock_us(), oldest = now;
   double sum = 0;
@@ -231,7 +223,7 @@ static void note_speed(struct run *run, double seconds)
       oldest = run->rates[i].end_us;
   }
   pthread_mutex_lock(&run->attempt.runner->runners->mutex);
-  run->attempt.runner->live.training.step = mo_training_step(run->training);
+  run->attempt.runner->live.training.step = mo_training_step(run->learner.training);
   run->attempt.runner->live.training.robots_per_s = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* With what lies between steps: validations, checkpoints. */
   run->attempt.runner->live.training.seconds_left =
@@ -242,15 +234,18 @@ static void note_speed(struct run *run, double seconds)
 static int draw(struct run *run, const struct mo_robot **robots)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
-  bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && mo_training_step(run->training) > 0;
+  bool replays =
+      settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && mo_training_step(run->learner.training) > 0;
   int error;
   if (replays) {
     pthread_mutex_lock(&run->attempt.runner->runners->mutex);
-    run->attempt.runner->live.training.replay_total = (uint64_t)mo_training_step(run->training) * settings->batch;
+    run->attempt.runner->live.training.replay_total =
+        (uint64_t)mo_training_step(run->learner.training) * settings->batch;
     pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
     (void)enter(run, MO_TRAINING_REPLAY);
   }
-  error = mo_training_draw(run->training, &run->attempt.runner->interrupt, &run->attempt.runner->replayed, robots);
+  error =
+      mo_training_draw(run->learner.training, &run->attempt.runner->interrupt, &run->attempt.runner->replayed, robots);
   if (replays)
     (void)enter(run, MO_TRAINING_LEARN);
   if (error == MO_ERR_CORRUPT)
@@ -264,7 +259,7 @@ static int draw(struct run *run, const struct mo_robot **robots)
 static int write_code(void *context)
 {
   struct run *run = context;
-  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->training),
+  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training),
                                 mo_compute_gradient_fingerprint(run->jobs->compute), &run->status.code);
 }
 
@@ -281,30 +276,14 @@ static int step(struct run *run)
   const struct mo_training_settings *settings = &run->status.record.settings;
   const struct mo_robot *robots = NULL;
   struct mo_training_step_row *row = &run->rows[run->n_rows];
-  int64_t start_us;
-  struct mo_gradient_batch batch = {.controller = mo_training_controller(run->training),
-                                    .n = settings->batch,
-                                    .physics = settings->physics,
-                                    .adjoint_bound = settings->adjoint_bound,
-                                    .urgency = run->status.job.priority,
-                                    .cancel = &run->attempt.runner->interrupt,
-                                    .tag = run->id,
-                                    .share = run->share,
-                                    .d_parameters = run->d_parameters,
-                                    .outcomes = run->outcomes};
   int error = draw(run, &robots);
   if (error == MO_OK)
     error = note_code(run);
-  if (error != MO_OK)
-    return error;
-  start_us = mo_jobs_clock_us();
-  batch.robots = robots;
-  error = mo_compute_gradient(run->gradients, &batch);
   if (error == MO_OK)
-    error = mo_training_apply(run->training, run->d_parameters, run->outcomes, &batch.counts, &row->report);
+    error = mo_learner_step(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                            &run->attempt.runner->interrupt, &row->report, &row->seconds);
   if (error != MO_OK)
     return error;
-  row->seconds = (double)(mo_jobs_clock_us() - start_us) * 1e-6;
   run->n_rows++;
   note_speed(run, row->seconds);
   atomic_fetch_add(&run->jobs->training_steps, 1);
@@ -325,7 +304,7 @@ static int write_validation(void *context)
 
 static int validate(struct run *run)
 {
-  uint32_t every = run->status.record.validate_every_steps, here = mo_training_step(run->training);
+  uint32_t every = run->status.record.validate_every_steps, here = mo_training_step(run->learner.training);
   int error;
   if (every == 0 || (here % every != 0 && here != run->status.record.settings.n_steps) || here <= run->validated)
     return MO_OK;
@@ -334,7 +313,7 @@ static int validate(struct run *run)
     return error;
   (void)enter(run, MO_TRAINING_VALIDATE);
   run->status.validation.step = here;
-  error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->training),
+  error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->learner.training),
                             &run->status.record.settings.physics, run->id, run->share, &run->attempt.runner->interrupt,
                             &run->status.validation);
   if (error == MO_OK)
@@ -350,7 +329,7 @@ static int validate(struct run *run)
 static bool checkpoint_is_due(const struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
-  uint32_t here = mo_training_step(run->training);
+  uint32_t here = mo_training_step(run->learner.training);
   if (here == run->checkpoint_step || here == 0)
     return false;
   return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
@@ -374,7 +353,7 @@ static int write_result(void *context)
     snprintf(name, sizeof(name), "%s", record->name);
   else
     snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
-  error = mo_training_export(run->training, record->has_parent ? digits : NULL, run->jobs->code_version,
+  error = mo_training_export(run->learner.training, record->has_parent ? digits : NULL, run->jobs->code_version,
                              &run->status.code, &controller);
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
@@ -393,7 +372,7 @@ static int learn(struct run *run)
     if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
     error = validate(run);
-    if (error != MO_OK || mo_training_step(run->training) == run->status.record.settings.n_steps)
+    if (error != MO_OK || mo_training_step(run->learner.training) == run->status.record.settings.n_steps)
       break;
     if (checkpoint_is_due(run))
       error = save(run);
@@ -413,7 +392,7 @@ static int learn(struct run *run)
 static int save_rest(void *context)
 {
   struct run *run = context;
-  return run->training != NULL ? save(run) : MO_OK;
+  return run->learner.training != NULL ? save(run) : MO_OK;
 }
 
 static bool run_training(struct mo_runner *runner, int64_t id)
@@ -432,12 +411,9 @@ static bool run_training(struct mo_runner *runner, int64_t id)
   if (error == MO_OK)
     error = learn(run);
   failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
-  mo_gradient_state_free(run->gradients);
+  mo_learner_free(&run->learner);
   mo_share_close(run->jobs, id);
-  mo_training_free(run->training);
   mo_held_out_free(&run->held_out);
-  free(run->d_parameters);
-  free(run->outcomes);
   free(run);
   return failed;
 }

@@ -43,18 +43,6 @@ static int check_request(const struct mo_training_request *request, struct mo_me
   return error != MO_OK ? error : mo_submission_check_texts(request->label, request->idempotency_key, message);
 }
 
-static int explain(int error, const struct mo_training_submission *submission, struct mo_message *message)
-{
-  switch (error) {
-  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no controller \"%.80s\"", submission->parent);
-  case MO_ERR_CONFLICT: return mo_fail(message, error, "the idempotency key was used with another request");
-  case MO_ERR_UNSUPPORTED:
-    return mo_fail(message, error, "controller \"%.80s\" is for another workspace", submission->parent);
-  case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
-  default: return mo_fail(message, error, "the job could not be stored: %s", mo_error_text(error));
-  }
-}
-
 static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request, struct mo_bits **genotypes,
                            uint32_t *n, struct mo_message *message)
 {
@@ -68,10 +56,11 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
     return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld has diverged",
                    (long long)request->population);
   case MO_ERR_NOT_FOUND:
-    return mo_fail(message, error, "there is no population %lld: an evaluation is expected",
+    return mo_fail(message, error, "there is no population %lld: an evaluation or a campaign is expected",
                    (long long)request->population);
   case MO_ERR_CONFLICT:
-    return mo_fail(message, error, "population %lld has not succeeded", (long long)request->population);
+    return mo_fail(message, error, "population %lld has not succeeded, or has no generation yet",
+                   (long long)request->population);
   default: return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
   }
 }
@@ -86,7 +75,7 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_training_submis
   if (error != MO_OK || *replayed)
     mo_jobs_closed(jobs, 0);
   if (error != MO_OK)
-    return explain(error, submission, message);
+    return mo_submission_explain(error, submission->parent, message);
   if (!*replayed) {
     atomic_fetch_add(&jobs->submitted, 1);
     mo_runners_wake(&jobs->trainings);
@@ -119,12 +108,17 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
     if (error == MO_OK)
       *replayed = true;
     if (error != MO_ERR_NOT_FOUND)
-      return error == MO_OK ? MO_OK : explain(error, &submission, message);
+      return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.parent, message);
   }
   if (request->population != 0) {
     error = load_population(jobs, request, &population, &n, message);
     if (error != MO_OK)
       return error;
+  }
+  if (n > MO_TRAINING_DESIGNS_MAX) { /* a campaign's */
+    free(population);
+    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
+                   MO_TRAINING_DESIGNS_MAX, (unsigned)n);
   }
   submission.record.n_designs = n;
   submission.record.population = request->population;

@@ -25,18 +25,6 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
   return MO_OK;
 }
 
-size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX])
-{
-  struct mo_runners *runners = &jobs->trainings;
-  size_t n = 0;
-  pthread_mutex_lock(&runners->mutex);
-  for (uint32_t i = 0; i < runners->n && n < MO_WAITING_MAX; i++)
-    if (runners->runner[i].id != 0 && runners->runner[i].live.training.phase == MO_TRAINING_WAIT)
-      ids[n++] = runners->runner[i].id;
-  pthread_mutex_unlock(&runners->mutex);
-  return n;
-}
-
 const char *mo_jobs_code_version(const struct mo_jobs *jobs)
 {
   return jobs->code_version;

@@ -16,12 +16,12 @@ struct mo_training_request {
   struct mo_training_record record; /* settings checked here; parent fields are filled in by the store */
   const char *parent;               /* as in mo_training_submission */
   const struct mo_bits
-      *genotypes;              /* (record.n_designs) as asked for: valid; placed here. Finetune without population */
-  int64_t population;          /* finetune: a succeeded evaluation; 0: genotypes */
-  uint32_t population_best;    /* 0: all of them */
-  int priority;                /* MO_BATCH */
-  double weight;               /* as in mo_evaluation_request */
-  const char *label;           /* nullable */
+      *genotypes;           /* (record.n_designs) as asked for: valid; placed here. Finetune without population */
+  int64_t population;       /* finetune: a succeeded evaluation, or a campaign: its newest population; 0: genotypes */
+  uint32_t population_best; /* 0: all of them */
+  int priority;             /* MO_BATCH */
+  double weight;            /* as in mo_evaluation_request */
+  const char *label;        /* nullable */
   const char *idempotency_key; /* nullable */
   struct mo_sha256 body_sha256;
 };
@@ -54,8 +54,6 @@ struct mo_training_live {
 };
 int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id,
                           struct mo_training_live *live); /* idle if it does not run */
-/* Those that wait (MO_TRAINING_WAIT) now, for mo_job_query: while they run they are shown as paused. Returns their number. */
-size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
 
 /* What trained controllers say of the code that made them ("morphod.version"): as given in the configuration, with the fingerprint of
  * the gradients. Lives as long as `jobs`. */

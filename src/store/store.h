@@ -88,7 +88,7 @@ struct mo_job_query {
   const int64_t *waiting;
   size_t n_waiting;
 };
-#define MO_WAITING_MAX 64
+#define MO_WAITING_MAX 80 /* all trainings and campaigns that can run */
 /* Newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an error. Next page: before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit);
 /* Jobs per state. */

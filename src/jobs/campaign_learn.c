@@ -1,0 +1,262 @@
+/* campaign_learn.c: how the controller of a campaign learns between generations.
+ *
+ * Few-shot: each generation has a training of its own, which begins with the pretrained weights, takes parent_steps on the parents, then
+ * child_steps on the children. Simultaneous: one training over the whole campaign goes on with the same steps. Generation 0
+ * has no parents: it takes child_steps on the initial population.
+ *
+ * A checkpoint is written when it is due, at a pause or a stop, and when a generation's learning is done, so that what interrupts its
+ * scoring does not cost the learning. A generation commits with the learning state that scored it. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
+{
+  return &run->status.record.settings;
+}
+
+static uint32_t parent_steps(const struct mo_campaign_run *run, uint32_t generation)
+{
+  return generation == 0 ? 0 : settings_of(run)->parent_steps;
+}
+
+static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
+{
+  return parent_steps(run, generation) + settings_of(run)->child_steps;
+}
+
+/* Steps of the training when a generation begins. */
+static uint32_t steps_before(const struct mo_campaign_run *run, uint32_t generation)
+{
+  if (settings_of(run)->mode == MO_FEW_SHOT || generation == 0)
+    return 0;
+  return steps_of(run, 0) + (generation - 1) * steps_of(run, 1);
+}
+
+void mo_campaign_free_learning(struct mo_campaign_run *run)
+{
+  mo_learner_free(&run->learner);
+  free(run->steps);
+  run->steps = NULL;
+}
+
+/* ---- checkpoints ---- */
+
+static int write_checkpoint(void *context)
+{
+  struct mo_campaign_run *run = context;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error = mo_training_encode(run->learner.training, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_store_campaign_checkpoint(run->jobs->store, run->id, run->generation, run->step, bytes, size,
+                                         run->steps + run->steps_saved, run->step - run->steps_saved);
+  free(bytes);
+  if (error == MO_OK) {
+    run->steps_saved = run->step;
+    run->checkpoint_us = mo_jobs_clock_us();
+  }
+  return error;
+}
+
+int mo_campaign_save_learning(struct mo_campaign_run *run)
+{
+  char what[96];
+  if (run->steps == NULL || run->steps_saved == run->step)
+    return MO_OK;
+  snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u", (unsigned)run->generation,
+           (unsigned)run->step);
+  return mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
+}
+
+/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: it cannot be used. */
+static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
+{
+  struct mo_message message = {.text = "its bytes are not those that were written"};
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error = mo_store_campaign_checkpoint_of(run->jobs->store, run->id, generation, step, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_training_decode(bytes, size, &run->learner.training, &message);
+  free(bytes);
+  if (error == MO_OK && mo_training_step(run->learner.training) != steps_before(run, generation) + *step) {
+    error = mo_fail(&message, MO_ERR_CORRUPT, "it is of another step");
+    mo_training_free(run->learner.training);
+    run->learner.training = NULL;
+  }
+  if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
+    return error;
+  snprintf(
+      run->attempt.text, sizeof(run->attempt.text),
+      "the checkpoint of generation %u cannot be used (%.100s): put back the folder campaigns/ of a backup, or begin "
+      "the campaign anew",
+      (unsigned)generation, error == MO_ERR_IO ? "it cannot be read" : message.text);
+  return MO_ERR_CORRUPT;
+}
+
+int mo_campaign_load_learning(struct mo_campaign_run *run)
+{
+  uint32_t step = 0;
+  int error = read_checkpoint(run, run->generation - 1, &step);
+  return error == MO_ERR_NOT_FOUND ? mo_attempt_fail(&run->attempt, MO_ERR_CORRUPT,
+                                                     "the learning state that the last generation left is missing")
+                                   : error;
+}
+
+/* ---- where it begins ---- */
+
+static const uint64_t *children(const struct mo_campaign_run *run)
+{
+  return run->bits[run->n_parents].words;
+}
+
+static int begin_training(struct mo_campaign_run *run)
+{
+  struct mo_training_settings settings = mo_campaign_training(settings_of(run), run->generation);
+  struct mo_controller *random = NULL;
+  struct mo_message message = {.text = ""};
+  int error = MO_OK;
+  if (run->controller == NULL) {
+    error = mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random);
+    if (error == MO_OK)
+      mo_controller_randomize(random, settings.seed);
+  }
+  if (error == MO_OK)
+    error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run), run->n_children,
+                               &run->learner.training, &message);
+  if (error != MO_OK && error != MO_ERR_NO_MEMORY)
+    (void)mo_attempt_fail(&run->attempt, error, message.text);
+  mo_controller_free(random);
+  return error;
+}
+
+/* What an earlier process has learned in this generation. MO_ERR_NOT_FOUND: nothing, or nothing that is whole. */
+static int restore(struct mo_campaign_run *run)
+{
+  int error = read_checkpoint(run, run->generation, &run->step);
+  if (error == MO_OK)
+    run->steps_saved = run->step;
+  if (error != MO_ERR_CORRUPT)
+    return error;
+  mo_attempt_warn(&run->attempt, error, "a checkpoint inside a generation is damaged: the generation learns anew");
+  run->attempt.text[0] = '\0';
+  return MO_ERR_NOT_FOUND;
+}
+
+/* The training at the place where this generation's learning goes on. */
+static int prepare_training(struct mo_campaign_run *run)
+{
+  const bool inherits = settings_of(run)->mode == MO_SIMULTANEOUS && run->generation > 0;
+  const bool is_new = run->learner.training == NULL; /* in this process */
+  int error = MO_OK;
+  run->step = run->steps_saved = 0;
+  if (is_new || !inherits) {
+    mo_training_free(run->learner.training);
+    run->learner.training = NULL;
+    error = is_new ? restore(run) : MO_ERR_NOT_FOUND;
+    if (error == MO_ERR_NOT_FOUND)
+      error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
+  }
+  if (error == MO_OK && settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
+    error = mo_training_set_steps(run->learner.training, mo_campaign_training(settings_of(run), 0).n_steps);
+  if (error == MO_OK && run->learner.gradients == NULL)
+    error = mo_learner_prepare(run->jobs, &run->learner);
+  return error;
+}
+
+/* Losses of steps that an earlier process took. */
+static int read_losses(struct mo_campaign_run *run)
+{
+  struct mo_campaign_step row;
+  int64_t n = mo_store_campaign_steps(run->jobs->store, run->id, run->generation, 0, &row, 1);
+  if (n == 1 && row.generation == run->generation)
+    run->first_loss = row.report.mean_loss;
+  if (n >= 0)
+    n = mo_store_campaign_steps(run->jobs->store, run->id, run->generation, run->step - 1, &row, 1);
+  if (n == 1 && row.generation == run->generation && row.step == run->step)
+    run->last_loss = row.report.mean_loss;
+  return n < 0 ? (int)n : MO_OK;
+}
+
+/* ---- steps ---- */
+
+static int set_designs(struct mo_campaign_run *run)
+{
+  const bool on_children = run->step >= parent_steps(run, run->generation);
+  struct mo_message message = {.text = ""};
+  int error = mo_training_set_designs(run->learner.training, on_children ? children(run) : run->bits[0].words,
+                                      on_children ? run->n_children : run->n_parents, &message);
+  return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : mo_attempt_fail(&run->attempt, error, message.text);
+}
+
+static int tell(struct mo_campaign_run *run, uint32_t n_steps)
+{
+  char progress[256];
+  const char *data = mo_campaign_progress(run, "learning", run->step, n_steps, progress);
+  int error;
+  if (data == NULL)
+    return MO_OK;
+  error = mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
+  mo_campaign_told(run);
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ? MO_OK : error; /* only news */
+}
+
+static int step(struct mo_campaign_run *run)
+{
+  struct mo_campaign_step *row = &run->steps[run->step];
+  const struct mo_robot *robots = NULL;
+  int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
+  if (error == MO_OK)
+    error = mo_learner_step(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                            &run->attempt.runner->interrupt, &row->report, &row->seconds);
+  if (error != MO_OK)
+    return error;
+  row->generation = run->generation;
+  row->on_children = run->step >= parent_steps(run, run->generation);
+  row->step = ++run->step;
+  if (row->step == 1)
+    run->first_loss = row->report.mean_loss;
+  run->last_loss = row->report.mean_loss;
+  atomic_fetch_add(&run->jobs->campaign_steps, 1);
+  return MO_OK;
+}
+
+static bool checkpoint_is_due(const struct mo_campaign_run *run)
+{
+  const uint32_t every_s = run->status.record.checkpoint_every_s;
+  return every_s > 0 && mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
+}
+
+int mo_campaign_learn(struct mo_campaign_run *run)
+{
+  const uint32_t n_steps = steps_of(run, run->generation);
+  int error;
+  if (settings_of(run)->mode == MO_ZERO_SHOT)
+    return MO_OK;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_LEARN, n_steps);
+  run->first_loss = run->last_loss = NAN;
+  free(run->steps);
+  run->steps = calloc((size_t)n_steps + 1, sizeof(*run->steps));
+  error = run->steps == NULL ? MO_ERR_NO_MEMORY : prepare_training(run);
+  if (error == MO_OK && run->step > 0)
+    error = read_losses(run);
+  if (error == MO_OK && n_steps > run->step)
+    error = set_designs(run);
+  run->checkpoint_us = mo_jobs_clock_us();
+  while (error == MO_OK && run->step < n_steps) {
+    mo_campaign_advance(run, run->step);
+    if (mo_runner_is_interrupted(run->attempt.runner))
+      return MO_ERR_CANCELLED;
+    if (checkpoint_is_due(run))
+      error = mo_campaign_save_learning(run);
+    if (error == MO_OK)
+      error = step(run);
+    if (error == MO_OK && run->step < n_steps && run->step == parent_steps(run, run->generation))
+      error = set_designs(run);
+    if (error == MO_OK)
+      error = tell(run, n_steps);
+  }
+  return error == MO_OK ? mo_campaign_save_learning(run) : error;
+}

@@ -1,0 +1,679 @@
+/* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until somebody wants something else.
+ *
+ * A generation: children, learning, scores, selection, one commit. Everything before the commit can be repeated and gives the same: children
+ * follow from the population and from what was ever born, learning from its checkpoint, and losses that were saved are read again.
+ * So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its generations are
+ * committed, or when no child can be found any more: the generation that found none is not committed. */
+#include "jobs/campaign_run.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define PROGRESS_EVERY_US INT64_C(1000000)
+#define HISTORY_ROWS      64
+
+static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
+{
+  return &run->status.record.settings;
+}
+
+/* ---- what others see ---- */
+
+static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
+{
+  struct mo_runner *runner = attempt->runner;
+  struct mo_campaign_live *live = &runner->live.campaign;
+  int before;
+  pthread_mutex_lock(&runner->runners->mutex);
+  before = (int)live->phase;
+  live->phase = (enum mo_campaign_phase)phase;
+  snprintf(live->reason, sizeof(live->reason), "%s", reason);
+  pthread_mutex_unlock(&runner->runners->mutex);
+  return before;
+}
+
+int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase, uint64_t total)
+{
+  struct mo_runner *runner = run->attempt.runner;
+  pthread_mutex_lock(&runner->runners->mutex);
+  runner->live.campaign.generation = run->generation;
+  runner->live.campaign.done = 0;
+  runner->live.campaign.total = total;
+  pthread_mutex_unlock(&runner->runners->mutex);
+  return set_phase(&run->attempt, (int)phase, "");
+}
+
+/* Of the campaign: by the rollouts that are left, where scores are all that takes time; else by the last whole generation. */
+static double seconds_left(const struct mo_campaign_run *run, const struct mo_campaign_live *live)
+{
+  const struct mo_campaign_settings *settings = settings_of(run);
+  const double after = run->generation < settings->generations ? settings->generations - run->generation : 0;
+  const double passed = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  if (settings->mode == MO_ZERO_SHOT && live->rollouts_per_s > 0 && run->generation > 0) {
+    double left = after * settings->population + run->n_scored - run->n_done;
+    return left * run->n_environments / live->rollouts_per_s;
+  }
+  if (run->generation_s <= 0)
+    return -1;
+  return after * run->generation_s + (passed < run->generation_s ? run->generation_s - passed : 0);
+}
+
+void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
+{
+  struct mo_runner *runner = run->attempt.runner;
+  pthread_mutex_lock(&runner->runners->mutex);
+  runner->live.campaign.done = done;
+  runner->live.campaign.seconds_left = seconds_left(run, &runner->live.campaign);
+  pthread_mutex_unlock(&runner->runners->mutex);
+}
+
+void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s)
+{
+  struct mo_runner *runner = run->attempt.runner;
+  pthread_mutex_lock(&runner->runners->mutex);
+  runner->live.campaign.rollouts_per_s = rollouts_per_s;
+  pthread_mutex_unlock(&runner->runners->mutex);
+}
+
+const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done, uint64_t total,
+                                 char text[256])
+{
+  if (mo_jobs_clock_us() - run->progress_us < PROGRESS_EVERY_US)
+    return NULL;
+  snprintf(text, 256, "{\"id\":\"%lld\",\"generation\":%u,\"phase\":\"%s\",\"done\":%llu,\"total\":%llu}",
+           (long long)run->id, (unsigned)run->generation, phase, (unsigned long long)done, (unsigned long long)total);
+  return text;
+}
+
+void mo_campaign_told(struct mo_campaign_run *run)
+{
+  run->progress_us = mo_jobs_clock_us();
+}
+
+/* ---- where it stands ---- */
+
+static int load_controller(struct mo_campaign_run *run)
+{
+  const struct mo_campaign_record *record = &run->status.record;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error;
+  if (!record->has_controller)
+    return MO_OK;
+  error = mo_store_controller_bytes(run->jobs->store, &record->controller_sha256, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_controller_decode(bytes, size, &run->controller, NULL);
+  free(bytes);
+  if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT)
+    return mo_attempt_fail_controller(&run->attempt, error, &record->controller_sha256);
+  return error;
+}
+
+static int allocate(struct mo_campaign_run *run)
+{
+  const size_t n = settings_of(run)->population, room = 2 * n;
+  run->words = mo_workspace_words(settings_of(run)->workspace);
+  run->genotypes = calloc(room * run->words, sizeof(*run->genotypes));
+  run->bits = calloc(room, sizeof(*run->bits));
+  run->forms = calloc(n, sizeof(*run->forms));
+  run->sizes = calloc(room, sizeof(*run->sizes));
+  run->scores = calloc(room, sizeof(*run->scores));
+  run->numbers = calloc(room, sizeof(*run->numbers));
+  run->born = calloc(room, sizeof(*run->born));
+  run->births = calloc(n, sizeof(*run->births));
+  run->survivors = calloc(n, sizeof(*run->survivors));
+  return run->genotypes == NULL || run->bits == NULL || run->forms == NULL || run->sizes == NULL ||
+                 run->scores == NULL || run->numbers == NULL || run->born == NULL || run->births == NULL ||
+                 run->survivors == NULL
+             ? MO_ERR_NO_MEMORY
+             : MO_OK;
+}
+
+static uint64_t *genotype(const struct mo_campaign_run *run, uint32_t place)
+{
+  return run->genotypes + run->words * place;
+}
+
+/* The largest diversity so far, and whether its fall was told. */
+static int read_history(struct mo_campaign_run *run)
+{
+  struct mo_campaign_generation *rows = calloc(HISTORY_ROWS, sizeof(*rows));
+  int64_t after = -1, n = HISTORY_ROWS;
+  if (rows == NULL)
+    return MO_ERR_NO_MEMORY;
+  while (n == HISTORY_ROWS) {
+    n = mo_store_campaign_generations(run->jobs->store, run->id, after, rows, HISTORY_ROWS);
+    for (int64_t i = 0; i < n; i++) {
+      after = rows[i].generation;
+      if (rows[i].stats.diversity > run->diversity_max) {
+        run->diversity_max = rows[i].stats.diversity;
+        run->is_warned = false;
+      }
+      run->is_warned = run->is_warned || rows[i].collapse;
+    }
+  }
+  free(rows);
+  return n < 0 ? (int)n : MO_OK;
+}
+
+static int read_population(struct mo_campaign_run *run)
+{
+  struct mo_campaign_state *state = NULL;
+  int error = mo_store_campaign_state(run->jobs->store, run->id, &state);
+  if (error == MO_ERR_NOT_FOUND) /* nothing is committed yet */
+    return MO_OK;
+  if (error == MO_OK && state->n > settings_of(run)->population)
+    error = MO_ERR_CORRUPT;
+  for (uint32_t i = 0; error == MO_OK && i < state->n; i++) {
+    run->bits[i] = state->genotypes[i];
+    run->numbers[i] = state->numbers[i];
+    run->born[i] = state->born[i];
+    run->scores[i] = state->scores[i];
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, state->genotypes[i].words, settings_of(run)->workspace,
+                             genotype(run, i));
+    if (error == MO_OK)
+      error = mo_design_size(run->jobs->lattice, run->bits[i].words, &run->sizes[i]);
+  }
+  if (error == MO_OK) {
+    run->n_parents = state->n;
+    run->generation = state->generation + 1;
+    run->n_designs = state->n_designs;
+    error = read_history(run);
+  }
+  mo_campaign_state_free(state);
+  return error;
+}
+
+struct remembering {
+  struct mo_campaign_run *run;
+  uint64_t *moved;
+};
+
+static int remember(void *context, const struct mo_bits *born)
+{
+  const struct remembering *remembering = context;
+  struct mo_campaign_run *run = remembering->run;
+  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, settings_of(run)->workspace, remembering->moved);
+  if (error == MO_OK)
+    error = mo_seen_add(run->seen, remembering->moved);
+  return error < 0 ? error : MO_OK;
+}
+
+/* What must not be born again. */
+static int read_seen(struct mo_campaign_run *run)
+{
+  struct remembering remembering = {run, calloc(run->words, sizeof(uint64_t))};
+  int error = remembering.moved == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  if (error == MO_OK && settings_of(run)->exclude_pretraining)
+    error = mo_exclusion_acquire(run, &run->exclusion);
+  if (error == MO_OK)
+    error = mo_seen_create(settings_of(run)->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
+  if (error == MO_OK)
+    error = mo_store_campaign_each(run->jobs->store, run->id, remember, &remembering);
+  free(remembering.moved);
+  return error;
+}
+
+static int prepare(struct mo_campaign_run *run)
+{
+  int error = mo_store_campaign(run->jobs->store, run->id, &run->status);
+  if (error != MO_OK)
+    return mo_attempt_fail(&run->attempt, error, "the campaign cannot be read");
+  run->generation = (uint32_t)(run->status.generation + 1);
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, 0);
+  error = load_controller(run);
+  if (error == MO_OK)
+    error = allocate(run);
+  if (error == MO_OK)
+    error = mo_share_open(run->jobs, run->id, MO_JOB_CAMPAIGN, &run->share);
+  if (error == MO_OK)
+    error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments, &run->n_environments);
+  if (error == MO_OK)
+    error = read_population(run);
+  if (error == MO_OK && run->generation <= settings_of(run)->generations)
+    error = read_seen(run);
+  return error;
+}
+
+/* ---- children ---- */
+
+static int make_first(struct mo_campaign_run *run, uint32_t *n)
+{
+  const struct mo_campaign_settings *settings = settings_of(run);
+  const uint32_t n_listed = run->status.record.n_listed;
+  struct mo_bits *given = NULL;
+  uint32_t n_given = 0;
+  int error = mo_store_campaign_initial(run->jobs->store, run->id, &given, &n_given);
+  if (error == MO_OK && n_given > settings->population)
+    error = MO_ERR_CORRUPT;
+  for (uint32_t i = 0; i < n_given && error == MO_OK; i++)
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, given[i].words, settings->workspace, genotype(run, i));
+  free(given);
+  if (error == MO_OK)
+    error =
+        mo_population_initial(settings, run->seen, run->genotypes, n_given, n, NULL, &run->attempt.runner->interrupt);
+  for (uint32_t i = 0; i < *n && error == MO_OK; i++)
+    run->births[i] = (struct mo_birth){.operator= i >= n_given ? MO_BORN_RANDOM
+                                       : i<n_listed            ? MO_BORN_LISTED
+                                                               : MO_BORN_INHERITED,
+                                       .parents = {MO_NO_PARENT, MO_NO_PARENT},
+                                       .attempts = 1};
+  return error;
+}
+
+/* The children as the store and the back end need them. */
+static int describe_children(struct mo_campaign_run *run)
+{
+  int error = MO_OK;
+  for (uint32_t i = 0; i < run->n_children && error == MO_OK; i++) {
+    const uint32_t place = run->n_parents + i;
+    error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place), MO_DEFAULT_WORKSPACE,
+                             run->bits[place].words);
+    if (error != MO_OK)
+      break;
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, run->bits[place].words, run->forms[i].words);
+    error = mo_design_size(run->jobs->lattice, run->bits[place].words, &run->sizes[place]);
+    run->numbers[place] = (uint32_t)(run->n_designs + i);
+    run->born[place] = run->generation;
+  }
+  return error;
+}
+
+static int vary(struct mo_campaign_run *run)
+{
+  int error;
+  uint32_t n = 0;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_VARY, 0);
+  run->variation = (struct mo_variation_counts){.mutants = 0};
+  if (run->generation == 0)
+    error = make_first(run, &n);
+  else
+    error =
+        mo_variation(settings_of(run), run->generation, run->genotypes, run->n_parents, run->seen,
+                     genotype(run, run->n_parents), run->births, &n, &run->variation, &run->attempt.runner->interrupt);
+  run->n_children = error == MO_OK ? n : 0;
+  return error == MO_OK ? describe_children(run) : error;
+}
+
+/* ---- selection and the commit ---- */
+
+static int select_survivors(struct mo_campaign_run *run)
+{
+  const uint32_t n = run->n_parents + run->n_children;
+  struct mo_candidate *candidates = calloc(n, sizeof(*candidates));
+  int error = candidates == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++)
+    candidates[i] = (struct mo_candidate){run->scores[i], run->numbers[i], run->born[i]};
+  if (error == MO_OK)
+    error =
+        mo_select(settings_of(run), run->generation, run->genotypes, candidates, n, run->survivors, &run->n_survivors);
+  free(candidates);
+  return error;
+}
+
+/* Replaces rows 0 … n − 1 of an array by those at `places`. */
+static int gather(void *array, size_t size, const uint32_t *places, uint32_t n)
+{
+  uint8_t *rows = array, *copy = malloc(size * n + 1);
+  if (copy == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < n; i++)
+    memcpy(copy + size * i, rows + size * places[i], size);
+  memcpy(rows, copy, size * n);
+  free(copy);
+  return MO_OK;
+}
+
+/* The survivors become the population. An error leaves nothing that can be used. */
+static int succeed(struct mo_campaign_run *run)
+{
+  const struct {
+    void *array;
+    size_t size;
+  } rows[] = {{run->genotypes, run->words * sizeof(*run->genotypes)},
+              {run->bits, sizeof(*run->bits)},
+              {run->sizes, sizeof(*run->sizes)},
+              {run->scores, sizeof(*run->scores)},
+              {run->numbers, sizeof(*run->numbers)},
+              {run->born, sizeof(*run->born)}};
+  int error = MO_OK;
+  for (size_t i = 0; i < sizeof(rows) / sizeof(rows[0]) && error == MO_OK; i++)
+    error = gather(rows[i].array, rows[i].size, run->survivors, run->n_survivors);
+  run->n_designs += run->n_children;
+  run->n_parents = run->n_survivors;
+  run->n_children = 0;
+  run->generation++;
+  mo_campaign_free_scores(run);
+  return error;
+}
+
+static double mean_of(const double *scores, uint32_t n)
+{
+  double sum = 0;
+  uint32_t sound = 0;
+  for (uint32_t i = 0; i < n; i++)
+    if (isfinite(scores[i])) {
+      sum += scores[i];
+      sound++;
+    }
+  return sound > 0 ? sum / sound : NAN;
+}
+
+/* Statistics of the population that lives on, from its rows in the order of the selection. */
+static int describe_population(struct mo_campaign_run *run, struct mo_population_stats *stats)
+{
+  const uint32_t n = run->n_survivors;
+  uint64_t *genotypes = calloc((size_t)n * run->words + 1, sizeof(*genotypes));
+  double *scores = calloc((size_t)n + 1, sizeof(*scores));
+  struct mo_design_size *sizes = calloc((size_t)n + 1, sizeof(*sizes));
+  int error = genotypes == NULL || scores == NULL || sizes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    const uint32_t place = run->survivors[i];
+    memcpy(genotypes + run->words * i, genotype(run, place), run->words * sizeof(*genotypes));
+    scores[i] = run->scores[place];
+    sizes[i] = run->sizes[place];
+  }
+  if (error == MO_OK)
+    error = mo_population_stats(settings_of(run)->workspace, genotypes, scores, sizes, n, stats);
+  free(genotypes);
+  free(scores);
+  free(sizes);
+  return error;
+}
+
+static void count_survivors(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  uint32_t young = 0;
+  for (uint32_t i = 0; i < run->n_survivors; i++) {
+    if (run->survivors[i] < run->n_parents)
+      continue;
+    const enum mo_operator operator= run->births[run->survivors[i] - run->n_parents].operator;
+    row->survived_mutants += operator== MO_BORN_MUTATION;
+    row->survived_recombinants += operator== MO_BORN_CROSSOVER;
+    young++;
+  }
+  row->turnover = run->n_survivors > 0 ? (double)young / run->n_survivors : 0;
+}
+
+static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  row->rollouts = (uint64_t)run->n_scored * run->n_environments;
+  row->rollouts_cached = (uint64_t)run->n_cached * run->n_environments;
+  for (uint32_t i = 0; i < run->n_scored; i++)
+    for (uint32_t k = 0; k < run->n_environments; k++)
+      row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
+}
+
+/* Warns once of each fall below the share of the largest diversity so far. */
+static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  const double share = settings_of(run)->collapse_share;
+  if (row->stats.diversity > run->diversity_max) {
+    run->diversity_max = row->stats.diversity;
+    run->is_warned = false;
+  }
+  row->collapse = share > 0 && !run->is_warned && row->stats.diversity < share * run->diversity_max;
+  run->is_warned = run->is_warned || row->collapse;
+}
+
+static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  const bool learns = settings_of(run)->mode != MO_ZERO_SHOT;
+  int error;
+  *row = (struct mo_campaign_generation){.generation = run->generation,
+                                         .born_before = run->n_designs,
+                                         .n_children = run->n_children,
+                                         .mean_parents = mean_of(run->scores, run->n_parents),
+                                         .mean_children = mean_of(run->scores + run->n_parents, run->n_children),
+                                         .variation = run->variation,
+                                         .learning_steps = learns ? run->step : 0,
+                                         .first_loss = learns ? run->first_loss : NAN,
+                                         .last_loss = learns ? run->last_loss : NAN};
+  error = describe_population(run, &row->stats);
+  if (error != MO_OK)
+    return error;
+  count_survivors(run, row);
+  count_rollouts(run, row);
+  watch_diversity(run, row);
+  row->seconds = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  return MO_OK;
+}
+
+static const char *number(double value, char text[32])
+{
+  snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
+  return text;
+}
+
+static void tell_generation(const struct mo_campaign_run *run, const struct mo_campaign_generation *row, char text[480])
+{
+  const struct mo_campaign_live *live = &run->attempt.runner->live.campaign; /* which this thread alone changes */
+  char mean[32], best[32], diversity[32], turnover[32], left[32];
+  snprintf(text, 480,
+           "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,\"diversity\":%s,"
+           "\"turnover\":%s,\"seconds_left\":%s}",
+           (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
+           number(row->stats.mean_score, mean), number(row->stats.quantiles[0], best),
+           number(row->stats.diversity, diversity), number(row->turnover, turnover),
+           number(live->seconds_left < 0 ? NAN : live->seconds_left, left));
+}
+
+static int write_commit(void *context)
+{
+  struct mo_campaign_run *run = context;
+  return mo_store_campaign_commit(run->jobs->store, run->id, &run->commit);
+}
+
+static int commit(struct mo_campaign_run *run)
+{
+  const bool is_zero_shot = settings_of(run)->mode == MO_ZERO_SHOT;
+  char generation_data[480], collapse_data[256], diversity[32], maximum[32];
+  uint8_t *checkpoint = NULL;
+  int error;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
+  run->commit = (struct mo_campaign_commit){.births = run->births,
+                                            .forms = run->forms,
+                                            .genotypes = run->bits + run->n_parents,
+                                            .sizes = run->sizes + run->n_parents,
+                                            .child_scores = run->scores + run->n_parents,
+                                            .parent_numbers = run->numbers,
+                                            .parent_scores = run->scores,
+                                            .n_parents = run->n_parents,
+                                            .survivors = run->survivors,
+                                            .n_survivors = run->n_survivors,
+                                            .losses = is_zero_shot ? run->losses : NULL,
+                                            .n_losses = is_zero_shot ? run->n_scored : 0,
+                                            .fingerprint = run->jobs->fingerprints[MO_FLOAT32],
+                                            .event_data = generation_data};
+  error = describe_generation(run, &run->commit.row);
+  if (error == MO_OK && !is_zero_shot) {
+    error = mo_training_encode(run->learner.training, &checkpoint, &run->commit.checkpoint_size);
+    run->commit.checkpoint = checkpoint;
+    run->commit.checkpoint_step = run->step;
+    run->commit.steps = run->steps + run->steps_saved;
+    run->commit.n_steps = run->step - run->steps_saved;
+  }
+  if (error == MO_OK) {
+    const struct mo_campaign_generation *row = &run->commit.row;
+    run->generation_s = row->seconds;
+    mo_campaign_advance(run, 0);
+    tell_generation(run, row, generation_data);
+    if (row->collapse) {
+      snprintf(collapse_data, sizeof(collapse_data),
+               "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}", (long long)run->id,
+               (unsigned)row->generation, number(row->stats.diversity, diversity), number(run->diversity_max, maximum));
+      run->commit.collapse_data = collapse_data;
+    }
+    error = mo_attempt_persist(&run->attempt, write_commit, run, "a generation");
+  }
+  if (error == MO_OK) {
+    atomic_fetch_add(&run->jobs->campaign_generations, 1);
+    atomic_fetch_add(&run->jobs->campaign_designs, run->n_children);
+    atomic_fetch_add(&run->jobs->campaign_cached, run->commit.row.rollouts_cached);
+    atomic_fetch_add(&run->jobs->campaign_diverged, run->commit.row.rollouts_diverged);
+    run->steps_saved = run->step;
+  }
+  free(checkpoint);
+  return error;
+}
+
+/* ---- the whole ---- */
+
+/* MO_ERR_EXHAUSTED: no child was found. */
+static int run_generation(struct mo_campaign_run *run)
+{
+  int error;
+  run->begin_us = mo_jobs_clock_us();
+  error = vary(run);
+  if (error == MO_OK && run->n_children == 0)
+    error = MO_ERR_EXHAUSTED;
+  if (error == MO_OK)
+    error = mo_campaign_learn(run);
+  if (error == MO_OK)
+    error = mo_campaign_score(run);
+  if (error == MO_OK)
+    error = select_survivors(run);
+  if (error == MO_OK)
+    error = commit(run);
+  return error == MO_OK ? succeed(run) : error;
+}
+
+struct ending {
+  struct mo_campaign_run *run;
+  enum mo_campaign_end end;
+};
+
+static int write_end(void *context)
+{
+  const struct ending *ending = context;
+  struct mo_campaign_run *run = ending->run;
+  const struct mo_campaign_record *record = &run->status.record;
+  struct mo_controller *controller = NULL;
+  char digits[MO_SHA256_DIGITS + 1], name[MO_NAME_BYTES_MAX + 1];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error = MO_OK;
+  mo_sha256_to_hex(&record->controller_sha256, digits);
+  if (record->name[0] != '\0')
+    snprintf(name, sizeof(name), "%s", record->name);
+  else
+    snprintf(name, sizeof(name), "campaign-%lld", (long long)run->id);
+  if (run->learner.training != NULL)
+    error = mo_training_export(run->learner.training, record->has_controller ? digits : NULL, run->jobs->code_version,
+                               NULL, &controller);
+  if (error == MO_OK && controller != NULL)
+    error = mo_controller_encode(controller, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_store_campaign_finish(run->jobs->store, run->id, ending->end, record->settings.generations,
+                                     controller != NULL ? name : NULL, bytes, size, controller);
+  free(bytes);
+  mo_controller_free(controller);
+  return error;
+}
+
+/* MO_ERR_CONFLICT: it was extended, paused or cancelled. */
+static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
+{
+  struct ending ending = {run, end};
+  int error = MO_OK;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
+  if (settings_of(run)->mode != MO_ZERO_SHOT && run->generation > 0) {
+    /* The state of the last committed generation: this run's own, unless it committed none, or found no children since. */
+    if (run->learner.training == NULL)
+      error = mo_campaign_load_learning(run);
+  } else {
+    mo_campaign_free_learning(run);
+  }
+  return error == MO_OK ? mo_attempt_persist(&run->attempt, write_end, &ending, "the end of the campaign") : error;
+}
+
+/* After each change the campaign is read again: generations may have been added. */
+static int evolve(struct mo_campaign_run *run)
+{
+  bool exhausted = false;
+  int error = MO_OK;
+  while (error == MO_OK) {
+    const uint32_t generations = settings_of(run)->generations;
+    const bool is_over = exhausted || run->generation > generations;
+    if (mo_runner_is_interrupted(run->attempt.runner))
+      return MO_ERR_CANCELLED;
+    if (!is_over && run->seen == NULL) /* it was at its end when it was taken up, and extended then */
+      error = read_seen(run);
+    if (error == MO_OK)
+      error = is_over ? finish(run, exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED) : run_generation(run);
+    if (is_over ? error != MO_ERR_CONFLICT : error != MO_OK && error != MO_ERR_EXHAUSTED)
+      return error;
+    exhausted = exhausted || error == MO_ERR_EXHAUSTED;
+    error = mo_store_campaign(run->jobs->store, run->id, &run->status);
+    if (error == MO_OK && is_over && settings_of(run)->generations == generations)
+      error = MO_ERR_CONFLICT; /* paused or cancelled */
+  }
+  return error;
+}
+
+/* For a run that somebody has stopped. */
+static int save_rest(void *context)
+{
+  struct mo_campaign_run *run = context;
+  int error = mo_campaign_save_losses(run);
+  int learned = run->learner.training != NULL ? mo_campaign_save_learning(run) : MO_OK;
+  return error != MO_OK ? error : learned;
+}
+
+static void free_run(struct mo_campaign_run *run)
+{
+  mo_campaign_free_scores(run);
+  mo_campaign_free_learning(run);
+  mo_share_close(run->jobs, run->id);
+  mo_controller_free(run->controller);
+  mo_seen_free(run->seen);
+  mo_exclusion_release(run->jobs, run->exclusion);
+  free(run->environments);
+  free(run->genotypes);
+  free(run->bits);
+  free(run->forms);
+  free(run->sizes);
+  free(run->scores);
+  free(run->numbers);
+  free(run->born);
+  free(run->births);
+  free(run->survivors);
+  free(run);
+}
+
+static bool run_campaign(struct mo_runner *runner, int64_t id)
+{
+  struct mo_campaign_run *run = calloc(1, sizeof(*run));
+  bool failed;
+  int error;
+  if (run == NULL) {
+    mo_attempt_give_up(runner, id);
+    return true;
+  }
+  run->attempt = (struct mo_attempt){.jobs = runner->jobs, .runner = runner, .id = id};
+  run->jobs = runner->jobs;
+  run->id = id;
+  run->begin_us = run->progress_us = mo_jobs_clock_us();
+  error = prepare(run);
+  if (error == MO_OK)
+    error = evolve(run);
+  failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
+  free_run(run);
+  return failed;
+}
+
+static void begin(struct mo_runner *runner)
+{
+  runner->live.campaign = (struct mo_campaign_live){.phase = MO_CAMPAIGN_PREPARE, .seconds_left = -1};
+}
+
+const struct mo_runner_kind mo_campaign_runners = {.noun = "campaign",
+                                                   .queued = mo_store_queued_campaigns,
+                                                   .start = mo_store_campaign_start,
+                                                   .park = mo_store_campaign_park,
+                                                   .run = run_campaign,
+                                                   .begin = begin,
+                                                   .set_phase = set_phase,
+                                                   .waiting = MO_CAMPAIGN_WAIT,
+                                                   .busy = MO_CAMPAIGN_PREPARE};

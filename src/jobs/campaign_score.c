@@ -1,0 +1,403 @@
+/* campaign_score.c: the scores of a generation.
+ *
+ * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end.
+ * Losses of a candidate are known when all its blocks are; they are saved soon after, several candidates in one transaction: at once when the
+ * last save was quick, every 200 ms at the latest, so that saving costs no more than a tenth of the time. What a crash costs
+ * is the blocks in flight and those few. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
+ * this controller, is not computed again. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+#define SAVE_EVERY_US   INT64_C(200000)
+#define SAVE_COST       10 /* a save may take this part of the time */
+#define SAVED_AT_ONCE   1024
+#define BLOCKS_A_WORKER 2
+#define LOOK_EVERY_US   INT64_C(100000)
+#define RATE_AFTER_US   INT64_C(500000)
+
+/* One block in the back end. */
+struct flight {
+  struct mo_block block;
+  struct scoring *scoring;
+  uint32_t place, first; /* candidate among those to be scored; its first environment */
+  struct flight *next;   /* among the finished, or the free */
+};
+
+struct scoring {
+  struct mo_campaign_run *run;
+  struct mo_compute_controller *controller;
+  struct flight *flights, *free;
+  uint32_t n_in_flight, window;
+  uint32_t place, environment;         /* next to be computed */
+  int64_t begin_us, saved_us, save_us; /* start; when the last save ended; how long it took */
+  uint64_t computed;                   /* rollouts, in this call */
+  /* Shared with the workers. */
+  pthread_mutex_t mutex;
+  pthread_cond_t news;
+  struct flight *finished;
+};
+
+static uint32_t blocks_per_candidate(const struct mo_campaign_run *run)
+{
+  return (run->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
+}
+
+/* ---- what is known ---- */
+
+void mo_campaign_free_scores(struct mo_campaign_run *run)
+{
+  free(run->losses);
+  free(run->left);
+  free(run->unsaved);
+  run->losses = NULL;
+  run->left = NULL;
+  run->unsaved = NULL;
+  run->n_scored = run->n_unsaved = run->n_done = run->n_cached = 0;
+}
+
+static int allocate(struct mo_campaign_run *run)
+{
+  mo_campaign_free_scores(run);
+  run->first_scored = run->status.record.settings.mode == MO_ZERO_SHOT ? run->n_parents : 0;
+  run->n_scored = run->n_parents + run->n_children - run->first_scored;
+  run->losses = calloc((size_t)run->n_scored + 1, sizeof(*run->losses));
+  run->left = calloc((size_t)run->n_scored + 1, sizeof(*run->left));
+  run->unsaved = calloc((size_t)run->n_scored + 1, sizeof(*run->unsaved));
+  if (run->losses == NULL || run->left == NULL || run->unsaved == NULL)
+    return MO_ERR_NO_MEMORY;
+  memset(run->left, (int)blocks_per_candidate(run), run->n_scored);
+  for (uint32_t i = 0; i < run->n_scored; i++)
+    run->losses[i].place = i;
+  return MO_OK;
+}
+
+static void know(struct mo_campaign_run *run, uint32_t place, const struct mo_campaign_loss *loss)
+{
+  if (place >= run->n_scored || run->left[place] == 0)
+    return;
+  run->losses[place] = *loss;
+  run->losses[place].place = place;
+  run->left[place] = 0;
+  run->n_done++;
+}
+
+static int read_saved(struct mo_campaign_run *run)
+{
+  struct mo_campaign_loss *saved = NULL;
+  size_t n = 0;
+  int error = mo_store_campaign_losses(run->jobs->store, run->id, run->generation, &saved, &n);
+  for (size_t i = 0; i < n && error == MO_OK; i++)
+    know(run, saved[i].place, &saved[i]);
+  free(saved);
+  return error;
+}
+
+/* Zero-shot: bodies that an evaluation, or another campaign, has scored. */
+static int read_known(struct mo_campaign_run *run)
+{
+  struct mo_bits *asked = calloc((size_t)run->n_scored + 1, sizeof(*asked));
+  uint32_t *places = calloc((size_t)run->n_scored + 1, sizeof(*places)), n = 0;
+  struct mo_campaign_loss *known = calloc((size_t)run->n_scored + 1, sizeof(*known));
+  int64_t found = asked == NULL || places == NULL || known == NULL ? MO_ERR_NO_MEMORY : 0;
+  for (uint32_t i = 0; i < run->n_scored && found == 0; i++)
+    if (run->left[i] > 0) {
+      asked[n] = run->bits[run->first_scored + i];
+      places[n++] = i;
+    }
+  if (found == 0 && n > 0)
+    found = mo_store_campaign_known(run->jobs->store, run->id, asked, n, known);
+  for (int64_t i = 0; i < found; i++)
+    if (known[i].place < n) {
+      know(run, places[known[i].place], &known[i]);
+      run->n_cached++;
+    }
+  free(asked);
+  free(places);
+  free(known);
+  return found < 0 ? (int)found : MO_OK;
+}
+
+/* ---- saving ---- */
+
+struct save {
+  struct mo_campaign_run *run;
+  struct mo_campaign_loss *losses;
+  uint32_t n;
+  const char *progress;
+};
+
+static int write_losses(void *context)
+{
+  const struct save *save = context;
+  return mo_store_campaign_save_losses(save->run->jobs->store, save->run->id, save->run->generation, save->losses,
+                                       save->n, save->progress);
+}
+
+int mo_campaign_save_losses(struct mo_campaign_run *run)
+{
+  char progress[256];
+  struct save save = {.run = run};
+  int error = MO_OK;
+  if (run->n_unsaved == 0)
+    return MO_OK;
+  save.losses = calloc(run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE, sizeof(*save.losses));
+  if (save.losses == NULL)
+    return MO_ERR_NO_MEMORY;
+  while (run->n_unsaved > 0 && error == MO_OK) {
+    save.n = run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE;
+    for (uint32_t i = 0; i < save.n; i++)
+      save.losses[i] = run->losses[run->unsaved[i]];
+    save.progress =
+        run->attempt.winding_down ? NULL : mo_campaign_progress(run, "scoring", run->n_done, run->n_scored, progress);
+    error = mo_attempt_persist(&run->attempt, write_losses, &save, "the scores of a generation");
+    if (error == MO_OK) {
+      run->n_unsaved -= save.n;
+      memmove(run->unsaved, run->unsaved + save.n, run->n_unsaved * sizeof(*run->unsaved));
+      if (save.progress != NULL)
+        mo_campaign_told(run);
+    }
+  }
+  free(save.losses);
+  return error;
+}
+
+/* When the losses that wait are to be saved. */
+static int64_t save_is_due(const struct scoring *scoring)
+{
+  int64_t pause = scoring->save_us * SAVE_COST;
+  if (scoring->run->n_unsaved == 0)
+    return INT64_MAX;
+  return scoring->saved_us + (pause < SAVE_EVERY_US ? pause : SAVE_EVERY_US);
+}
+
+static int save_when_due(struct scoring *scoring)
+{
+  int64_t now = mo_jobs_clock_us();
+  int error;
+  if (now < save_is_due(scoring))
+    return MO_OK;
+  error = mo_campaign_save_losses(scoring->run);
+  scoring->saved_us = mo_jobs_clock_us();
+  scoring->save_us = scoring->saved_us - now;
+  return error;
+}
+
+/* ---- blocks ---- */
+
+static void finished(struct mo_block *block, void *context)
+{
+  struct flight *flight = context;
+  struct scoring *scoring = flight->scoring;
+  (void)block;
+  pthread_mutex_lock(&scoring->mutex);
+  flight->next = scoring->finished;
+  scoring->finished = flight;
+  pthread_cond_signal(&scoring->news);
+  pthread_mutex_unlock(&scoring->mutex);
+}
+
+static int launch(struct scoring *scoring)
+{
+  struct mo_campaign_run *run = scoring->run;
+  struct flight *flight = scoring->free;
+  uint32_t left = run->n_environments - scoring->environment;
+  int error;
+  scoring->free = flight->next;
+  flight->place = scoring->place;
+  flight->first = scoring->environment;
+  flight->block = (struct mo_block){.lattice = run->jobs->lattice,
+                                    .genotype = run->bits[run->first_scored + scoring->place].words,
+                                    .controller = scoring->controller,
+                                    .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
+                                    .physics = run->status.record.settings.physics,
+                                    .precision = MO_FLOAT32,
+                                    .urgency = run->status.job.priority,
+                                    .cancel = &run->attempt.runner->interrupt,
+                                    .tag = run->id,
+                                    .share = scoring->run->share,
+                                    .done = finished,
+                                    .context = flight};
+  for (uint32_t i = 0; i < flight->block.n_environments; i++)
+    flight->block.environments[i] = &run->environments[scoring->environment + i];
+  error = mo_compute_submit(run->jobs->compute, &flight->block);
+  if (error != MO_OK) {
+    flight->next = scoring->free;
+    scoring->free = flight;
+    return error;
+  }
+  scoring->n_in_flight++;
+  scoring->environment += flight->block.n_environments;
+  if (scoring->environment == run->n_environments) {
+    scoring->environment = 0;
+    scoring->place++;
+  }
+  return MO_OK;
+}
+
+static int fill(struct scoring *scoring)
+{
+  const struct mo_campaign_run *run = scoring->run;
+  int error = MO_OK;
+  while (error == MO_OK && scoring->n_in_flight < scoring->window) {
+    while (scoring->place < run->n_scored && run->left[scoring->place] == 0)
+      scoring->place++;
+    if (scoring->place == run->n_scored)
+      break;
+    error = launch(scoring);
+  }
+  return error;
+}
+
+static int land(struct scoring *scoring, struct flight *flight)
+{
+  struct mo_campaign_run *run = scoring->run;
+  struct mo_campaign_loss *loss = &run->losses[flight->place];
+  uint32_t n = flight->block.n_environments;
+  int error = MO_OK;
+  scoring->n_in_flight--;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_block_check(&flight->block, i);
+    loss->losses[flight->first + i] = flight->block.outcomes[i].loss;
+    loss->diverged_steps[flight->first + i] = flight->block.outcomes[i].diverged_step;
+  }
+  if (error == MO_OK) {
+    scoring->computed += n;
+    atomic_fetch_add(&run->jobs->campaign_rollouts, n);
+    if (--run->left[flight->place] == 0) {
+      run->unsaved[run->n_unsaved++] = flight->place;
+      run->n_done++;
+    }
+  } else if (error != MO_ERR_CANCELLED) {
+    mo_block_describe(error, run->attempt.text);
+  }
+  flight->next = scoring->free;
+  scoring->free = flight;
+  return error;
+}
+
+/* Waits for a block, until `until_us` at most, and takes in those that are finished. */
+static int take_in(struct scoring *scoring, int64_t until_us)
+{
+  struct timespec deadline = {.tv_sec = until_us / 1000000, .tv_nsec = (until_us % 1000000) * 1000};
+  struct flight *flight;
+  int error = MO_OK;
+  pthread_mutex_lock(&scoring->mutex);
+  while (scoring->finished == NULL)
+    if (pthread_cond_timedwait(&scoring->news, &scoring->mutex, &deadline) != 0)
+      break;
+  flight = scoring->finished;
+  scoring->finished = NULL;
+  pthread_mutex_unlock(&scoring->mutex);
+  while (flight != NULL) {
+    struct flight *next = flight->next;
+    int landed = land(scoring, flight);
+    if (error == MO_OK || error == MO_ERR_CANCELLED)
+      error = landed != MO_OK ? landed : error;
+    flight = next;
+  }
+  return error;
+}
+
+static void show(const struct scoring *scoring)
+{
+  struct mo_campaign_run *run = scoring->run;
+  int64_t passed = mo_jobs_clock_us() - scoring->begin_us;
+  if (passed >= RATE_AFTER_US)
+    mo_campaign_show_rate(run, (double)scoring->computed / ((double)passed * 1e-6));
+  mo_campaign_advance(run, run->n_done);
+}
+
+/* Everything that is to do; ends with nothing in flight, whatever happens. */
+static int compute(struct scoring *scoring)
+{
+  const struct mo_campaign_run *run = scoring->run;
+  int error = MO_OK;
+  for (;;) {
+    int64_t until = mo_jobs_clock_us() + LOOK_EVERY_US, due;
+    int landed;
+    if (error == MO_OK && mo_runner_is_interrupted(run->attempt.runner))
+      error = MO_ERR_CANCELLED;
+    if (error == MO_OK)
+      error = fill(scoring);
+    if (scoring->n_in_flight == 0)
+      return error;
+    due = error == MO_OK ? save_is_due(scoring) : INT64_MAX;
+    landed = take_in(scoring, due < until ? due : until);
+    if (error == MO_OK)
+      error = landed;
+    if (error == MO_OK)
+      error = save_when_due(scoring);
+    show(scoring);
+  }
+}
+
+static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
+{
+  struct mo_compute_stats stats;
+  pthread_condattr_t monotonic;
+  mo_compute_get_stats(run->jobs->compute, &stats);
+  *scoring = (struct scoring){.run = run,
+                              .window = BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1),
+                              .begin_us = mo_jobs_clock_us()};
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+  pthread_mutex_init(&scoring->mutex, NULL);
+  pthread_cond_init(&scoring->news, &monotonic);
+  pthread_condattr_destroy(&monotonic);
+  scoring->flights = calloc(scoring->window, sizeof(*scoring->flights));
+  if (scoring->flights == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < scoring->window; i++) {
+    scoring->flights[i].scoring = scoring;
+    scoring->flights[i].next = scoring->free;
+    scoring->free = &scoring->flights[i];
+  }
+  return mo_compute_controller_create(run->jobs->compute,
+                                      run->learner.training != NULL ? mo_training_controller(run->learner.training)
+                                                                    : run->controller,
+                                      &scoring->controller);
+}
+
+static void close_scoring(struct scoring *scoring)
+{
+  mo_compute_controller_free(scoring->controller);
+  free(scoring->flights);
+  pthread_mutex_destroy(&scoring->mutex);
+  pthread_cond_destroy(&scoring->news);
+}
+
+/* The mean over the environments; of a body of which a rollout diverged, infinity. */
+static void read_scores(struct mo_campaign_run *run)
+{
+  for (uint32_t i = 0; i < run->n_scored; i++) {
+    const struct mo_campaign_loss *loss = &run->losses[i];
+    double sum = 0;
+    for (uint32_t k = 0; k < run->n_environments; k++)
+      sum += loss->losses[k];
+    run->scores[run->first_scored + i] = sum / run->n_environments;
+  }
+}
+
+int mo_campaign_score(struct mo_campaign_run *run)
+{
+  struct scoring scoring;
+  int error = allocate(run);
+  if (error == MO_OK)
+    error = read_saved(run);
+  if (error == MO_OK && run->status.record.settings.mode == MO_ZERO_SHOT)
+    error = read_known(run);
+  if (error != MO_OK)
+    return error;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_SCORE, run->n_scored);
+  mo_campaign_advance(run, run->n_done);
+  error = open_scoring(&scoring, run);
+  if (error == MO_OK)
+    error = compute(&scoring);
+  close_scoring(&scoring);
+  if (error == MO_OK)
+    read_scores(run);
+  return error;
+}
