@@ -92,7 +92,7 @@ void mo_compute_controller_free(struct mo_compute_controller *controller); /* on
 
 /* Weights outside the range are moved to its ends. MO_ERR_NO_MEMORY. */
 int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **share);
-/* Only when no block of it is queued or running (the calls of `done` of all have begun), and before the compute. NULL-safe. */
+/* Only when no block of it is queued or running (the calls of `done` of all have begun), before or after the compute is. NULL-safe. */
 void mo_compute_share_free(struct mo_compute_share *share);
 void mo_compute_share_set_weight(struct mo_compute_share *share, double weight); /* from now on */
 

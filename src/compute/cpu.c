@@ -379,6 +379,8 @@ void mo_compute_free(struct mo_compute *compute)
       mo_workspace_memory_free(compute->workers[i].memory[depth]);
     mo_gradient_memory_free(compute->workers[i].gradient);
   }
+  for (struct mo_compute_share *share = compute->fair.shares; share != NULL; share = share->next)
+    share->compute = NULL; /* it may be freed later */
   pthread_cond_destroy(&compute->wake);
   pthread_mutex_destroy(&compute->mutex);
   free(compute->workers);
@@ -450,9 +452,11 @@ void mo_compute_share_free(struct mo_compute_share *share)
 {
   if (share == NULL)
     return;
-  pthread_mutex_lock(&share->compute->mutex);
-  mo_fair_remove(&share->compute->fair, share);
-  pthread_mutex_unlock(&share->compute->mutex);
+  if (share->compute != NULL) {
+    pthread_mutex_lock(&share->compute->mutex);
+    mo_fair_remove(&share->compute->fair, share);
+    pthread_mutex_unlock(&share->compute->mutex);
+  }
   free(share);
 }
 

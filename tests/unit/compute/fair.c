@@ -163,15 +163,15 @@ static void a_rest_earns_nothing_and_costs_nothing(void)
   CHECK_NEAR(part_of(rests), 0.5, 0.02);
 }
 
-/* Gaps of 50 ms every half second, as between the steps of a training. */
+/* Gaps of 0.1 s every half second, longer than those between the steps of a training. */
 static void short_gaps_cost_nothing(void)
 {
   begin(4);
   struct submitter *steady = add(1, 0.02, 0.03, 12);
-  struct submitter *gaps = add(1, 0.05, 0.1, 12);
+  struct submitter *gaps = add(1, 0.005, 0.01, 5);
   for (int i = 0; i < 200; i++) {
     gaps->off = false;
-    run_until(0.5 * i + 0.45);
+    run_until(0.5 * i + 0.4);
     gaps->off = true;
     run_until(0.5 * i + 0.5);
   }

@@ -1,0 +1,442 @@
+/* Shares on running workers: time by weight between submitters of short and long blocks and of gradients, urgent blocks charged to
+ * nobody, the same bits as ever, and shares that come and go. fair.c has the arithmetic. */
+#include <morpho/compute.h>
+
+#include "../check.h"
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { ROBOTS = 64, INSIDE = 6, LENGTHS = 3 };
+
+static const uint32_t lengths[LENGTHS] = {10, 60, 200}; /* steps */
+static struct mo_controller *controller;
+static struct mo_lattice *lattice;
+static struct mo_environment environments[MO_PAPER_TEST_COUNT], training_environments[ROBOTS];
+static struct mo_body *bodies[ROBOTS];
+static struct mo_robot robots[ROBOTS];
+static struct mo_outcome expected[LENGTHS][MO_BLOCK_LANES];
+
+static int setup(void)
+{
+  if (controller != NULL)
+    return 1;
+  struct mo_body_stream *stream = NULL;
+  mo_environment_paper_test(environments);
+  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
+      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) != MO_OK ||
+      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) != MO_OK)
+    return 0;
+  mo_controller_randomize(controller, 5);
+  for (uint32_t i = 0; i < ROBOTS; i++) {
+    uint64_t bits[MO_DEFAULT_WORDS];
+    if (mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
+      return 0;
+    mo_environment_training(3, 0, i, training_environments + i);
+    robots[i] = (struct mo_robot){bodies[i], training_environments + i};
+  }
+  mo_body_stream_free(stream);
+  return 1;
+}
+
+static double now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+static struct mo_compute *make_compute(uint32_t n_workers)
+{
+  struct mo_compute *compute = NULL;
+  const struct mo_compute_config config = {.n_workers = n_workers, .isa = mo_isa_best()};
+  return mo_compute_create_cpu(&config, &compute) == MO_OK ? compute : NULL;
+}
+
+static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, struct mo_compute_share *share,
+                       uint32_t steps)
+{
+  *block = (struct mo_block){.body = bodies[7],
+                             .controller = brain,
+                             .n_environments = MO_PAPER_TEST_COUNT,
+                             .physics = mo_default_physics(),
+                             .share = share};
+  block->physics.n_steps = steps;
+  for (uint32_t i = 0; i < MO_PAPER_TEST_COUNT; i++)
+    block->environments[i] = environments + i;
+}
+
+/* ---- submitters that keep INSIDE blocks queued or running until they are told to stop ---- */
+
+struct submitter {
+  struct mo_compute *compute;
+  struct mo_compute_controller *brain;
+  struct mo_compute_share *share;
+  struct mo_block blocks[INSIDE];
+  int shortest, n_lengths; /* which lengths its blocks take in turn */
+  atomic_uint turn;
+  atomic_bool stop;
+  atomic_int inside, wrong;
+};
+
+static void next(struct submitter *submitter, struct mo_block *block);
+
+static void again(struct mo_block *block, void *context)
+{
+  struct submitter *submitter = context;
+  const size_t bytes = MO_PAPER_TEST_COUNT * sizeof(struct mo_outcome);
+  if (block->status != MO_OK || memcmp(block->outcomes, expected[block->tag], bytes) != 0)
+    atomic_fetch_add(&submitter->wrong, 1);
+  if (atomic_load(&submitter->stop))
+    atomic_fetch_sub(&submitter->inside, 1);
+  else
+    next(submitter, block);
+}
+
+static void next(struct submitter *submitter, struct mo_block *block)
+{
+  const int length =
+      submitter->shortest + (int)(atomic_fetch_add(&submitter->turn, 1) % (unsigned)submitter->n_lengths);
+  fill_block(block, submitter->brain, submitter->share, lengths[length]);
+  block->tag = length;
+  block->done = again;
+  block->context = submitter;
+  if (mo_compute_submit(submitter->compute, block) != MO_OK)
+    atomic_fetch_sub(&submitter->inside, 1);
+}
+
+static void begin(struct submitter *submitter, struct mo_compute *compute, struct mo_compute_controller *brain,
+                  struct mo_compute_share *share, int shortest, int n_lengths)
+{
+  *submitter = (struct submitter){
+      .compute = compute, .brain = brain, .share = share, .shortest = shortest, .n_lengths = n_lengths};
+  atomic_store(&submitter->inside, INSIDE);
+  for (int i = 0; i < INSIDE; i++)
+    next(submitter, submitter->blocks + i);
+}
+
+static int end(struct submitter *submitter)
+{
+  const double late_s = now_s() + 60;
+  atomic_store(&submitter->stop, true);
+  while (atomic_load(&submitter->inside) > 0 && now_s() < late_s)
+    usleep(500);
+  return atomic_load(&submitter->inside) == 0 && atomic_load(&submitter->wrong) == 0;
+}
+
+static double busy_s(const struct mo_compute_share *share)
+{
+  struct mo_compute_share_stats stats;
+  mo_compute_share_get_stats(share, &stats);
+  return stats.busy_s;
+}
+
+/* The part of each of n shares in the worker seconds that they get from now on: once they have had `seconds`, within a tenth of what is
+ * wanted. A block that lost its processor for long is a debt that is paid later: four times as long is waited for that. */
+static bool gets(struct mo_compute_share *const *shares, int n, double seconds, const double *wanted)
+{
+  double before[4], part[4] = {0}, sum = 0, late_s = now_s() + 60;
+  bool right = false;
+  for (int i = 0; i < n; i++)
+    before[i] = busy_s(shares[i]);
+  while ((sum < seconds || (!right && sum < 4 * seconds)) && now_s() < late_s) {
+    usleep(500);
+    sum = 0;
+    for (int i = 0; i < n; i++)
+      sum += part[i] = busy_s(shares[i]) - before[i];
+    right = sum > 0;
+    for (int i = 0; i < n; i++) {
+      part[i] /= sum > 0 ? sum : 1;
+      right = right && fabs(part[i] - wanted[i]) <= 0.1 * wanted[i];
+    }
+  }
+  printf("# %.1f worker seconds:", sum);
+  for (int i = 0; i < n; i++)
+    printf(" %.3f (%.3f)", part[i], wanted[i]);
+  printf("\n");
+  return right;
+}
+
+static int expect(struct mo_compute *compute, struct mo_compute_controller *brain)
+{
+  struct mo_block blocks[LENGTHS];
+  for (int i = 0; i < LENGTHS; i++)
+    fill_block(blocks + i, brain, NULL, lengths[i]);
+  const int status = mo_compute_run(compute, blocks, LENGTHS);
+  for (int i = 0; i < LENGTHS; i++)
+    memcpy(expected[i], blocks[i].outcomes, sizeof(expected[i]));
+  return status;
+}
+
+static void time_by_weight(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(2);
+  struct mo_compute_controller *brain = NULL;
+  struct mo_compute_share *shares[3];
+  static struct submitter submitters[3];
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(expect(compute, brain) == MO_OK);
+  for (int i = 0; i < 3; i++)
+    REQUIRE(mo_compute_share_create(compute, 1 << i, &shares[i]) == MO_OK);
+  begin(&submitters[0], compute, brain, shares[0], 2, 1); /* long ones alone */
+  begin(&submitters[1], compute, brain, shares[1], 0, 1); /* short ones alone */
+  begin(&submitters[2], compute, brain, shares[2], 0, 3);
+  CHECK(gets(shares, 3, 2, (const double[]){1.0 / 7, 2.0 / 7, 4.0 / 7}));
+  mo_compute_share_set_weight(shares[0], 14);
+  CHECK(gets(shares, 3, 1, (const double[]){0.7, 0.1, 0.2}));
+  for (int i = 0; i < 3; i++) {
+    CHECK(end(&submitters[i]));
+    struct mo_compute_share_stats stats;
+    mo_compute_share_get_stats(shares[i], &stats);
+    CHECK_INT(stats.waiting, 0);
+    CHECK(stats.blocks_done > 0 && stats.urgent_s == 0);
+    mo_compute_share_free(shares[i]);
+  }
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- gradients ---- */
+
+struct learner {
+  struct mo_compute *compute;
+  struct mo_compute_share *share;
+  atomic_bool stop;
+  int status;
+};
+
+static void *learn(void *argument)
+{
+  struct learner *learner = argument;
+  struct mo_gradient_state *state = NULL;
+  static struct mo_outcome outcomes[ROBOTS];
+  double *d_parameters = malloc(controller->n_parameters * sizeof(double));
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = ROBOTS,
+                                    .physics = mo_default_physics(),
+                                    .share = learner->share,
+                                    .d_parameters = d_parameters,
+                                    .outcomes = outcomes};
+  batch.physics.n_steps = 4;
+  learner->status = d_parameters == NULL ? MO_ERR_NO_MEMORY : mo_gradient_state_create(learner->compute, &state);
+  while (learner->status == MO_OK && !atomic_load(&learner->stop))
+    learner->status = mo_compute_gradient(state, &batch);
+  mo_gradient_state_free(state);
+  free(d_parameters);
+  return NULL;
+}
+
+/* Its blocks are long, it has two at a time, and between two batches it has none: it gets half of the time all the same. */
+static void gradients_beside_scores(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(2);
+  struct mo_compute_controller *brain = NULL;
+  struct mo_compute_share *shares[2];
+  static struct submitter submitter;
+  pthread_t thread;
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(expect(compute, brain) == MO_OK);
+  for (int i = 0; i < 2; i++)
+    REQUIRE(mo_compute_share_create(compute, 1, &shares[i]) == MO_OK);
+  struct learner learner = {.compute = compute, .share = shares[0]};
+  REQUIRE(pthread_create(&thread, NULL, learn, &learner) == 0);
+  begin(&submitter, compute, brain, shares[1], 0, 3);
+  CHECK(gets(shares, 2, 2.5, (const double[]){0.5, 0.5}));
+  atomic_store(&learner.stop, true);
+  pthread_join(thread, NULL);
+  CHECK_INT(learner.status, MO_OK);
+  CHECK(end(&submitter));
+  for (int i = 0; i < 2; i++)
+    mo_compute_share_free(shares[i]);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- urgent blocks ---- */
+
+static void note(struct mo_block *block, void *context)
+{
+  (void)block;
+  atomic_fetch_add((atomic_int *)context, 1);
+}
+
+static bool await(atomic_int *done, int n)
+{
+  const double late_s = now_s() + 60;
+  while (atomic_load(done) < n && now_s() < late_s)
+    usleep(200);
+  return atomic_load(done) == n;
+}
+
+static void urgent_blocks_are_charged_to_nobody(void)
+{
+  REQUIRE(setup());
+  struct mo_compute *compute = make_compute(1);
+  struct mo_compute_controller *brain = NULL;
+  struct mo_compute_share *calm = NULL, *hasty = NULL;
+  struct mo_block slow, urgent[4];
+  atomic_int done = 0;
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
+  REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
+  fill_block(&slow, brain, calm, 6000);
+  slow.done = note;
+  slow.context = &done;
+  REQUIRE(mo_compute_submit(compute, &slow) == MO_OK);
+  struct mo_compute_stats stats;
+  do {
+    usleep(200);
+    mo_compute_get_stats(compute, &stats);
+  } while (stats.n_busy == 0);
+  for (int i = 0; i < 4; i++) {
+    fill_block(urgent + i, brain, hasty, 1000);
+    urgent[i].urgency = MO_INTERACTIVE;
+    urgent[i].done = note;
+    urgent[i].context = &done;
+    REQUIRE(mo_compute_submit(compute, urgent + i) == MO_OK);
+  }
+  REQUIRE(await(&done, 5));
+  do {
+    usleep(200);
+    mo_compute_get_stats(compute, &stats);
+  } while (stats.n_busy > 0);
+  struct mo_compute_share_stats of_calm, of_hasty;
+  mo_compute_share_get_stats(calm, &of_calm);
+  mo_compute_share_get_stats(hasty, &of_hasty);
+  CHECK_INT(stats.blocks_preempted, 4);
+  CHECK(of_hasty.urgent_s == of_hasty.busy_s && of_hasty.urgent_s > 0);
+  CHECK(of_calm.urgent_s == 0);
+  CHECK_INT(of_hasty.blocks_done, 4);
+  CHECK_INT(of_calm.blocks_done, 1);
+  /* 4000 of 10000 steps, none counted twice. */
+  CHECK_NEAR(of_calm.busy_s + of_hasty.busy_s, stats.busy_s, 0.02 * stats.busy_s);
+  CHECK(of_hasty.busy_s < of_calm.busy_s);
+  mo_compute_share_free(calm);
+  mo_compute_share_free(hasty);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- shares that come and go ---- */
+
+struct visitor {
+  struct mo_compute *compute;
+  struct mo_compute_controller *brain;
+  int number;
+  atomic_int *wrong;
+};
+
+static void *visit(void *argument)
+{
+  const struct visitor *visitor = argument;
+  enum { N = 5 };
+  for (int round = 0; round < 10; round++) {
+    struct mo_compute_share *share = NULL;
+    struct mo_block blocks[N];
+    atomic_int done = 0;
+    int cancel = 0;
+    if (mo_compute_share_create(visitor->compute, 1 + visitor->number, &share) != MO_OK) {
+      atomic_fetch_add(visitor->wrong, 1);
+      break;
+    }
+    for (int i = 0; i < N; i++) {
+      fill_block(blocks + i, visitor->brain, share, i == 0 ? MO_STEPS_MAX : 30);
+      blocks[i].cancel = &cancel;
+      blocks[i].urgency = i == 3 ? MO_INTERACTIVE : MO_BATCH;
+      blocks[i].done = note;
+      blocks[i].context = &done;
+      if (mo_compute_submit(visitor->compute, blocks + i) != MO_OK)
+        atomic_fetch_add(visitor->wrong, 1);
+    }
+    mo_compute_share_set_weight(share, 1 + (visitor->number + round) % 7);
+    struct mo_compute_share_stats stats;
+    mo_compute_share_get_stats(share, &stats);
+    usleep(500 * (useconds_t)(round % 3));
+    __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
+    if (!await(&done, N) || stats.waiting > N || blocks[0].status != MO_ERR_CANCELLED)
+      atomic_fetch_add(visitor->wrong, 1);
+    mo_compute_share_free(share);
+  }
+  return NULL;
+}
+
+static void shares_come_and_go(void)
+{
+  REQUIRE(setup());
+  enum { THREADS = 6 };
+  struct mo_compute *compute = make_compute(3);
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  pthread_t threads[THREADS];
+  struct visitor visitors[THREADS];
+  atomic_int wrong = 0;
+  for (int i = 0; i < THREADS; i++) {
+    visitors[i] = (struct visitor){compute, brain, i, &wrong};
+    REQUIRE(pthread_create(threads + i, NULL, visit, visitors + i) == 0);
+  }
+  for (int i = 0; i < THREADS; i++)
+    pthread_join(threads[i], NULL);
+  CHECK_INT(atomic_load(&wrong), 0);
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(compute, &stats);
+  CHECK_INT(stats.queued_batch + stats.queued_interactive, 0);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* The back end ends while blocks of shares wait: all come back, and the shares may be freed after it. */
+static void the_end_with_blocks_waiting(void)
+{
+  REQUIRE(setup());
+  enum { N = 8 };
+  struct mo_compute *compute = make_compute(1), *other = make_compute(1);
+  struct mo_compute_controller *brain = NULL;
+  struct mo_compute_share *shares[2];
+  struct mo_block blocks[N];
+  atomic_int done = 0;
+  REQUIRE(compute != NULL && other != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  for (int i = 0; i < 2; i++)
+    REQUIRE(mo_compute_share_create(compute, i == 0 ? -1 : 1e9, &shares[i]) == MO_OK);
+  for (int i = 0; i < N; i++) {
+    fill_block(blocks + i, brain, shares[i % 2], MO_STEPS_MAX);
+    blocks[i].done = note;
+    blocks[i].context = &done;
+    CHECK_INT(mo_compute_submit(other, blocks + i), MO_ERR_INVALID); /* not its share */
+    REQUIRE(mo_compute_submit(compute, blocks + i) == MO_OK);
+  }
+  struct mo_gradient_state *state = NULL;
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = 1,
+                                    .physics = mo_default_physics(),
+                                    .share = shares[0],
+                                    .d_parameters = (double[1]){0},
+                                    .outcomes = blocks[0].outcomes};
+  REQUIRE(mo_gradient_state_create(other, &state) == MO_OK);
+  CHECK_INT(mo_compute_gradient(state, &batch), MO_ERR_INVALID);
+  mo_gradient_state_free(state);
+  mo_compute_free(other);
+  mo_compute_free(compute);
+  CHECK_INT(atomic_load(&done), N);
+  for (int i = 0; i < N; i++)
+    CHECK_INT(blocks[i].status, MO_ERR_CANCELLED);
+  for (int i = 0; i < 2; i++)
+    mo_compute_share_free(shares[i]);
+  mo_compute_share_free(NULL);
+  mo_compute_controller_free(brain);
+}
+
+static const struct check_case cases[] = {
+    {"time by weight", time_by_weight},
+    {"gradients beside scores", gradients_beside_scores},
+    {"urgent blocks are charged to nobody", urgent_blocks_are_charged_to_nobody},
+    {"shares come and go", shares_come_and_go},
+    {"the end with blocks waiting", the_end_with_blocks_waiting},
+};
+CHECK_MAIN(cases)
