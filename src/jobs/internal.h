@@ -219,6 +219,7 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   struct mo_job_share *shares;
   double ended_s[MO_JOB_KINDS];         /* worker seconds of shares that are gone */
   struct mo_compute_share *evaluations; /* of all evaluations together */
+  double evaluations_weight;            /* the scheduler's */
 
   struct mo_runners trainings, campaigns;
   pthread_mutex_t exclusions_mutex;

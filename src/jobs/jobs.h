@@ -2,7 +2,7 @@
  *
  * A scheduler thread claims queued jobs, cuts them into blocks (one design, up to MO_BLOCK_LANES environments), keeps a small
  * window of blocks in flight in the back end, and saves losses in grouped writes as they come. Interactive jobs go first. Batch
- * work shares the back end by weight: every running training has a share of worker time of its own, all evaluations
+ * work shares the back end by weight: every running training and campaign has a share of worker time of its own, all evaluations
  * together have one, whose weight is the sum of theirs, and divide it by weight among them. A score that the store holds, or that another job is computing, is not computed
  * again. What a crash costs is the blocks in flight.
  *

@@ -352,14 +352,16 @@ static void take_in(struct mo_jobs *jobs, struct inbox *inbox)
     mo_saver_finished(jobs, inbox->save_status);
 }
 
-static void weigh_evaluations(const struct mo_jobs *jobs)
+static void weigh_evaluations(struct mo_jobs *jobs)
 {
   double sum = 0;
   for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
     if (!active->detached && active->priority == MO_BATCH)
       sum += active->weight;
-  if (sum > 0)
-    mo_compute_share_set_weight(jobs->evaluations, sum);
+  if (sum <= 0 || sum == jobs->evaluations_weight)
+    return;
+  jobs->evaluations_weight = sum;
+  mo_compute_share_set_weight(jobs->evaluations, sum);
 }
 
 /* Claims and computes. Returns whether there is more to do at once. */
