@@ -83,7 +83,7 @@ void life_found(struct life *life, const char *format, ...)
 
 /* ---- choosing ---- */
 
-static int some(struct life *life, int n)
+int life_some(struct life *life, int n)
 {
   return (int)(disk_random(life->disk) % (uint64_t)n);
 }
@@ -115,21 +115,21 @@ static bool fits(struct life *life, struct act *act)
   act->parts = 1;
   switch (act->kind) {
   case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
-    act->index = some(life, NAMES - 1) + 1;
-    if (model->n_contents > 0 && some(life, 4) == 0)
-      act->seed = model->contents[some(life, model->n_contents)];
+    act->index = life_some(life, NAMES - 1) + 1;
+    if (model->n_contents > 0 && life_some(life, 4) == 0)
+      act->seed = model->contents[life_some(life, model->n_contents)];
     return model->n_contents < CONTENTS_MAX - TRAININGS_MAX;
-  case ACT_REMOVE: act->index = some(life, NAMES - 1) + 1; return model->names[act->index].content >= 0;
+  case ACT_REMOVE: act->index = life_some(life, NAMES - 1) + 1; return model->names[act->index].content >= 0;
   case ACT_SUBMIT: act->index = model->n_evaluations; return model->n_evaluations < EVALUATIONS_MAX;
   case ACT_SAVE:
     act->index = evaluation_in(model, queued | running);
     if (act->index < 0)
       return false;
     evaluation = &model->evaluations[act->index];
-    act->parts = act->n = 1 + (uint32_t)some(life, (int)(evaluation->n_designs - evaluation->saved));
+    act->parts = act->n = 1 + (uint32_t)life_some(life, (int)(evaluation->n_designs - evaluation->saved));
     return true;
   case ACT_CHANGE:
-    act->n = (uint32_t)(some(life, 3) == 0 ? MO_CHANGE_CANCEL : MO_CHANGE_PAUSE);
+    act->n = (uint32_t)(life_some(life, 3) == 0 ? MO_CHANGE_CANCEL : MO_CHANGE_PAUSE);
     act->index = evaluation_in(model, queued | running | paused);
     if (act->index >= 0 && model->evaluations[act->index].state == MO_JOB_PAUSED)
       act->n = MO_CHANGE_RESUME;
@@ -138,17 +138,19 @@ static bool fits(struct life *life, struct act *act)
     act->index = model->n_trainings;
     return model->n_trainings < TRAININGS_MAX && training_in(model, queued | running) < 0;
   case ACT_TRAIN_START: act->index = training_in(model, queued); return act->index >= 0;
-  case ACT_TRAIN_PROGRESS: act->n = 1 + (uint32_t)some(life, 20); break;
-  case ACT_TRAIN_CHECKPOINT: act->n = 1 + (uint32_t)some(life, KEPT_MAX); break;
-  case ACT_TRAIN_PARK: act->n = (uint32_t)some(life, 2); break;
+  case ACT_TRAIN_PROGRESS: act->n = 1 + (uint32_t)life_some(life, 20); break;
+  case ACT_TRAIN_CHECKPOINT: act->n = 1 + (uint32_t)life_some(life, KEPT_MAX); break;
+  case ACT_TRAIN_PARK: act->n = (uint32_t)life_some(life, 2); break;
   case ACT_TRAIN_FINISH: break;
-  case ACT_BACKUP: act->index = model->n_backups; return model->n_backups < BACKUPS_MAX && some(life, 4) == 0;
-  default: return false;
+  case ACT_BACKUP: act->index = model->n_backups; return model->n_backups < BACKUPS_MAX && life_some(life, 4) == 0;
+  case ACT_REQUEUE:
+  case ACT_KINDS: return false;
+  default: return campaign_fits(life, act);
   }
   act->index = training_in(model, running);
   if (act->kind == ACT_TRAIN_CHECKPOINT && act->index >= 0 && model->trainings[act->index].position == 0)
     return false;
-  return act->index >= 0 && (act->kind != ACT_TRAIN_FINISH || some(life, 4) == 0);
+  return act->index >= 0 && (act->kind != ACT_TRAIN_FINISH || life_some(life, 4) == 0);
 }
 
 struct act life_choose(struct life *life)
@@ -159,14 +161,14 @@ struct act life_choose(struct life *life)
     return act;
   }
   do {
-    act = (struct act){.kind = (enum act_kind)some(life, ACT_KINDS), .seed = disk_random(life->disk)};
+    act = (struct act){.kind = (enum act_kind)life_some(life, ACT_KINDS), .seed = disk_random(life->disk)};
   } while (!fits(life, &act));
   return act;
 }
 
 /* ---- what an act means ---- */
 
-static int content_of(struct model *model, uint64_t seed)
+int model_content(struct model *model, uint64_t seed)
 {
   int i = 0;
   while (i < model->n_contents && model->contents[i] != seed)
@@ -178,7 +180,7 @@ static int content_of(struct model *model, uint64_t seed)
 
 static void apply_put(struct model *model, const struct act *act)
 {
-  const int content = content_of(model, act->seed);
+  const int content = model_content(model, act->seed);
   if (model->names[act->index].content == content)
     return;
   model->names[act->index].version = model->names[act->index].content < 0 ? 1 : model->names[act->index].version + 1;
@@ -236,7 +238,7 @@ static void apply_training(struct model *model, const struct act *act)
     break;
   default: /* finish */
     training->state = MO_JOB_SUCCEEDED;
-    training->result = content_of(model, act->seed);
+    training->result = model_content(model, act->seed);
     model->events++;
     break;
   }
@@ -244,9 +246,10 @@ static void apply_training(struct model *model, const struct act *act)
 
 void life_apply(struct model *model, const struct act *act, uint32_t parts)
 {
-  struct evaluation_model *evaluation = &model->evaluations[act->index];
+  struct evaluation_model *evaluation;
   if (parts == 0)
     return;
+  evaluation = &model->evaluations[act->index];
   switch (act->kind) {
   case ACT_REQUEUE:
     for (int i = 0; i < model->n_evaluations; i++)
@@ -255,6 +258,9 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
     for (int i = 0; i < model->n_trainings; i++)
       if (model->trainings[i].state == MO_JOB_RUNNING)
         model->trainings[i].state = MO_JOB_QUEUED;
+    for (int i = 0; i < model->n_campaigns; i++)
+      if (model->campaigns[i].state == MO_JOB_RUNNING)
+        model->campaigns[i].state = MO_JOB_QUEUED;
     break;
   case ACT_PUT: apply_put(model, act); break;
   case ACT_REMOVE:
@@ -287,22 +293,19 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
     model->events++;
     break;
   case ACT_BACKUP: model->backups[model->n_backups++] = model->jobs; break;
-  default: apply_training(model, act); break;
+  default:
+    if (act->kind >= ACT_CAMPAIGN)
+      campaign_apply(model, act);
+    else
+      apply_training(model, act);
+    break;
   }
 }
 
 /* ---- doing it ---- */
 
-struct put {
-  struct mo_controller controller;
-  struct mo_metadata_entry entry;
-  char key[8], *note;
-  uint8_t *bytes;
-  size_t size;
-};
-
 /* A quarter of all contents come with much metadata, so that the log grows long and is copied into the database now and then. */
-static void put_start(struct put *put, uint64_t seed)
+void put_start(struct put *put, uint64_t seed)
 {
   const size_t length = seed % 4 == 0 ? 100000 : 20;
   *put = (struct put){.key = "note", .note = malloc(length + 1)};
@@ -315,7 +318,7 @@ static void put_start(struct put *put, uint64_t seed)
   put->size = life_content(seed, &put->bytes);
 }
 
-static void put_end(struct put *put)
+void put_end(struct put *put)
 {
   free(put->note);
   free(put->bytes);
@@ -592,7 +595,7 @@ uint32_t life_do(struct life *life, const struct act *act, int *error)
     life_backup_path(life, act->index, text);
     *error = mo_store_backup(life->store, text, &message);
     break;
-  default: *error = do_training(life, act); break;
+  default: *error = act->kind >= ACT_CAMPAIGN ? campaign_do(life, act) : do_training(life, act); break;
   }
   return *error == MO_OK;
 }

@@ -6,6 +6,7 @@
 #define MORPHO_TESTS_STORE_LIFE_H
 
 #include "disk.h"
+#include "store/campaigns.h"
 #include "store/runner.h"
 #include "store/trainings.h"
 
@@ -14,7 +15,12 @@ enum {
   CONTENTS_MAX = 160,
   EVALUATIONS_MAX = 60,
   DESIGNS_MAX = 5, /* of an evaluation */
-  BODIES = EVALUATIONS_MAX * DESIGNS_MAX,
+  CAMPAIGNS_MAX = 4,
+  GENERATIONS_MAX = 12,
+  MEMBERS = 4,  /* of a population; as many are born in each generation */
+  LEARNING = 4, /* steps in each */
+  BODIES_OF_CAMPAIGNS = EVALUATIONS_MAX * DESIGNS_MAX,
+  BODIES = BODIES_OF_CAMPAIGNS + CAMPAIGNS_MAX * GENERATIONS_MAX * MEMBERS,
   TRAININGS_MAX = 20,
   KEPT_MAX = 3,
   BACKUPS_MAX = 2
@@ -36,6 +42,17 @@ struct training_model {
   uint32_t attempts;
   int result; /* content; −1: none */
 };
+struct campaign_model {
+  int64_t id;
+  uint64_t seed;
+  bool learns; /* else zero-shot */
+  enum mo_job_state state;
+  int64_t generation; /* newest; −1: none */
+  uint32_t scored;    /* of the next one */
+  uint32_t inside;    /* step of its checkpoint; 0: none */
+  uint32_t attempts;
+  int result; /* content; −1: none */
+};
 struct model {
   struct {
     int content; /* −1: no such name */
@@ -47,6 +64,8 @@ struct model {
   int n_evaluations;
   struct training_model trainings[TRAININGS_MAX];
   int n_trainings;
+  struct campaign_model campaigns[CAMPAIGNS_MAX];
+  int n_campaigns;
   int64_t backups[BACKUPS_MAX]; /* jobs in each */
   int n_backups;
   int64_t jobs, events, epoch;
@@ -66,6 +85,13 @@ enum act_kind {
   ACT_TRAIN_PARK,
   ACT_TRAIN_FINISH,
   ACT_BACKUP,
+  ACT_CAMPAIGN,
+  ACT_CAMPAIGN_START,
+  ACT_CAMPAIGN_LOSSES,
+  ACT_CAMPAIGN_CHECKPOINT,
+  ACT_CAMPAIGN_GENERATION,
+  ACT_CAMPAIGN_PARK,
+  ACT_CAMPAIGN_FINISH,
   ACT_KINDS
 };
 struct act {
@@ -98,7 +124,51 @@ void life_name(int index, char name[16]);
 void life_key(char kind, int index, char key[32]);
 void life_backup_path(const struct life *life, int index, char path[512]);
 
+/* A controller as it is put. */
+struct put {
+  struct mo_controller controller;
+  struct mo_metadata_entry entry;
+  char key[8], *note;
+  uint8_t *bytes;
+  size_t size;
+};
+void put_start(struct put *put, uint64_t seed);
+void put_end(struct put *put);
+
 void life_found(struct life *life, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+int life_some(struct life *life, int n);               /* 0 … n − 1 */
+int model_content(struct model *model, uint64_t seed); /* its place; added when it is not there */
+
+/* Of campaigns: campaign_acts.c, campaign_matches.c. */
+bool campaign_fits(struct life *life, struct act *act);
+void campaign_apply(struct model *model, const struct act *act);
+int campaign_do(struct life *life, const struct act *act);
+bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index, char text[300]);
+/* A generation as its runner commits it: a function of the campaign's seed and its number. */
+struct population {
+  uint32_t n, numbers[MEMBERS];
+  double scores[MEMBERS];
+};
+struct generation {
+  struct mo_birth births[MEMBERS];
+  double child_scores[MEMBERS], parent_scores[MEMBERS];
+  struct mo_campaign_loss losses[MEMBERS];
+  struct mo_campaign_step steps[LEARNING];
+  struct mo_design_size sizes[MEMBERS];
+  uint32_t survivors[MEMBERS];
+  struct population before, after;
+};
+void life_generation(const struct campaign_model *campaign, uint32_t number, const struct population *before,
+                     struct generation *generation);
+void life_replay(const struct campaign_model *campaign, int64_t until, struct generation *generation); /* ≥ 0 */
+struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, uint32_t place); /* of the next one */
+struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation, uint32_t step);
+size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step, uint8_t **bytes);
+
+bool life_differs(char text[300], const char *format, ...) __attribute__((format(printf, 2, 3)));
+/* Files in "<folder>/<id>" of the state folder. */
+uint32_t life_files(const struct life *life, const char *folder, int64_t id);
 
 struct act life_choose(struct life *life);
 /* How many of its parts were acknowledged; *error: what the call that was not gave. */

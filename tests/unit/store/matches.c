@@ -10,8 +10,7 @@
 
 #include "life.h"
 
-static bool differs(char text[300], const char *format, ...) __attribute__((format(printf, 2, 3)));
-static bool differs(char text[300], const char *format, ...)
+bool life_differs(char text[300], const char *format, ...)
 {
   va_list arguments;
   va_start(arguments, format);
@@ -36,7 +35,7 @@ static bool content_matches(const struct life *life, uint64_t seed, char text[30
   free(expected);
   if (error == MO_OK)
     free(found);
-  return same || differs(text, "a controller's bytes: error %d, %zu of %zu bytes", error, size, expected_size);
+  return same || life_differs(text, "a controller's bytes: error %d, %zu of %zu bytes", error, size, expected_size);
 }
 
 static bool name_matches(const struct life *life, const struct model *model, const char *name, int content,
@@ -47,15 +46,15 @@ static bool name_matches(const struct life *life, const struct model *model, con
   uint8_t *bytes = NULL;
   const int error = mo_store_controller(life->store, name, &record);
   if (content < 0)
-    return error == MO_ERR_NOT_FOUND || differs(text, "the name %s is there (%d)", name, error);
+    return error == MO_ERR_NOT_FOUND || life_differs(text, "the name %s is there (%d)", name, error);
   if (error != MO_OK)
-    return differs(text, "the name %s: error %d", name, error);
+    return life_differs(text, "the name %s: error %d", name, error);
   mo_sha256_of(bytes, life_content(model->contents[content], &bytes), &hash);
   mo_sha256_of(bytes, record.size, &hash);
   free(bytes);
   return (mo_sha256_equal(&hash, &record.sha256) && record.version == version) ||
-         differs(text, "the name %s has version %lld, not %lld, or other bytes", name, (long long)record.version,
-                 (long long)version);
+         life_differs(text, "the name %s has version %lld, not %lld, or other bytes", name, (long long)record.version,
+                      (long long)version);
 }
 
 static bool controllers_match(const struct life *life, const struct model *model, char text[300])
@@ -70,6 +69,10 @@ static bool controllers_match(const struct life *life, const struct model *model
   for (int i = 0; i < model->n_trainings && same; i++) {
     snprintf(name, sizeof(name), "training-%lld", (long long)model->trainings[i].id);
     same = name_matches(life, model, name, model->trainings[i].result, 1, text);
+  }
+  for (int i = 0; i < model->n_campaigns && same; i++) {
+    snprintf(name, sizeof(name), "campaign-%lld", (long long)model->campaigns[i].id);
+    same = name_matches(life, model, name, model->campaigns[i].result, 1, text);
   }
   for (int i = 0; i < model->n_contents && same; i++)
     same = content_matches(life, model->contents[i], text);
@@ -101,12 +104,12 @@ static bool results_match(const struct life *life, const struct evaluation_model
                                    : isnan(results->losses[cell]);
     }
     if (!same)
-      (void)differs(text, "job %lld of %u designs, %u saved: design %u is not what it should be",
-                    (long long)evaluation->id, (unsigned)evaluation->n_designs, (unsigned)evaluation->saved,
-                    (unsigned)n);
+      (void)life_differs(text, "job %lld of %u designs, %u saved: design %u is not what it should be",
+                         (long long)evaluation->id, (unsigned)evaluation->n_designs, (unsigned)evaluation->saved,
+                         (unsigned)n);
   }
   if (error != MO_OK)
-    return differs(text, "results of job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "results of job %lld: error %d", (long long)evaluation->id, error);
   mo_evaluation_results_free(results);
   return same;
 }
@@ -125,7 +128,7 @@ static bool trajectories_match(const struct life *life, const struct evaluation_
     if (error == MO_OK)
       mo_trajectory_free(trajectory);
     if (!same)
-      return differs(text, "trajectory %u of job %lld: error %d", (unsigned)n, (long long)evaluation->id, error);
+      return life_differs(text, "trajectory %u of job %lld: error %d", (unsigned)n, (long long)evaluation->id, error);
   }
   return true;
 }
@@ -139,16 +142,16 @@ static bool evaluation_matches(const struct life *life, const struct evaluation_
   int64_t id = 0;
   int error = mo_store_job(life->store, evaluation->id, &job);
   if (error != MO_OK || job.kind != MO_JOB_EVALUATION)
-    return differs(text, "job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "job %lld: error %d", (long long)evaluation->id, error);
   if (job.state != evaluation->state || job.rollouts_done != (uint64_t)evaluation->saved * MO_PAPER_TEST_COUNT)
-    return differs(text, "job %lld: state %d, %llu rollouts, not state %d, %u designs", (long long)job.id,
-                   (int)job.state, (unsigned long long)job.rollouts_done, (int)evaluation->state,
-                   (unsigned)evaluation->saved);
+    return life_differs(text, "job %lld: state %d, %llu rollouts, not state %d, %u designs", (long long)job.id,
+                        (int)job.state, (unsigned long long)job.rollouts_done, (int)evaluation->state,
+                        (unsigned)evaluation->saved);
   life_key('e', index, key);
   mo_sha256_of(&evaluation->seed, sizeof(evaluation->seed), &body);
   error = mo_store_replay(life->store, key, &body, &id);
   if (error != MO_OK || id != evaluation->id)
-    return differs(text, "the key of job %lld: error %d", (long long)evaluation->id, error);
+    return life_differs(text, "the key of job %lld: error %d", (long long)evaluation->id, error);
   return results_match(life, evaluation, index, text) && trajectories_match(life, evaluation, text);
 }
 
@@ -166,11 +169,27 @@ static bool steps_match(const struct life *life, const struct training_model *tr
       if (rows[i].report.step != at || !same_double(rows[i].report.mean_loss, row.report.mean_loss) ||
           !same_double(rows[i].report.gradient_norm, row.report.gradient_norm) ||
           rows[i].report.zeroed != row.report.zeroed)
-        return differs(text, "step %u of training %lld", (unsigned)at, (long long)training->id);
+        return life_differs(text, "step %u of training %lld", (unsigned)at, (long long)training->id);
     }
   } while (n == MO_PAGE_MAX);
-  return (n >= 0 && at == training->step) || differs(text, "training %lld has %u steps, not %u",
-                                                     (long long)training->id, (unsigned)at, (unsigned)training->step);
+  return (n >= 0 && at == training->step) ||
+         life_differs(text, "training %lld has %u steps, not %u", (long long)training->id, (unsigned)at,
+                      (unsigned)training->step);
+}
+
+uint32_t life_files(const struct life *life, const char *folder, int64_t id)
+{
+  uint32_t files = 0;
+  struct dirent *entry;
+  char path[512];
+  DIR *stream;
+  snprintf(path, sizeof(path), "%s/%s/%lld", disk_folder(life->disk), folder, (long long)id);
+  stream = opendir(path);
+  while (stream != NULL && (entry = readdir(stream)) != NULL) /* NOLINT(concurrency-mt-unsafe): this thread's own */
+    files += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
+  if (stream != NULL)
+    closedir(stream);
+  return files;
 }
 
 /* Every row has its file, with the right bytes, and every file its row. */
@@ -178,13 +197,10 @@ static bool checkpoints_match(const struct life *life, const struct training_mod
 {
   struct mo_training_checkpoint_row rows[KEPT_MAX + 1];
   const int64_t n = mo_store_training_checkpoints(life->store, training->id, rows, KEPT_MAX + 1);
-  uint32_t files = 0;
-  struct dirent *entry;
-  char path[512];
-  DIR *folder;
+  const uint32_t files = life_files(life, "trainings", training->id);
   if (n != training->n_checkpoints)
-    return differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id, (long long)n,
-                   (unsigned)training->n_checkpoints);
+    return life_differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id, (long long)n,
+                        (unsigned)training->n_checkpoints);
   for (int64_t i = 0; i < n; i++) {
     const uint32_t step = training->checkpoints[n - 1 - i];
     uint8_t *expected = NULL, *found = NULL;
@@ -197,17 +213,12 @@ static bool checkpoints_match(const struct life *life, const struct training_mod
     if (error == MO_OK)
       free(found);
     if (!same)
-      return differs(text, "checkpoint %u of training %lld: error %d", (unsigned)step, (long long)training->id, error);
+      return life_differs(text, "checkpoint %u of training %lld: error %d", (unsigned)step, (long long)training->id,
+                          error);
   }
-  snprintf(path, sizeof(path), "%s/trainings/%lld", disk_folder(life->disk), (long long)training->id);
-  folder = opendir(path);
-  while (folder != NULL && (entry = readdir(folder)) != NULL) /* NOLINT(concurrency-mt-unsafe): this thread's own */
-    files += entry->d_name[0] != '.' || strncmp(entry->d_name, ".tmp", 4) == 0;
-  if (folder != NULL)
-    closedir(folder);
   return files == training->n_checkpoints ||
-         differs(text, "training %lld has %u files for %u checkpoints", (long long)training->id, (unsigned)files,
-                 (unsigned)training->n_checkpoints);
+         life_differs(text, "training %lld has %u files for %u checkpoints", (long long)training->id, (unsigned)files,
+                      (unsigned)training->n_checkpoints);
 }
 
 static bool training_matches(const struct life *life, const struct training_model *training, char text[300])
@@ -216,14 +227,15 @@ static bool training_matches(const struct life *life, const struct training_mode
   const int error = mo_store_training(life->store, training->id, &status);
   const uint32_t newest = training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
   if (error != MO_OK)
-    return differs(text, "training %lld: error %d", (long long)training->id, error);
+    return life_differs(text, "training %lld: error %d", (long long)training->id, error);
   if (status.job.state != training->state || status.job.attempts != training->attempts ||
       status.step != training->step || status.has_validation != (training->n_validations > 0) ||
       status.validation.step != training->last_validation || status.checkpoint_step != newest ||
       status.has_result != (training->result >= 0) || status.record.settings.seed != training->seed)
-    return differs(text, "training %lld: state %d, attempts %u, step %u, validation %u, checkpoint %u, result %d",
-                   (long long)training->id, (int)status.job.state, (unsigned)status.job.attempts, (unsigned)status.step,
-                   (unsigned)status.validation.step, (unsigned)status.checkpoint_step, (int)status.has_result);
+    return life_differs(text, "training %lld: state %d, attempts %u, step %u, validation %u, checkpoint %u, result %d",
+                        (long long)training->id, (int)status.job.state, (unsigned)status.job.attempts,
+                        (unsigned)status.step, (unsigned)status.validation.step, (unsigned)status.checkpoint_step,
+                        (int)status.has_result);
   return steps_match(life, training, text) && checkpoints_match(life, training, text);
 }
 
@@ -231,7 +243,8 @@ static bool training_matches(const struct life *life, const struct training_mode
 
 static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
 {
-  int64_t designs = 0, saved = 0, steps = 0, validations = 0, checkpoints = 0, names = 0;
+  int64_t designs = 0, born = 0, saved = 0, scored = 0, steps = 0, validations = 0, checkpoints = 0, names = 0;
+  int64_t generations = 0, losses = 0, learned = 0, states = 0;
   for (int i = 0; i < model->n_evaluations; i++) {
     designs += model->evaluations[i].n_designs;
     saved += model->evaluations[i].saved;
@@ -242,6 +255,17 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
     checkpoints += model->trainings[i].n_checkpoints;
     names += model->trainings[i].result >= 0;
   }
+  for (int i = 0; i < model->n_campaigns; i++) {
+    const struct campaign_model *campaign = &model->campaigns[i];
+    generations += campaign->generation + 1;
+    scored += campaign->learns ? 0 : MEMBERS * (campaign->generation + 1);
+    losses += campaign->scored;
+    learned += campaign->learns ? LEARNING * (campaign->generation + 1) + campaign->inside : 0;
+    states += (campaign->learns && campaign->generation >= 0) + (campaign->inside > 0);
+    names += campaign->result >= 0;
+  }
+  born = MEMBERS * generations;
+  scored += saved;
   for (int i = 0; i < NAMES; i++)
     names += model->names[i].content >= 0;
   const struct {
@@ -251,15 +275,22 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
                 {"evaluations", model->n_evaluations},
                 {"evaluation_designs", designs},
                 {"evaluation_environments", (int64_t)model->n_evaluations * MO_PAPER_TEST_COUNT},
-                {"designs", designs},
-                {"genotypes", designs},
-                {"scores", saved * MO_PAPER_TEST_COUNT},
-                {"set_scores", saved},
+                {"designs", designs + born},
+                {"genotypes", designs + born},
+                {"scores", scored * MO_PAPER_TEST_COUNT},
+                {"set_scores", scored},
                 {"trajectories", saved},
                 {"trainings", model->n_trainings},
                 {"training_steps", steps},
                 {"training_validations", validations},
                 {"training_checkpoints", checkpoints},
+                {"campaigns", model->n_campaigns},
+                {"campaign_designs", born},
+                {"campaign_generations", generations},
+                {"campaign_populations", generations},
+                {"campaign_losses", losses},
+                {"campaign_steps", learned},
+                {"campaign_checkpoints", states},
                 {"controllers", model->n_contents},
                 {"controller_names", names},
                 {"idempotency_keys", model->jobs},
@@ -273,7 +304,7 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
       n = sqlite3_column_int64(statement, 0);
     sqlite3_finalize(statement);
     if (n != counts[i].n)
-      return differs(text, "%lld %s, not %lld", (long long)n, counts[i].table, (long long)counts[i].n);
+      return life_differs(text, "%lld %s, not %lld", (long long)n, counts[i].table, (long long)counts[i].n);
   }
   return true;
 }
@@ -299,7 +330,7 @@ static bool backups_match(const struct life *life, const struct model *model, ch
     sqlite3 *db;
     life_backup_path(life, i, path);
     if (i >= model->n_backups) {
-      same = access(path, F_OK) != 0 || differs(text, "backup %d is there", i);
+      same = access(path, F_OK) != 0 || life_differs(text, "backup %d is there", i);
       continue;
     }
     db = open_database(path);
@@ -311,7 +342,7 @@ static bool backups_match(const struct life *life, const struct model *model, ch
     sqlite3_finalize(statement);
     sqlite3_close(db);
     if (!same)
-      (void)differs(text, "backup %d is missing or damaged", i);
+      (void)life_differs(text, "backup %d is missing or damaged", i);
   }
   return same;
 }
@@ -323,11 +354,13 @@ bool life_matches(const struct life *life, const struct model *model, char text[
   bool same;
   snprintf(path, sizeof(path), "%s/morphod.db", disk_folder(life->disk));
   db = open_database(path);
-  same = db != NULL ? counts_match(db, model, text) : differs(text, "the database cannot be opened");
+  same = db != NULL ? counts_match(db, model, text) : life_differs(text, "the database cannot be opened");
   sqlite3_close(db);
   for (int i = 0; i < model->n_evaluations && same; i++)
     same = evaluation_matches(life, &model->evaluations[i], i, text);
   for (int i = 0; i < model->n_trainings && same; i++)
     same = training_matches(life, &model->trainings[i], text);
+  for (int i = 0; i < model->n_campaigns && same; i++)
+    same = campaign_matches(life, &model->campaigns[i], i, text);
   return same && controllers_match(life, model, text) && backups_match(life, model, text);
 }

@@ -1,0 +1,304 @@
+/* campaign_acts.c: campaigns on a disk whose power fails: generations that are functions of a seed, and what is asked of the store. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "campaign_fixture.h"
+#include "life.h"
+
+/* ---- generations ---- */
+
+static double number(uint64_t hash)
+{
+  return (double)(hash >> 11) * 0x1p-53;
+}
+
+static uint64_t seed_of(const struct campaign_model *campaign, uint32_t generation)
+{
+  return life_hash(campaign->seed, UINT64_C(5000) + generation);
+}
+
+static double score_at(const struct generation *generation, uint32_t place)
+{
+  return place < generation->before.n ? generation->parent_scores[place]
+                                      : generation->child_scores[place - generation->before.n];
+}
+
+/* The best of parents and children live on, the older first. */
+static void select_survivors(struct generation *generation, uint32_t first_child)
+{
+  uint32_t places[2 * MEMBERS];
+  const uint32_t n_parents = generation->before.n;
+  for (uint32_t i = 0; i < n_parents + MEMBERS; i++) {
+    uint32_t at = i;
+    while (at > 0 && score_at(generation, places[at - 1]) > score_at(generation, i)) {
+      places[at] = places[at - 1];
+      at--;
+    }
+    places[at] = i;
+  }
+  generation->after.n = MEMBERS;
+  for (uint32_t i = 0; i < MEMBERS; i++) {
+    generation->survivors[i] = places[i];
+    generation->after.scores[i] = score_at(generation, places[i]);
+    generation->after.numbers[i] =
+        places[i] < n_parents ? generation->before.numbers[places[i]] : first_child + places[i] - n_parents;
+  }
+}
+
+void life_generation(const struct campaign_model *campaign, uint32_t number_of, const struct population *before,
+                     struct generation *generation)
+{
+  const uint64_t seed = seed_of(campaign, number_of);
+  memset(generation, 0, sizeof(*generation));
+  if (before != NULL)
+    generation->before = *before;
+  for (uint32_t i = 0; i < generation->before.n; i++)
+    generation->parent_scores[i] =
+        campaign->learns ? number(life_hash(seed, 50 + (uint64_t)i)) : generation->before.scores[i];
+  for (uint32_t i = 0; i < MEMBERS; i++) {
+    double sum = 0;
+    generation->births[i] = (struct mo_birth){MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
+    if (generation->before.n > 0 && i % 2 == 0)
+      generation->births[i] = (struct mo_birth){MO_BORN_MUTATION, {i, MO_NO_PARENT}, 1};
+    else if (generation->before.n > 0)
+      generation->births[i] = (struct mo_birth){MO_BORN_CROSSOVER, {i, (i + 1) % MEMBERS}, 2};
+    generation->losses[i].place = i;
+    for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
+      generation->losses[i].losses[k] = life_loss(seed, i, k, &generation->losses[i].diverged_steps[k]);
+      sum += generation->losses[i].losses[k];
+    }
+    generation->child_scores[i] =
+        campaign->learns ? number(life_hash(seed, 60 + (uint64_t)i)) : sum / MO_PAPER_TEST_COUNT;
+    generation->sizes[i] = (struct mo_design_size){10 + i, 1 + i, 100 + i, 1000 + i};
+  }
+  for (uint32_t step = 1; step <= LEARNING; step++)
+    generation->steps[step - 1] = life_learned(campaign, number_of, step);
+  select_survivors(generation, number_of * MEMBERS);
+}
+
+void life_replay(const struct campaign_model *campaign, int64_t until, struct generation *generation)
+{
+  struct population before = {0};
+  for (uint32_t i = 0; i <= until; i++) {
+    life_generation(campaign, i, &before, generation);
+    before = generation->after;
+  }
+}
+
+struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, uint32_t place)
+{
+  const uint64_t seed = seed_of(campaign, (uint32_t)(campaign->generation + 1)) ^ 1;
+  struct mo_campaign_loss loss = {.place = place};
+  for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
+    loss.losses[k] = life_loss(seed, place, k, &loss.diverged_steps[k]);
+  return loss;
+}
+
+struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation, uint32_t step)
+{
+  const uint64_t own = life_hash(seed_of(campaign, generation), 70 + (uint64_t)step);
+  return (struct mo_campaign_step){
+      .generation = generation,
+      .step = step,
+      .on_children = step > LEARNING / 2,
+      .report = {.step = generation * LEARNING + step, .mean_loss = number(own), .rate = 1e-3},
+      .seconds = 0.5};
+}
+
+size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step, uint8_t **bytes)
+{
+  return life_checkpoint(seed_of(campaign, generation), step, bytes);
+}
+
+/* ---- choosing, and what an act means ---- */
+
+static int campaign_in(const struct model *model, unsigned states)
+{
+  for (int i = 0; i < model->n_campaigns; i++)
+    if ((states >> model->campaigns[i].state & 1u) != 0)
+      return i;
+  return -1;
+}
+
+bool campaign_fits(struct life *life, struct act *act)
+{
+  const struct model *model = &life->model;
+  const unsigned queued = 1u << MO_JOB_QUEUED, running = 1u << MO_JOB_RUNNING;
+  const struct campaign_model *campaign;
+  bool goes_on;
+  if (act->kind == ACT_CAMPAIGN) {
+    act->index = model->n_campaigns;
+    return model->n_campaigns < CAMPAIGNS_MAX && campaign_in(model, queued | running) < 0;
+  }
+  act->index = campaign_in(model, act->kind == ACT_CAMPAIGN_START ? queued : running);
+  if (act->index < 0)
+    return false;
+  campaign = &model->campaigns[act->index];
+  goes_on = campaign->generation + 1 < GENERATIONS_MAX;
+  switch (act->kind) {
+  case ACT_CAMPAIGN_LOSSES:
+    if (!goes_on || campaign->scored == 2 * MEMBERS)
+      return false;
+    act->n = 1 + (uint32_t)life_some(life, (int)(2 * MEMBERS - campaign->scored));
+    return true;
+  case ACT_CAMPAIGN_CHECKPOINT: /* perhaps the same again */
+    act->n = (campaign->inside > 0 ? campaign->inside : 1) + (uint32_t)life_some(life, 3);
+    return goes_on && campaign->learns && act->n <= LEARNING;
+  case ACT_CAMPAIGN_GENERATION: return goes_on;
+  case ACT_CAMPAIGN_PARK: act->n = (uint32_t)life_some(life, 2); return true;
+  case ACT_CAMPAIGN_FINISH: return campaign->generation >= 0 && (!goes_on || life_some(life, 8) == 0);
+  default: return true;
+  }
+}
+
+void campaign_apply(struct model *model, const struct act *act)
+{
+  struct campaign_model *campaign = &model->campaigns[act->index];
+  model->events += act->kind != ACT_CAMPAIGN_CHECKPOINT;
+  switch (act->kind) {
+  case ACT_CAMPAIGN:
+    *campaign = (struct campaign_model){.id = ++model->jobs,
+                                        .seed = act->seed,
+                                        .learns = act->seed % 2 == 0,
+                                        .state = MO_JOB_QUEUED,
+                                        .generation = -1,
+                                        .result = -1};
+    model->n_campaigns++;
+    break;
+  case ACT_CAMPAIGN_START: campaign->state = MO_JOB_RUNNING; break;
+  case ACT_CAMPAIGN_LOSSES: campaign->scored += act->n; break;
+  case ACT_CAMPAIGN_CHECKPOINT: campaign->inside = act->n; break;
+  case ACT_CAMPAIGN_GENERATION:
+    campaign->generation++;
+    campaign->scored = campaign->inside = campaign->attempts = 0;
+    break;
+  case ACT_CAMPAIGN_PARK:
+    campaign->attempts += act->n;
+    campaign->state = campaign->attempts >= 3 ? MO_JOB_FAILED : MO_JOB_QUEUED;
+    break;
+  default: /* finish */
+    campaign->state = MO_JOB_SUCCEEDED;
+    if (campaign->learns) {
+      campaign->result = model_content(model, act->seed);
+      model->events++;
+    }
+    break;
+  }
+}
+
+/* ---- doing it ---- */
+
+static int submit(struct life *life, const struct act *act)
+{
+  struct mo_campaign_submission submission =
+      campaign_submission(act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
+  char key[32];
+  int64_t id = 0;
+  bool replayed;
+  int error;
+  life_key('c', act->index, key);
+  submission.record.settings.seed = act->seed;
+  submission.idempotency_key = key;
+  mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
+  error = mo_store_submit_campaign(life->store, &submission, &id, &replayed);
+  if (error == MO_OK && (replayed || id != life->model.jobs + 1))
+    life_found(life, "a campaign became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+  return error;
+}
+
+static int save_losses(struct life *life, const struct campaign_model *campaign, uint32_t n)
+{
+  struct mo_campaign_loss losses[2 * MEMBERS];
+  for (uint32_t i = 0; i < n; i++)
+    losses[i] = life_saved_loss(campaign, campaign->scored + i);
+  return mo_store_campaign_save_losses(life->store, campaign->id, (uint32_t)(campaign->generation + 1), losses, n,
+                                       "{}");
+}
+
+static int save_checkpoint(struct life *life, const struct campaign_model *campaign, uint32_t step)
+{
+  const uint32_t generation = (uint32_t)(campaign->generation + 1);
+  struct mo_campaign_step steps[LEARNING];
+  uint8_t *bytes = NULL;
+  const size_t size = life_state(campaign, generation, step, &bytes);
+  int error;
+  for (uint32_t i = 0; i < step; i++)
+    steps[i] = life_learned(campaign, generation, i + 1);
+  error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size, steps, step);
+  free(bytes);
+  return error;
+}
+
+static int commit(struct life *life, const struct campaign_model *campaign, int index)
+{
+  const uint32_t number_of = (uint32_t)(campaign->generation + 1);
+  const size_t first = BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + number_of) * MEMBERS;
+  struct generation generation;
+  struct mo_campaign_commit call;
+  uint8_t *bytes = NULL;
+  int error;
+  life_replay(campaign, number_of, &generation);
+  call = (struct mo_campaign_commit){.row = {.generation = number_of,
+                                             .born_before = (uint64_t)number_of * MEMBERS,
+                                             .n_children = MEMBERS,
+                                             .stats = {.n = MEMBERS, .diversity = 0.25},
+                                             .mean_parents = NAN,
+                                             .mean_children = 0.5 + number_of,
+                                             .seconds = 1.5},
+                                     .births = generation.births,
+                                     .forms = life->forms + first,
+                                     .genotypes = life->genotypes + first,
+                                     .sizes = generation.sizes,
+                                     .child_scores = generation.child_scores,
+                                     .parent_numbers = generation.before.numbers,
+                                     .parent_scores = generation.parent_scores,
+                                     .n_parents = generation.before.n,
+                                     .survivors = generation.survivors,
+                                     .n_survivors = MEMBERS,
+                                     .fingerprint = life->fingerprint,
+                                     .event_data = "{}"};
+  if (campaign->learns) {
+    call.steps = generation.steps;
+    call.n_steps = LEARNING;
+    call.checkpoint_size = life_state(campaign, number_of, LEARNING, &bytes);
+    call.checkpoint = bytes;
+    call.checkpoint_step = LEARNING;
+  } else {
+    call.losses = generation.losses;
+    call.n_losses = MEMBERS;
+  }
+  error = mo_store_campaign_commit(life->store, campaign->id, &call);
+  free(bytes);
+  return error;
+}
+
+static int finish(struct life *life, const struct campaign_model *campaign, uint64_t seed)
+{
+  struct put put;
+  char name[32];
+  int error;
+  put_start(&put, seed);
+  snprintf(name, sizeof(name), "campaign-%lld", (long long)campaign->id);
+  error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED, GENERATIONS_MAX, name, put.bytes,
+                                   put.size, campaign->learns ? &put.controller : NULL);
+  put_end(&put);
+  return error;
+}
+
+int campaign_do(struct life *life, const struct act *act)
+{
+  const struct campaign_model *campaign = &life->model.campaigns[act->index];
+  switch (act->kind) {
+  case ACT_CAMPAIGN: return submit(life, act);
+  case ACT_CAMPAIGN_START: return mo_store_campaign_start(life->store, campaign->id);
+  case ACT_CAMPAIGN_LOSSES: return save_losses(life, campaign, act->n);
+  case ACT_CAMPAIGN_CHECKPOINT: return save_checkpoint(life, campaign, act->n);
+  case ACT_CAMPAIGN_GENERATION: return commit(life, campaign, act->index);
+  case ACT_CAMPAIGN_PARK:
+    return mo_store_campaign_park(life->store, campaign->id, act->n > 0 ? MO_ERR_NO_MEMORY : MO_OK,
+                                  act->n > 0 ? "out of memory" : NULL, 3, NULL);
+  default: return finish(life, campaign, act->seed);
+  }
+}
