@@ -45,7 +45,7 @@ int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const
     return MO_OK;
   uint32_t n_sound = 0;
   struct mo_rank *ranks = rank_all(scores, n, &n_sound);
-  uint32_t *chosen = malloc(m * sizeof(*chosen));
+  uint32_t *chosen = calloc(m, sizeof(*chosen));
   uint64_t *some = malloc((size_t)m * mo_workspace_words(workspace) * sizeof(*some));
   double *sums = malloc(m * sizeof(*sums));
   int r = MO_ERR_NO_MEMORY;

@@ -42,8 +42,8 @@ void mo_rank_sort(struct mo_rank *ranks, uint32_t n)
 /* The best lives. Each further survivor is the best of `tournament_size` draws, with repetition, from those left. */
 static int choose_by_tournament(struct choice *choice)
 {
-  uint32_t left = choice->n - 1;
-  uint32_t *pool = malloc(left * sizeof(*pool)); /* n > places ≥ 1 */
+  uint32_t left = choice->n - 1; /* n > places ≥ 1 */
+  uint32_t *pool = calloc(left, sizeof(*pool));
   if (pool == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < left; i++)
@@ -173,7 +173,7 @@ int mo_select(const struct mo_campaign_settings *settings, uint32_t generation, 
   for (uint32_t i = 0; i < n; i++)
     if (isnan(candidates[i].score))
       return MO_ERR_INVALID;
-  if (n == 0) {
+  if (n == 0 || settings->population == 0) {
     *n_survivors = 0;
     return MO_OK;
   }

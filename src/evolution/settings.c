@@ -75,9 +75,9 @@ int mo_preset_from_name(const char *name, enum mo_preset *preset)
   return r;
 }
 
-const char *mo_operator_name(enum mo_operator operator)
+const char *mo_operator_name(enum mo_operator birth)
 {
-  return name_of(operator_names, MO_OPERATORS, (unsigned)operator);
+  return name_of(operator_names, MO_OPERATORS, (unsigned)birth);
 }
 
 /* ---- presets ---- */

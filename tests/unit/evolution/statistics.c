@@ -198,11 +198,26 @@ static void champions(void)
   }
 }
 
+/* Steps are rounded to the nearest place, upwards in the middle: of four designs the first, the third and the last. */
+static void champions_by_hand(void)
+{
+  const uint64_t bodies[4 * W] = {1, 0, 0, 3, 0, 0, 7, 0, 0, 1, 0, 0};
+  const double scores[] = {0.4, 0.1, 0.3, 0.2}, lost[] = {INFINITY, 0.5, INFINITY, 0.2};
+  uint32_t picks[4];
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, 4, 3, picks), MO_OK);
+  CHECK(picks[0] == 2 && picks[1] == 0 && picks[2] == 1); /* sums of distances 3, 3, 2; 2 is better than 0 */
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 2, picks), MO_OK);
+  CHECK(picks[0] == 3 && picks[1] == 1);
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks), MO_OK); /* one of the diverged, the first */
+  CHECK((picks[0] == 0 || picks[1] == 0 || picks[2] == 0) && picks[0] != 2 && picks[1] != 2 && picks[2] != 2);
+}
+
 static const struct check_case cases[] = {
     {"distances as defined, pair by pair", distances},
     {"distances of fewer than two, and of equals", distances_of_few},
     {"sizes as the body has them", sizes},
     {"statistics of a population", populations},
     {"champions: the best, even steps, most distinct first", champions},
+    {"champions by hand", champions_by_hand},
 };
 CHECK_MAIN(cases)
