@@ -104,7 +104,11 @@ int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order
 
 /* Rolls out n robots (1 … MO_GRADIENT_ROBOTS) and WRITES to d_parameters (n_parameters, file order) the sum over them of
  * ∂loss/∂parameters · options->weight: robots that diverged or whose adjoint is not finite contribute nothing and are counted, as
- * in mo_gradient_reference. The result depends on the inputs (robots, in this order) and the instruction set alone. outcomes:
+ * in mo_gradient_reference. float32 ends earlier than float64: two rare cases count robots as zeroed that the reference would
+ * count in. An adjoint that leaves float32's range within a step is infinite, and its robot left out. And where every adjoint is finite but
+ * the sum over the block is not, the robots whose own gradient is not below 1/64 of float32's largest number are left out, or, if
+ * there is none, all of them: the block's gradient is 0 then. What is left is exactly the sum of the others (docs/numerics.md, Range).
+ * The result depends on the inputs (robots, in this order) and the instruction set alone. outcomes:
  * (n). pause, profile, counts nullable (counts are added to). MO_ERR_INVALID (a body of another workspace, options),
  * MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,

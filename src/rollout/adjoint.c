@@ -108,9 +108,9 @@ void mo_adjoint_start(const struct mo_reference *r, const struct mo_outcome *out
   memset(adjoint->d_position, 0, n * 3 * sizeof(double));
   memset(adjoint->d_velocity, 0, n * 3 * sizeof(double));
   const double *light = r->environment->light_xy_m;
-  const double start = hypot(outcome->com_start_m[0] - light[0], outcome->com_start_m[1] - light[1]);
-  const double end = hypot(outcome->com_end_m[0] - light[0], outcome->com_end_m[1] - light[1]);
-  /* loss = hypot(com − light) / (start + guard),   com = sum of positions / n; at the light itself the derivative is taken as 0 */
+  const double start = mo_scene_distance(outcome->com_start_m[0] - light[0], outcome->com_start_m[1] - light[1]);
+  const double end = mo_scene_distance(outcome->com_end_m[0] - light[0], outcome->com_end_m[1] - light[1]);
+  /* loss = mo_scene_distance(com − light) / (start + guard),   com = sum of positions / n; at the light itself the derivative is taken as 0 */
   for (int axis = 0; axis < 2 && end > 0; axis++) {
     const double d_com = (outcome->com_end_m[axis] - light[axis]) / end / (start + MO_LOSS_GUARD_M);
     for (size_t i = 0; i < n; i++)

@@ -206,8 +206,8 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   r = allocate(&g);
   if (r == MO_OK) {
     run_forward(&g, outcome);
-    g.scale_m = hypot(outcome->com_start_m[0] - environment->light_xy_m[0],
-                      outcome->com_start_m[1] - environment->light_xy_m[1]) +
+    g.scale_m = mo_scene_distance(outcome->com_start_m[0] - environment->light_xy_m[0],
+                                  outcome->com_start_m[1] - environment->light_xy_m[1]) +
                 MO_LOSS_GUARD_M;
     if (outcome->diverged_step != 0)
       g.counts.diverged_robots++;

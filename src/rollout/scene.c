@@ -43,9 +43,39 @@ void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])
     com_m[axis] = sum[axis] / n;
 }
 
+/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by what rounding left: one step of Newton's method takes that
+ * off. The excess is written so that its parts are small and nearly exact, one way for b near a and one for b below a/2 or so
+ * (C. F. Borges, "An improved algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
+double mo_scene_distance(double dx_m, double dy_m)
+{
+  double a = fmax(fabs(dx_m), fabs(dy_m)), b = fmin(fabs(dx_m), fabs(dy_m));
+  double unit = 1.0;
+  if (isinf(dx_m) || isinf(dy_m))
+    return INFINITY;
+  if (isnan(dx_m) || isnan(dy_m))
+    return NAN;
+  if (b <= a * 0x1p-54)
+    return a + b;
+  if (a > 0x1p510 || b < 0x1p-459) { /* squares that float64 cannot hold */
+    unit = a > 0x1p510 ? 0x1p600 : 0x1p-600;
+    a /= unit;
+    b /= unit;
+  }
+  const double e = sqrt(a * a + b * b);
+  double excess;
+  if (e <= 2.0 * b) {
+    const double rest = e - b;
+    excess = a * (2.0 * rest - a) + (rest - 2.0 * (a - b)) * rest;
+  } else {
+    const double rest = e - a;
+    excess = 2.0 * rest * (a - 2.0 * b) + ((4.0 * rest - b) * b + rest * rest);
+  }
+  return (e - excess / (2.0 * e)) * unit;
+}
+
 double mo_scene_loss(const double com_start_m[3], const double com_end_m[3], const double light_xy_m[2])
 {
-  const double start = hypot(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
-  const double end = hypot(com_end_m[0] - light_xy_m[0], com_end_m[1] - light_xy_m[1]);
+  const double start = mo_scene_distance(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
+  const double end = mo_scene_distance(com_end_m[0] - light_xy_m[0], com_end_m[1] - light_xy_m[1]);
   return end / (start + MO_LOSS_GUARD_M);
 }

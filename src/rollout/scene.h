@@ -19,6 +19,9 @@ void mo_scene_com(const double *position_m, uint32_t n, double com_m[3]);
 /* Distance in x, y from the centre of mass to the light at the end over the same at the start, guarded against a start at the
  * light itself. */
 #define MO_LOSS_GUARD_M 1e-8
+/* The length of (dx, dy), within one unit of the last place. The C library's hypot may differ from one to the next in that place; this has
+ * the same bits everywhere: losses, and what a training clips by, rest on it. */
+double mo_scene_distance(double dx_m, double dy_m);
 double mo_scene_loss(const double com_start_m[3], const double com_end_m[3], const double light_xy_m[2]);
 
 #endif

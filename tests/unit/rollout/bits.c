@@ -138,7 +138,7 @@ static void kernels(void)
   mo_workspace_memory_free(memory);
 }
 
-/* The reference calls sin, exp, tanh and hypot of the C library, which has variants with and without fused operations. */
+/* The reference calls sin, exp and tanh of the C library, which has variants with and without fused operations. */
 static void reference(void)
 {
   REQUIRE(setup());
