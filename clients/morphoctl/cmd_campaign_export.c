@@ -20,12 +20,11 @@ static void print_champions(const struct ctl *ctl, const json_t *page)
   json_array_foreach(json_object_get(page, "items"), i, item)
   {
     char number[32], voxels[32], footprint[32], score[32], distinct[32], born[32];
-    const json_t *size = json_object_get(item, "size");
     snprintf(number, sizeof(number), "%" PRId64, number_of(item, "number"));
     const char *cells[] = {number,
                            text_of(item, "id"),
-                           count_text(number_of(size, "voxels"), voxels),
-                           count_text(number_of(size, "footprint"), footprint),
+                           count_text(number_of(item, "voxels"), voxels),
+                           count_text(number_of(item, "footprint"), footprint),
                            score_text(json_object_get(item, "score"), score),
                            score_text(json_object_get(item, "distinctiveness"), distinct),
                            text_of(item, "operator"),

@@ -24,10 +24,14 @@ int run_design_show(struct ctl *ctl)
     print_fact(ctl, "masses", "%" PRId64, number_of(design, "masses"));
     print_fact(ctl, "springs", "%" PRId64, number_of(design, "springs"));
     print_fact(ctl, "first seen", "%s", time_text(json_object_get(design, "first_seen_at"), time));
-    if (json_array_size(json_object_get(design, "parents")) > 0)
-      print_fact(ctl, "parents", "%zu", json_array_size(json_object_get(design, "parents")));
-    if (json_array_size(json_object_get(design, "children")) > 0)
-      print_fact(ctl, "children", "%zu", json_array_size(json_object_get(design, "children")));
+    size_t i;
+    const json_t *campaign;
+    json_array_foreach(json_object_get(design, "campaigns"), i, campaign)
+    {
+      print_fact(ctl, i == 0 ? "campaigns" : "", "%s: number %" PRId64 ", born in generation %" PRId64 " by %s",
+                 text_of(campaign, "campaign"), number_of(campaign, "number"), number_of(campaign, "born"),
+                 text_of(campaign, "operator"));
+    }
     if (json_is_true(json_object_get(design, "truncated")))
       print_fact(ctl, "scores", "only the first 1,000 rollouts are shown");
     const json_t *orientations = json_object_get(design, "orientations"), *orientation;
@@ -35,7 +39,6 @@ int run_design_show(struct ctl *ctl)
       putchar('\n');
       draw_body(stdout, voxels, ctl->utf8);
     }
-    size_t i;
     json_array_foreach(orientations, i, orientation)
     {
       const char *genotype = text_of(orientation, "genotype");

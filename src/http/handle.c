@@ -9,6 +9,29 @@
 
 const char *const mo_json_type[1] = {"application/json"};
 
+static enum mo_handled handle_campaign(struct mo_request *request)
+{
+  bool post = request->method == MO_POST;
+  switch (request->route) {
+  case MO_ROUTE_CAMPAIGN: return mo_handle_campaign(request);
+  case MO_ROUTE_CAMPAIGN_GENERATIONS: return mo_handle_campaign_generations(request);
+  case MO_ROUTE_CAMPAIGN_LEARNING: return mo_handle_campaign_learning(request);
+  case MO_ROUTE_CAMPAIGN_REPLICATES: return mo_handle_campaign_replicates(request);
+  case MO_ROUTE_CAMPAIGN_PHYLOGENY: return mo_handle_campaign_phylogeny(request);
+  case MO_ROUTE_CAMPAIGNS: (post ? mo_handle_campaigns_post : mo_handle_campaigns)(request); break;
+  case MO_ROUTE_CAMPAIGN_EXTEND: mo_handle_campaign_extend(request); break;
+  case MO_ROUTE_CAMPAIGN_POPULATION: mo_handle_campaign_population(request); break;
+  case MO_ROUTE_CAMPAIGN_DESIGN: mo_handle_campaign_design(request); break;
+  case MO_ROUTE_CAMPAIGN_ANCESTORS: mo_handle_campaign_ancestors(request); break;
+  case MO_ROUTE_CAMPAIGN_DESCENDANTS: mo_handle_campaign_descendants(request); break;
+  case MO_ROUTE_CAMPAIGN_CHAMPIONS:
+    (post ? mo_handle_campaign_champions_post : mo_handle_campaign_champions)(request);
+    break;
+  default: mo_handle_campaign_change(request); break; /* pause, resume, cancel */
+  }
+  return MO_HANDLED;
+}
+
 enum mo_handled mo_handle(struct mo_request *request)
 {
   switch (request->route) {
@@ -34,6 +57,21 @@ enum mo_handled mo_handle(struct mo_request *request)
   case MO_ROUTE_TRAINING_CONTROLLER: mo_handle_training_controller(request); break;
   case MO_ROUTE_TRAINING_HELD_OUT: mo_handle_training_held_out(request); break;
   case MO_ROUTE_HELD_OUT: mo_handle_held_out(request); break;
+  case MO_ROUTE_CAMPAIGNS:
+  case MO_ROUTE_CAMPAIGN:
+  case MO_ROUTE_CAMPAIGN_PAUSE:
+  case MO_ROUTE_CAMPAIGN_RESUME:
+  case MO_ROUTE_CAMPAIGN_CANCEL:
+  case MO_ROUTE_CAMPAIGN_EXTEND:
+  case MO_ROUTE_CAMPAIGN_GENERATIONS:
+  case MO_ROUTE_CAMPAIGN_LEARNING:
+  case MO_ROUTE_CAMPAIGN_REPLICATES:
+  case MO_ROUTE_CAMPAIGN_POPULATION:
+  case MO_ROUTE_CAMPAIGN_DESIGN:
+  case MO_ROUTE_CAMPAIGN_ANCESTORS:
+  case MO_ROUTE_CAMPAIGN_DESCENDANTS:
+  case MO_ROUTE_CAMPAIGN_PHYLOGENY:
+  case MO_ROUTE_CAMPAIGN_CHAMPIONS: return handle_campaign(request);
   case MO_ROUTE_JOBS: mo_handle_jobs(request); break;
   case MO_ROUTE_JOB:
     if (request->method != MO_DELETE)
@@ -150,6 +188,33 @@ bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
   return false;
 }
 
+bool mo_query_form(struct mo_request *request, const struct mo_query_value *format, const char *const *names,
+                   const char *const *types, int n, int *form)
+{
+  char list[128] = "";
+  for (int i = 0; i < n; i++) {
+    if (format->present && strcmp(format->text, names[i]) == 0) {
+      *form = i;
+      return true;
+    }
+    size_t at = strlen(list);
+    snprintf(list + at, sizeof(list) - at, "%s%s",
+             i == 0      ? ""
+             : i + 1 < n ? ", "
+                         : " or ",
+             format->present ? names[i] : types[i]);
+  }
+  if (!format->present && (*form = mo_accept_choose(request->framing.accept, types, (size_t)n)) >= 0)
+    return true;
+  if (!format->present) {
+    mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.", list);
+    return false;
+  }
+  snprintf(list + strlen(list), sizeof(list) - strlen(list), " is expected");
+  bad_parameter(request, "format", list);
+  return false;
+}
+
 /* ---- at once ---- */
 
 static void health(struct mo_request *request)
@@ -218,7 +283,8 @@ static const char index_page[] =
     "<style>body{font-family:sans-serif;max-width:40em;margin:3em auto;line-height:1.5}</style></head>\n"
     "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable and the same for ever.</p>\n<ul>\n"
     "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
-    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/trainings\">trainings</a>, <a href=\"/v1/designs\">designs</a>, "
+    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/trainings\">trainings</a>, <a "
+    "href=\"/v1/campaigns\">campaigns</a>, <a href=\"/v1/designs\">designs</a>, "
     "<a "
     "href=\"/v1/controllers\">controllers</a>, "
     "<a href=\"/v1/workers\">workers</a></li>\n"

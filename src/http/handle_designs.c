@@ -5,9 +5,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "http/campaign_json.h"
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
+
+#define CAMPAIGNS_MAX 100
 
 /* Opens the object: what every representation of a design has. False: no memory. */
 static bool write_head(struct mo_http *http, struct mo_text *text, const struct mo_bits *form, int64_t first_seen_us)
@@ -55,6 +58,28 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   mo_text_add(text, "}");
 }
 
+/* Where it was born: its lineage belongs to each campaign. */
+static int write_campaigns(struct mo_store *store, struct mo_text *text, const struct mo_bits *form)
+{
+  struct mo_campaign_place *places = malloc(CAMPAIGNS_MAX * sizeof(*places));
+  int64_t n = places != NULL ? mo_store_campaigns_of_design(store, form, 0, places, CAMPAIGNS_MAX) : MO_ERR_NO_MEMORY;
+  int code = n < 0 ? (int)n : MO_OK;
+  mo_text_add(text, ",\"campaigns\":[");
+  for (int64_t i = 0; i < n && code == MO_OK; i++) {
+    struct mo_campaign_design row;
+    code = mo_store_campaign_designs_of(store, places[i].campaign, &places[i].number, 1, &row);
+    if (code != MO_OK)
+      break;
+    mo_text_format(text, "%s{\"campaign\":\"%lld\",\"number\":%u", i > 0 ? "," : "", (long long)places[i].campaign,
+                   places[i].number);
+    mo_campaign_json_life(text, &row);
+    mo_text_add(text, "}");
+  }
+  mo_text_add(text, "]");
+  free(places);
+  return code;
+}
+
 void mo_handle_design(struct mo_request *request)
 {
   struct mo_http *http = request->http;
@@ -90,9 +115,14 @@ void mo_handle_design(struct mo_request *request)
     }
     mo_text_add(&text, "]}");
   }
-  /* Lineage comes from evolution; an evaluated design has neither parents nor children. */
-  mo_text_format(&text, "],\"truncated\":%s,\"parents\":[],\"children\":[]}", design->truncated ? "true" : "false");
+  mo_text_format(&text, "],\"truncated\":%s", design->truncated ? "true" : "false");
   mo_design_free(design);
+  if ((code = write_campaigns(http->services.store, &text, &form)) != MO_OK) {
+    mo_text_free(&text);
+    mo_reply_error(request, code, "design");
+    return;
+  }
+  mo_text_add(&text, "}");
   text.failed |= !good;
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);

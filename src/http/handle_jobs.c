@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "http/campaign_json.h"
 #include "http/evaluation_request.h"
 #include "http/field.h"
 #include "http/job_json.h"
@@ -36,19 +37,29 @@ static void tag(struct mo_request *request, const char *what, const struct mo_jo
 static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job, int state,
                      const char *before)
 {
-  if (job->kind != MO_JOB_TRAINING) {
+  int code = MO_OK;
+  if (job->kind == MO_JOB_TRAINING) {
+    struct mo_training_live live;
+    struct mo_training_status *training = malloc(sizeof(*training));
+    code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
+    if (code == MO_OK && (state < 0 || mo_training_state(training, &live) == (enum mo_job_state)state)) {
+      mo_text_add(text, before);
+      mo_training_json_job(text, training, &live);
+    }
+    free(training);
+  } else if (job->kind == MO_JOB_CAMPAIGN) {
+    struct mo_campaign_live live;
+    struct mo_campaign_status *campaign = malloc(sizeof(*campaign));
+    code = campaign != NULL ? mo_read_campaign(http, job->id, campaign, &live) : MO_ERR_NO_MEMORY;
+    if (code == MO_OK && (state < 0 || mo_campaign_state_shown(campaign, &live) == (enum mo_job_state)state)) {
+      mo_text_add(text, before);
+      mo_campaign_json_job(text, campaign, &live);
+    }
+    free(campaign);
+  } else {
     mo_text_add(text, before);
     mo_job_write(text, job, NULL);
-    return MO_OK;
   }
-  struct mo_training_live live;
-  struct mo_training_status *training = malloc(sizeof(*training));
-  int code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
-  if (code == MO_OK && (state < 0 || mo_training_state(training, &live) == (enum mo_job_state)state)) {
-    mo_text_add(text, before);
-    mo_training_json_job(text, training, &live);
-  }
-  free(training);
   return code;
 }
 
@@ -73,7 +84,7 @@ static void reply_job(struct mo_request *request, unsigned status, const struct 
   mo_reply_json(request, status, &text);
   if (request->reply.status != status)
     return;
-  if (job->kind == MO_JOB_TRAINING)
+  if (job->kind != MO_JOB_EVALUATION)
     mo_reply_etag_of_body(request); /* its progress is not in the row */
   else
     tag(request, with_results ? "evaluation" : "job", job);
@@ -115,16 +126,8 @@ static void submission_error(struct mo_request *request, int code, const struct 
   case MO_ERR_LIMIT: pointer = "/record"; break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE: pointer = ""; break;
-  case MO_ERR_CONFLICT:
-    if (faults != NULL)
-      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
-    mo_reply_problem(request, 422, faults,
-                     "The Idempotency-Key was used with another body; use a new key for a new request.");
-    break;
-  case MO_ERR_BUSY:
-    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
-    request->reply.retry_after_s = 10;
-    break;
+  case MO_ERR_CONFLICT: mo_reply_key_conflict(request, faults); break;
+  case MO_ERR_BUSY: mo_reply_queue_full(request); break;
   default: mo_reply_error(request, code, "evaluation"); break;
   }
   if (pointer != NULL) {
@@ -136,73 +139,49 @@ static void submission_error(struct mo_request *request, int code, const struct 
   free(faults);
 }
 
-bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
-{
-  char type[64], charset[32];
-  const char *field = request->framing.content_type;
-  const char *coding = request->framing.content_encoding;
-  if (coding != NULL && strcasecmp(coding, "identity") != 0)
-    mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
-  else if (field == NULL || !mo_content_type(field, type, charset) ||
-           (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
-    mo_reply_problem(request, 415, NULL, "The Content-Type must be %s.", expected);
-  else if (charset[0] != '\0' && strcmp(charset, "utf-8") != 0)
-    mo_reply_problem(request, 415, NULL, "The charset must be UTF-8.");
-  else
-    return true;
-  return false;
-}
-
 /* Parses and stores; false: a reply is made. */
-static bool submit(struct mo_request *request, struct mo_faults *faults)
+static bool submit(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
 {
   struct mo_http *http = request->http;
-  char key[256];
-  if (request->framing.idempotency_key != NULL && !mo_idempotency_key(request->framing.idempotency_key, key)) {
-    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
-    mo_reply_problem(request, 400, faults, NULL);
-    return false;
-  }
   struct mo_parsed_evaluation parsed;
   int code = mo_evaluation_parse(request->body, request->body_size, &parsed, faults);
   if (code == MO_OK) {
     struct mo_message message = {""};
     bool replayed;
-    if (request->framing.idempotency_key != NULL) {
-      parsed.request.idempotency_key = key;
-      mo_sha256_of(request->body, request->body_size, &parsed.request.body_sha256);
-    }
+    parsed.request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
+    parsed.request.body_sha256 = key->body_sha256;
     code = mo_jobs_submit_evaluation(http->services.jobs, &parsed.request, &request->submitted, &replayed, &message);
     if (code != MO_OK)
       submission_error(request, code, &message);
-  } else if (code == MO_ERR_FORMAT) {
-    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
-  } else if (code == MO_ERR_INVALID) {
-    mo_reply_problem(request, 422, faults, NULL);
   } else {
-    mo_reply_error(request, code, "evaluation");
+    mo_reply_parse_error(request, code, faults, "evaluation");
   }
   mo_evaluation_parsed_free(&parsed);
   return code == MO_OK;
 }
 
+static void reply_submitted(struct mo_request *request, const struct mo_job *job, bool done)
+{
+  reply_job(request, done ? 200 : 202, job, true);
+  snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld", (long long)job->id);
+  if (!done) {
+    request->reply.applied[0] = '\0';
+    request->reply.retry_after_s = 1;
+  }
+}
+
 enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
 {
-  struct mo_query_value none;
   if (request->submitted == 0) {
-    if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request) ||
-        !mo_check_content(request, "application/json", NULL))
+    struct mo_submission_key key;
+    if (!mo_submission_begin(request, "evaluation", &key) || !mo_read_wait(request))
       return MO_HANDLED;
-    if (!atomic_load(&request->http->ready)) {
-      mo_reply_error(request, MO_ERR_CANCELLED, "evaluation");
-      return MO_HANDLED;
-    }
     struct mo_faults *faults = calloc(1, sizeof(*faults));
     if (faults == NULL) {
       mo_reply_error(request, MO_ERR_NO_MEMORY, "evaluation");
       return MO_HANDLED;
     }
-    bool stored = submit(request, faults);
+    bool stored = submit(request, &key, faults);
     free(faults);
     if (!stored)
       return MO_HANDLED;
@@ -217,16 +196,21 @@ enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
   if (code != MO_OK) {
     mo_reply_error(request, code, "evaluation");
   } else {
-    bool done = request->wait_s >= 0 && mo_job_state_is_final(job->state);
-    reply_job(request, done ? 200 : 202, job, true);
-    snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld", (long long)job->id);
-    if (!done) {
-      request->reply.applied[0] = '\0';
-      request->reply.retry_after_s = 1;
-    }
+    reply_submitted(request, job, request->wait_s >= 0 && mo_job_state_is_final(job->state));
   }
   free(job);
   return MO_HANDLED;
+}
+
+void mo_reply_accepted_evaluation(struct mo_request *request, int64_t id)
+{
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
+  if (code != MO_OK)
+    mo_reply_error(request, code, "evaluation");
+  else
+    reply_submitted(request, job, false);
+  free(job);
 }
 
 /* ---- reading ---- */
@@ -284,7 +268,7 @@ void mo_handle_jobs(struct mo_request *request)
     return;
   }
   if (values[1].present && mo_job_kind_from_name(values[1].text, &kind) != MO_OK) {
-    mo_reply_bad_parameter(request, "kind", "evaluation or training is expected");
+    mo_reply_bad_parameter(request, "kind", "evaluation, training or campaign is expected");
     return;
   }
   if (values[3].present && !mo_decimal(values[3].text, strlen(values[3].text), 1, INT64_MAX, &query.before)) {
@@ -391,16 +375,11 @@ static void set_weight(struct mo_request *request, int64_t id, struct mo_faults 
   double weight = 1;
   int code = read_weight(request, &weight, faults);
   bool conflict = false;
-  if (code == MO_ERR_FORMAT) {
-    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
+  if (code != MO_OK) {
+    mo_reply_parse_error(request, code, faults, "job");
     return;
   }
-  if (code == MO_ERR_INVALID) {
-    mo_reply_problem(request, 422, faults, NULL);
-    return;
-  }
-  if (code == MO_OK)
-    code = mo_jobs_set_weight(request->http->services.jobs, id, weight);
+  code = mo_jobs_set_weight(request->http->services.jobs, id, weight);
   conflict = code == MO_ERR_CONFLICT;
   if (code == MO_OK || conflict)
     code = mo_store_job(request->http->services.store, id, job);

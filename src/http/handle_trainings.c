@@ -15,32 +15,16 @@
 
 /* ---- POST /v1/trainings ---- */
 
+static const char *population_pointer(const struct mo_parsed_training *parsed)
+{
+  return parsed->population_kind == MO_JOB_CAMPAIGN ? "/population/campaign" : "/population/evaluation";
+}
+
 /* What the request names must be there: both faults are told at once, besides those of the body itself. */
 static void look_up(struct mo_store *store, const struct mo_parsed_training *parsed, struct mo_faults *faults)
 {
-  struct mo_controller_record controller;
-  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
-  const char *parent = parsed->request.parent;
-  int code = parent != NULL ? mo_store_controller(store, parent, &controller) : MO_OK;
-  if (code == MO_ERR_NOT_FOUND)
-    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected", parent);
-  else if (parent != NULL && code == MO_OK &&
-           (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
-            controller.workspace.nz != ours.nz))
-    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u × %u is expected",
-                  parent, controller.workspace.nx, controller.workspace.ny, controller.workspace.nz, ours.nx, ours.ny,
-                  ours.nz);
-  if (parsed->request.population > 0) {
-    struct mo_job *job = malloc(sizeof(*job));
-    code = job != NULL ? mo_store_job(store, parsed->request.population, job) : MO_ERR_NO_MEMORY;
-    if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job->kind != MO_JOB_EVALUATION))
-      mo_faults_add(faults, MO_FAULT_BODY, "/population/evaluation",
-                    "there is no evaluation %lld; the id of one that has succeeded is expected",
-                    (long long)parsed->request.population);
-    free(job);
-  }
+  mo_look_up_controller(store, parsed->request.parent, faults);
+  mo_look_up_job(store, parsed->request.population, parsed->population_kind, population_pointer(parsed), faults);
 }
 
 /* Whether the key was used with another body, which is told like a conflict with the population. */
@@ -76,18 +60,13 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
     break;
   case MO_ERR_CONFLICT:
     if (key_conflicts(store, &parsed->request) || parsed->request.population == 0) {
-      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
-      mo_reply_problem(request, 422, faults,
-                       "The Idempotency-Key was used with another body; use a new key for a new request.");
+      mo_reply_key_conflict(request, faults);
     } else {
-      mo_faults_add(faults, MO_FAULT_BODY, "/population/evaluation", "%s", words);
+      mo_faults_add(faults, MO_FAULT_BODY, population_pointer(parsed), "%s", words);
       mo_reply_problem(request, 409, faults, NULL);
     }
     break;
-  case MO_ERR_BUSY:
-    mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
-    request->reply.retry_after_s = 10;
-    break;
+  case MO_ERR_BUSY: mo_reply_queue_full(request); break;
   default: mo_reply_error(request, code, "training"); break;
   }
 }
@@ -104,6 +83,17 @@ int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status
   return code;
 }
 
+/* Of the job whose designs a training learns from. */
+static enum mo_job_kind population_kind(struct mo_http *http, const struct mo_training_status *status)
+{
+  enum mo_job_kind kind = MO_JOB_EVALUATION;
+  struct mo_job *job = status->record.population > 0 ? malloc(sizeof(*job)) : NULL;
+  if (job != NULL && mo_store_job(http->services.store, status->record.population, job) == MO_OK)
+    kind = job->kind;
+  free(job);
+  return kind;
+}
+
 static void reply_training(struct mo_request *request, unsigned http_status, int64_t id)
 {
   struct mo_training_status *status = malloc(sizeof(*status));
@@ -116,7 +106,7 @@ static void reply_training(struct mo_request *request, unsigned http_status, int
     return;
   }
   bool final = mo_job_state_is_final(status->job.state);
-  mo_training_json_write(&text, status, &live);
+  mo_training_json_write(&text, status, population_kind(request->http, status), &live);
   free(status);
   mo_reply_json(request, http_status, &text);
   if (request->reply.status != http_status)
@@ -129,38 +119,35 @@ static void reply_training(struct mo_request *request, unsigned http_status, int
 }
 
 /* Parses and stores; false: a reply is made. */
-static bool submit(struct mo_request *request, struct mo_faults *faults)
+static bool submit(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
 {
   struct mo_http *http = request->http;
-  char key[256];
-  if (request->framing.idempotency_key != NULL && !mo_idempotency_key(request->framing.idempotency_key, key)) {
-    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
-    mo_reply_problem(request, 400, faults, NULL);
-    return false;
-  }
   struct mo_parsed_training *parsed = malloc(sizeof(*parsed));
   if (parsed == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "training");
     return false;
   }
   int code = mo_training_parse(request->body, request->body_size, parsed, faults);
-  if (code == MO_OK) {
+  if (code == MO_OK) /* the job may be of another kind, which has a population, too */
+    mo_look_up_job(http->services.store, parsed->request.population, parsed->population_kind,
+                   population_pointer(parsed), faults);
+  if (code == MO_OK && faults->n > 0)
+    mo_look_up_controller(http->services.store, parsed->request.parent, faults);
+  if (code == MO_OK && faults->n > 0) {
+    code = MO_ERR_INVALID;
+    mo_reply_problem(request, 422, faults, NULL);
+  } else if (code == MO_OK) {
     struct mo_message message = {""};
     bool replayed;
-    if (request->framing.idempotency_key != NULL) {
-      parsed->request.idempotency_key = key;
-      mo_sha256_of(request->body, request->body_size, &parsed->request.body_sha256);
-    }
+    parsed->request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
+    parsed->request.body_sha256 = key->body_sha256;
     code = mo_jobs_submit_training(http->services.jobs, &parsed->request, &request->submitted, &replayed, &message);
     if (code != MO_OK)
       submission_error(request, parsed, code, &message, faults);
-  } else if (code == MO_ERR_FORMAT) {
-    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
-  } else if (code == MO_ERR_INVALID) {
-    look_up(http->services.store, parsed, faults);
-    mo_reply_problem(request, 422, faults, NULL);
   } else {
-    mo_reply_error(request, code, "training");
+    if (code == MO_ERR_INVALID)
+      look_up(http->services.store, parsed, faults);
+    mo_reply_parse_error(request, code, faults, "training");
   }
   mo_training_parsed_free(parsed);
   free(parsed);
@@ -169,20 +156,15 @@ static bool submit(struct mo_request *request, struct mo_faults *faults)
 
 void mo_handle_trainings_post(struct mo_request *request)
 {
-  struct mo_query_value none;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
-      !mo_check_content(request, "application/json", NULL))
+  struct mo_submission_key key;
+  if (!mo_submission_begin(request, "training", &key))
     return;
-  if (!atomic_load(&request->http->ready)) {
-    mo_reply_error(request, MO_ERR_CANCELLED, "training");
-    return;
-  }
   struct mo_faults *faults = calloc(1, sizeof(*faults));
   if (faults == NULL) {
     mo_reply_error(request, MO_ERR_NO_MEMORY, "training");
     return;
   }
-  bool stored = submit(request, faults);
+  bool stored = submit(request, &key, faults);
   free(faults);
   if (!stored)
     return;
@@ -256,7 +238,7 @@ void mo_handle_trainings(struct mo_request *request)
       continue; /* it has begun or ceased to wait since it was found */
     mo_text_add(&text, comma);
     comma = ",";
-    mo_training_json_write(&text, &page[i], &live);
+    mo_training_json_write(&text, &page[i], population_kind(http, &page[i]), &live);
   }
   if (n > 0 && (size_t)n == limit)
     mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)page[n - 1].job.id);
@@ -362,19 +344,6 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
   mo_reply_etag_of_body(request);
 }
 
-/* A training's id in the path; false: the 404 is made. */
-static bool is_training(struct mo_request *request, int64_t id)
-{
-  struct mo_job *job = malloc(sizeof(*job));
-  int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
-  if (code == MO_OK && job->kind != MO_JOB_TRAINING)
-    code = MO_ERR_NOT_FOUND;
-  free(job);
-  if (code != MO_OK)
-    mo_reply_error(request, code, "training");
-  return code == MO_OK;
-}
-
 static void handle_curve(struct mo_request *request, bool validations)
 {
   static const char *const names[] = {"after", "limit", "stride"};
@@ -394,7 +363,7 @@ static void handle_curve(struct mo_request *request, bool validations)
   if (!mo_query_number(request, "after", &values[0], 0, UINT32_MAX, &after) ||
       !mo_query_number(request, "limit", &values[1], 1, MO_PAGE_MAX, &limit) ||
       !mo_query_number(request, "stride", &values[2], 1, MO_TRAINING_STEPS_MAX, &stride) ||
-      !mo_path_id(request, 0, &id) || !is_training(request, id))
+      !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
   struct curve curve = {.store = request->http->services.store,
                         .validations = validations,
@@ -425,7 +394,7 @@ void mo_handle_training_checkpoints(struct mo_request *request)
   struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
   int64_t id;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !is_training(request, id))
+      !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
   int64_t n = mo_store_training_checkpoints(request->http->services.store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0) {
@@ -452,7 +421,7 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
   bool one = request->route == MO_ROUTE_TRAINING_CHECKPOINT;
   int64_t id, step = 0;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !is_training(request, id))
+      !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
   int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step) ? MO_ERR_NOT_FOUND : MO_OK;
   if (code == MO_OK)

@@ -4,21 +4,31 @@
 #include <math.h>
 #include <string.h>
 
-void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)
+void mo_bits_write_bare(struct mo_text *text, const struct mo_bits *bits)
 {
   char digits[MO_DEFAULT_VOXELS + 1];
   mo_genotype_to_text(MO_DEFAULT_WORKSPACE, bits->words, digits);
-  mo_text_bytes(text, "\"", 1);
   mo_text_bytes(text, digits, MO_DEFAULT_VOXELS);
+}
+
+void mo_bits_write(struct mo_text *text, const struct mo_bits *bits)
+{
   mo_text_bytes(text, "\"", 1);
+  mo_bits_write_bare(text, bits);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_bits_write_id_bare(struct mo_text *text, const struct mo_bits *form)
+{
+  char id[MO_DEFAULT_ID_DIGITS + 1];
+  mo_genotype_id(MO_DEFAULT_WORKSPACE, form->words, id);
+  mo_text_bytes(text, id, MO_DEFAULT_ID_DIGITS);
 }
 
 void mo_bits_write_id(struct mo_text *text, const struct mo_bits *form)
 {
-  char id[MO_DEFAULT_ID_DIGITS + 1];
-  mo_genotype_id(MO_DEFAULT_WORKSPACE, form->words, id);
   mo_text_bytes(text, "\"", 1);
-  mo_text_bytes(text, id, MO_DEFAULT_ID_DIGITS);
+  mo_bits_write_id_bare(text, form);
   mo_text_bytes(text, "\"", 1);
 }
 

@@ -171,6 +171,23 @@ static void write_trainings(struct mo_http *http, struct mo_text *text)
         j.training_checkpoints);
 }
 
+static void write_campaigns(struct mo_http *http, struct mo_text *text)
+{
+  struct mo_jobs_stats j;
+  mo_jobs_get_stats(http->services.jobs, &j);
+  whole(text, "morphod_campaigns_running", "gauge", "Campaigns that run or are being prepared.", j.active_campaigns);
+  whole(text, "morphod_campaign_generations_total", "counter", "Generations committed since the start.",
+        j.campaign_generations);
+  whole(text, "morphod_campaign_designs_total", "counter", "Designs born in these generations.", j.campaign_designs);
+  whole(text, "morphod_campaign_rollouts_total", "counter", "Rollouts computed for scores of campaigns.",
+        j.campaign_rollouts);
+  whole(text, "morphod_campaign_rollouts_cached_total", "counter",
+        "Rollouts of committed generations that were found in the store.", j.campaign_cached);
+  whole(text, "morphod_campaign_rollouts_diverged_total", "counter", "Rollouts of committed generations that diverged.",
+        j.campaign_diverged);
+  whole(text, "morphod_campaign_learning_steps_total", "counter", "Steps of learning in campaigns.", j.campaign_steps);
+}
+
 static void write_store(struct mo_http *http, struct mo_text *text)
 {
   struct mo_store_stats s;
@@ -202,5 +219,6 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_jobs(http, text);
   write_worker_time(http, text);
   write_trainings(http, text);
+  write_campaigns(http, text);
   write_store(http, text);
 }

@@ -50,6 +50,9 @@ static void *worker(void *context)
     if (request->stage == MO_STAGE_REPLY && request->stream != NULL) {
       mo_stream_refill(request); /* resumes by itself */
       back = false;
+    } else if (request->stage == MO_STAGE_REPLY && request->download != NULL) {
+      mo_download_refill(request); /* likewise */
+      back = false;
     } else {
       back = mo_handle(request) != MO_PARKED;
       if (back)

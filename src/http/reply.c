@@ -157,7 +157,7 @@ static bool add(struct MHD_Response *response, const char *name, const char *val
   return value[0] == '\0' || MHD_add_response_header(response, name, value) == MHD_YES;
 }
 
-static bool add_headers(struct mo_request *request, struct MHD_Response *response)
+bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
 {
   const struct mo_reply *reply = &request->reply;
   char retry[16] = "";
@@ -173,7 +173,9 @@ static bool add_headers(struct mo_request *request, struct MHD_Response *respons
               add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
               add(response, "Connection", reply->close ? "close" : "");
   if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY ||
-      request->route == MO_ROUTE_TRAINING_STEPS || request->route == MO_ROUTE_TRAINING_VALIDATIONS)
+      request->route == MO_ROUTE_TRAINING_STEPS || request->route == MO_ROUTE_TRAINING_VALIDATIONS ||
+      request->route == MO_ROUTE_CAMPAIGN_GENERATIONS || request->route == MO_ROUTE_CAMPAIGN_LEARNING ||
+      request->route == MO_ROUTE_CAMPAIGN_REPLICATES || request->route == MO_ROUTE_CAMPAIGN_PHYLOGENY)
     good = good && add(response, "Vary", "Accept");
   if (request->route == MO_ROUTE_INDEX)
     good = good && add(response, "Content-Security-Policy",
@@ -240,7 +242,7 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   if (atomic_load(&request->http->stopping))
     reply->close = true;
   enum MHD_Result result =
-      add_headers(request, response) ? MHD_queue_response(request->mhd, reply->status, response) : MHD_NO;
+      mo_reply_headers(request, response) ? MHD_queue_response(request->mhd, reply->status, response) : MHD_NO;
   MHD_destroy_response(response);
   return result;
 }

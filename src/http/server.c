@@ -77,7 +77,8 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
 /* Whether it brings work. */
 static bool submits(const struct mo_request *request)
 {
-  return request->method == MO_POST && (request->route == MO_ROUTE_EVALUATIONS || request->route == MO_ROUTE_TRAININGS);
+  return request->method == MO_POST && (request->route == MO_ROUTE_EVALUATIONS ||
+                                        request->route == MO_ROUTE_TRAININGS || request->route == MO_ROUTE_CAMPAIGNS);
 }
 
 static uint64_t body_limit(const struct mo_request *request)
@@ -320,7 +321,9 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
       *size = 0;
       return MHD_YES;
     }
-    return request->stream != NULL ? mo_stream_send(request) : mo_reply_send(request);
+    return request->stream != NULL     ? mo_stream_send(request)
+           : request->download != NULL ? mo_download_send(request)
+                                       : mo_reply_send(request);
   }
   return MHD_NO;
 }
@@ -338,6 +341,7 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
   bool stream = request->stream != NULL;
   if (stream)
     mo_stream_free(request);
+  mo_download_free(request);
   int64_t now_us = mo_http_clock_us();
   bool replied = request->reply.status != 0 && (why == MHD_REQUEST_TERMINATED_COMPLETED_OK || stream);
   unsigned status = replied ? request->reply.status : 0;

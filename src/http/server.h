@@ -22,6 +22,7 @@
 #include "http/metrics.h"
 #include "http/route.h"
 #include "http/text.h"
+#include "jobs/campaigns.h"
 #include "jobs/jobs.h"
 #include "jobs/trainings.h"
 #include "store/store.h"
@@ -116,7 +117,8 @@ struct mo_request {
   int64_t submitted; /* the evaluation that this POST has stored; 0: none yet */
   struct mo_request *next_waiting, *previous_waiting;
   struct mo_request *next_queued;
-  struct mo_stream *stream; /* not NULL: the reply is an event stream */
+  struct mo_stream *stream;     /* not NULL: the reply is an event stream */
+  struct mo_download *download; /* not NULL: the reply is made piece by piece */
 };
 
 enum mo_handled { MO_HANDLED, MO_PARKED, MO_STREAMED };
@@ -137,6 +139,7 @@ void mo_reply_extra(struct mo_request *request, const char *name, const char *fo
     __attribute__((format(printf, 3, 4)));
 void mo_reply_clear(struct mo_reply *reply);
 void mo_request_drop_body(struct mo_request *request); /* gives its memory back: it has been read */
+bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response);
 enum MHD_Result mo_reply_send(struct mo_request *request);
 
 /* handle.c: the routes. Called on an API thread (mo_handle_direct: on an I/O thread). */
@@ -159,6 +162,29 @@ void mo_reply_bad_parameter(struct mo_request *request, const char *name, const 
 /* An integer parameter within bounds; *number stays if it is absent. False: the 400 is made. */
 bool mo_query_number(struct mo_request *request, const char *name, const struct mo_query_value *value, int64_t min,
                      int64_t max, int64_t *number);
+/* Which of n forms is asked for: by the parameter `format` (one of `names`) or, without it, by Accept (types, the server's favourite
+ * first). False: the 400 or 406 is made. */
+bool mo_query_form(struct mo_request *request, const struct mo_query_value *format, const char *const *names,
+                   const char *const *types, int n, int *form);
+/* Whether `id` is a job of this kind; false: the 404 about a `what` is made. */
+bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what);
+/* What a submission begins with: no parameters, JSON in both directions, a service that takes work, and a well-formed Idempotency-Key, which
+ * goes into `key` with the body's hash ("": there is none). False: the 4xx or 503 is made. */
+struct mo_submission_key {
+  char key[256];
+  struct mo_sha256 body_sha256;
+};
+bool mo_submission_begin(struct mo_request *request, const char *what, struct mo_submission_key *key);
+/* The usual refusals of submissions: what a reader of a body said (faults nullable without memory), the key with another body (adds
+ * its fault), too much work. */
+void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults, const char *what);
+void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults);
+void mo_reply_queue_full(struct mo_request *request);
+/* What a request names: a controller of the service's workspace (NULL: none), a job of this kind (0: none). A fault if it is not
+ * there. */
+void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults);
+void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
+                    struct mo_faults *faults);
 /* Prefer: wait=N into request->wait_s; false: the 400 is made. */
 bool mo_read_wait(struct mo_request *request);
 /* Reads the job; parks the request while the job is not final and there is time. *job is filled in unless parked. */
@@ -166,9 +192,14 @@ enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_j
 /* A training, as it is stored and as it runs. MO_ERR_NOT_FOUND. */
 int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
                      struct mo_training_live *live);
+/* A campaign, likewise. */
+int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status *status,
+                     struct mo_campaign_live *live);
 /* Content-Type must be `expected` or `also` (nullable), without a coding; false: the 415 is made. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);
 
+/* 202 with the evaluation as it stands, and where it is. */
+void mo_reply_accepted_evaluation(struct mo_request *request, int64_t id);
 enum mo_handled mo_handle_evaluations_post(struct mo_request *request);
 enum mo_handled mo_handle_evaluation_get(struct mo_request *request);
 void mo_handle_trajectory(struct mo_request *request);
@@ -186,6 +217,21 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request); /* one o
 void mo_handle_training_controller(struct mo_request *request);
 void mo_handle_training_held_out(struct mo_request *request);
 void mo_handle_held_out(struct mo_request *request);
+void mo_handle_campaigns_post(struct mo_request *request);
+void mo_handle_campaigns(struct mo_request *request);
+enum mo_handled mo_handle_campaign(struct mo_request *request);
+void mo_handle_campaign_change(struct mo_request *request);
+void mo_handle_campaign_extend(struct mo_request *request);
+enum mo_handled mo_handle_campaign_generations(struct mo_request *request);
+enum mo_handled mo_handle_campaign_learning(struct mo_request *request);
+enum mo_handled mo_handle_campaign_replicates(struct mo_request *request);
+void mo_handle_campaign_population(struct mo_request *request);
+void mo_handle_campaign_design(struct mo_request *request);
+void mo_handle_campaign_ancestors(struct mo_request *request);
+void mo_handle_campaign_descendants(struct mo_request *request);
+enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request);
+void mo_handle_campaign_champions(struct mo_request *request);
+void mo_handle_campaign_champions_post(struct mo_request *request);
 void mo_handle_designs(struct mo_request *request);
 void mo_handle_design(struct mo_request *request);
 void mo_handle_controllers(struct mo_request *request);
@@ -193,6 +239,20 @@ void mo_handle_controller_get(struct mo_request *request);
 void mo_handle_controller_put(struct mo_request *request);
 void mo_handle_controller_delete(struct mo_request *request);
 enum mo_handled mo_handle_events(struct mo_request *request);
+
+/* ---- long replies (download.c) ---- */
+
+struct mo_download;
+/* Adds to `text` what comes next, some 100 KB in at most 50 ms, on an API thread: 1: there may be more, 0: that was all, or an error. */
+typedef int (*mo_download_more)(void *context, struct mo_text *text);
+/* Makes the reply, 200, 304 or a problem, from as many pieces as there are; `context` is taken over. tag: the ETag of what will be told;
+ * NULL: that of the body if it is of one piece, else one that never comes again. held: bytes that the context takes besides a piece.
+ * Returns what the handler must return. */
+enum mo_handled mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
+                                 mo_download_more more, void *context, void (*free_context)(void *context));
+void mo_download_refill(struct mo_request *request); /* API thread: the next piece; resumes the connection */
+enum MHD_Result mo_download_send(struct mo_request *request);
+void mo_download_free(struct mo_request *request); /* if there is one */
 
 /* ---- the API pool and the waiting requests (pool.c) ---- */
 

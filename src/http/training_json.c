@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "http/job_json.h"
+#include "http/learning_json.h"
 
 enum mo_job_state mo_training_state(const struct mo_training_status *status, const struct mo_training_live *live)
 {
@@ -42,19 +43,8 @@ static uint32_t step_of(const struct mo_training_status *status, const struct mo
 
 /* ---- settings ---- */
 
-static void write_schedule(struct mo_text *text, const struct mo_schedule *schedule)
-{
-  mo_text_format(text, ",\"schedule\":{\"kind\":\"%s\"", mo_schedule_name(schedule->kind));
-  mo_text_member_number(text, "peak", schedule->peak);
-  mo_text_member_number(text, "floor", schedule->floor);
-  mo_text_member_number(text, "decay", schedule->decay);
-  mo_text_member_count(text, "cycle_steps", schedule->cycle_steps);
-  mo_text_member_count(text, "cycle_growth", schedule->cycle_growth);
-  mo_text_member_count(text, "warmup_steps", schedule->warmup_steps);
-  mo_text_add(text, "}");
-}
-
-static void write_settings(struct mo_text *text, const struct mo_training_record *record)
+static void write_settings(struct mo_text *text, const struct mo_training_record *record,
+                           enum mo_job_kind population_kind)
 {
   const struct mo_training_settings *settings = &record->settings;
   mo_text_format(text, ",\"settings\":{\"steps\":%u", settings->n_steps);
@@ -69,15 +59,12 @@ static void write_settings(struct mo_text *text, const struct mo_training_record
   else
     mo_text_add(text, ",\"n_designs\":null");
   if (record->population > 0)
-    mo_text_format(text, ",\"population\":{\"evaluation\":\"%lld\"}", (long long)record->population);
+    mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}", mo_job_kind_name(population_kind),
+                   (long long)record->population);
   else
     mo_text_add(text, ",\"population\":null");
-  write_schedule(text, &settings->schedule);
-  mo_text_add(text, ",\"adam\":{\"beta1\":");
-  mo_text_json_number(text, settings->beta1);
-  mo_text_member_number(text, "beta2", settings->beta2);
-  mo_text_member_number(text, "epsilon", settings->epsilon);
-  mo_text_add(text, "}");
+  mo_schedule_write(text, &settings->schedule);
+  mo_adam_write(text, settings->beta1, settings->beta2, settings->epsilon);
   mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
   mo_text_member_number(text, "adjoint_bound", settings->adjoint_bound);
   mo_text_add(text, ",\"physics\":");
@@ -113,18 +100,6 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   mo_text_add(text, "}");
 }
 
-static void write_reference(struct mo_text *text, const char *name, const struct mo_sha256 *sha256)
-{
-  mo_text_add(text, "{\"name\":");
-  if (name[0] != '\0')
-    mo_text_json_string(text, name, strlen(name));
-  else
-    mo_text_add(text, "null");
-  mo_text_add(text, ",\"sha256\":");
-  mo_hash_write(text, sha256);
-  mo_text_add(text, "}");
-}
-
 static void write_code(struct mo_text *text, const struct mo_training_lineage *lineage)
 {
   mo_text_add(text, ",\"code\":[");
@@ -151,7 +126,7 @@ static void write_links(struct mo_text *text, long long id)
 }
 
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            const struct mo_training_live *live)
+                            enum mo_job_kind population_kind, const struct mo_training_live *live)
 {
   const struct mo_training_record *record = &status->record;
   char made[40];
@@ -164,10 +139,10 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   mo_text_member(text, "phase", mo_training_phase_name(live->phase));
   mo_text_add(text, ",\"parent\":");
   if (record->has_parent)
-    write_reference(text, record->parent_name, &record->parent_sha256);
+    mo_reference_write(text, record->parent_name, &record->parent_sha256);
   else
     mo_text_add(text, "null");
-  write_settings(text, record);
+  write_settings(text, record, population_kind);
   write_progress(text, status, live);
   mo_text_add(text, ",\"validation\":");
   if (status->has_validation)
@@ -181,7 +156,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_code(text, &status->code);
   mo_text_add(text, ",\"controller\":");
   if (status->has_result)
-    write_reference(text, record->name[0] != '\0' ? record->name : made, &status->result_sha256);
+    mo_reference_write(text, record->name[0] != '\0' ? record->name : made, &status->result_sha256);
   else
     mo_text_add(text, "null");
   write_links(text, (long long)status->job.id);
@@ -205,18 +180,8 @@ void mo_training_json_job(struct mo_text *text, const struct mo_training_status 
 
 void mo_training_json_step(struct mo_text *text, const struct mo_training_step_row *row)
 {
-  const struct mo_training_report *report = &row->report;
-  mo_text_format(text, "{\"step\":%u", report->step);
-  mo_text_member_number(text, "mean_loss", report->mean_loss);
-  mo_text_member_number(text, "rate", report->rate);
-  mo_text_member_number(text, "gradient_norm", report->gradient_norm);
-  mo_text_member_number(text, "clipped_share", report->clipped_share);
-  mo_text_member_number(text, "clipped_robots_share", report->clipped_robots_share);
-  mo_text_member_count(text, "diverged", report->diverged);
-  mo_text_member_count(text, "zeroed", report->zeroed);
-  mo_text_member_bool(text, "skipped", report->skipped);
-  mo_text_member_count(text, "bounded", report->bounded);
-  mo_text_member_number(text, "seconds", row->seconds);
+  mo_text_format(text, "{\"step\":%u", row->report.step);
+  mo_report_json(text, &row->report, row->seconds);
   mo_text_add(text, "}");
 }
 
@@ -239,36 +204,21 @@ void mo_training_json_checkpoint(struct mo_text *text, const struct mo_training_
   mo_text_add(text, "}");
 }
 
-const char mo_training_csv_steps[] =
-    "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,bounded,seconds\n";
+const char mo_training_csv_steps[] = "step," MO_REPORT_CSV "\n";
 const char mo_training_csv_validations[] = "step,mean_score,standard_error,rollouts,diverged\n";
-
-static void cell(struct mo_text *text, double value)
-{
-  mo_text_bytes(text, ",", 1);
-  if (isfinite(value))
-    mo_text_json_number(text, value);
-}
 
 void mo_training_csv_step(struct mo_text *text, const struct mo_training_step_row *row)
 {
-  const struct mo_training_report *report = &row->report;
-  mo_text_format(text, "%u", report->step);
-  cell(text, report->mean_loss);
-  cell(text, report->rate);
-  cell(text, report->gradient_norm);
-  cell(text, report->clipped_share);
-  cell(text, report->clipped_robots_share);
-  mo_text_format(text, ",%u,%u,%d,%u", report->diverged, report->zeroed, report->skipped, report->bounded);
-  cell(text, row->seconds);
+  mo_text_format(text, "%u", row->report.step);
+  mo_report_csv(text, &row->report, row->seconds);
   mo_text_add(text, "\n");
 }
 
 void mo_training_csv_validation(struct mo_text *text, const struct mo_training_validation_row *row)
 {
   mo_text_format(text, "%u", row->step);
-  cell(text, row->mean_score);
-  cell(text, row->standard_error);
+  mo_csv_number(text, row->mean_score);
+  mo_csv_number(text, row->standard_error);
   mo_text_format(text, ",%u,%u\n", row->rollouts, row->diverged);
 }
 

@@ -8,9 +8,9 @@
 /* The state as it is shown: a running training that waits for room on the disk is paused. */
 enum mo_job_state mo_training_state(const struct mo_training_status *status, const struct mo_training_live *live);
 
-/* The training. live: of this moment. */
+/* The training. live: of this moment. population_kind: of the job record.population, if there is one. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            const struct mo_training_live *live);
+                            enum mo_job_kind population_kind, const struct mo_training_live *live);
 /* The same as an item of the list of jobs. */
 void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
                           const struct mo_training_live *live);

@@ -54,25 +54,29 @@ static void read_checkpoint(struct mo_json *json, struct mo_training_record *rec
   }
 }
 
-static void read_population(struct mo_json *json, struct mo_training_request *request)
+static void read_population(struct mo_json *json, struct mo_parsed_training *parsed)
 {
-  unsigned depth = json->depth;
-  bool evaluation = false;
+  struct mo_training_request *request = &parsed->request;
+  unsigned depth = json->depth, jobs = 0;
   struct mo_json_slice key;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "evaluation")) {
-      evaluation = true;
-      mo_read_job_id(json, "an evaluation", &request->population);
+    bool campaign = mo_json_is(key, "campaign");
+    if (campaign || mo_json_is(key, "evaluation")) {
+      jobs++;
+      parsed->population_kind = campaign ? MO_JOB_CAMPAIGN : MO_JOB_EVALUATION;
+      mo_read_job_id(json, campaign ? "a campaign" : "an evaluation", &request->population);
     } else if (mo_json_is(key, "best")) {
       mo_read_count(json, 1, MO_TRAINING_DESIGNS_MAX, &request->population_best);
     } else {
-      mo_read_unknown(json, "evaluation, best");
+      mo_read_unknown(json, "evaluation or campaign, best");
     }
   }
-  if (!json->stop && !evaluation)
-    mo_json_fault_at(json, depth, "", "evaluation is missing: the id of the evaluation whose designs are learned from");
+  if (!json->stop && jobs != 1)
+    mo_json_fault_at(json, depth, "",
+                     "a population is that of exactly one job: evaluation, the id of one whose designs are learned "
+                     "from, or campaign, the id of one whose newest population is");
 }
 
 /* ---- names ---- */
@@ -109,7 +113,7 @@ static void check_together(struct mo_json *json, struct mo_parsed_training *pars
     if (given->designs == given->population)
       mo_json_fault_at(json, 0, "",
                        "%s; a finetuning learns from exactly one of designs (a list) and population (those of an "
-                       "evaluation)",
+                       "evaluation or a campaign)",
                        given->designs ? "both designs and population are given"
                                       : "neither designs nor population is given");
     if (given->no_controller)
@@ -161,7 +165,7 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
       code = mo_read_designs(json, &parsed->genotypes, &record->n_designs);
     } else if (mo_json_is(key, "population")) {
       given->population = true;
-      read_population(json, request);
+      read_population(json, parsed);
     } else if (mo_json_is(key, "steps")) {
       mo_read_count(json, 1, MO_TRAINING_STEPS_MAX, &settings->n_steps);
     } else if (mo_json_is(key, "batch")) {

@@ -9,6 +9,7 @@
 struct mo_parsed_training {
   struct mo_training_request request;
   struct mo_bits *genotypes;
+  enum mo_job_kind population_kind;   /* of the job whose designs are learned from, if there is one */
   char parent[MO_NAME_BYTES_MAX + 8]; /* "": none was given */
   char label[MO_LABEL_BYTES_MAX + 1];
 };

@@ -8,7 +8,7 @@ import struct
 import time
 
 import pytest
-from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT
+from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT, tiny_controller
 
 BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 SMALL = {"steps": 6, "batch": 4, "physics": {"n_steps": 30}, "validation": {"every_steps": 3, "designs": 3, "environments": 2},
@@ -52,6 +52,8 @@ INVALID = {
     "10001 designs": ({"kind": "finetune", "designs": [DESIGN] * 10001}, ["/designs"]),
     "population of no evaluation": ({"kind": "finetune", "population": {"evaluation": "999999"}}, ["/population/evaluation"]),
     "population without evaluation": ({"kind": "finetune", "population": {}}, ["/population"]),
+    "population of two jobs": ({"kind": "finetune", "population": {"evaluation": "999999", "campaign": "999999"}}, ["/population", "/population/campaign"]),
+    "population of no campaign": ({"kind": "finetune", "population": {"campaign": "999999"}}, ["/population/campaign"]),
     "population a number": ({"kind": "finetune", "population": {"evaluation": 7}}, ["/population/evaluation"]),
     "best of none": ({"kind": "finetune", "population": {"evaluation": "999999", "best": 0}}, ["/population/best", "/population/evaluation"]),
     "steps zero": (with_field("steps", 0), ["/steps"]),
@@ -109,7 +111,7 @@ def test_invalid(service, name):
 # What no schema can tell: it depends on several fields, or on what the service has.
 BEYOND_SCHEMA = {"finetune on nothing", "finetune on both", "pretrain on designs", "pretrain on a population", "unknown controller",
                  "unknown controller of a finetuning", "unknown controller by hash", "finetune from nothing", "sensor with a controller",
-                 "sensor of a finetuning", "population of no evaluation", "more bodies than there are", "floor above peak"}
+                 "sensor of a finetuning", "population of no evaluation", "population of no campaign", "more bodies than there are", "floor above peak"}
 
 
 def test_the_contract_refuses_the_same():
@@ -148,21 +150,7 @@ def test_media_types(service):
 
 
 def test_controller_of_another_workspace(service):
-    """A controller of 1 × 1 × 1 voxels, made here."""
-    shapes = {"net.0.weight": [256, 13], "net.0.bias": [256], "net.1.weight": [256], "net.1.bias": [256], "net.3.weight": [256, 256],
-              "net.3.bias": [256], "net.4.weight": [256], "net.4.bias": [256], "net.6.weight": [256, 256], "net.6.bias": [256],
-              "net.7.weight": [256], "net.7.bias": [256], "net.9.weight": [24, 256], "net.9.bias": [24]}
-    header, at = {"__metadata__": {"workspace": "1x1x1"}}, 0
-    for name, shape in shapes.items():
-        size = 4
-        for side in shape:
-            size *= side
-        header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [at, at + size]}
-        at += size
-    text = json.dumps(header).encode()
-    put = service.request("PUT", "/v1/controllers/tiny", body=struct.pack("<Q", len(text)) + text + bytes(at),
-                          headers={"Content-Type": "application/octet-stream"})
-    assert put.status == 201, put.body
+    tiny_controller(service)
     reply = service.request("POST", "/v1/trainings", {**TUNE, "controller": "tiny"})
     assert reply.status == 422 and reply.pointers() == ["/controller"] and "1 × 1 × 1" in reply.json()["detail"], reply.body
     both = service.request("POST", "/v1/trainings", {**TUNE, "controller": "tiny", "batch": 0})

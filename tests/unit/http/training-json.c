@@ -22,7 +22,7 @@ static void write(bool as_job)
   if (as_job)
     mo_training_json_job(&text, &status, &live);
   else
-    mo_training_json_write(&text, &status, &live);
+    mo_training_json_write(&text, &status, MO_JOB_EVALUATION, &live);
   json_decref(json);
   json = json_loadb(text.data, text.size, JSON_REJECT_DUPLICATES, NULL);
   CHECK(json != NULL);

@@ -1,0 +1,585 @@
+/* campaign_request.c: see campaign_request.h.
+ *
+ * The defaults depend on mode and preset: a first pass over the text finds these, a second reads everything over their defaults. What
+ * depends on several fields is checked after the last of them. */
+#include "http/campaign_request.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/learning_parts.h"
+#include "http/request_parts.h"
+
+/* What was given, as far as other fields depend on it. */
+struct given {
+  bool mode, known_mode; /* known: one of its words */
+  bool controller, no_controller, learning, sensor, name;
+};
+
+/* ---- words ---- */
+
+/* A word of a closed list; false: the fault is told. find: 0 when it knows the word. */
+static bool read_word(struct mo_json *json, int (*find)(const char *word, int *value), const char *expected, int *value)
+{
+  struct mo_json_slice slice;
+  unsigned depth = json->depth;
+  char word[MO_WORD_BYTES] = "";
+  if (!mo_json_string(json, &slice))
+    return false;
+  if (slice.size < sizeof(word))
+    memcpy(word, slice.bytes, slice.size);
+  if (word[0] != '\0' && find(word, value) == MO_OK)
+    return true;
+  mo_json_fault_at(json, depth, "", "%s is expected", expected);
+  return false;
+}
+
+static int find_mode(const char *word, int *value)
+{
+  enum mo_campaign_mode mode = MO_ZERO_SHOT;
+  int code = mo_campaign_mode_from_name(word, &mode);
+  *value = (int)mode;
+  return code;
+}
+
+static int find_preset(const char *word, int *value)
+{
+  enum mo_preset preset = MO_PRESET_WORKSTATION;
+  int code = mo_preset_from_name(word, &preset);
+  *value = (int)preset;
+  return code;
+}
+
+static int find_selection(const char *word, int *value)
+{
+  enum mo_selection_kind kind = MO_SELECT_TRUNCATION;
+  int code = mo_selection_from_name(word, &kind);
+  *value = (int)kind;
+  return code;
+}
+
+/* ---- groups of settings ---- */
+
+/* [nx, ny, nz], each at most the service's. Untouched if it is not valid. */
+static void read_workspace(struct mo_json *json, struct mo_workspace *workspace)
+{
+  const struct mo_workspace most = MO_DEFAULT_WORKSPACE;
+  const int64_t limits[3] = {most.nx, most.ny, most.nz};
+  int64_t sides[3] = {0};
+  unsigned depth = json->depth, before = json->faults->n;
+  size_t given = 0;
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json)) {
+    if (given < 3)
+      mo_json_integer(json, 1, limits[given], &sides[given]);
+    else
+      mo_json_skip(json);
+    given++;
+  }
+  if (!json->stop && given != 3)
+    mo_json_fault_at(json, depth, "", "%zu numbers are given; exactly 3, the voxels along x, y and z, are expected",
+                     given);
+  if (!json->stop && json->faults->n == before)
+    *workspace = (struct mo_workspace){(uint16_t)sides[0], (uint16_t)sides[1], (uint16_t)sides[2]};
+}
+
+static void read_mutation(struct mo_json *json, struct mo_campaign_settings *settings)
+{
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "share")) {
+      mo_json_bounded(json, 0, 1, &settings->mutation_share);
+    } else if (mo_json_is(key, "rate")) {
+      if (mo_json_peek(json) == MO_JSON_NULL)
+        mo_json_skip(json); /* one voxel of the workspace, on average */
+      else
+        mo_read_positive(json, 0.5, &settings->mutation_rate);
+    } else if (mo_json_is(key, "growth")) {
+      mo_json_bounded(json, 1, 2, &settings->mutation_growth);
+    } else {
+      mo_read_unknown(json, "share, rate, growth");
+    }
+  }
+}
+
+#define SELECTIONS "\"truncation\", \"tournament\", \"novelty\" or \"age-layered\""
+
+static void read_selection_object(struct mo_json *json, struct mo_selection *selection)
+{
+  struct mo_selection read = *selection;
+  bool has_kind = false, known = false, size = false, weight = false, layers = false, gap = false;
+  unsigned depth = json->depth, before = json->faults->n;
+  struct mo_json_slice key;
+  int kind = 0;
+  mo_json_object(json);
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "kind")) {
+      has_kind = true;
+      known = read_word(json, find_selection, SELECTIONS, &kind);
+    } else if (mo_json_is(key, "size")) {
+      size = true;
+      mo_read_count(json, 2, 64, &read.tournament_size);
+    } else if (mo_json_is(key, "weight")) {
+      weight = true;
+      mo_json_bounded(json, 0, 1, &read.novelty_weight);
+    } else if (mo_json_is(key, "layers")) {
+      layers = true;
+      mo_read_count(json, 2, 16, &read.n_layers);
+    } else if (mo_json_is(key, "age_gap")) {
+      gap = true;
+      mo_read_count(json, 1, 1000, &read.age_gap);
+    } else {
+      mo_read_unknown(json, "kind; size of a tournament; weight of novelty; layers and age_gap of age-layered");
+    }
+  }
+  if (json->stop)
+    return;
+  if (!has_kind)
+    mo_json_fault_at(json, depth, "", "kind is missing: " SELECTIONS);
+  if (!known)
+    return;
+  read.kind = (enum mo_selection_kind)kind;
+  if (size && read.kind != MO_SELECT_TOURNAMENT)
+    mo_json_fault_at(json, depth, "/size", "the size is that of a tournament; this selection has none");
+  if (weight && read.kind != MO_SELECT_NOVELTY)
+    mo_json_fault_at(json, depth, "/weight", "the weight is that of novelty; this selection has none");
+  if (layers && read.kind != MO_SELECT_AGE_LAYERED)
+    mo_json_fault_at(json, depth, "/layers", "layers are those of age-layered; this selection has none");
+  if (gap && read.kind != MO_SELECT_AGE_LAYERED)
+    mo_json_fault_at(json, depth, "/age_gap", "the gap is that of age-layered; this selection has none");
+  if (json->faults->n == before)
+    *selection = read;
+}
+
+static void read_selection(struct mo_json *json, struct mo_selection *selection)
+{
+  enum mo_json_kind next = mo_json_peek(json);
+  int kind;
+  if (next == MO_JSON_STRING) {
+    if (read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,", &kind))
+      selection->kind = (enum mo_selection_kind)kind;
+  } else if (next == MO_JSON_OBJECT) {
+    read_selection_object(json, selection);
+  } else if (next != MO_JSON_NONE) {
+    mo_json_fault(json, SELECTIONS ", or an object with kind and its settings, is expected");
+    mo_json_skip(json);
+  }
+}
+
+static void read_learning(struct mo_json *json, struct mo_campaign_record *record, struct given *given)
+{
+  struct mo_campaign_settings *settings = &record->settings;
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key)) {
+    if (mo_json_is(key, "parent_steps")) {
+      mo_read_count(json, 0, MO_CAMPAIGN_STEPS_MAX, &settings->parent_steps);
+    } else if (mo_json_is(key, "child_steps")) {
+      mo_read_count(json, 0, MO_CAMPAIGN_STEPS_MAX, &settings->child_steps);
+    } else if (mo_json_is(key, "batch")) {
+      if (mo_json_peek(json) == MO_JSON_NULL)
+        mo_json_skip(json); /* the population */
+      else
+        mo_read_count(json, 1, MO_TRAINING_BATCH_MAX, &settings->batch);
+    } else if (mo_json_is(key, "schedule")) {
+      mo_read_schedule(json, &settings->schedule);
+    } else if (mo_json_is(key, "adam")) {
+      mo_read_adam(json, &settings->beta1, &settings->beta2, &settings->epsilon);
+    } else if (mo_json_is(key, "gradient_norm_limit")) {
+      mo_read_limit(json, MO_GRADIENT_NORM_LIMIT_MAX, &settings->norm_limit);
+    } else if (mo_json_is(key, "adjoint_bound")) {
+      mo_read_limit(json, MO_ADJOINT_BOUND_MAX, &settings->adjoint_bound);
+    } else if (mo_json_is(key, "sensor")) {
+      given->sensor = true;
+      mo_read_sensor(json, &settings->sensor);
+    } else if (mo_json_is(key, "checkpoint_every_s")) {
+      mo_read_count(json, 0, MO_CHECKPOINT_SECONDS_MAX, &record->checkpoint_every_s);
+    } else {
+      mo_read_unknown(json, "parent_steps, child_steps, batch, schedule, adam, gradient_norm_limit, adjoint_bound, "
+                            "sensor, checkpoint_every_s");
+    }
+  }
+}
+
+/* ---- the initial population ---- */
+
+static int read_initial(struct mo_json *json, struct mo_parsed_campaign *parsed)
+{
+  struct mo_campaign_record *record = &parsed->request.record;
+  enum mo_json_kind next = mo_json_peek(json);
+  unsigned depth = json->depth, ways = 0;
+  struct mo_json_slice key;
+  int code = MO_OK;
+  if (next == MO_JSON_STRING) {
+    if (mo_json_string(json, &key) && !mo_json_is(key, "random"))
+      mo_json_fault_at(json, depth, "", "\"random\", or an object with designs or campaign, is expected");
+    return MO_OK;
+  }
+  if (next != MO_JSON_OBJECT) {
+    if (next != MO_JSON_NONE) {
+      mo_json_fault(json, "\"random\", or an object with designs or campaign, is expected");
+      mo_json_skip(json);
+    }
+    return MO_OK;
+  }
+  mo_json_object(json);
+  while (code == MO_OK && mo_json_member(json, &key)) {
+    if (mo_json_is(key, "designs")) {
+      code = mo_read_designs(json, &parsed->genotypes, &record->n_listed);
+    } else if (mo_json_is(key, "campaign")) {
+      mo_read_job_id(json, "a campaign", &record->initial_campaign);
+    } else {
+      mo_read_unknown(json, "designs or campaign");
+      continue;
+    }
+    ways++;
+  }
+  if (code == MO_OK && !json->stop && ways != 1)
+    mo_json_fault_at(json, depth, "",
+                     "an initial population is random, or of exactly one of designs and campaign; what is missing is "
+                     "filled up with random bodies");
+  return code;
+}
+
+/* Voxels that the body takes along x, y, z; zeros for an empty one. */
+static void extent(const struct mo_bits *bits, uint32_t size[3])
+{
+  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
+  uint32_t low[3] = {ours.nx, ours.ny, ours.nz}, high[3] = {0};
+  for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++) {
+    if (!(bits->words[v >> 6] >> (v & 63) & 1))
+      continue;
+    const uint32_t at[3] = {v / (ours.ny * ours.nz), v / ours.nz % ours.ny, v % ours.nz};
+    for (int axis = 0; axis < 3; axis++) {
+      low[axis] = at[axis] < low[axis] ? at[axis] : low[axis];
+      high[axis] = at[axis] + 1 > high[axis] ? at[axis] + 1 : high[axis];
+    }
+  }
+  for (int axis = 0; axis < 3; axis++)
+    size[axis] = high[axis] > low[axis] ? high[axis] - low[axis] : 0;
+}
+
+struct listed {
+  struct mo_bits form;
+  uint32_t place, first; /* first: place of the first with this form */
+};
+
+static int by_form(const void *a, const void *b)
+{
+  const struct listed *x = a, *y = b;
+  int order = memcmp(&x->form, &y->form, sizeof(x->form));
+  return order != 0 ? order : x->place < y->place ? -1 : x->place > y->place;
+}
+
+static int by_place(const void *a, const void *b)
+{
+  const struct listed *x = a, *y = b;
+  return x->place < y->place ? -1 : x->place > y->place;
+}
+
+/* Designs that do not fit the campaign's workspace, or that came before. Those with faults of their own are empty. */
+static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *parsed)
+{
+  const struct mo_campaign_record *record = &parsed->request.record;
+  const struct mo_workspace workspace = record->settings.workspace;
+  uint32_t n = 0;
+  struct listed *listed = malloc((record->n_listed + 1) * sizeof(*listed));
+  if (listed == NULL)
+    return MO_ERR_NO_MEMORY;
+  for (uint32_t i = 0; i < record->n_listed; i++) {
+    uint32_t size[3];
+    char below[40];
+    snprintf(below, sizeof(below), "/initial/designs/%u", i);
+    extent(&parsed->genotypes[i], size);
+    if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz)
+      mo_json_fault_at(json, 0, below,
+                       "the body takes %u × %u × %u voxels; the workspace of the campaign has %u × %u × %u", size[0],
+                       size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
+    else if (size[0] > 0) {
+      mo_genotype_canonical(MO_DEFAULT_WORKSPACE, parsed->genotypes[i].words, listed[n].form.words);
+      listed[n].place = listed[n].first = i;
+      n++;
+    }
+  }
+  qsort(listed, n, sizeof(*listed), by_form);
+  for (uint32_t i = 1; i < n; i++)
+    if (memcmp(&listed[i].form, &listed[i - 1].form, sizeof(listed[i].form)) == 0)
+      listed[i].first = listed[i - 1].first;
+  qsort(listed, n, sizeof(*listed), by_place);
+  for (uint32_t i = 0; i < n; i++)
+    if (listed[i].first != listed[i].place) {
+      char below[40];
+      snprintf(below, sizeof(below), "/initial/designs/%u", listed[i].place);
+      mo_json_fault_at(json, 0, below,
+                       "the design is given twice: it has the form of design %u; each design is born once",
+                       listed[i].first);
+    }
+  free(listed);
+  return MO_OK;
+}
+
+/* ---- the whole ---- */
+
+/* What depends on the mode. */
+static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *parsed, const struct given *given)
+{
+  enum mo_campaign_mode mode = parsed->request.record.settings.mode;
+  bool random = mode == MO_SIMULTANEOUS && (!given->controller || given->no_controller);
+  if (mode != MO_SIMULTANEOUS && given->no_controller)
+    mo_json_fault_at(json, 0, "/controller",
+                     "null is given; a %s campaign needs a controller: its name, or sha256: and 64 hexadecimal digits, "
+                     "is expected",
+                     mo_campaign_mode_name(mode));
+  if (mode == MO_ZERO_SHOT && given->learning)
+    mo_json_fault_at(json, 0, "/learning",
+                     "nothing learns in a zero-shot campaign; settings of learning are expected of few-shot and "
+                     "simultaneous alone");
+  else if (given->sensor && !random)
+    mo_json_fault_at(json, 0, "/learning/sensor",
+                     "the campaign starts from a controller, which has its sensor; none is expected here");
+  if (mode == MO_ZERO_SHOT && given->name)
+    mo_json_fault_at(json, 0, "/name",
+                     "a zero-shot campaign gives no controller; a name for it is expected of few-shot and simultaneous "
+                     "alone");
+}
+
+/* What depends on several fields. */
+static int check_together(struct mo_json *json, const struct mo_parsed_campaign *parsed, const struct given *given)
+{
+  const struct mo_campaign_record *record = &parsed->request.record;
+  const struct mo_campaign_settings *settings = &record->settings;
+  uint64_t designs = (uint64_t)settings->population * ((uint64_t)settings->generations + 1);
+  uint64_t steps = ((uint64_t)settings->parent_steps + settings->child_steps) * settings->generations;
+  if (!given->mode)
+    mo_json_fault_at(json, 0, "", "mode is missing: \"zero-shot\", \"few-shot\" or \"simultaneous\"");
+  if (given->known_mode)
+    check_mode(json, parsed, given);
+  if (designs > MO_CAMPAIGN_DESIGNS_MAX)
+    mo_json_fault_at(json, 0, "/generations",
+                     "%u designs in each of %u generations and the initial population are %llu; at most %llu are "
+                     "expected",
+                     settings->population, settings->generations, (unsigned long long)designs,
+                     (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
+  if (settings->mode != MO_ZERO_SHOT && settings->population > MO_TRAINING_DESIGNS_MAX)
+    mo_json_fault_at(json, 0, "/population", "%u is given; at most %d are expected of a campaign that learns",
+                     settings->population, MO_TRAINING_DESIGNS_MAX);
+  if (settings->mode != MO_ZERO_SHOT && settings->parent_steps + settings->child_steps == 0)
+    mo_json_fault_at(json, 0, "/learning",
+                     "neither parent_steps nor child_steps is above 0; a campaign that learns takes a step in each "
+                     "generation");
+  if (settings->mode == MO_SIMULTANEOUS && steps > MO_TRAINING_STEPS_MAX)
+    mo_json_fault_at(json, 0, "/learning",
+                     "%llu steps of learning are asked for in all generations together; at most %d "
+                     "are expected",
+                     (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
+  if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
+    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld", record->replicates,
+                     (unsigned long long)settings->seed, (long long)MO_SEED_MAX);
+  if (record->n_listed > settings->population)
+    mo_json_fault_at(json, 0, "/initial/designs",
+                     "%u designs are given; at most the population, which is %u, is expected", record->n_listed,
+                     settings->population);
+  return record->n_listed > 0 ? check_listed(json, parsed) : MO_OK;
+}
+
+static void read_controller(struct mo_json *json, struct mo_parsed_campaign *parsed, struct given *given)
+{
+  given->controller = true;
+  if (mo_json_peek(json) == MO_JSON_NULL) {
+    given->no_controller = true;
+    mo_json_skip(json);
+    return;
+  }
+  mo_read_controller(json, parsed->controller);
+}
+
+/* Of the campaign as a job: false if the key is none of these. */
+static bool read_job_field(struct mo_json *json, struct mo_json_slice key, struct mo_parsed_campaign *parsed)
+{
+  struct mo_campaign_request *request = &parsed->request;
+  int choice;
+  if (mo_json_is(key, "label")) {
+    if (mo_read_label(json, parsed->label))
+      request->label = parsed->label;
+  } else if (mo_json_is(key, "priority")) {
+    if (mo_read_choice(json, "batch", "interactive", &choice))
+      request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
+  } else if (mo_json_is(key, "weight")) {
+    mo_read_weight(json, &request->weight);
+  } else if (mo_json_is(key, "replicates")) {
+    mo_read_count(json, 1, MO_REPLICATES_MAX, &request->record.replicates);
+  } else {
+    return false;
+  }
+  return true;
+}
+
+static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_parsed_campaign *parsed,
+                      struct given *given)
+{
+  struct mo_campaign_record *record = &parsed->request.record;
+  struct mo_campaign_settings *settings = &record->settings;
+  int64_t seed;
+  int word;
+  if (mo_json_is(key, "mode")) {
+    given->mode = true;
+    given->known_mode = read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
+  } else if (mo_json_is(key, "preset")) {
+    read_word(json, find_preset, "\"paper\", \"workstation\" or \"demo\"", &word);
+  } else if (mo_json_is(key, "population")) {
+    mo_read_count(json, MO_POPULATION_MIN, MO_POPULATION_MAX, &settings->population);
+  } else if (mo_json_is(key, "generations")) {
+    mo_read_count(json, 0, MO_GENERATIONS_MAX, &settings->generations);
+  } else if (mo_json_is(key, "seed")) {
+    if (mo_json_integer(json, 0, MO_SEED_MAX, &seed))
+      settings->seed = (uint64_t)seed;
+  } else if (mo_json_is(key, "controller")) {
+    read_controller(json, parsed, given);
+  } else if (mo_json_is(key, "environments")) {
+    return mo_read_environments(json, &parsed->environments, &record->n_environments);
+  } else if (mo_json_is(key, "initial")) {
+    return read_initial(json, parsed);
+  } else if (mo_json_is(key, "workspace")) {
+    read_workspace(json, &settings->workspace);
+  } else if (mo_json_is(key, "mutation")) {
+    read_mutation(json, settings);
+  } else if (mo_json_is(key, "selection")) {
+    read_selection(json, &settings->selection);
+  } else if (mo_json_is(key, "learning")) {
+    given->learning = true;
+    read_learning(json, record, given);
+  } else if (mo_json_is(key, "exclude_pretraining")) {
+    mo_json_bool(json, &settings->exclude_pretraining);
+  } else if (mo_json_is(key, "collapse_share")) {
+    mo_json_bounded(json, 0, 1, &settings->collapse_share);
+  } else if (mo_json_is(key, "physics")) {
+    mo_read_physics(json, &settings->physics);
+  } else if (mo_json_is(key, "name")) {
+    given->name = true;
+    mo_read_name(json, record->name);
+  } else if (!read_job_field(json, key, parsed)) {
+    mo_read_unknown(json, "mode, preset, population, generations, seed, replicates, controller, environments, initial, "
+                          "workspace, mutation, selection, learning, exclude_pretraining, collapse_share, physics, "
+                          "name, label, priority, weight");
+  }
+  return MO_OK;
+}
+
+static int read_text(struct mo_json *json, const char *text, size_t size, struct mo_parsed_campaign *parsed,
+                     struct mo_faults *faults)
+{
+  static const char *const keys[] = {"mode", "preset"};
+  struct mo_campaign_record *record = &parsed->request.record;
+  char words[2][MO_WORD_BYTES];
+  enum mo_campaign_mode mode = MO_ZERO_SHOT;
+  enum mo_preset preset = MO_PRESET_WORKSTATION;
+  struct given given = {0};
+  struct mo_message message = {""};
+  struct mo_json_slice key;
+  int code = mo_find_words(json, text, size, keys, words, 2);
+  if (code != MO_OK)
+    return code;
+  if (mo_campaign_mode_from_name(words[0], &mode) != MO_OK)
+    mode = MO_ZERO_SHOT; /* the second pass tells it */
+  if (mo_preset_from_name(words[1], &preset) != MO_OK)
+    preset = MO_PRESET_WORKSTATION;
+  record->settings = mo_campaign_preset(mode, preset);
+  snprintf(record->preset, sizeof(record->preset), "%s", mo_preset_name(preset));
+  mo_json_start(json, text, size, faults);
+  bool object = mo_json_object(json);
+  if (object)
+    while (code == MO_OK && mo_json_member(json, &key))
+      code = read_field(json, key, parsed, &given);
+  if (code == MO_OK && !json->stop && object)
+    code = check_together(json, parsed, &given);
+  if (code != MO_OK)
+    return code;
+  mo_json_finish(json);
+  if (mode != MO_SIMULTANEOUS && !given.controller)
+    memcpy(parsed->controller, "default", sizeof("default"));
+  if (faults->malformed)
+    return MO_ERR_FORMAT;
+  if (faults->n == 0 && mo_campaign_settings_check(&record->settings, &message) != MO_OK)
+    mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);
+  return faults->n > 0 ? MO_ERR_INVALID : MO_OK;
+}
+
+int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed, struct mo_faults *faults)
+{
+  *parsed = (struct mo_parsed_campaign){
+      .request = {.priority = MO_BATCH, .weight = 1, .record = {.replicates = 1, .checkpoint_every_s = 60}}};
+  struct mo_json *json = malloc(sizeof(*json));
+  if (json == NULL)
+    return MO_ERR_NO_MEMORY;
+  struct mo_campaign_request *request = &parsed->request;
+  int code = read_text(json, text, size, parsed, faults);
+  free(json);
+  if (code == MO_OK || code == MO_ERR_INVALID)
+    request->controller = parsed->controller[0] != '\0' ? parsed->controller : NULL;
+  if (code == MO_OK) {
+    request->genotypes = parsed->genotypes;
+    request->environments = parsed->environments;
+    if (parsed->environments == NULL)
+      snprintf(request->record.environment_set, sizeof(request->record.environment_set), "paper-test");
+  }
+  return code;
+}
+
+void mo_campaign_parsed_free(struct mo_parsed_campaign *parsed)
+{
+  free(parsed->genotypes);
+  free(parsed->environments);
+  *parsed = (struct mo_parsed_campaign){0};
+}
+
+/* ---- small bodies ---- */
+
+/* An object of counts. needed: a key that must be there; nullable. */
+struct count_field {
+  const char *key;
+  uint32_t min, max, *value;
+};
+static int read_counts(const char *text, size_t size, const struct count_field *fields, size_t n, const char *needed,
+                       const char *expected, struct mo_faults *faults)
+{
+  struct mo_json *json = malloc(sizeof(*json));
+  struct mo_json_slice key;
+  bool found = needed == NULL;
+  if (json == NULL)
+    return MO_ERR_NO_MEMORY;
+  mo_json_start(json, text, size, faults);
+  if (mo_json_object(json)) {
+    while (mo_json_member(json, &key)) {
+      size_t i = 0;
+      while (i < n && !mo_json_is(key, fields[i].key))
+        i++;
+      if (i < n)
+        mo_read_count(json, fields[i].min, fields[i].max, fields[i].value);
+      else
+        mo_read_unknown(json, expected);
+      found |= needed != NULL && mo_json_is(key, needed);
+    }
+    if (!json->stop && !found)
+      mo_json_fault_at(json, 0, "", "%s is missing: a positive integer", needed);
+  }
+  mo_json_finish(json);
+  free(json);
+  return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
+}
+
+int mo_extension_parse(const char *text, size_t size, uint32_t *generations, struct mo_faults *faults)
+{
+  const struct count_field fields[] = {{"generations", 1, MO_GENERATIONS_MAX, generations}};
+  return read_counts(text, size, fields, 1, "generations", "generations", faults);
+}
+
+int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride, struct mo_faults *faults)
+{
+  const struct count_field fields[] = {{"count", 1, MO_CHAMPIONS_MAX, count}, {"stride", 1, MO_STEPS_MAX, stride}};
+  return read_counts(text, size, fields, 2, NULL, "count, stride", faults);
+}

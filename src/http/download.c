@@ -1,0 +1,149 @@
+/* download.c: long replies, written piece by piece.
+ *
+ * A reply that may have hundreds of megabytes (every design of a campaign) is not made in memory: an API thread makes a piece of it,
+ * libmicrohttpd takes the piece, and when it is used up the connection is suspended until an API thread has made the next. So neither
+ * an I/O thread waits for the store nor does a slow reader hold more than one piece. A reply that fits its first piece is an
+ * ordinary one, with its length.
+ *
+ * Whoever has the request has the download: the I/O thread while the connection runs, one API thread while it is suspended. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/server.h"
+
+#define STALL_US    60000000            /* a reader that takes nothing for so long is cut off */
+#define PIECE_BYTES ((uint64_t)1 << 20) /* what a piece may take, for the limit on memory */
+
+struct mo_download {
+  mo_download_more more;
+  void *context;
+  void (*free_context)(void *context);
+  struct mo_text piece;
+  size_t read; /* bytes of the piece that were taken */
+  bool last;   /* the piece is the last one */
+  bool failed; /* the rest cannot be made: the reply ends in the middle, for the client to see */
+};
+
+/* The next piece. */
+static int make_piece(struct mo_download *download)
+{
+  download->piece.size = download->read = 0;
+  int more = 1;
+  while (more > 0 && download->piece.size == 0)
+    more = download->more(download->context, &download->piece);
+  download->last = more == 0;
+  return more < 0 ? more : download->piece.failed ? MO_ERR_NO_MEMORY : MO_OK;
+}
+
+static bool reserve(struct mo_request *request, uint64_t bytes)
+{
+  struct mo_http *http = request->http;
+  mo_request_drop_body(request); /* it has served */
+  uint64_t before = atomic_fetch_add(&http->body_memory, bytes);
+  request->body_reserved = bytes;
+  return before == 0 || before + bytes <= http->config.max_body_memory;
+}
+
+static void discard(struct mo_download *download)
+{
+  download->free_context(download->context);
+  mo_text_free(&download->piece);
+  free(download);
+}
+
+enum mo_handled mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
+                                 mo_download_more more, void *context, void (*free_context)(void *context))
+{
+  mo_reply_static(request, 200, type, "", 0);
+  if (tag != NULL)
+    mo_reply_etag(request, "%s", tag);
+  struct mo_download *download = request->reply.status == 200 ? calloc(1, sizeof(*download)) : NULL;
+  if (download == NULL) {
+    free_context(context);
+    if (request->reply.status == 200)
+      mo_reply_error(request, MO_ERR_NO_MEMORY, "reply");
+    return MO_HANDLED;
+  }
+  *download = (struct mo_download){.more = more, .context = context, .free_context = free_context};
+  int code = MO_OK;
+  if (!reserve(request, held + PIECE_BYTES)) {
+    mo_reply_problem(request, 503, NULL, "Too many large replies are being read; try again later.");
+    request->reply.retry_after_s = 5;
+  } else if ((code = make_piece(download)) != MO_OK) {
+    mo_reply_error(request, code, "reply");
+  } else if (download->last) {
+    mo_reply_bytes(request, 200, type, download->piece.data, download->piece.size);
+    download->piece = (struct mo_text){0};
+    if (tag != NULL)
+      mo_reply_etag(request, "%s", tag);
+    else
+      mo_reply_etag_of_body(request);
+  } else {
+    if (tag == NULL)
+      mo_reply_etag(request, "once-%s", request->id);
+    if (request->reply.status == 200) {
+      request->download = download;
+      return MO_STREAMED;
+    }
+  }
+  discard(download);
+  return MO_HANDLED;
+}
+
+void mo_download_refill(struct mo_request *request)
+{
+  struct mo_download *download = request->download;
+  struct MHD_Connection *mhd = request->mhd;
+  download->failed = make_piece(download) != MO_OK;
+  MHD_resume_connection(mhd); /* from here on the I/O thread has it */
+}
+
+/* libmicrohttpd asks for bytes. */
+static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
+{
+  (void)position;
+  struct mo_request *request = context;
+  struct mo_download *download = request->download;
+  size_t ready = download->failed ? 0 : download->piece.size - download->read;
+  bool closed;
+  atomic_store(&request->connection->deadline_us, mo_http_clock_us() + STALL_US);
+  if (ready > 0) {
+    size_t n = ready < capacity ? ready : capacity;
+    memcpy(out, download->piece.data + download->read, n);
+    download->read += n;
+    request->sent += n;
+    return (ssize_t)n;
+  }
+  if (download->failed)
+    return MHD_CONTENT_READER_END_WITH_ERROR;
+  if (download->last)
+    return MHD_CONTENT_READER_END_OF_STREAM;
+  struct MHD_Connection *mhd = request->mhd;
+  MHD_suspend_connection(mhd);
+  if (!mo_pool_give(request->http, request, &closed)) { /* it stops */
+    download->failed = true;
+    MHD_resume_connection(mhd);
+  }
+  return 0;
+}
+
+enum MHD_Result mo_download_send(struct mo_request *request)
+{
+  struct MHD_Response *response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 64 * 1024, reader, request, NULL);
+  if (response == NULL)
+    return MHD_NO;
+  atomic_store(&request->connection->deadline_us, mo_http_clock_us() + STALL_US);
+  if (atomic_load(&request->http->stopping))
+    request->reply.close = true;
+  enum MHD_Result result =
+      mo_reply_headers(request, response) ? MHD_queue_response(request->mhd, request->reply.status, response) : MHD_NO;
+  MHD_destroy_response(response);
+  return result;
+}
+
+void mo_download_free(struct mo_request *request)
+{
+  if (request->download != NULL)
+    discard(request->download);
+  request->download = NULL;
+}

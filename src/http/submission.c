@@ -1,0 +1,114 @@
+/* submission.c: what the calls that bring work have in common. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "http/field.h"
+#include "http/server.h"
+
+bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
+{
+  char type[64], charset[32];
+  const char *field = request->framing.content_type;
+  const char *coding = request->framing.content_encoding;
+  if (coding != NULL && strcasecmp(coding, "identity") != 0)
+    mo_reply_problem(request, 415, NULL, "The body has a content coding; none is understood.");
+  else if (field == NULL || !mo_content_type(field, type, charset) ||
+           (strcmp(type, expected) != 0 && (also == NULL || strcmp(type, also) != 0)))
+    mo_reply_problem(request, 415, NULL, "The Content-Type must be %s.", expected);
+  else if (charset[0] != '\0' && strcmp(charset, "utf-8") != 0)
+    mo_reply_problem(request, 415, NULL, "The charset must be UTF-8.");
+  else
+    return true;
+  return false;
+}
+
+bool mo_submission_begin(struct mo_request *request, const char *what, struct mo_submission_key *key)
+{
+  const char *field = request->framing.idempotency_key;
+  struct mo_query_value none;
+  *key = (struct mo_submission_key){.key = ""};
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_check_content(request, "application/json", NULL))
+    return false;
+  if (!atomic_load(&request->http->ready)) {
+    mo_reply_error(request, MO_ERR_CANCELLED, what);
+    return false;
+  }
+  if (field != NULL && !mo_idempotency_key(field, key->key)) {
+    struct mo_faults *faults = calloc(1, sizeof(*faults));
+    if (faults != NULL)
+      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
+    mo_reply_problem(request, 400, faults, NULL);
+    free(faults);
+    return false;
+  }
+  if (field != NULL)
+    mo_sha256_of(request->body, request->body_size, &key->body_sha256);
+  return true;
+}
+
+void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults, const char *what)
+{
+  if (code == MO_ERR_FORMAT)
+    mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
+  else if (code == MO_ERR_INVALID)
+    mo_reply_problem(request, 422, faults, NULL);
+  else
+    mo_reply_error(request, code, what);
+}
+
+void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
+{
+  if (faults != NULL)
+    mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
+  mo_reply_problem(request, 422, faults,
+                   "The Idempotency-Key was used with another body; use a new key for a new request.");
+}
+
+void mo_reply_queue_full(struct mo_request *request)
+{
+  mo_reply_problem(request, 503, NULL, "The queue is full; try again when some work is done.");
+  request->reply.retry_after_s = 10;
+}
+
+void mo_look_up_controller(struct mo_store *store, const char *reference, struct mo_faults *faults)
+{
+  const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
+  struct mo_controller_record controller;
+  int code = reference != NULL ? mo_store_controller(store, reference, &controller) : MO_OK;
+  if (code == MO_ERR_NOT_FOUND)
+    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
+                  "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected", reference);
+  else if (reference != NULL && code == MO_OK &&
+           (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
+            controller.workspace.nz != ours.nz))
+    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
+                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u × %u is expected",
+                  reference, controller.workspace.nx, controller.workspace.ny, controller.workspace.nz, ours.nx,
+                  ours.ny, ours.nz);
+}
+
+bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
+{
+  struct mo_job *job = malloc(sizeof(*job));
+  int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
+  if (code == MO_OK && job->kind != kind)
+    code = MO_ERR_NOT_FOUND;
+  free(job);
+  if (code != MO_OK)
+    mo_reply_error(request, code, what);
+  return code == MO_OK;
+}
+
+void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,
+                    struct mo_faults *faults)
+{
+  struct mo_job *job = id > 0 ? malloc(sizeof(*job)) : NULL;
+  if (job == NULL)
+    return;
+  int code = mo_store_job(store, id, job);
+  if (code == MO_ERR_NOT_FOUND || (code == MO_OK && job->kind != kind))
+    mo_faults_add(faults, MO_FAULT_BODY, pointer, "there is no %s %lld; the id of one is expected",
+                  mo_job_kind_name(kind), (long long)id);
+  free(job);
+}
