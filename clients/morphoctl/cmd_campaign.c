@@ -224,6 +224,7 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   print_state(ctl, text_of(campaign, "state"));
   if (*text_of(campaign, "reason") != 0)
     print_fact(ctl, "reason", "%s", text_of(campaign, "reason"));
+  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(campaign, "weight")));
   if (*text_of(campaign, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(campaign, "label"));
   if (json_is_object(error))

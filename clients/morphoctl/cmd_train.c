@@ -211,6 +211,7 @@ static void print_training(const struct ctl *ctl, const json_t *training)
     print_fact(ctl, "reason", "%s", text_of(training, "reason"));
   else if (strcmp(text_of(training, "phase"), "idle") != 0)
     print_fact(ctl, "phase", "%s", text_of(training, "phase"));
+  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(training, "weight")));
   if (*text_of(training, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(training, "label"));
   const json_t *error = json_object_get(training, "error");
