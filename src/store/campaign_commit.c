@@ -207,7 +207,33 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   return error;
 }
 
-/* Losses of the children, as evaluations save theirs. */
+/* The losses of a child, as evaluations save theirs. */
+static int insert_child_scores(struct mo_connection *writer, const struct commit_arguments *call,
+                               const struct mo_campaign_loss *loss, const int64_t *environments, int64_t now_us)
+{
+  const struct mo_campaign_head *head = &call->head;
+  struct mo_saved_score score = {.genotype = call->genotypes[loss->place],
+                                 .controller = head->controller,
+                                 .physics = head->physics,
+                                 .fingerprint = call->commit->fingerprint};
+  struct mo_saved_design design = {score.genotype, head->controller, head->physics, head->environment_set};
+  uint32_t n_new = 0;
+  double sum = 0;
+  int error = MO_OK;
+  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
+    score.environment = environments[k];
+    score.loss = loss->losses[k];
+    score.diverged_step = loss->diverged_steps[k];
+    error = mo_score_insert(writer, &score, now_us);
+    n_new += sqlite3_changes(writer->db) > 0;
+    sum += score.loss;
+  }
+  if (error != MO_OK || head->environment_set == 0)
+    return error;
+  return n_new == head->n_environments ? mo_set_score_insert_mean(writer, &design, sum / head->n_environments)
+                                       : mo_set_score_insert(writer, &design);
+}
+
 static int insert_scores(struct mo_connection *writer, const struct commit_arguments *call, int64_t now_us)
 {
   const struct mo_campaign_commit *commit = call->commit;
@@ -219,22 +245,8 @@ static int insert_scores(struct mo_connection *writer, const struct commit_argum
   if (head->controller == 0)
     return MO_ERR_INVALID;
   error = mo_campaign_environment_rows(writer, head->group, environments, head->n_environments);
-  for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++) {
-    const struct mo_campaign_loss *loss = &commit->losses[i];
-    struct mo_saved_score score = {.genotype = call->genotypes[loss->place],
-                                   .controller = head->controller,
-                                   .physics = head->physics,
-                                   .fingerprint = commit->fingerprint};
-    struct mo_saved_design design = {score.genotype, head->controller, head->physics, head->environment_set};
-    for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
-      score.environment = environments[k];
-      score.loss = loss->losses[k];
-      score.diverged_step = loss->diverged_steps[k];
-      error = mo_score_insert(writer, &score, now_us);
-    }
-    if (error == MO_OK && head->environment_set != 0)
-      error = mo_set_score_insert(writer, &design);
-  }
+  for (uint32_t i = 0; i < commit->n_losses && error == MO_OK; i++)
+    error = insert_child_scores(writer, call, &commit->losses[i], environments, now_us);
   return error;
 }
 

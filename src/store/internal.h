@@ -169,6 +169,8 @@ int mo_environment_set_find(struct mo_connection *connection, const char *name, 
 /* A rollout's row, unless it is there; and the mean over a named set, unless it is incomplete or there. */
 int mo_score_insert(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us);
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
+/* The same when all losses of the set were new, so that their mean is known. */
+int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design, double mean);
 /* The job of a key. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: of another body. */
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id);
 int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,

@@ -120,6 +120,32 @@ static int save_trajectory(struct mo_connection *writer, const struct mo_saved_t
   return error;
 }
 
+static void bind_design(sqlite3_stmt *statement, const struct mo_saved_design *design)
+{
+  sqlite3_bind_int64(statement, 1, design->controller);
+  sqlite3_bind_int64(statement, 2, design->physics);
+  sqlite3_bind_int64(statement, 3, design->environment_set);
+  sqlite3_bind_int64(statement, 4, design->genotype);
+}
+
+int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design, double mean)
+{
+  static const char sql[] = "INSERT INTO set_scores(controller,physics,environment_set,genotype,score,bits)"
+                            " VALUES(?1,?2,?3,?4,?5,?6)";
+  uint8_t bits[8];
+  int error = MO_OK;
+  sqlite3_stmt *statement = isnan(mean) ? NULL : mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error != MO_OK ? error : MO_ERR_CORRUPT;
+  mo_encode_double(mean, bits);
+  bind_design(statement, design);
+  sqlite3_bind_double(statement, 5, mean);
+  sqlite3_bind_blob(statement, 6, bits, sizeof(bits), SQLITE_STATIC);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
 /* The mean over a named set, from the stored bits, in the set's order. Incomplete: nothing is written. */
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design)
 {
@@ -128,37 +154,33 @@ int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_desi
   static const char losses_sql[] =
       "SELECT x.loss FROM environment_set_members m LEFT JOIN scores x ON x.genotype=?4 AND x.controller=?1"
       " AND x.physics=?2 AND x.environment=m.environment WHERE m.environment_set=?3 ORDER BY m.position";
-  static const char insert_sql[] = "INSERT INTO set_scores(controller,physics,environment_set,genotype,score,bits)"
-                                   " VALUES(?1,?2,?3,?4,?5,?6)";
-  const char *const sql[] = {known_sql, losses_sql, insert_sql};
-  sqlite3_stmt *statement[3];
-  uint8_t bits[8];
+  sqlite3_stmt *statement;
   double sum = 0;
   int64_t n = 0;
   int step;
   int error = MO_OK;
-  for (int i = 0; i < 3; i++) {
-    statement[i] = mo_sql(writer, sql[i], &error);
-    if (statement[i] == NULL)
-      return error;
-    sqlite3_bind_int64(statement[i], 1, design->controller);
-    sqlite3_bind_int64(statement[i], 2, design->physics);
-    sqlite3_bind_int64(statement[i], 3, design->environment_set);
-    sqlite3_bind_int64(statement[i], 4, design->genotype);
-  }
-  error = mo_sql_integer(writer, statement[0], &n);
+  statement = mo_sql(writer, known_sql, &error);
+  if (statement == NULL)
+    return error;
+  bind_design(statement, design);
+  error = mo_sql_integer(writer, statement, &n);
   if (error != MO_ERR_NOT_FOUND)
     return error; /* there already, or an error */
   n = 0;
-  while ((step = mo_sql_step(writer, statement[1])) > 0) {
+  error = MO_OK;
+  statement = mo_sql(writer, losses_sql, &error);
+  if (statement == NULL)
+    return error;
+  bind_design(statement, design);
+  while ((step = mo_sql_step(writer, statement)) > 0) {
     double loss;
-    if (sqlite3_column_type(statement[1], 0) == SQLITE_NULL) {
-      (void)sqlite3_reset(statement[1]);
+    if (sqlite3_column_type(statement, 0) == SQLITE_NULL) {
+      (void)sqlite3_reset(statement);
       return MO_OK;
     }
-    error = mo_column_double(statement[1], 0, &loss);
+    error = mo_column_double(statement, 0, &loss);
     if (error != MO_OK) {
-      (void)sqlite3_reset(statement[1]);
+      (void)sqlite3_reset(statement);
       return error;
     }
     sum += loss;
@@ -166,15 +188,7 @@ int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_desi
   }
   if (step < 0 || n == 0)
     return step;
-  sum /= (double)n;
-  if (isnan(sum))
-    return MO_ERR_CORRUPT;
-  mo_encode_double(sum, bits);
-  sqlite3_bind_double(statement[2], 5, sum);
-  sqlite3_bind_blob(statement[2], 6, bits, sizeof(bits), SQLITE_STATIC);
-  error = mo_sql_run(writer, statement[2]);
-  (void)sqlite3_clear_bindings(statement[2]);
-  return error;
+  return mo_set_score_insert_mean(writer, design, sum / (double)n);
 }
 
 /* ---- steps of jobs ---- */

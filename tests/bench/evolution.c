@@ -2,8 +2,10 @@
  *
  * Real variation of a real population against a set of as many forms as a large pretraining has, real selection and statistics. Only the
  * scores are not rollouts': they come from a file of recorded ones, or from a landscape over the voxels (made up, but heritable, so
- * that the population converges and children that were seen become frequent, as in a real campaign). */
+ * that the population converges and children that were seen become frequent, as in a real campaign). With --store each generation
+ * is committed, too, with ten losses per design. */
 #include "bench.h"
+#include "evolution_store.h"
 
 #include <morpho/evolution.h>
 
@@ -19,24 +21,27 @@
 #define BOUND_S   1.0
 #define BOUND_MIB 600.0
 
-static const char usage[] = "Usage: morpho-bench evolution [OPTION…]\n"
-                            "\n"
-                            "  --population N    default 8192\n"
-                            "  --generations N   default 100\n"
-                            "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
-                            "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
-                            "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, "
-                            "from the start again at the end\n"
-                            "  --seed N          of the campaign (default 1)\n";
+static const char usage[] =
+    "Usage: morpho-bench evolution [OPTION…]\n"
+    "\n"
+    "  --population N    default 8192\n"
+    "  --generations N   default 100\n"
+    "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
+    "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
+    "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, "
+    "from the start again at the end\n"
+    "  --seed N          of the campaign (default 1)\n"
+    "  --store PATH      commit every generation to a new state folder there, and read it back\n";
 
-enum phase { VARIATION, SELECTION, STATISTICS, PHASES };
-static const char *const phase_names[PHASES] = {"variation", "selection", "statistics"};
+enum phase { VARIATION, SELECTION, STATISTICS, STORING, PHASES };
+static const char *const phase_names[PHASES] = {"variation", "selection", "statistics", "storing"};
 
 struct evolution {
   struct mo_campaign_settings settings;
   uint64_t n_forms;
-  const char *scores_path;
-  double *recorded; /* (n_recorded) */
+  const char *scores_path, *store_path; /* nullable */
+  struct bench_campaign *campaign;      /* with store_path */
+  double *recorded;                     /* (n_recorded) */
   size_t n_recorded;
 
   struct mo_form_set *excluded;
@@ -144,6 +149,24 @@ static void measure_sizes(struct evolution *evolution, uint32_t from, uint32_t t
                 "sizes");
 }
 
+static void store_initial(struct evolution *evolution)
+{
+  struct bench_generation generation = {.n_children = evolution->n,
+                                        .n_survivors = evolution->n,
+                                        .genotypes = evolution->genotypes,
+                                        .candidates = evolution->candidates,
+                                        .sizes = evolution->sizes,
+                                        .births = evolution->births,
+                                        .survivors = evolution->survivors};
+  for (uint32_t i = 0; i < evolution->n; i++) {
+    evolution->births[i] =
+        (struct mo_birth){.operator= MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}, .attempts = 1};
+    evolution->survivors[i] = i;
+  }
+  evolution->campaign = bench_campaign_create(&evolution->settings, evolution->store_path);
+  printf("its commit: %.3f s\n", bench_campaign_commit(evolution->campaign, &generation));
+}
+
 static void create(struct evolution *evolution)
 {
   const struct mo_campaign_settings *settings = &evolution->settings;
@@ -175,10 +198,13 @@ static void create(struct evolution *evolution)
   printf("initial population of %u random bodies: %.3f s\n", evolution->n, bench_now_s() - start);
   describe(evolution, 0, 0, evolution->n);
   measure_sizes(evolution, 0, evolution->n);
+  if (evolution->store_path != NULL)
+    store_initial(evolution);
 }
 
 static void destroy(struct evolution *evolution)
 {
+  bench_campaign_free(evolution->campaign);
   mo_seen_free(evolution->seen);
   mo_form_set_free(evolution->excluded);
   mo_lattice_free(evolution->lattice);
@@ -199,7 +225,7 @@ static void destroy(struct evolution *evolution)
 
 /* ---- one generation ---- */
 
-static void vary(struct evolution *evolution, uint32_t generation)
+static struct mo_variation_counts vary(struct evolution *evolution, uint32_t generation)
 {
   struct mo_variation_counts counts;
   bench_check(mo_variation(&evolution->settings, generation, evolution->genotypes, evolution->n, evolution->seen,
@@ -212,6 +238,7 @@ static void vary(struct evolution *evolution, uint32_t generation)
   evolution->counts.recombinants += counts.recombinants;
   evolution->counts.fallbacks += counts.fallbacks;
   evolution->counts.exhausted |= counts.exhausted;
+  return counts;
 }
 
 static void choose(struct evolution *evolution, uint32_t generation)
@@ -243,8 +270,9 @@ static void advance(struct evolution *evolution, uint32_t generation)
   double *seconds[PHASES];
   for (int phase = 0; phase < PHASES; phase++)
     seconds[phase] = &evolution->seconds[phase][generation - 1];
+  const uint32_t n_parents = evolution->n;
   double start = bench_now_s();
-  vary(evolution, generation);
+  const struct mo_variation_counts counts = vary(evolution, generation);
   *seconds[VARIATION] = bench_now_s() - start;
   describe(evolution, generation, evolution->n,
            evolution->n + evolution->n_children); /* not measured: rollouts' work */
@@ -260,12 +288,26 @@ static void advance(struct evolution *evolution, uint32_t generation)
                                   evolution->sizes, evolution->n, &stats),
               "statistics");
   *seconds[STATISTICS] += bench_now_s() - start;
+  if (evolution->campaign != NULL) { /* parents and children, as before the selection, are in the other arrays now */
+    const struct bench_generation stored = {generation,
+                                            n_parents,
+                                            evolution->n_children,
+                                            evolution->n,
+                                            evolution->next,
+                                            evolution->next_candidates,
+                                            evolution->next_sizes,
+                                            evolution->births,
+                                            evolution->survivors,
+                                            stats,
+                                            counts};
+    *seconds[STORING] = bench_campaign_commit(evolution->campaign, &stored);
+  }
   for (int phase = 0; phase < PHASES; phase++)
     evolution->total[generation - 1] += *seconds[phase];
   if (generation == 1 || generation % 10 == 0)
-    printf("%10u %10.4f %10.4f %10.4f %10.4f %8.4f %9.3f %10.1f\n", generation, *seconds[VARIATION],
-           *seconds[SELECTION], *seconds[STATISTICS], stats.mean_score, stats.diversity, stats.voxels.mean,
-           stats.masses.mean);
+    printf("%10u %10.4f %10.4f %10.4f %10.4f %10.4f %8.4f %9.3f %10.1f\n", generation, *seconds[VARIATION],
+           *seconds[SELECTION], *seconds[STATISTICS], *seconds[STORING], stats.mean_score, stats.diversity,
+           stats.voxels.mean, stats.masses.mean);
 }
 
 static int report(struct evolution *evolution)
@@ -274,6 +316,8 @@ static int report(struct evolution *evolution)
   const struct mo_variation_counts *counts = &evolution->counts;
   printf("\nseconds per generation     median      worst\n");
   for (int phase = 0; phase <= PHASES; phase++) {
+    if (phase == STORING && evolution->campaign == NULL)
+      continue;
     double *seconds = phase < PHASES ? evolution->seconds[phase] : evolution->total;
     const double median = bench_median(seconds, n); /* sorts */
     printf("%-22s %10.4f %10.4f\n", phase < PHASES ? phase_names[phase] : "together", median, seconds[n - 1]);
@@ -314,6 +358,7 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
                                           {"selection", required_argument, NULL, 's'},
                                           {"scores", required_argument, NULL, 'r'},
                                           {"seed", required_argument, NULL, 'S'},
+                                          {"store", required_argument, NULL, 't'},
                                           {"help", no_argument, NULL, 'h'},
                                           {NULL, 0, NULL, 0}};
   struct mo_campaign_settings *settings = &evolution->settings;
@@ -331,6 +376,7 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
       break;
     case 'r': evolution->scores_path = optarg; break;
     case 'S': settings->seed = number(optarg, 0, UINT64_MAX); break;
+    case 't': evolution->store_path = optarg; break;
     case 'h': fputs(usage, stdout); exit(0);
     default: fputs(usage, stderr); exit(2);
     }
@@ -354,11 +400,13 @@ int bench_evolution(int argc, char **argv)
   else
     printf("scores made up: a random landscape over voxels, no rollouts\n");
   create(&evolution);
-  printf("%10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection", "statistics", "mean score",
-         "diversity", "voxels", "masses");
+  printf("%10s %10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection", "statistics",
+         "storing", "mean score", "diversity", "voxels", "masses");
   for (uint32_t generation = 1; generation <= evolution.settings.generations; generation++)
     advance(&evolution, generation);
   const int status = report(&evolution);
+  if (evolution.campaign != NULL)
+    bench_campaign_report(evolution.campaign);
   destroy(&evolution);
   return status;
 }

@@ -52,6 +52,29 @@ static inline struct mo_campaign_submission campaign_submission(enum mo_campaign
                                          .label = "a label"};
 }
 
+static inline int64_t campaign_submit(struct fixture *fixture, const struct mo_campaign_submission *submission)
+{
+  int64_t id = 0;
+  bool replayed = true;
+  int error = mo_store_submit_campaign(fixture->store, submission, &id, &replayed);
+  return error != MO_OK ? error : id;
+}
+
+static inline enum mo_job_state campaign_state(struct fixture *fixture, int64_t id)
+{
+  struct mo_job job = {.state = MO_JOB_FAILED};
+  (void)mo_store_job(fixture->store, id, &job);
+  return job.state;
+}
+
+/* The newest event of a job. */
+static inline struct mo_event campaign_event(struct fixture *fixture, int64_t id)
+{
+  struct mo_event events[200] = {{0}};
+  int64_t n = mo_store_events(fixture->store, 0, id, events, 200, NULL, NULL);
+  return events[n > 0 ? n - 1 : 0];
+}
+
 /* A campaign as its runner holds it. */
 struct made {
   struct mo_store *store;
@@ -234,6 +257,23 @@ static inline void made_apply(struct made *made)
   made->n = n;
   made->n_designs += made->commit.row.n_children;
   made->generation++;
+}
+
+/* Whether the store goes on from just what was committed. */
+static inline bool made_is_stored(const struct made *made)
+{
+  struct mo_campaign_state *state = NULL;
+  bool same = mo_store_campaign_state(made->store, made->id, &state) == MO_OK &&
+              state->generation == (uint32_t)made->generation && state->n == made->n &&
+              state->n_designs == made->n_designs &&
+              memcmp(state->numbers, made->numbers, made->n * sizeof(*made->numbers)) == 0 &&
+              memcmp(state->genotypes, made->genotypes, made->n * sizeof(*made->genotypes)) == 0 &&
+              memcmp(state->scores, made->scores, made->n * sizeof(*made->scores)) == 0;
+  for (uint32_t i = 0; same && i < state->n; i++)
+    same = state->born[i] == state->numbers[i] / made->population;
+  same = same && state->diversity_max == 0.25;
+  mo_campaign_state_free(state);
+  return same;
 }
 
 /* A generation, whole. */

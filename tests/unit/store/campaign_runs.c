@@ -1,0 +1,443 @@
+/* campaign_runs.c: what a campaign's runner writes: generations whole, losses and checkpoints on the way. */
+#include <dirent.h>
+#include <sys/stat.h>
+
+#include "../check.h"
+#include "by_hand.h"
+#include "campaign_fixture.h"
+
+#define UNTIL 5 /* generations after the first */
+
+static bool same_bits(double a, double b)
+{
+  return memcmp(&a, &b, sizeof(a)) == 0;
+}
+
+/* A campaign of a mode that was started, its runner at hand. */
+static int64_t begin(struct fixture *fixture, struct made *made, enum mo_campaign_mode mode)
+{
+  struct mo_campaign_submission submission = campaign_submission(mode, MADE_POPULATION, UNTIL);
+  int64_t id;
+  int error = fixture_start(fixture) == 0 ? MO_OK : MO_ERR_IO;
+  if (error != MO_OK)
+    return error;
+  id = campaign_submit(fixture, &submission);
+  if (id > 0)
+    error = made_start(made, fixture->store, id, mode, MADE_POPULATION, 9);
+  if (id > 0 && error == MO_OK)
+    error = mo_store_campaign_start(fixture->store, id);
+  return error != MO_OK ? error : id;
+}
+
+/* Another life of the process: the campaign runs again. */
+static int live_again(struct fixture *fixture, struct made *made)
+{
+  int error = fixture_reopen(fixture);
+  made->store = fixture->store;
+  if (error == MO_OK)
+    error = mo_store_requeue(fixture->store, 0, 3, "");
+  return error == MO_OK ? mo_store_campaign_start(fixture->store, made->id) : error;
+}
+
+static void commits_generations(enum mo_campaign_mode mode)
+{
+  struct fixture fixture;
+  struct made made = {0};
+  struct mo_campaign_status status;
+  struct mo_campaign_generation rows[UNTIL + 2];
+  struct mo_campaign_step steps[2 * UNTIL + 3];
+  struct mo_campaign_generation last;
+  int64_t id = begin(&fixture, &made, mode);
+  REQUIRE(id > 0);
+  CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
+  REQUIRE(made_generation(&made) == MO_OK);
+  CHECK(made_is_stored(&made));
+  for (int g = 1; g <= UNTIL; g++)
+    REQUIRE(made_generation(&made) == MO_OK);
+  CHECK(made_is_stored(&made));
+  CHECK_TEXT(campaign_event(&fixture, id).type, "campaign.generation");
+  CHECK_TEXT(campaign_event(&fixture, id).data, "{\"made\":true}");
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  made.store = fixture.store;
+  CHECK(made_is_stored(&made));
+  REQUIRE(mo_store_campaign(fixture.store, id, &status) == MO_OK);
+  CHECK_INT(status.generation, UNTIL);
+  CHECK_INT(status.job.steps_done, UNTIL);
+  CHECK_INT(status.n_designs, (UNTIL + 1) * MADE_POPULATION);
+  CHECK(same_bits(status.best_score, made.scores[0]));
+  CHECK_INT(mo_store_campaign_generations(fixture.store, id, -1, rows, UNTIL + 2), UNTIL + 1);
+  last = made.commit.row;
+  last.stored_us = rows[UNTIL].stored_us;
+  CHECK(last.stored_us > 0);
+  CHECK(isnan(rows[UNTIL].mean_parents));
+  rows[UNTIL].mean_parents = last.mean_parents;
+  CHECK(memcmp(&rows[UNTIL].stats, &last.stats, sizeof(last.stats)) == 0);
+  CHECK(memcmp(&rows[UNTIL].variation.mutation_attempts, &last.variation.mutation_attempts, 8) == 0);
+  CHECK(rows[UNTIL].mean_children == last.mean_children && rows[UNTIL].turnover == last.turnover);
+  CHECK(rows[UNTIL].rollouts == last.rollouts && rows[UNTIL].collapse == last.collapse);
+  CHECK(rows[UNTIL].seconds == 1.5 && rows[UNTIL].born_before == UNTIL * MADE_POPULATION);
+  CHECK_INT(mo_store_campaign_generations(fixture.store, id, 2, rows, 2), 2);
+  CHECK(rows[0].generation == 3 && rows[1].generation == 4);
+  CHECK_INT(mo_store_campaign_generations(fixture.store, id, UNTIL, rows, 2), 0);
+  CHECK_INT(mo_store_campaign_generations(fixture.store, id, 0, rows, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_steps(fixture.store, id, -1, 0, steps, 2 * UNTIL + 3),
+            mode == MO_ZERO_SHOT ? 0 : 2 * UNTIL + 2);
+  if (mode != MO_ZERO_SHOT) {
+    CHECK(memcmp(&steps[2 * UNTIL + 1].report.mean_loss, &made.steps[1].report.mean_loss, 8) == 0);
+    CHECK_INT(mo_store_campaign_steps(fixture.store, id, 1, 1, steps, 2), 2);
+    CHECK(steps[0].generation == 1 && steps[0].step == 2 && steps[0].on_children && steps[0].report.step == 4);
+    CHECK(steps[0].report.diverged == 1 && steps[1].generation == 2 && steps[1].step == 1 && !steps[1].on_children);
+  }
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  made_free(&made);
+  fixture_end(&fixture);
+}
+
+static void commits_in_every_mode(void)
+{
+  commits_generations(MO_ZERO_SHOT);
+  commits_generations(MO_FEW_SHOT);
+  commits_generations(MO_SIMULTANEOUS);
+}
+
+/* Everything that a commit may say wrong, and every moment at which it comes at the wrong time: nothing changes. */
+static void refuses_what_is_wrong(void)
+{
+  struct fixture fixture;
+  struct made made = {0}, child;
+  struct mo_campaign_commit commit;
+  struct mo_event before, after;
+  uint32_t survivors[2 * MADE_POPULATION], numbers[MADE_POPULATION];
+  struct mo_birth births[MADE_POPULATION];
+  struct mo_design_size sizes[MADE_POPULATION];
+  double scores[MADE_POPULATION];
+  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT);
+  REQUIRE(id > 0 && made_generation(&made) == MO_OK && made_next(&made) == MO_OK);
+  before = campaign_event(&fixture, id);
+  child = made; /* what is committed in the end */
+#define REFUSE(change, expected)                                                                                       \
+  do {                                                                                                                 \
+    commit = made.commit;                                                                                              \
+    memcpy(survivors, made.survivors, sizeof(survivors));                                                              \
+    memcpy(numbers, made.numbers, sizeof(numbers));                                                                    \
+    memcpy(births, made.births, sizeof(births));                                                                       \
+    memcpy(sizes, made.sizes, sizeof(sizes));                                                                          \
+    memcpy(scores, made.child_scores, sizeof(scores));                                                                 \
+    commit.survivors = survivors;                                                                                      \
+    commit.parent_numbers = numbers;                                                                                   \
+    commit.births = births;                                                                                            \
+    commit.sizes = sizes;                                                                                              \
+    commit.child_scores = scores;                                                                                      \
+    change;                                                                                                            \
+    CHECK_INT(mo_store_campaign_commit(fixture.store, id, &commit), expected);                                         \
+    CHECK(made_is_stored(&made));                                                                                      \
+  } while (0)
+  REFUSE(commit.row.generation = 0, MO_ERR_CONFLICT);
+  REFUSE(commit.row.generation = 2, MO_ERR_CONFLICT);
+  REFUSE(commit.row.born_before = 5, MO_ERR_INVALID);
+  REFUSE(commit.row.born_before = MO_CAMPAIGN_DESIGNS_MAX, MO_ERR_RANGE);
+  REFUSE(commit.row.n_children = MO_POPULATION_MAX + 1, MO_ERR_RANGE);
+  REFUSE(commit.n_parents--, MO_ERR_INVALID);
+  REFUSE(commit.n_survivors = 2 * MADE_POPULATION + 1, MO_ERR_RANGE);
+  REFUSE(survivors[1] = survivors[0], MO_ERR_INVALID);
+  REFUSE(survivors[0] = 2 * MADE_POPULATION, MO_ERR_INVALID);
+  REFUSE(numbers[2] = numbers[3], MO_ERR_INVALID);
+  REFUSE(births[2].parents[0] = MADE_POPULATION, MO_ERR_INVALID);
+  REFUSE(births[2].operator=(enum mo_operator) MO_OPERATORS, MO_ERR_INVALID);
+  REFUSE(scores[5] = NAN, MO_ERR_INVALID);
+  REFUSE(sizes[5].springs = UINT16_MAX + 1, MO_ERR_RANGE);
+  REFUSE(sizes[5].masses = 1024, MO_ERR_RANGE);
+#undef REFUSE
+  after = campaign_event(&fixture, id);
+  CHECK_INT(after.sequence, before.sequence);
+  CHECK_INT(mo_store_campaign_commit(fixture.store, id + 1, &made.commit), MO_ERR_CONFLICT);
+  /* Paused: its thread commits what it has; cancelled, or of an earlier life of the process: it may not. */
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_commit(fixture.store, id, &child.commit), MO_OK);
+  made_apply(&made);
+  CHECK(made_is_stored(&made));
+  CHECK_INT(campaign_state(&fixture, id), MO_JOB_PAUSED);
+  REQUIRE(made_next(&made) == MO_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  made.store = fixture.store;
+  CHECK_INT(mo_store_campaign_commit(fixture.store, id, &made.commit), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 2, made.losses, 1, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_checkpoint(fixture.store, id, 2, 1, (const uint8_t *)"x", 1, NULL, 0), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_commit(fixture.store, id, &made.commit), MO_ERR_CONFLICT);
+  REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_commit(fixture.store, id, &made.commit), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 2, made.losses, 1, NULL), MO_ERR_CONFLICT);
+  CHECK(made_is_stored(&made));
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  made_free(&made);
+  fixture_end(&fixture);
+}
+
+static void keeps_losses_of_a_generation(void)
+{
+  struct fixture fixture;
+  struct made made = {0};
+  struct mo_campaign_loss *losses = NULL, more;
+  struct mo_campaign_status status;
+  size_t n = 9;
+  int64_t id = begin(&fixture, &made, MO_FEW_SHOT);
+  REQUIRE(id > 0 && made_next(&made) == MO_OK);
+  CHECK_INT(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n), MO_OK);
+  CHECK_INT(n, 0);
+  free(losses);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 1, made.losses, 2, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, made.losses + 2, 2, NULL), MO_OK);
+  CHECK_TEXT(campaign_event(&fixture, id).type, "job.started");
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, made.losses, 3, "{\"saved\":3}"), MO_OK);
+  CHECK_TEXT(campaign_event(&fixture, id).type, "campaign.progress");
+  more = made.losses[0];
+  more.place = 2 * MADE_POPULATION;
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, &more, 1, NULL), MO_ERR_RANGE);
+  more.place--;
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, &more, 1, NULL), MO_OK);
+  REQUIRE(live_again(&fixture, &made) == MO_OK);
+  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.scored, 5);
+  CHECK_INT(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n), MO_OK);
+  REQUIRE(n == 5);
+  for (uint32_t i = 0; i < 4; i++) {
+    CHECK_INT(losses[i].place, i);
+    CHECK(memcmp(losses[i].losses, made.losses[i].losses, 8 * MO_PAPER_TEST_COUNT) == 0);
+    CHECK(memcmp(losses[i].diverged_steps, made.losses[i].diverged_steps, 4 * MO_PAPER_TEST_COUNT) == 0);
+  }
+  CHECK_INT(losses[4].place, 2 * MADE_POPULATION - 1);
+  free(losses);
+  /* They go with the commit. */
+  REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
+  made_apply(&made);
+  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.scored, 0);
+  CHECK_INT(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n), MO_OK);
+  CHECK_INT(n, 0);
+  free(losses);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, made.losses, 2, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 1, made.losses, 2, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_losses(fixture.store, id, 1, &losses, &n), MO_OK);
+  CHECK_INT(n, 2);
+  free(losses);
+  CHECK_INT(mo_store_campaign_losses(fixture.store, 99, 1, &losses, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM campaign_losses"), 2);
+  made_free(&made);
+  fixture_end(&fixture);
+}
+
+/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once, whoever was first. */
+static void shares_scores(void)
+{
+  struct fixture fixture;
+  struct made made = {0}, other = {0};
+  struct mo_campaign_submission submission = campaign_submission(MO_ZERO_SHOT, MADE_POPULATION, UNTIL);
+  struct mo_campaign_loss known[MADE_POPULATION + 2];
+  struct mo_bits asked[MADE_POPULATION + 2];
+  struct mo_design *design = NULL;
+  struct mo_design_query query = {.sort = MO_DESIGNS_BY_SCORE, .physics = mo_default_physics()};
+  struct mo_design_row rows[2 * MADE_POPULATION];
+  struct mo_controller_record controller;
+  double first_loss;
+  int64_t n;
+  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), second;
+  REQUIRE(id > 0 && made_next(&made) == MO_OK);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known), 0);
+  REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
+  memcpy(asked, made.children, sizeof(*asked) * MADE_POPULATION);
+  asked[MADE_POPULATION] = asked[2];
+  memset(&asked[MADE_POPULATION + 1], 0, sizeof(*asked));
+  asked[MADE_POPULATION + 1].words[0] = 1;
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, asked, MADE_POPULATION + 2, known), MADE_POPULATION + 1);
+  for (uint32_t i = 0; i < MADE_POPULATION + 1; i++) {
+    const struct mo_campaign_loss *loss = &made.losses[i < MADE_POPULATION ? i : 2];
+    CHECK_INT(known[i].place, i);
+    CHECK(memcmp(known[i].losses, loss->losses, 8 * MO_PAPER_TEST_COUNT) == 0);
+    CHECK(memcmp(known[i].diverged_steps, loss->diverged_steps, 4 * MO_PAPER_TEST_COUNT) == 0);
+  }
+  /* As the designs' own pages show them. */
+  REQUIRE(mo_store_design(fixture.store, &made.forms[1], &design) == MO_OK);
+  CHECK(design->n_orientations == 1 && design->orientations[0].n_scores == 1);
+  CHECK_TEXT(design->orientations[0].scores[0].environment_set, "paper-test");
+  CHECK_TEXT(design->orientations[0].scores[0].fingerprint, "by hand");
+  CHECK(memcmp(design->orientations[0].scores[0].losses, made.losses[1].losses, 8 * MO_PAPER_TEST_COUNT) == 0);
+  CHECK(same_bits(design->orientations[0].scores[0].score, made.child_scores[1]));
+  mo_design_free(design);
+  REQUIRE(mo_store_controller(fixture.store, "default", &controller) == MO_OK);
+  query.controller_sha256 = controller.sha256;
+  snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 2 * MADE_POPULATION), MADE_POPULATION);
+  CHECK(same_bits(rows[0].score, made_score_of(&made, made.survivors[0])));
+  CHECK(isinf(rows[MADE_POPULATION - 1].score)); /* the one that diverged */
+  first_loss = made.losses[1].losses[0];
+  made_apply(&made);
+  /* Another campaign of the same: what is stored stays, though it says otherwise. */
+  second = campaign_submit(&fixture, &submission);
+  REQUIRE(mo_store_campaign_start(fixture.store, second) == MO_OK);
+  REQUIRE(made_start(&other, fixture.store, second, MO_ZERO_SHOT, MADE_POPULATION, 9) == MO_OK);
+  other.state++;
+  CHECK_INT(made_generation(&other), MO_OK);
+  CHECK(!same_bits(other.losses[1].losses[0], first_loss));
+  CHECK_INT(mo_store_campaign_known(fixture.store, second, other.children, MADE_POPULATION, known), MADE_POPULATION);
+  CHECK(same_bits(known[1].losses[0], first_loss));
+  CHECK_INT(mo_store_designs(fixture.store, &query, rows, 2 * MADE_POPULATION), MADE_POPULATION);
+  made_free(&other);
+  /* In part: what is missing is not known. */
+  CHECK_INT(made_generation(&made), MO_OK);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known), MADE_POPULATION);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  REQUIRE(outside(&fixture, "DELETE FROM scores WHERE genotype=(SELECT max(genotype) FROM scores) AND environment=3") ==
+          SQLITE_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  n = mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known);
+  CHECK_INT(n, MADE_POPULATION - 1);
+  CHECK_INT(mo_store_campaign_known(fixture.store, 99, made.children, 1, known), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
+  made_free(&made);
+  fixture_end(&fixture);
+  /* A campaign that learns has no scores to share. */
+  id = begin(&fixture, &other, MO_FEW_SHOT);
+  REQUIRE(id > 0 && made_generation(&other) == MO_OK);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, other.children, MADE_POPULATION, known), 0);
+  made_free(&other);
+  fixture_end(&fixture);
+}
+
+/* ---- checkpoints ---- */
+
+static int files_of(const struct fixture *fixture, int64_t id)
+{
+  char path[600];
+  int n = 0;
+  DIR *folder;
+  snprintf(path, sizeof(path), "%s/campaigns/%lld", fixture->path, (long long)id);
+  folder = opendir(path);
+  if (folder == NULL)
+    return -1;
+  for (struct dirent *entry; (entry = readdir(folder)) != NULL;)
+    n += entry->d_name[0] != '.';
+  closedir(folder);
+  return n;
+}
+
+static bool newest_is(struct fixture *fixture, int64_t id, uint32_t generation, uint32_t step, const char *text)
+{
+  uint32_t found_generation = 99, found_step = 99;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  bool same =
+      mo_store_campaign_checkpoint_bytes(fixture->store, id, &found_generation, &found_step, &bytes, &size) == MO_OK &&
+      found_generation == generation && found_step == step && size == strlen(text) && memcmp(bytes, text, size) == 0;
+  free(bytes);
+  return same;
+}
+
+static int put_checkpoint(struct fixture *fixture, int64_t id, uint32_t generation, uint32_t step, const char *text)
+{
+  return mo_store_campaign_checkpoint(fixture->store, id, generation, step, (const uint8_t *)text, strlen(text), NULL,
+                                      0);
+}
+
+static int commit_with(struct made *made, const char *text, uint32_t step)
+{
+  int error = made_next(made);
+  made->commit.checkpoint = (const uint8_t *)text;
+  made->commit.checkpoint_size = strlen(text);
+  made->commit.checkpoint_step = step;
+  if (error == MO_OK)
+    error = mo_store_campaign_commit(made->store, made->id, &made->commit);
+  if (error == MO_OK)
+    made_apply(made);
+  return error;
+}
+
+static void keeps_checkpoints(void)
+{
+  struct fixture fixture;
+  struct made made = {0};
+  struct mo_campaign_step rows[3] = {{.generation = 1, .step = 1, .report = {.step = 3, .mean_loss = 0.5}},
+                                     {.generation = 1, .step = 2, .report = {.step = 4, .mean_loss = NAN}}};
+  uint32_t generation, step = 0;
+  uint8_t *bytes = NULL;
+  char path[600];
+  FILE *file;
+  size_t size = 0;
+  int64_t id = begin(&fixture, &made, MO_SIMULTANEOUS);
+  REQUIRE(id > 0);
+  CHECK_INT(mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "out of turn"), MO_ERR_CONFLICT);
+  CHECK_INT(files_of(&fixture, id), 0);
+  CHECK_INT(put_checkpoint(&fixture, id, 0, 1, "zero one"), MO_OK);
+  CHECK(newest_is(&fixture, id, 0, 1, "zero one"));
+  CHECK_INT(put_checkpoint(&fixture, id, 0, 2, "zero two"), MO_OK);
+  CHECK(newest_is(&fixture, id, 0, 2, "zero two") && files_of(&fixture, id) == 1);
+  /* The state after a generation replaces what is inside it. */
+  CHECK_INT(commit_with(&made, "after zero", 5), MO_OK);
+  CHECK(newest_is(&fixture, id, 0, 5, "after zero") && files_of(&fixture, id) == 1);
+  CHECK_INT(put_checkpoint(&fixture, id, 0, 6, "too late"), MO_ERR_CONFLICT);
+  /* Inside the next one, it stays. */
+  CHECK_INT(mo_store_campaign_checkpoint(fixture.store, id, 1, 1, (const uint8_t *)"one one", 7, rows, 1), MO_OK);
+  CHECK_INT(mo_store_campaign_checkpoint(fixture.store, id, 1, 2, (const uint8_t *)"one two", 7, rows, 2), MO_OK);
+  CHECK(newest_is(&fixture, id, 1, 2, "one two") && files_of(&fixture, id) == 2);
+  CHECK_INT(mo_store_campaign_steps(fixture.store, id, 0, 2, rows, 3), 2);
+  CHECK(rows[0].report.mean_loss == 0.5 && isnan(rows[1].report.mean_loss));
+  CHECK_INT(mo_store_campaign_checkpoint_of(fixture.store, id, 0, &step, &bytes, &size), MO_OK);
+  CHECK(step == 5 && size == 10 && memcmp(bytes, "after zero", 10) == 0);
+  free(bytes);
+  CHECK_INT(mo_store_campaign_checkpoint_of(fixture.store, id, 2, &step, &bytes, &size), MO_ERR_NOT_FOUND);
+  /* Of an earlier run that came further, or whose bytes were others. */
+  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "again one"), MO_OK);
+  CHECK(newest_is(&fixture, id, 1, 1, "again one") && files_of(&fixture, id) == 2);
+  CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "another one"), MO_OK);
+  CHECK(newest_is(&fixture, id, 1, 1, "another one") && files_of(&fixture, id) == 2);
+  /* What a process that dies leaves without a row goes at the next start; what is not ours stays. */
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/1-7.checkpoint", fixture.path, (long long)id);
+  file = fopen(path, "w");
+  REQUIRE(file != NULL && fclose(file) == 0);
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/.tmp-3", fixture.path, (long long)id);
+  file = fopen(path, "w");
+  REQUIRE(file != NULL && fclose(file) == 0);
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/1-x.checkpoint", fixture.path, (long long)id);
+  file = fopen(path, "w");
+  REQUIRE(file != NULL && fclose(file) == 0);
+  snprintf(path, sizeof(path), "%s/campaigns/77", fixture.path);
+  REQUIRE(mkdir(path, 0700) == 0);
+  CHECK_INT(files_of(&fixture, id), 4);
+  REQUIRE(live_again(&fixture, &made) == MO_OK);
+  CHECK_INT(files_of(&fixture, id), 3);
+  CHECK(access(path, F_OK) != 0);
+  CHECK(newest_is(&fixture, id, 1, 1, "another one"));
+  /* The checkpoint at the end of the learning is that of the commit, too. */
+  CHECK_INT(put_checkpoint(&fixture, id, 1, 5, "after one"), MO_OK);
+  CHECK_INT(commit_with(&made, "after one", 5), MO_OK);
+  CHECK(newest_is(&fixture, id, 1, 5, "after one"));
+  CHECK_INT(files_of(&fixture, id), 2); /* and the one that is not ours */
+  /* Without one, what is older than the generation goes. */
+  REQUIRE(made_generation(&made) == MO_OK);
+  CHECK_INT(mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(files_of(&fixture, id), 1);
+  /* Damage is found. */
+  CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/3-1.checkpoint", fixture.path, (long long)id);
+  file = fopen(path, "w");
+  REQUIRE(file != NULL && fputs("three ONE", file) >= 0 && fclose(file) == 0);
+  CHECK_INT(mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size), MO_ERR_CORRUPT);
+  REQUIRE(unlink(path) == 0);
+  CHECK_INT(mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
+  CHECK(newest_is(&fixture, id, 3, 1, "three one"));
+  made_free(&made);
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"commits in every mode", commits_in_every_mode},
+    {"refuses what is wrong", refuses_what_is_wrong},
+    {"keeps losses of a generation", keeps_losses_of_a_generation},
+    {"shares scores", shares_scores},
+    {"keeps checkpoints", keeps_checkpoints},
+};
+CHECK_MAIN(cases)
