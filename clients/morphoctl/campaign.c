@@ -172,7 +172,10 @@ void campaign_progress_text(const json_t *campaign, char *text, size_t size)
                      : strcmp(phase, "learning") == 0  ? " steps"
                      : strcmp(phase, "preparing") == 0 ? " bodies of the pretraining"
                                                        : "";
-  int n = snprintf(text, size, "%s", phase);
+  int n = 0;
+  if (json_is_integer(json_object_get(progress, "under_way")))
+    n = snprintf(text, size, "generation %s: ", count_text(number_of(progress, "under_way"), done));
+  n += snprintf(text + n, size - (size_t)n, "%s", phase);
   if (number_of(progress, "total") > 0 && *what != 0)
     n += snprintf(text + n, size - (size_t)n, " %s of %s%s", count_text(number_of(progress, "done"), done),
                   count_text(number_of(progress, "total"), total), what);

@@ -93,11 +93,11 @@ static int load(struct view *view, const json_t *at)
 /* Members of "progress" that an event tells. */
 static void take_progress(struct view *view, const json_t *data)
 {
-  static const char *const keys[] = {"generation", "done", "total"};
+  static const char *const keys[][2] = {{"generation", "under_way"}, {"done", "done"}, {"total", "total"}};
   json_t *progress = json_object_get(view->campaign.json, "progress");
   for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
-    if (json_object_get(data, keys[i]) != NULL)
-      json_object_set(progress, keys[i], json_object_get(data, keys[i]));
+    if (json_object_get(data, keys[i][0]) != NULL)
+      json_object_set(progress, keys[i][1], json_object_get(data, keys[i][0]));
   if (json_object_get(data, "phase") != NULL)
     json_object_set(view->campaign.json, "phase", json_object_get(data, "phase"));
 }

@@ -27,7 +27,8 @@ int run_job_list(struct ctl *ctl)
     {
       char designs[32], count[32], work[48], done[16], time[32];
       const json_t *training = json_object_get(job, "training"), *campaign = json_object_get(job, "campaign");
-      int64_t total, so_far, n_designs = number_of(campaign != NULL ? campaign : job, "n_designs");
+      int64_t total, so_far,
+          n_designs = campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
       const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
       if (training != NULL) {
         total = number_of(training, "steps");

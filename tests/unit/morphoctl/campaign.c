@@ -44,12 +44,12 @@ static void texts(void)
   campaign_row_text(&row, text, sizeof(text));
   CHECK_TEXT(text,
              "mean 0.4123  best 0.2000  diversity 0.2100  survived: mutants 12 % recombinants –  voxels 23.0  1.2 s");
-  json_t *campaign =
-      json_loads("{\"phase\": \"scoring\", \"progress\": {\"done\": 34, \"total\": 64, \"rollouts_per_s\": 210.4,"
-                 "\"seconds_left\": 192}}",
-                 0, NULL);
+  json_t *campaign = json_loads("{\"phase\": \"scoring\", \"progress\": {\"under_way\": 5, \"done\": 34, \"total\": "
+                                "64, \"rollouts_per_s\": 210.4,"
+                                "\"seconds_left\": 192}}",
+                                0, NULL);
   campaign_progress_text(campaign, text, sizeof(text));
-  CHECK_TEXT(text, "scoring 34 of 64 designs  210 rollouts/s  0:03:12 left");
+  CHECK_TEXT(text, "generation 5: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left");
   json_object_set_new(campaign, "phase", json_string("idle"));
   campaign_progress_text(campaign, text, sizeof(text));
   CHECK(*text == 0);
