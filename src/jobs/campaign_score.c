@@ -1,9 +1,8 @@
 /* campaign_score.c: the scores of a generation.
  *
  * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end.
- * Losses of a candidate are known when all its blocks are; they are saved soon after, several candidates in one transaction: at once when the
- * last save was quick, every 200 ms at the latest, so that saving costs no more than a tenth of the time. What a crash costs
- * is the blocks in flight and those few. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
+ * Losses of a candidate are known when all its blocks are; they are saved at once, several candidates in one transaction where they come faster
+ * than the disk writes. What a crash costs is the blocks in flight and those that wait for their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
  * this controller, is not computed again. */
 #include <math.h>
 #include <stdlib.h>
@@ -11,11 +10,8 @@
 
 #include "jobs/campaign_run.h"
 
-#define SAVE_EVERY_US   INT64_C(200000)
-#define SAVE_COST       10 /* a save may take this part of the time */
 #define SAVED_AT_ONCE   1024
 #define BLOCKS_A_WORKER 2
-#define LOOK_EVERY_US   INT64_C(100000)
 #define RATE_AFTER_US   INT64_C(500000)
 
 /* One block in the back end. */
@@ -31,9 +27,9 @@ struct scoring {
   struct mo_compute_controller *controller;
   struct flight *flights, *free;
   uint32_t n_in_flight, window;
-  uint32_t place, environment;         /* next to be computed */
-  int64_t begin_us, saved_us, save_us; /* start; when the last save ended; how long it took */
-  uint64_t computed;                   /* rollouts, in this call */
+  uint32_t place, environment; /* next to be computed */
+  int64_t begin_us;
+  uint64_t computed; /* rollouts, in this call */
   /* Shared with the workers. */
   pthread_mutex_t mutex;
   pthread_cond_t news;
@@ -164,27 +160,6 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
   return error;
 }
 
-/* When the losses that wait are to be saved. */
-static int64_t save_is_due(const struct scoring *scoring)
-{
-  int64_t pause = scoring->save_us * SAVE_COST;
-  if (scoring->run->n_unsaved == 0)
-    return INT64_MAX;
-  return scoring->saved_us + (pause < SAVE_EVERY_US ? pause : SAVE_EVERY_US);
-}
-
-static int save_when_due(struct scoring *scoring)
-{
-  int64_t now = mo_jobs_clock_us();
-  int error;
-  if (now < save_is_due(scoring))
-    return MO_OK;
-  error = mo_campaign_save_losses(scoring->run);
-  scoring->saved_us = mo_jobs_clock_us();
-  scoring->save_us = scoring->saved_us - now;
-  return error;
-}
-
 /* ---- blocks ---- */
 
 static void finished(struct mo_block *block, void *context)
@@ -278,16 +253,14 @@ static int land(struct scoring *scoring, struct flight *flight)
   return error;
 }
 
-/* Waits for a block, until `until_us` at most, and takes in those that are finished. */
-static int take_in(struct scoring *scoring, int64_t until_us)
+/* Waits for a block, and takes in those that are finished. A wish ends all of them soon. */
+static int take_in(struct scoring *scoring)
 {
-  struct timespec deadline = {.tv_sec = until_us / 1000000, .tv_nsec = (until_us % 1000000) * 1000};
   struct flight *flight;
   int error = MO_OK;
   pthread_mutex_lock(&scoring->mutex);
   while (scoring->finished == NULL)
-    if (pthread_cond_timedwait(&scoring->news, &scoring->mutex, &deadline) != 0)
-      break;
+    pthread_cond_wait(&scoring->news, &scoring->mutex);
   flight = scoring->finished;
   scoring->finished = NULL;
   pthread_mutex_unlock(&scoring->mutex);
@@ -316,20 +289,18 @@ static int compute(struct scoring *scoring)
   const struct mo_campaign_run *run = scoring->run;
   int error = MO_OK;
   for (;;) {
-    int64_t until = mo_jobs_clock_us() + LOOK_EVERY_US, due;
     int landed;
     if (error == MO_OK && mo_runner_is_interrupted(run->attempt.runner))
       error = MO_ERR_CANCELLED;
     if (error == MO_OK)
       error = fill(scoring);
-    if (scoring->n_in_flight == 0)
+    if (scoring->n_in_flight == 0) /* what is not saved yet commits with the generation */
       return error;
-    due = error == MO_OK ? save_is_due(scoring) : INT64_MAX;
-    landed = take_in(scoring, due < until ? due : until);
+    if (error == MO_OK)
+      error = mo_campaign_save_losses(scoring->run);
+    landed = take_in(scoring);
     if (error == MO_OK)
       error = landed;
-    if (error == MO_OK)
-      error = save_when_due(scoring);
     show(scoring);
   }
 }
@@ -337,16 +308,12 @@ static int compute(struct scoring *scoring)
 static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
 {
   struct mo_compute_stats stats;
-  pthread_condattr_t monotonic;
   mo_compute_get_stats(run->jobs->compute, &stats);
   *scoring = (struct scoring){.run = run,
                               .window = BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1),
                               .begin_us = mo_jobs_clock_us()};
-  pthread_condattr_init(&monotonic);
-  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_mutex_init(&scoring->mutex, NULL);
-  pthread_cond_init(&scoring->news, &monotonic);
-  pthread_condattr_destroy(&monotonic);
+  pthread_cond_init(&scoring->news, NULL);
   scoring->flights = calloc(scoring->window, sizeof(*scoring->flights));
   if (scoring->flights == NULL)
     return MO_ERR_NO_MEMORY;

@@ -1,27 +1,386 @@
 /* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their inputs: every mode end to end,
- * against plain loops (campaign_history.h). */
+ * against plain loops (campaign_history.h), and what is told of them. */
 #include "campaigns.h"
 
+static bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
+{
+  struct mo_job job;
+  return mo_jobs_wait(service->jobs, id, 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
+         is_as_plain(service->fixture.store, id, &fake_plain, origin);
+}
+
+/* For any number of workers; with environments of its own, more than a block takes. */
 static void evolves_in_every_mode(void)
 {
+  static const uint32_t workers[] = {1, 2, 7};
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
-    struct service service;
     struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
-    struct origin origin = origin_of(&request);
-    struct mo_job job;
+    struct mo_environment environments[20];
+    struct service service;
+    struct origin origin;
     int64_t id;
-    REQUIRE(start(&service, 2) == MO_OK);
+    for (uint32_t k = 0; k < 20; k++)
+      mo_environment_held_out(8, k, &environments[k]);
+    request.environments = environments;
+    request.record.n_environments = 20;
+    if (mode != MO_FEW_SHOT)
+      request.record.environment_set[0] = '\0';
+    if (mode == MO_SIMULTANEOUS)
+      request.controller = "default";
+    origin = origin_of(&request);
+    REQUIRE(watch_start(&service) == MO_OK);
+    service.n_workers = workers[mode];
+    REQUIRE(service_open(&service) == MO_OK);
     id = submit(&service, &request);
-    REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
-    CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-    CHECK(is_as_plain(service.fixture.store, id, &fake_plain, &origin));
+    CHECK(ends_as_plain(&service, id, &origin));
     CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
     CHECK_INT(warnings, 0);
     service_end(&service);
   }
 }
 
+/* Parents keep their scores, and what is stored is not computed again. */
+static void scores_nothing_twice(void)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct origin origin = origin_of(&request);
+  struct service service;
+  struct mo_campaign_generation rows[GENERATIONS + 1];
+  struct mo_jobs_stats stats;
+  struct mo_evaluation_request evaluation;
+  struct mo_campaign_design designs[POPULATION];
+  struct mo_bits genotypes[POPULATION];
+  struct mo_job job;
+  uint64_t rollouts;
+  int64_t id;
+  REQUIRE(start(&service, 1) == MO_OK);
+  id = submit(&service, &request);
+  CHECK(ends_as_plain(&service, id, &origin));
+  stats = settled(&service);
+  rollouts = status_of(&service, id).n_designs * MO_PAPER_TEST_COUNT;
+  CHECK_INT(stats.campaign_rollouts, rollouts);
+  CHECK_INT(stats.campaign_cached, 0);
+  CHECK_INT(stats.campaign_generations, GENERATIONS + 1);
+  CHECK_INT(stats.campaign_designs, status_of(&service, id).n_designs);
+  CHECK_INT(stats.active_campaigns, 0);
+  CHECK_INT(stats.jobs_succeeded, 1);
+  /* The same once more finds everything; an evaluation of its designs does, too. */
+  id = submit(&service, &request);
+  CHECK(ends_as_plain(&service, id, &origin));
+  stats = settled(&service);
+  CHECK_INT(stats.campaign_rollouts, rollouts);
+  CHECK_INT(stats.campaign_cached, rollouts);
+  CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1), GENERATIONS + 1);
+  for (int g = 0; g <= GENERATIONS; g++)
+    CHECK(rows[g].rollouts_cached == rows[g].rollouts && rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
+  REQUIRE(mo_store_campaign_designs(service.fixture.store, id, -1, designs, POPULATION) == POPULATION);
+  for (int i = 0; i < POPULATION; i++)
+    genotypes[i] = designs[i].genotype;
+  evaluation = service_request(genotypes, POPULATION);
+  evaluation.physics = request.record.settings.physics;
+  id = service_submit(&service, &evaluation);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
+  /* A campaign that learns asks its own controller. */
+  request = campaign(MO_FEW_SHOT);
+  request.record.settings.generations = 1;
+  origin = origin_of(&request);
+  id = submit(&service, &request);
+  CHECK(ends_as_plain(&service, id, &origin));
+  CHECK_INT(settled(&service).campaign_cached, rollouts);
+  CHECK_INT(settled(&service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(settled(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
+  service_end(&service);
+}
+
+/* Listed designs, in a smaller workspace; then another campaign that begins with what the first ended with. */
+static void begins_with_what_is_given(void)
+{
+  struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
+  struct mo_bits listed[3] = {{{0}}};
+  struct mo_campaign_design designs[POPULATION];
+  struct mo_bits inherited[4];
+  struct history *history;
+  struct service service;
+  struct origin origin;
+  int64_t id;
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < 3; i++) { /* columns of 1, 2, 3 voxels along y: only turned do they fit */
+    for (uint32_t y = 0; y <= i; y++)
+      listed[i].words[(y * 4) / 64] |= UINT64_C(1) << (y * 4) % 64;
+    mo_genotype_place(MO_DEFAULT_WORKSPACE, listed[i].words);
+  }
+  request.genotypes = listed;
+  request.record.n_listed = 3;
+  request.record.settings.workspace = (struct mo_workspace){3, 2, 2};
+  origin = origin_of(&request);
+  REQUIRE(start(&service, 1) == MO_OK);
+  id = submit(&service, &request);
+  CHECK(ends_as_plain(&service, id, &origin));
+  CHECK_INT(mo_store_campaign_designs(service.fixture.store, id, -1, designs, 4), 4);
+  CHECK(designs[0].descent.operator== MO_BORN_LISTED && designs[3].descent.operator== MO_BORN_RANDOM);
+  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, designs, POPULATION, &n) == POPULATION);
+  request = campaign(MO_ZERO_SHOT);
+  request.record.initial_campaign = id;
+  request.record.settings.population = 4; /* the best of them */
+  for (int i = 0; i < 4; i++)
+    inherited[i] = designs[i].genotype;
+  origin = origin_of(&request);
+  origin.given = inherited;
+  origin.n_given = 4;
+  id = submit(&service, &request);
+  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &(struct mo_job){.id = 0}) == MO_OK);
+  history = plain_history(&fake_plain, &origin);
+  for (int i = 0; i < 4; i++)
+    history->designs[i].descent.operator= MO_BORN_INHERITED;
+  {
+    struct history *stored = stored_history(service.fixture.store, id);
+    CHECK(same_history(stored, history));
+    free(stored);
+  }
+  free(history);
+  service_end(&service);
+}
+
+/* ---- what a controller was pretrained on ---- */
+
+static int put(struct service *service, const char *name, struct mo_controller *controller, struct mo_sha256 *sha256)
+{
+  struct mo_controller_record record;
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  bool created = false;
+  int error = mo_controller_encode(controller, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record, &created);
+  free(bytes);
+  *sha256 = record.sha256;
+  return error;
+}
+
+/* "pretrained" with a seed of bodies; "tuned", its child. */
+static int put_family(struct service *service, const char *steps, char digits[MO_SHA256_DIGITS + 1])
+{
+  struct mo_controller *controller = NULL;
+  struct mo_sha256 sha256;
+  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
+  if (error != MO_OK)
+    return error;
+  mo_controller_randomize(controller, 1);
+  (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
+  (void)mo_controller_set_metadata(controller, "morphod.parent", "random");
+  (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
+  (void)mo_controller_set_metadata(controller, "morphod.step", steps);
+  (void)mo_controller_set_metadata(controller, "morphod.settings", "{\"steps\":900,\"batch\":64,\"x\":1}");
+  error = put(service, "pretrained", controller, &sha256);
+  mo_sha256_to_hex(&sha256, digits);
+  (void)mo_controller_set_metadata(controller, "morphod.kind", "finetune");
+  (void)mo_controller_set_metadata(controller, "morphod.parent", digits);
+  if (error == MO_OK)
+    error = put(service, "tuned", controller, &sha256);
+  mo_sha256_to_hex(&sha256, digits);
+  mo_controller_free(controller);
+  return error;
+}
+
+static void leaves_out_what_was_learned_from(void)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct mo_form_set *excluded = NULL;
+  struct history *without;
+  struct service service;
+  struct origin origin;
+  struct mo_job job;
+  char digits[MO_SHA256_DIGITS + 1];
+  int64_t ids[3];
+  REQUIRE(start(&service, 3) == MO_OK);
+  REQUIRE(put_family(&service, "40", digits) == MO_OK);
+  request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
+  origin = origin_of(&request);
+  without = plain_history(&fake_plain, &origin);
+  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, NULL, NULL, excluded) == MO_OK);
+  CHECK(mo_form_set_count(excluded) > 0);
+  origin.excluded = excluded;
+  request.controller = "tuned";
+  for (int i = 0; i < 3; i++) {
+    request.record.settings.exclude_pretraining = i < 2; /* two that share the set, one without */
+    ids[i] = submit(&service, &request);
+  }
+  CHECK(ends_as_plain(&service, ids[0], &origin));
+  CHECK(ends_as_plain(&service, ids[1], &origin));
+  REQUIRE(mo_jobs_wait(service.jobs, ids[2], 30000, &job) == MO_OK);
+  {
+    struct history *stored = stored_history(service.fixture.store, ids[2]);
+    CHECK(same_history(stored, without));
+    free(stored);
+    stored = stored_history(service.fixture.store, ids[0]);
+    printf("# the next line is to be a difference:\n");
+    CHECK(!same_history(stored, without));
+    free(stored);
+  }
+  /* More than can be drawn again. */
+  REQUIRE(put_family(&service, "1000000000", digits) == MO_OK);
+  request.record.settings.exclude_pretraining = true;
+  ids[0] = submit(&service, &request);
+  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 30000, &job) == MO_OK);
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
+  mo_form_set_free(excluded);
+  free(without);
+  service_end(&service);
+}
+
+/* ---- what is told ---- */
+
+static void tells_of_its_generations(void)
+{
+  struct mo_campaign_request request = campaign(MO_FEW_SHOT);
+  struct mo_campaign_generation rows[GENERATIONS + 1];
+  struct mo_event events[80];
+  struct service service;
+  struct mo_job job;
+  double most = 0;
+  bool warned_since = false;
+  int generations = 0, collapses = 0, expected = 0;
+  int64_t id, n;
+  request.record.settings.collapse_share = 1; /* any fall */
+  snprintf(request.record.name, sizeof(request.record.name), "walker");
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.delay_us = 2000;
+  id = submit(&service, &request);
+  REQUIRE(await_place(&service, id, 1, MO_CAMPAIGN_SCORE));
+  CHECK(live_of(&service, id).total == 2 * POPULATION || live_of(&service, id).phase != MO_CAMPAIGN_SCORE);
+  CHECK_TEXT(mo_campaign_phase_name(MO_CAMPAIGN_SCORE), "scoring");
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+  n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
+  for (int64_t i = 0; i < n; i++) {
+    CHECK(events[i].data[strlen(events[i].data) - 1] == '}' && strlen(events[i].data) < 480);
+    generations += strcmp(events[i].type, "campaign.generation") == 0;
+    collapses += strcmp(events[i].type, "campaign.diversity_collapse") == 0;
+  }
+  CHECK_INT(generations, GENERATIONS + 1);
+  CHECK_TEXT(events[n - 1].type, "job.finished");
+  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1) == GENERATIONS + 1);
+  for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
+    bool falls;
+    if (rows[g].stats.diversity > most) {
+      most = rows[g].stats.diversity;
+      warned_since = false;
+    }
+    falls = !warned_since && rows[g].stats.diversity < most;
+    CHECK_INT(rows[g].collapse, falls);
+    warned_since = warned_since || falls;
+    expected += falls;
+    CHECK(rows[g].seconds > 0 && rows[g].stats.n == POPULATION && rows[g].stats.species == POPULATION);
+    CHECK_INT(rows[g].learning_steps, (g > 0 ? PARENT_STEPS : 0) + CHILD_STEPS);
+    CHECK(isnan(rows[g].mean_parents) == (g == 0) && rows[g].mean_children > 0 && rows[g].first_loss > 0);
+    CHECK(g == 0 ? rows[g].turnover == 1 : rows[g].turnover < 1);
+    CHECK_INT(rows[g].survived_mutants + rows[g].survived_recombinants,
+              g > 0 ? (uint32_t)lround(rows[g].turnover * POPULATION) : 0);
+  }
+  CHECK(expected > 0);
+  CHECK_INT(collapses, expected);
+  CHECK_INT(live_of(&service, id + 7).phase, MO_CAMPAIGN_IDLE);
+  service_end(&service);
+}
+
+/* Champions, their recordings, and a training on the population: with the controller that scored them, also before the end. */
+static void shows_its_champions(void)
+{
+  for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
+    struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
+    struct mo_campaign_design rows[20];
+    struct mo_evaluation_results *results = NULL;
+    struct mo_trajectory *trajectory = NULL;
+    struct service service;
+    double distinctiveness[20];
+    struct mo_job job;
+    uint32_t n = 0;
+    int64_t id, evaluation = 0;
+    REQUIRE(start(&service, 1) == MO_OK);
+    fake_plan.delay_us = 3000;
+    id = submit(&service, &request);
+    REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+    CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+    CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+    for (int round = 0; round < 2; round++) {
+      bool has_best = false;
+      CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n), MO_OK);
+      CHECK_INT(n, 4);
+      for (uint32_t i = 0; i < n; i++) {
+        has_best = has_best || rows[i].score == status_of(&service, id).best_score;
+        CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
+      }
+      CHECK(has_best);
+      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, &evaluation, &service.fixture.message),
+                MO_OK);
+      REQUIRE(mo_jobs_wait(service.jobs, evaluation, 30000, &job) == MO_OK);
+      CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
+      REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
+      for (uint32_t i = 0; i < n; i++)
+        CHECK(same_number(results->scores[i], rows[i].score));
+      mo_evaluation_results_free(results);
+      CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
+      mo_trajectory_free(trajectory);
+      CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
+      REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+    }
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n), MO_OK);
+    CHECK_INT(n, POPULATION);
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, &evaluation, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, &evaluation, NULL), MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, &evaluation, NULL), MO_ERR_RANGE);
+    service_end(&service);
+  }
+}
+
+static void gives_its_population_to_a_training(void)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct mo_training_request training = {
+      .record = {.settings = mo_training_defaults(MO_TRAINING_FINETUNE), .checkpoints_kept = 1}, .population_best = 3};
+  struct mo_campaign_design rows[3];
+  struct mo_bits *genotypes = NULL;
+  struct service service;
+  struct mo_job job;
+  bool replayed = false;
+  uint32_t n = 0;
+  int64_t id, tuning = 0;
+  training.record.settings.n_steps = 2;
+  training.record.settings.batch = 4;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.delay_us = 1000000;
+  id = submit(&service, &request);
+  training.population = id;
+  CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed, &service.fixture.message),
+            MO_ERR_CONFLICT);
+  CHECK(strstr(service.fixture.message.text, "no generation yet") != NULL);
+  fake_plan.delay_us = 0;
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed, &service.fixture.message) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, tuning, 30000, &job) == MO_OK);
+  CHECK_INT(job.state, MO_JOB_SUCCEEDED);
+  REQUIRE(mo_store_training_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
+  CHECK_INT(n, 3);
+  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, rows, 3, &n) == 3);
+  for (int i = 0; i < 3; i++)
+    CHECK(memcmp(&genotypes[i], &rows[i].genotype, sizeof(struct mo_bits)) == 0);
+  free(genotypes);
+  service_end(&service);
+}
+
 static const struct check_case cases[] = {
     {"evolves in every mode", evolves_in_every_mode},
+#ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
+    {"scores nothing twice", scores_nothing_twice},
+    {"begins with what is given", begins_with_what_is_given},
+    {"leaves out what was learned from", leaves_out_what_was_learned_from},
+    {"tells of its generations", tells_of_its_generations},
+    {"shows its champions", shows_its_champions},
+    {"gives its population to a training", gives_its_population_to_a_training},
+#endif
 };
 CHECK_MAIN(cases)

@@ -88,34 +88,50 @@ static inline int64_t submit(struct service *service, const struct mo_campaign_r
   return error != MO_OK ? error : id;
 }
 
-static char warned[256];
-static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
-static int warnings;
-
-static inline void hear_warning(void *context, int64_t job, int error, const char *text)
-{
-  (void)context;
-  (void)job;
-  (void)error;
-  pthread_mutex_lock(&warned_mutex);
-  snprintf(warned, sizeof(warned), "%s", text);
-  warnings++;
-  pthread_mutex_unlock(&warned_mutex);
-}
-
 static inline int start(struct service *service, uint32_t side_by_side)
 {
-  int error = service_start(service);
+  int error = watch_start(service);
   if (error != MO_OK)
     return error;
-  service_close(service);
-  pthread_mutex_lock(&warned_mutex);
-  warnings = 0;
-  warned[0] = '\0';
-  pthread_mutex_unlock(&warned_mutex);
   service->config.max_active_campaigns = side_by_side;
-  service->config.warn = hear_warning;
   return service_open(service);
+}
+
+static inline struct mo_campaign_live live_of(struct service *service, int64_t id)
+{
+  struct mo_campaign_live live;
+  (void)mo_jobs_campaign_live(service->jobs, id, &live);
+  return live;
+}
+
+static inline bool await_phase(struct service *service, int64_t id, enum mo_campaign_phase phase)
+{
+  double end = now_s() + 20;
+  while (live_of(service, id).phase != phase)
+    if (now_s() > end)
+      return false;
+    else
+      usleep(300);
+  return true;
+}
+
+/* At least so far: a generation that is under way, or a later one, in this phase. */
+static inline bool await_place(struct service *service, int64_t id, uint32_t generation, enum mo_campaign_phase phase)
+{
+  double end = now_s() + 20;
+  struct mo_campaign_live live;
+  do {
+    usleep(300);
+    live = live_of(service, id);
+  } while ((live.generation < generation || live.phase != phase) && now_s() < end);
+  return live.phase == phase;
+}
+
+static inline struct mo_campaign_status status_of(struct service *service, int64_t id)
+{
+  struct mo_campaign_status status = {.generation = -2};
+  (void)mo_store_campaign(service->fixture.store, id, &status);
+  return status;
 }
 
 #endif

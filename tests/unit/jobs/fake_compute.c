@@ -12,6 +12,7 @@
 #define WEIGHTS     1024
 
 struct fake_plan fake_plan;
+struct fake_count *fake_count;
 
 static pthread_mutex_t history_mutex = PTHREAD_MUTEX_INITIALIZER;
 static int64_t history[HISTORY_MAX];
@@ -156,6 +157,8 @@ static int run_block(struct mo_block *block)
           block->recordings[i].mass_m[f] = (float)f;
     }
   }
+  if (fake_count != NULL)
+    atomic_fetch_add(&fake_count->rollouts, block->n_environments);
   return MO_OK;
 }
 
@@ -350,6 +353,8 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
     raise(SIGSEGV);
   if (atomic_load(&fake_plan.gradient_status) != 0 && atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)
     return atomic_load(&fake_plan.gradient_status);
+  if (fake_count != NULL)
+    atomic_fetch_add(&fake_count->robots, batch->n);
   fake_gradient(batch->controller, batch->robots, batch->n, batch->d_parameters, batch->outcomes, &batch->counts);
   return MO_OK;
 }

@@ -23,6 +23,12 @@ struct fake_plan {
 };
 extern struct fake_plan fake_plan;
 
+/* Counts the rollouts of blocks and of batches of gradients when they are finished; may lie in memory that processes share; NULL: not. */
+struct fake_count {
+  atomic_uint_fast64_t rollouts, robots;
+};
+extern struct fake_count *fake_count;
+
 /* What a block with these inputs gives. */
 struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_controller *controller,
                                const struct mo_environment *environment, const struct mo_physics *physics,

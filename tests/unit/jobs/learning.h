@@ -2,8 +2,6 @@
 #ifndef MORPHO_TESTS_JOBS_LEARNING_H
 #define MORPHO_TESTS_JOBS_LEARNING_H
 
-#include <pthread.h>
-
 #include "watch.h"
 
 #define STEPS 18
@@ -113,34 +111,12 @@ static inline bool await_phase(struct service *service, int64_t id, enum mo_trai
   return live->phase == phase;
 }
 
-static char warned[256];
-
-static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
-
-static int warnings;
-
-static inline void hear(void *context, int64_t job, int error, const char *text)
-{
-  (void)context;
-  (void)job;
-  (void)error;
-  pthread_mutex_lock(&warned_mutex);
-  snprintf(warned, sizeof(warned), "%s", text);
-  warnings++;
-  pthread_mutex_unlock(&warned_mutex);
-}
-
 static inline int start(struct service *service, uint32_t side_by_side)
 {
-  int error = service_start(service);
+  int error = watch_start(service);
   if (error != MO_OK)
     return error;
-  service_close(service);
-  pthread_mutex_lock(&warned_mutex);
-  warnings = 0;
-  pthread_mutex_unlock(&warned_mutex);
   service->config.max_active_trainings = side_by_side;
-  service->config.warn = hear;
   return service_open(service);
 }
 

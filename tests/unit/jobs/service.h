@@ -12,12 +12,13 @@ struct service {
   struct mo_jobs *jobs;
   struct mo_jobs_config config;
   const char *vfs;
+  uint32_t n_workers; /* 0: 2 */
 };
 
 static inline int service_open(struct service *service)
 {
   struct mo_store_config store_config = {.path = service->fixture.path, .vfs = service->vfs};
-  struct mo_compute_config compute_config = {.n_workers = 2};
+  struct mo_compute_config compute_config = {.n_workers = service->n_workers > 0 ? service->n_workers : 2};
   struct mo_controller_record record;
   int error = mo_store_open(&store_config, &service->fixture.store, &service->fixture.message);
   if (error == MO_OK && mo_store_controller(service->fixture.store, "default", &record) == MO_ERR_NOT_FOUND)

@@ -2,6 +2,7 @@
 #ifndef MORPHO_TESTS_JOBS_WATCH_H
 #define MORPHO_TESTS_JOBS_WATCH_H
 
+#include <pthread.h>
 #include <time.h>
 
 #include "../check.h"
@@ -68,6 +69,36 @@ static inline struct mo_jobs_stats settled(struct service *service)
   return stats;
 }
 
-/* ---- cases ---- */
+/* ---- warnings ---- */
+
+static char warned[256];
+
+static pthread_mutex_t warned_mutex = PTHREAD_MUTEX_INITIALIZER;
+
+static int warnings;
+
+static inline void hear(void *context, int64_t job, int error, const char *text)
+{
+  (void)context;
+  (void)job;
+  (void)error;
+  pthread_mutex_lock(&warned_mutex);
+  snprintf(warned, sizeof(warned), "%s", text);
+  warnings++;
+  pthread_mutex_unlock(&warned_mutex);
+}
+
+/* A new folder, closed, for a service that is to be heard when it warns. */
+static inline int watch_start(struct service *service)
+{
+  int error = service_start(service);
+  service_close(service);
+  pthread_mutex_lock(&warned_mutex);
+  warnings = 0;
+  warned[0] = '\0';
+  pthread_mutex_unlock(&warned_mutex);
+  service->config.warn = hear;
+  return error;
+}
 
 #endif
