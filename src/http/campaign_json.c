@@ -133,6 +133,7 @@ static void write_progress(struct mo_text *text, const struct mo_campaign_status
   mo_text_member_count(text, "designs", status->n_designs);
   mo_text_member_number(text, "rollouts_per_s", runs && live->rollouts_per_s > 0 ? live->rollouts_per_s : (double)NAN);
   mo_text_member_number(text, "seconds_left", runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
+  mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
   mo_text_add(text, "}");
 }
 

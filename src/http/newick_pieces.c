@@ -4,7 +4,7 @@
 #include <pthread.h>
 #include <stdlib.h>
 
-#define PIECE_BYTES ((size_t)256 * 1024)
+#define PIECE_BYTES ((size_t)32 * 1024)
 
 struct mo_newick_pieces {
   struct mo_descent *descents;

@@ -47,6 +47,7 @@ struct mo_campaign_live {
   uint64_t done, total;  /* of the phase: forms replayed, learning steps, designs scored */
   double rollouts_per_s; /* 0: not known yet */
   double seconds_left;   /* of the campaign; < 0: not known yet */
+  double busy_s;         /* worker seconds that it has had since it was last started; < 0: it has no share now */
   char reason[160];      /* MO_CAMPAIGN_WAIT: why, and what to do */
 };
 int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live);
