@@ -40,15 +40,19 @@ enum mo_campaign_mode {
 const char *mo_campaign_mode_name(enum mo_campaign_mode mode); /* "zero-shot", "few-shot", "simultaneous" */
 int mo_campaign_mode_from_name(const char *name, enum mo_campaign_mode *mode); /* MO_ERR_NOT_FOUND */
 
+/* In every scheme the best lives, and what diverged lives only when there is nothing better.
+ *   truncation   the best live (paper)
+ *   tournament   each further survivor is the best of tournament_size draws, with repetition, from those left
+ *   novelty      the N of the smallest (1 − weight) · rank by score + weight · rank by novelty: the mean Hamming distance to all other
+ *                candidates, most novel first; both ranks from 0, equals in the order of their scores
+ *   age-layered  n_layers layers of growing age limits, with equal shares of the places. From the youngest on, the best of those that are
+ *                young enough and do not live yet take a layer's places; what is not filled goes to the next. Age: generations since a
+ *                design's own birth */
 enum mo_selection_kind {
-  MO_SELECT_TRUNCATION = 0, /* the best live (paper) */
-  MO_SELECT_TOURNAMENT = 1, /* the best lives; each further survivor wins a tournament among those left */
-  MO_SELECT_NOVELTY =
-      2, /* truncation of a weighted sum of the rank by score and the rank by novelty (mean Hamming distance to
-                               all other candidates); the best by score always lives */
-  MO_SELECT_AGE_LAYERED =
-      3 /* layers of growing age limits, equal shares of the places; within a layer the best of those that are young
-                               enough live; age counts generations since a design's own birth. The best always lives */
+  MO_SELECT_TRUNCATION = 0,
+  MO_SELECT_TOURNAMENT = 1,
+  MO_SELECT_NOVELTY = 2,
+  MO_SELECT_AGE_LAYERED = 3
 };
 const char *mo_selection_name(enum mo_selection_kind kind); /* "truncation", "tournament", "novelty", "age-layered" */
 int mo_selection_from_name(const char *name, enum mo_selection_kind *kind);
