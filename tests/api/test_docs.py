@@ -27,4 +27,6 @@ def test_examples(start, tmp_path):
     assert "event: job.finished" in done.stdout and '"type":"training.validation"' in done.stdout
     assert (tmp_path / "curve.csv").read_text().count("\n") == 5
     assert (tmp_path / "tuned.safetensors").stat().st_size > 620912 * 4
+    assert (tmp_path / "generations.csv").read_text().count("\n") == 8 and (tmp_path / "phylogeny.csv").read_text().count("\n") == 16 * 7 + 1
+    assert (tmp_path / "phylogeny.nwk").read_text().endswith(";\n") and '"state":"succeeded"' in (tmp_path / "champions.json").read_text()
     assert (tmp_path / "masses.f32").stat().st_size == 11 * 8 * 3 * 4
