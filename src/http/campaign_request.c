@@ -354,8 +354,8 @@ static int check_together(struct mo_json *json, const struct mo_parsed_campaign 
   const struct mo_campaign_record *record = &parsed->request.record;
   const struct mo_campaign_settings *settings = &record->settings;
   uint64_t designs = (uint64_t)settings->population * ((uint64_t)settings->generations + 1);
-  uint64_t steps = settings->child_steps +
-                   ((uint64_t)settings->parent_steps + settings->child_steps) * settings->generations;
+  uint64_t steps =
+      settings->child_steps + ((uint64_t)settings->parent_steps + settings->child_steps) * settings->generations;
   if (!given->mode)
     mo_json_fault_at(json, 0, "", "mode is missing: \"zero-shot\", \"few-shot\" or \"simultaneous\"");
   if (given->known_mode)
