@@ -181,15 +181,19 @@ static void job_has_failed(void *context, int64_t job, int error, const char *te
               LOG_TEXT("detail", text));
 }
 
+static enum log_level level_of(const char *type)
+{
+  const char *what = strrchr(type, '.');
+  if (what != NULL && strcmp(what, ".progress") == 0)
+    return LOG_LEVEL_DEBUG;
+  return strcmp(type, "training.code_changed") == 0 ? LOG_LEVEL_WARNING : LOG_LEVEL_INFO;
+}
+
 static void log_events(void *context, const struct mo_event *events, size_t n)
 {
   (void)context;
   for (size_t i = 0; i < n; i++) {
-    enum log_level level =
-        strcmp(events[i].type, "job.progress") == 0 || strcmp(events[i].type, "training.progress") == 0
-            ? LOG_LEVEL_DEBUG
-        : strcmp(events[i].type, "training.code_changed") == 0 ? LOG_LEVEL_WARNING
-                                                               : LOG_LEVEL_INFO;
+    enum log_level level = level_of(events[i].type);
     if (log_enabled(level))
       log_event(level, &events[i]);
   }

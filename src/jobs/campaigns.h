@@ -1,9 +1,9 @@
 /* campaigns.h: campaigns as jobs: accepted, run generation by generation on the compute back end, saved, resumed, extended.
  *
  * Each running campaign has a thread of its own, which makes the children, waits for learning and scores, selects, and commits.
- * max_active_campaigns run side by side; the others wait in the order in which they came. Pause, stop and cancel take effect within a block of
- * rollouts. After a crash a campaign goes on from its newest committed generation; losses and checkpoints saved inside the
- * generation under way are not computed again.
+ * max_active_campaigns run side by side; the others wait in the order in which they came. Pause, stop and cancel break off the blocks
+ * that are under way. After a crash a campaign goes on from its newest committed generation; losses and checkpoints saved inside the
+ * generation under way are not computed again. docs/evolution.md, "As a job", has what is decided here.
  *
  * A full disk: the campaign waits (paused, with its reason in `live`) and goes on by itself when there is room. */
 #ifndef MORPHO_JOBS_CAMPAIGNS_H

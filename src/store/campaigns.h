@@ -37,7 +37,8 @@ struct mo_campaign_record {
   uint32_t checkpoint_every_s;                 /* inside the learning of a generation; 0: at its end only */
 };
 
-/* One generation as it is listed. Everything in it but `seconds` and `stored_us` is a function of settings and seed. */
+/* One generation as it is listed. Everything in it is a function of settings and seed, but for `seconds`, `stored_us` and
+ * `rollouts_cached`, which depends on what the store held. */
 struct mo_campaign_generation {
   uint32_t generation;
   uint64_t born_before; /* number of its first child: designs born in earlier generations */

@@ -1,0 +1,163 @@
+"""Campaigns end with the same designs, scores, phylogeny, populations and controller, bit for bit, whatever kills them and however many
+workers compute; a kill costs a block of work."""
+import hashlib
+import random
+import re
+import time
+
+import pytest
+from daemon import check_database
+
+MODES = ("zero-shot", "few-shot", "simultaneous")
+
+
+def request(mode, seed, generations):
+    learning = {} if mode == "zero-shot" else {"name": "walker", "learning": {"parent_steps": 2, "child_steps": 2, "checkpoint_every_s": 1}}
+    return {"mode": mode, "population": 12, "generations": generations, "seed": seed, "physics": {"n_steps": 30}, **learning}
+
+
+def post(daemon, path, value=None, key=None, expected=(200, 202)):
+    headers = {} if key is None else {"Idempotency-Key": key}
+    reply = daemon.session.post(daemon.address + path, json=value, headers=headers, timeout=60)
+    assert reply.status_code in expected, f"{path}: {reply.text}\n{daemon.tail()}"
+    return reply.json()
+
+
+def campaign(daemon, job):
+    reply = daemon.get(f"/v1/campaigns/{job}")
+    assert reply.status_code == 200, reply.text
+    return reply.json()
+
+
+def await_campaign(daemon, job, condition, timeout_s=60):
+    until = time.monotonic() + timeout_s
+    while True:
+        now = campaign(daemon, job)
+        if condition(now):
+            return now
+        assert time.monotonic() < until, f"{now}\n{daemon.tail()}"
+        time.sleep(0.005)
+
+
+def finish(daemon, job, timeout_s=120):
+    end = await_campaign(daemon, job, lambda now: now["state"] in ("succeeded", "failed", "cancelled"), timeout_s)
+    assert end["state"] == "succeeded" and end["attempts"] == 0, end
+    return end
+
+
+def without(text, *columns):
+    """A CSV without these columns."""
+    rows = [line.split(",") for line in text.splitlines()]
+    keep = [i for i, name in enumerate(rows[0]) if name not in columns]
+    return [[row[i] for i in keep] for row in rows]
+
+
+def history(daemon, job):
+    """Everything that a repeat must not change."""
+    def text(path):
+        reply = daemon.get(f"/v1/campaigns/{job}/{path}")
+        assert reply.status_code == 200, reply.text
+        return reply.text
+
+    populations = []
+    for generation in range(campaign(daemon, job)["settings"]["generations"] + 1):
+        reply = daemon.get(f"/v1/campaigns/{job}/population?generation={generation}&limit=1000")
+        assert reply.status_code == 200, reply.text
+        populations.append([(item["number"], item["genotype"], item["score"]) for item in reply.json()["items"]])
+    result = campaign(daemon, job)["result"]
+    weights = None
+    if result is not None:
+        reply = daemon.get(f"/v1/controllers/{result['controller']['name']}")
+        assert reply.status_code == 200 and hashlib.sha256(reply.content).hexdigest() == result["controller"]["sha256"]
+        weights = result["controller"]["sha256"]
+    return {"generations": without(text("generations?format=csv"), "seconds", "stored"),
+            "learning": without(text("learning?format=csv"), "seconds"), "phylogeny": text("phylogeny?format=csv"),
+            "populations": populations, "weights": weights}
+
+
+def rollouts(daemon):
+    """Computed for campaigns in this life."""
+    found = re.search(r"^morphod_campaign_rollouts_total (\d+)", daemon.get("/metrics").text, re.M)
+    return int(found[1])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_kill_at_random_moments(daemon, soak, seed, mode):
+    print(f"seed {seed}")
+    generator = random.Random(f"{seed} {mode}")
+    n_kills, generations = (100, 60) if soak else (10, 6)
+    value = request(mode, seed % 100000, generations)
+    quiet = daemon(f"undisturbed-{mode}", workers=2)
+    with quiet:
+        begin = time.monotonic()
+        job = post(quiet, "/v1/campaigns", value)["id"]
+        finish(quiet, job, timeout_s=600)
+        seconds = time.monotonic() - begin
+        expected = history(quiet, job)
+        needed = rollouts(quiet)
+        assert quiet.stop()[0] == 0
+    assert len(expected["populations"]) == generations + 1
+
+    victim = daemon(f"victim-{mode}")
+    kills = kills_while_running = computed = 0
+    while True:
+        victim.settings["workers"] = generator.choice((1, 2, 7))
+        victim.start()
+        now = post(victim, "/v1/campaigns", value, key="one campaign")
+        job = now["id"]
+        assert campaign(victim, job)["attempts"] == 0, "a kill counted as an attempt"
+        if kills == n_kills:
+            break
+        time.sleep(generator.uniform(0, 2 * seconds / n_kills))
+        if campaign(victim, job)["state"] == "succeeded":
+            break
+        kills_while_running += campaign(victim, job)["state"] == "running"
+        computed += rollouts(victim)
+        victim.kill()
+        kills += 1
+    finish(victim, job, timeout_s=600)
+    computed += rollouts(victim)
+    result = history(victim, job)
+    assert victim.stop()[0] == 0
+    print(f"{mode}: {kills} kills, {kills_while_running} while it ran; {seconds:.1f} s undisturbed; "
+          f"{(computed - needed) / 10 / max(kills, 1):.2f} blocks computed again per kill")
+    assert kills >= n_kills // 2 and 2 * kills_while_running >= kills
+    for part, what in expected.items():
+        assert result[part] == what, f"{part} differ from those of an undisturbed run"
+    # What was counted before a kill and had no commit yet: at most a block per worker, of 10 rollouts.
+    assert computed - needed <= kills * 7 * 10
+    check_database(victim.state)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_pauses_stops_and_extensions(daemon, seed, mode):
+    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked for at once."""
+    print(f"seed {seed}")
+    quiet = daemon("at-once", workers=2)
+    with quiet:
+        job = post(quiet, "/v1/campaigns", request(mode, seed % 100000, 4))["id"]
+        finish(quiet, job)
+        expected = history(quiet, job)
+        assert quiet.stop()[0] == 0
+    one = daemon("extended", workers=2)
+    one.start()
+    job = post(one, "/v1/campaigns", request(mode, seed % 100000, 2))["id"]
+    await_campaign(one, job, lambda now: now["phase"] in ("learning", "scoring"))
+    post(one, f"/v1/campaigns/{job}/pause")
+    await_campaign(one, job, lambda now: now["state"] == "paused" and now["phase"] == "idle")
+    one.kill()
+    one.start()
+    assert campaign(one, job)["state"] == "paused"
+    post(one, f"/v1/campaigns/{job}/extend", {"generations": 1})
+    post(one, f"/v1/campaigns/{job}/resume")
+    await_campaign(one, job, lambda now: now["progress"]["generation"] is not None)
+    status, seconds = one.stop()
+    assert status == 0 and seconds < 10, (status, seconds)
+    one.start()
+    finish(one, job)
+    assert len(campaign(one, job)["newest"]) > 0
+    post(one, f"/v1/campaigns/{job}/extend", {"generations": 1})
+    finish(one, job)
+    assert history(one, job) == expected
+    assert one.stop()[0] == 0
+    check_database(one.state)
