@@ -12,16 +12,20 @@
 
 #include "store/internal.h"
 
+/* Want of descriptors or memory passes: the file is as good as it was. */
+static int open_error(void)
+{
+  return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
+}
+
 int mo_file_read(const char *path, size_t size, uint8_t **ret)
 {
   int fd = open(path, O_RDONLY | O_CLOEXEC);
   size_t filled = 0;
   uint8_t *bytes;
   struct stat status;
-  if (fd < 0) /* want of descriptors or memory passes: the file is as good as it was */
-    return errno == ENOENT                                         ? MO_ERR_NOT_FOUND
-           : errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY
-                                                                   : MO_ERR_IO;
+  if (fd < 0)
+    return errno == ENOENT ? MO_ERR_NOT_FOUND : open_error();
   if (fstat(fd, &status) != 0 || (uint64_t)status.st_size != size) {
     close(fd);
     return MO_ERR_CORRUPT;
@@ -115,7 +119,7 @@ const struct mo_file_operations *mo_file_operations_system(void)
 
 static int write_error(void)
 {
-  return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : MO_ERR_IO;
+  return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : open_error();
 }
 
 static int write_and_sync(const struct mo_file_operations *files, int fd, const uint8_t *bytes, size_t size)
@@ -138,7 +142,7 @@ int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder)
   int fd = files->open(files->context, path, O_RDONLY | O_CLOEXEC | (is_folder ? O_DIRECTORY : 0));
   int error = MO_OK;
   if (fd < 0)
-    return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
+    return open_error();
   if (files->sync(files->context, fd) != 0)
     error = MO_ERR_IO;
   (void)files->close(files->context, fd);

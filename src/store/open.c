@@ -4,6 +4,7 @@
  * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. */
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -62,6 +63,16 @@ static int get_pragma(struct mo_connection *connection, const char *sql, int64_t
   return statement != NULL ? mo_sql_integer(connection, statement, value) : error;
 }
 
+/* A check that cannot have a page reports that like damage, in a row, with SQLite's code at its end: memory was short, or a read
+ * failed. */
+static int finding_error(struct mo_connection *connection, const char *text)
+{
+  static const char mark[] = "error code=";
+  const char *found = strstr(text, mark);
+  long code = found != NULL ? strtol(found + sizeof(mark) - 1, NULL, 10) : SQLITE_CORRUPT;
+  return mo_sql_error(connection->db, code > 0 && code < INT_MAX ? (int)code : SQLITE_CORRUPT);
+}
+
 /* Runs a check that answers "ok" in one row. */
 static int run_check(struct mo_connection *connection, const char *sql, struct mo_message *message)
 {
@@ -78,9 +89,12 @@ static int run_check(struct mo_connection *connection, const char *sql, struct m
     return MO_OK;
   mo_column_text(statement, 0, text, sizeof(text));
   (void)sqlite3_reset(statement);
-  if (strcmp(text, "ok") != 0)
-    return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
-  return MO_OK;
+  if (strcmp(text, "ok") == 0)
+    return MO_OK;
+  step = finding_error(connection, text);
+  if (step != MO_ERR_CORRUPT)
+    return mo_fail(message, step, "the database cannot be read: %s", mo_error_text(step));
+  return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
 }
 
 static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)

@@ -28,8 +28,8 @@ struct disk {
   char base[256], folder[280];
   unsigned lies, cuts;
   uint64_t chance;
-  long changes, stop_at, calls, fail_at;
-  bool stopped, at_sync, lasting;
+  long changes, stop_at, calls, fail_at, descriptors;
+  bool stopped, at_sync, lasting, failed;
   struct names durable, now;
   struct name_change *pending; /* in their order */
   size_t n_pending, pending_room;
@@ -68,6 +68,7 @@ static bool ask(struct disk *disk)
   if (disk->fail_at > 0 && disk->calls >= disk->fail_at) {
     if (!disk->lasting)
       disk->fail_at = 0;
+    disk->failed = true;
     return false;
   }
   return true;
@@ -149,6 +150,11 @@ static int disk_open(void *context, const char *path, int flags)
   size_t slot = 0;
   pthread_mutex_lock(&disk->mutex);
   inode = names_inode(&disk->now, name);
+  if (disk->descriptors > 0 && --disk->descriptors == 0) {
+    disk->failed = true;
+    pthread_mutex_unlock(&disk->mutex);
+    return fail(EMFILE);
+  }
   if ((flags & O_CREAT) != 0)
     turn = change(disk, false);
   else if (disk->stopped || !ask(disk))
@@ -612,22 +618,30 @@ bool disk_has_stopped(struct disk *disk)
   return stopped;
 }
 
-long disk_changes(struct disk *disk)
-{
-  return disk->changes;
-}
-
 void disk_fail_at(struct disk *disk, long n, bool lasting)
 {
   pthread_mutex_lock(&disk->mutex);
   disk->fail_at = n > 0 ? disk->calls + n : 0;
+  disk->failed = disk->failed && n == 0;
   disk->lasting = lasting;
   pthread_mutex_unlock(&disk->mutex);
 }
 
-long disk_calls(struct disk *disk)
+void disk_lack_descriptor(struct disk *disk, long n)
 {
-  return disk->calls;
+  pthread_mutex_lock(&disk->mutex);
+  disk->descriptors = n;
+  disk->failed = false;
+  pthread_mutex_unlock(&disk->mutex);
+}
+
+bool disk_has_failed(struct disk *disk)
+{
+  bool failed;
+  pthread_mutex_lock(&disk->mutex);
+  failed = disk->failed;
+  pthread_mutex_unlock(&disk->mutex);
+  return failed;
 }
 
 void disk_go_on(struct disk *disk)

@@ -28,10 +28,11 @@ void disk_stop_after(struct disk *disk, long n);
 void disk_stop_at_sync(struct disk *disk, long n); /* the first sync at or after that */
 void disk_stop(struct disk *disk);                 /* now: nothing is under way */
 bool disk_has_stopped(struct disk *disk);
-long disk_changes(struct disk *disk); /* so far */
 /* The `n`th call from now on (reads and questions too) fails with an I/O error, or with `lasting` all from there on. 0: none. */
 void disk_fail_at(struct disk *disk, long n, bool lasting);
-long disk_calls(struct disk *disk);
+/* The `n`th opening of a file or folder by the store itself from now on finds no descriptor. 0: none. */
+void disk_lack_descriptor(struct disk *disk, long n);
+bool disk_has_failed(struct disk *disk); /* it came to that */
 
 /* After a stop, with the store closed: the process was killed, the machine goes on. */
 void disk_go_on(struct disk *disk);

@@ -394,6 +394,45 @@ static void survives_cuts_of_an_opening(void)
   stops_everywhere(&openings, 5, SCRIPT);
 }
 
+/* An act that finds no descriptor for one of its files or folders is asked for again, and then certain. */
+static void certain_at_the_second_try(void)
+{
+  static struct life life;
+  struct outcome outcome = {0};
+  struct mo_bits *forms = NULL, *genotypes = NULL;
+  struct mo_message message;
+  bool lacked = true;
+  int error = MO_OK;
+  REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
+  for (long n = 1; lacked && n < 100; n++) {
+    lacked = false;
+    start(&life, (uint64_t)n, DISK_HONEST, forms, genotypes);
+    REQUIRE(life.disk != NULL);
+    open_store(&life, &error, &message);
+    CHECK_INT(error, MO_OK);
+    CHECK_INT(play(&life, 0, COUNTED_FROM, 0), COUNTED_FROM);
+    for (int i = COUNTED_FROM; i < COUNTED_FROM + 2; i++) { /* a checkpoint, a controller */
+      disk_lack_descriptor(life.disk, n);
+      error = MO_OK;
+      life_apply(&life.model, &script[i], life_do(&life, &script[i], &error));
+      lacked = lacked || disk_has_failed(life.disk);
+      disk_lack_descriptor(life.disk, 0);
+      CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
+      if (error != MO_OK)
+        CHECK(act_once(&life, script[i]));
+    }
+    stop_and_reopen(&life, false, DISK_WORST, &outcome);
+    CHECK_INT(life.findings, 0);
+    if (life.findings > 0)
+      printf("# descriptor %ld: %s\n", n, life.first);
+    mo_store_close(life.store);
+    disk_free(life.disk);
+  }
+  CHECK(!lacked);
+  free(forms);
+  free(genotypes);
+}
+
 static void survives_all(void)
 {
   stops_everywhere(&kills, 1, SCRIPT);
@@ -411,6 +450,7 @@ static const struct check_case cases[] = {
     {"short: a cut at many changes leaves only what is certain", survives_the_worst_cuts},
     {"short: a cut at many changes leaves anything", survives_any_cuts},
     {"short: a cut at many changes of the first opening", survives_cuts_of_an_opening},
+    {"short: what found no descriptor is certain at the second try", certain_at_the_second_try},
     {"long: keeps its promises through 500 power cuts", keeps_promises_500},
     {"long: a kill or cut at every change", survives_all},
 };
