@@ -91,9 +91,10 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   operation->first_event = store->n_events;
-  operation->status = mo_sql_exec(writer, "SAVEPOINT operation");
-  if (operation->status == MO_OK)
-    operation->status = operation->run(store, operation->arguments);
+  error = mo_sql_exec(writer, "SAVEPOINT operation");
+  if (error != MO_OK)
+    return error; /* there is none to go back to */
+  operation->status = operation->run(store, operation->arguments);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {

@@ -18,11 +18,19 @@ uint64_t life_hash(uint64_t seed, uint64_t place)
   return z ^ (z >> 31);
 }
 
+void *life_memory(size_t size)
+{
+  void *memory = malloc(size);
+  if (memory == NULL)
+    memory = malloc(size);
+  if (memory == NULL)
+    abort();
+  return memory;
+}
+
 static size_t fill(uint64_t seed, size_t size, uint8_t **bytes)
 {
-  *bytes = malloc(size);
-  if (*bytes == NULL)
-    abort();
+  *bytes = life_memory(size);
   for (size_t i = 0; i < size; i++)
     (*bytes)[i] = (uint8_t)life_hash(seed, i);
   return size;
@@ -308,9 +316,7 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
 void put_start(struct put *put, uint64_t seed)
 {
   const size_t length = seed % 4 == 0 ? 100000 : 20;
-  *put = (struct put){.key = "note", .note = malloc(length + 1)};
-  if (put->note == NULL)
-    abort();
+  *put = (struct put){.key = "note", .note = life_memory(length + 1)};
   memset(put->note, 'x', length);
   put->note[length] = '\0';
   put->entry = (struct mo_metadata_entry){.key = put->key, .value = put->note};

@@ -132,6 +132,7 @@ struct put {
   uint8_t *bytes;
   size_t size;
 };
+void *life_memory(size_t size); /* also where an allocator fails once */
 void put_start(struct put *put, uint64_t seed);
 void put_end(struct put *put);
 

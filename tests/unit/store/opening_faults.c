@@ -64,16 +64,20 @@ static void leave(struct life *life)
   life->store = NULL;
 }
 
-static int fill(struct life *life)
+static int begin(struct life *life)
 {
-  struct mo_message message;
-  int error;
   *life = (struct life){.disk = disk_new(1, DISK_HONEST)};
   for (int i = 0; i < NAMES; i++)
     life->model.names[i].content = -1;
   if (life->disk == NULL)
     return MO_ERR_IO;
-  error = fixture_bodies(7, BODIES, &life->forms, &life->genotypes);
+  return fixture_bodies(7, BODIES, &life->forms, &life->genotypes);
+}
+
+static int fill(struct life *life)
+{
+  struct mo_message message;
+  int error = begin(life);
   if (error == MO_OK)
     error = open_life(life, &message);
   for (size_t i = 0; i < sizeof(contents) / sizeof(contents[0]) && error == MO_OK; i++)
@@ -222,6 +226,51 @@ static void is_made_when_memory_is_short(void)
   opens_without_memory(true, 97);
 }
 
+/* Every act of a life is tried until it finds all the memory that it wants: the store tells each time, and does not die of it. */
+static void works_without_memory(long stride)
+{
+  static struct life life;
+  struct mo_message message;
+  struct mo_store_stats stats;
+  long failed = 0, tolerated = 0;
+  REQUIRE(begin(&life) == MO_OK);
+  REQUIRE(open_life(&life, &message) == MO_OK);
+  for (size_t i = 0; i < sizeof(contents) / sizeof(contents[0]); i++) {
+    struct act act = contents[i];
+    bool reached = true;
+    for (long n = 0; act.parts > 0 && n < 10000; n += stride) {
+      uint32_t done;
+      int error = MO_OK;
+      left = n;
+      done = life_do(&life, &act, &error);
+      reached = left < 0;
+      left = -1;
+      if (error != MO_OK && error != MO_ERR_NO_MEMORY)
+        printf("# act %d, allocation %ld: %d\n", (int)act.kind, n, error);
+      CHECK(error == MO_OK || error == MO_ERR_NO_MEMORY);
+      CHECK(error == MO_OK || reached);
+      life_apply(&life.model, &act, done);
+      act.parts -= done;
+      failed += error != MO_OK;
+      tolerated += error == MO_OK && reached;
+    }
+    CHECK_INT(act.parts, 0);
+    life_settle(&life);
+  }
+  mo_store_get_stats(life.store, &stats);
+  CHECK(!stats.fatal);
+  printf("# %ld allocations failed in turn: %ld acts failed, %ld did without\n", failed + tolerated, failed, tolerated);
+  CHECK(failed > 10);
+  mo_store_close(life.store);
+  check_contents(&life);
+  empty(&life);
+}
+
+static void works_when_memory_is_short(void)
+{
+  works_without_memory(1);
+}
+
 static void fails_at_every_call(void)
 {
   opens_on_a_failing_disk(false, false, 1);
@@ -230,6 +279,7 @@ static void fails_at_every_call(void)
   opens_on_a_failing_disk(true, true, 1);
   opens_without_memory(false, 1);
   opens_without_memory(true, 1);
+  works_without_memory(1);
 }
 
 static const struct check_case cases[] = {
@@ -239,6 +289,7 @@ static const struct check_case cases[] = {
     {"short: is made after a time of errors", is_made_after_many_errors},
     {"short: opens after a time without memory", opens_when_memory_is_short},
     {"short: is made after a time without memory", is_made_when_memory_is_short},
+    {"short: works after times without memory", works_when_memory_is_short},
     {"long: an error at every call, an allocation that fails at every one", fails_at_every_call},
 };
 
