@@ -113,10 +113,20 @@ static struct mo_block *pop(struct queue *queue)
 
 /* ---- one block ---- */
 
+/* Measures the worker time of a block: what passes, less what urgent blocks inside it take. Its share's counters follow at every
+ * pause point, so that a long block does not count for nothing until its end. */
+struct meter {
+  struct mo_compute_share *share;
+  bool urgent;
+  uint64_t read_ns, overtaken_ns; /* at the last reading */
+  uint64_t total_ns;
+};
+
 struct visit {
   struct worker *worker;
   struct mo_block *block;
   int depth;
+  struct meter *meter;
 };
 
 static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge);
@@ -126,6 +136,18 @@ static bool is_cancelled(const struct mo_compute *compute, const struct mo_block
   return atomic_load_explicit(&compute->stopping, memory_order_relaxed) ||
          (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
          (block->gradient != NULL && atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
+}
+
+static void read_meter(const struct worker *worker, struct meter *meter)
+{
+  const uint64_t now_ns = mo_clock_ns(), inside_ns = worker->overtaken_ns - meter->overtaken_ns;
+  const uint64_t own_ns = now_ns - meter->read_ns - inside_ns;
+  meter->read_ns = now_ns;
+  meter->overtaken_ns = worker->overtaken_ns;
+  meter->total_ns += own_ns;
+  atomic_fetch_add_explicit(&meter->share->busy_ns, own_ns, memory_order_relaxed);
+  if (meter->urgent)
+    atomic_fetch_add_explicit(&meter->share->urgent_ns, own_ns, memory_order_relaxed);
 }
 
 /* The pause point of a running block. */
@@ -146,10 +168,11 @@ static int look_up(void *context)
       run_block(visit->worker, block, 1, NULL);
       visit->worker->overtaken_ns += mo_clock_ns() - start_ns;
     }
+  read_meter(visit->worker, visit->meter);
   return is_cancelled(compute, visit->block);
 }
 
-static int simulate(struct worker *worker, struct mo_block *block, int depth)
+static int simulate(struct worker *worker, struct mo_block *block, int depth, struct meter *meter)
 {
   if (is_cancelled(worker->compute, block))
     return MO_ERR_CANCELLED;
@@ -163,7 +186,7 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth)
   }
   if (status != MO_OK || body == NULL)
     return status;
-  struct visit visit = {worker, block, depth};
+  struct visit visit = {worker, block, depth, meter};
   const struct mo_pause_point pause = {
       .interval = body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, .reached = look_up, .context = &visit};
   status = mo_rollout_block(worker->memory[depth], pack, body, block->environments, block->n_environments,
@@ -172,7 +195,7 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth)
   return status;
 }
 
-static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth)
+static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth, struct meter *meter)
 {
   if (is_cancelled(worker->compute, &task->block))
     return MO_ERR_CANCELLED;
@@ -184,7 +207,7 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
   uint64_t springs = 0;
   for (uint32_t i = 0; i < task->n; i++)
     springs += task->robots[i].body->n_springs;
-  struct visit visit = {worker, &task->block, depth};
+  struct visit visit = {worker, &task->block, depth, meter};
   const struct mo_pause_point pause = {
       .interval = springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS, .reached = look_up, .context = &visit};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n, &task->block.physics, &task->options,
@@ -217,32 +240,27 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* The block's time goes to its share; that of a batch block also moves the share's turn. */
-static void account(struct mo_compute *compute, const struct mo_block *block, const struct mo_fair_charge *charge,
-                    uint64_t ns)
-{
-  if (charge != NULL) {
-    pthread_mutex_lock(&compute->mutex);
-    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)ns, block->status == MO_OK);
-    pthread_mutex_unlock(&compute->mutex);
-    return;
-  }
-  struct mo_compute_share *share = block->share != NULL ? block->share : &compute->own;
-  atomic_fetch_add(&share->busy_ns, ns);
-  atomic_fetch_add(&share->urgent_ns, ns);
-  atomic_fetch_add(&share->blocks_done, 1);
-}
-
-/* charge: of a batch block, else NULL. */
+/* charge: of a batch block, else NULL. The block's time goes to its share; that of a batch block also moves the share's turn. */
 static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge)
 {
+  struct mo_compute *compute = worker->compute;
   const int64_t outer_tag = current_tag;
-  const uint64_t start_ns = mo_clock_ns(), overtaken_ns = worker->overtaken_ns;
+  struct meter meter = {.share = block->share != NULL ? block->share : &compute->own,
+                        .urgent = charge == NULL,
+                        .read_ns = mo_clock_ns(),
+                        .overtaken_ns = worker->overtaken_ns};
   current_tag = block->tag;
-  block->status =
-      block->gradient != NULL ? differentiate(worker, block->gradient, depth) : simulate(worker, block, depth);
+  block->status = block->gradient != NULL ? differentiate(worker, block->gradient, depth, &meter)
+                                          : simulate(worker, block, depth, &meter);
   count(worker, block);
-  account(worker->compute, block, charge, mo_clock_ns() - start_ns - (worker->overtaken_ns - overtaken_ns));
+  read_meter(worker, &meter);
+  if (charge != NULL) {
+    pthread_mutex_lock(&compute->mutex);
+    mo_fair_settle(&compute->fair, charge, 1e-9 * (double)meter.total_ns, block->status == MO_OK);
+    pthread_mutex_unlock(&compute->mutex);
+  } else {
+    atomic_fetch_add(&meter.share->blocks_done, 1);
+  }
   block->done(block, block->context); /* the block and its share may be gone now */
   current_tag = outer_tag;
 }

@@ -1,8 +1,11 @@
 /* fair.c: see fair.h. */
 #include "compute/fair.h"
 
-#define UNIT_S_AT_FIRST 1e-5 /* before any block was measured */
-#define SMOOTHING       0.125
+#define SMOOTHING 0.125
+
+/* Before any block was measured: about what one core of 2.5 GHz takes. A first guess that is far too low lets every worker take a long
+ * block of the same share. */
+static const double unit_s_at_first[MO_FAIR_KINDS] = {[MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
 
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
 {
@@ -10,7 +13,7 @@ void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
   fair->credit_s = MO_FAIR_CREDIT_S * n_workers;
   fair->virtual_s = 0;
   for (int kind = 0; kind < MO_FAIR_KINDS; kind++)
-    fair->unit_s[kind] = UNIT_S_AT_FIRST;
+    fair->unit_s[kind] = unit_s_at_first[kind];
   atomic_store(&fair->waiting, 0);
 }
 
@@ -100,7 +103,6 @@ void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, d
 {
   struct mo_compute_share *share = charge->share;
   share->virtual_s += (seconds - charge->estimate_s) / share->weight;
-  atomic_fetch_add(&share->busy_ns, (uint64_t)(seconds * 1e9));
   atomic_fetch_add(&share->blocks_done, 1);
   if (!whole || charge->units <= 0)
     return;

@@ -28,6 +28,7 @@ int bench_stream(int argc, char **argv);
 int bench_learning(int argc, char **argv);
 int bench_evolution(int argc, char **argv);
 int bench_load(const char *program, const struct bench_options *options); /* program: morphod */
+int bench_shares(const char *program, const struct bench_options *options);
 
 /* Everything that rollouts need; ends the program with a message if it cannot be had. */
 struct bench_scene {

@@ -8,7 +8,7 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|stability|load|space|store|stream|learning|evolution "
+    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|learning|evolution "
     "[OPTION…]\n"
     "\n"
     "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
@@ -17,6 +17,7 @@ static const char usage[] =
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
     "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as CSV\n"
     "  load      replies of a running morphod while it computes\n"
+    "  shares    parts of the cores that several jobs of a running morphod get, and small evaluations beside them\n"
     "  space     speed of drawing, naming and varying random bodies\n"
     "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
     "  stream    the distinct bodies of a pretraining: time and memory\n"
@@ -28,7 +29,7 @@ static const char usage[] =
     "  --workers N        threads of `accuracy`, `gradient-accuracy`, `stability` (default: one per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
-    "  --morphod PATH     `load`: the daemon (default build/src/daemon/morphod)\n"
+    "  --morphod PATH     `load`, `shares`: the daemon (default build/src/daemon/morphod)\n"
     "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard output)\n"
     "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
     "  --json             `rollout`, `gradient`: machine-readable result\n"
@@ -112,6 +113,8 @@ int main(int argc, char **argv)
     return bench_stability(&options);
   if (strcmp(name, "load") == 0)
     return bench_load(morphod, &options);
+  if (strcmp(name, "shares") == 0)
+    return bench_shares(morphod, &options);
   fprintf(stderr, "morpho-bench: unknown benchmark \"%s\"\n", name);
   return 2;
 }

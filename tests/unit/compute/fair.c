@@ -130,7 +130,7 @@ static void by_weight_whatever_blocks_cost(void)
     CHECK_NEAR(part_of(slow), 1.0 / 7, 0.1 / 7);
     CHECK_NEAR(part_of(quick), 2.0 / 7, 0.1 * 2 / 7);
     CHECK_NEAR(part_of(mixed), 4.0 / 7, 0.1 * 4 / 7);
-    CHECK(1e-9 * (double)atomic_load(&mixed->share.busy_ns) >= mixed->got_s);
+    CHECK(atomic_load(&mixed->share.blocks_done) > 0);
   }
 }
 
