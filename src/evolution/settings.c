@@ -211,8 +211,8 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
   const uint64_t all = steps[1] + (uint64_t)(steps[0] + steps[1]) * settings->generations;
   if (settings->mode == MO_SIMULTANEOUS && all > MO_TRAINING_STEPS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "child_steps + (parent_steps + child_steps) × generations is %" PRIu64 "; it must be at most %d", all,
-                   MO_TRAINING_STEPS_MAX);
+                   "child_steps + (parent_steps + child_steps) × generations is %" PRIu64 "; it must be at most %d",
+                   all, MO_TRAINING_STEPS_MAX);
   return MO_OK;
 }
 
