@@ -143,14 +143,14 @@ static void refuses_nan(void)
   service_end(&service);
 }
 
-static atomic_int warnings;
+static atomic_int damaged_controllers;
 
 static void hear_warning(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
   (void)job;
   if (error == MO_ERR_CORRUPT && strstr(text, ".safetensors") != NULL)
-    atomic_fetch_add(&warnings, 1);
+    atomic_fetch_add(&damaged_controllers, 1);
 }
 
 static void names_a_damaged_controller(void)
@@ -171,7 +171,7 @@ static void names_a_damaged_controller(void)
   mo_sha256_to_hex(&record.sha256, digits);
   snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service.fixture.path, digits);
   CHECK_INT(truncate(path, 100), 0);
-  atomic_store(&warnings, 0);
+  atomic_store(&damaged_controllers, 0);
   request = service_request(genotypes, 2);
   id = service_submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 15000, &job) == MO_OK);
@@ -179,7 +179,7 @@ static void names_a_damaged_controller(void)
   CHECK_INT(job.error, MO_ERR_CORRUPT);
   CHECK(strstr(job.error_text, digits) != NULL && strstr(job.error_text, "PUT") != NULL);
   CHECK(strstr(job.error_text, "submit again") != NULL); /* to its end */
-  CHECK_INT(atomic_load(&warnings), 3);
+  CHECK_INT(atomic_load(&damaged_controllers), 3);
   /* As it says: */
   REQUIRE(fixture_controller(service.fixture.store, "again", 1, &record) == MO_OK);
   id = service_submit(&service, &request);
