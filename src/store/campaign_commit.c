@@ -147,6 +147,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
       "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,score,"
       "size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
   const struct mo_campaign_commit *commit = call->commit;
+  const int64_t first = (int64_t)commit->row.born_before;
   sqlite3_stmt *statement;
   int64_t size = 0;
   int error = MO_OK;
@@ -163,7 +164,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
       return error;
     mo_encode_double(commit->child_scores[i], score);
     sqlite3_bind_int64(statement, 1, call->id);
-    sqlite3_bind_int64(statement, 2, (sqlite3_int64)(commit->row.born_before + i));
+    sqlite3_bind_int64(statement, 2, first + i);
     sqlite3_bind_int64(statement, 3, call->genotypes[i]);
     sqlite3_bind_int64(statement, 4, birth->operator);
     for (int p = 0; p < 2; p++)
@@ -281,7 +282,7 @@ static int update_campaign(struct mo_connection *writer, const struct commit_arg
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, commit->row.generation);
-  sqlite3_bind_int64(statement, 3, (sqlite3_int64)(commit->row.born_before + commit->row.n_children));
+  sqlite3_bind_int64(statement, 3, (int64_t)commit->row.born_before + commit->row.n_children);
   if (commit->n_survivors > 0)
     sqlite3_bind_double(statement, 4, mo_decode_double(call->population + 4));
   sqlite3_bind_double(statement, 5, diversity > most ? diversity : most);
@@ -333,11 +334,13 @@ int mo_store_campaign_commit(struct mo_store *store, int64_t id, const struct mo
                                                  .committed = true,
                                                  .size = commit->checkpoint_size}};
   int error = prepare(&call);
+  pthread_mutex_lock(&store->checkpoints_mutex);
   if (error == MO_OK && commit->checkpoint != NULL)
     error = mo_campaign_checkpoint_begin(store, commit->checkpoint, &call.checkpoint);
   if (error == MO_OK)
     error = mo_write(store, commit_generation, &call);
   mo_campaign_checkpoint_end(store, &call.checkpoint, error);
+  pthread_mutex_unlock(&store->checkpoints_mutex);
   free(call.genotypes);
   free(call.lives);
   free(call.births);

@@ -1,7 +1,8 @@
 /* campaign_files.c: checkpoints of a campaign's learning: files campaigns/<job>/<generation>-<step>.checkpoint and their rows.
  *
  * Kept are the state after the newest committed generation and the newest one inside the generation under way: what learned last, and
- * what the last population was scored with. */
+ * what the last population was scored with. As for trainings, one lock is held from the write of a file to the end of those that it
+ * replaces. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -70,7 +71,7 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
                                  struct mo_campaign_checkpoint *checkpoint)
 {
   char *folder = folder_of(store, checkpoint->id);
-  struct found known;
+  struct found known = {0};
   uint8_t *there = NULL;
   int error = MO_OK;
   checkpoint->path = path_of(store, checkpoint->id, checkpoint->generation, checkpoint->step);
@@ -184,7 +185,7 @@ struct inside_arguments {
 static int save_inside(struct mo_store *store, void *arguments)
 {
   struct inside_arguments *call = arguments;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   int64_t id = call->checkpoint->id;
   int error = mo_campaign_touch(store, id);
   if (error == MO_OK)
@@ -202,10 +203,13 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 {
   struct mo_campaign_checkpoint checkpoint = {.id = id, .generation = generation, .step = step, .size = size};
   struct inside_arguments call = {&checkpoint, steps, n_steps};
-  int error = mo_campaign_checkpoint_begin(store, bytes, &checkpoint);
+  int error;
+  pthread_mutex_lock(&store->checkpoints_mutex);
+  error = mo_campaign_checkpoint_begin(store, bytes, &checkpoint);
   if (error == MO_OK)
     error = mo_write(store, save_inside, &call);
   mo_campaign_checkpoint_end(store, &checkpoint, error);
+  pthread_mutex_unlock(&store->checkpoints_mutex);
   return error;
 }
 
@@ -230,7 +234,7 @@ static int read_checkpoint(const struct mo_store *store, int64_t id, const struc
 
 static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to, struct found *row, uint8_t **bytes)
 {
-  struct found again;
+  struct found again = {0};
   int error = find_checkpoint(store, id, from, to, UINT32_MAX, row);
   while (error == MO_OK) {
     error = read_checkpoint(store, id, row, bytes);

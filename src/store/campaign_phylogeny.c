@@ -125,7 +125,7 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
                                struct mo_campaign_design *rows, size_t limit, uint32_t *n)
 {
   struct mo_campaign_blobs blobs;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   int64_t filled = 0;
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)
@@ -164,7 +164,7 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
                          bool with_born, uint32_t *ret_n)
 {
   static const char sql[] = "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   struct mo_descent *descents;
   sqlite3_stmt *statement;
   uint32_t *born;

@@ -45,7 +45,7 @@ int mo_campaign_step_write(struct mo_connection *writer, int64_t id, const struc
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
 /* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that it makes needless (row, in an
- * operation), then their files (end, always). `committed`: it is the state after its generation. */
+ * operation), then their files (end, always); under checkpoints_mutex. `committed`: it is the state after its generation. */
 #define MO_CAMPAIGN_DROPPED_MAX 64
 struct mo_campaign_checkpoint {
   int64_t id;

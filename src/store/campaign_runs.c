@@ -232,7 +232,7 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
 static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)
 {
   struct mo_campaign_blobs blobs;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)
     error = mo_campaign_head_get(reader, id, &head);
@@ -369,7 +369,7 @@ static int save_losses(struct mo_store *store, void *arguments)
   static const char sql[] = "UPDATE campaigns SET scored_generation=?2,scored=?3 WHERE job=?1";
   const struct losses_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   sqlite3_stmt *statement;
   int64_t scored = 0;
   int error = mo_campaign_touch(store, call->id);
@@ -421,7 +421,7 @@ static int load_losses(struct mo_connection *reader, int64_t id, uint32_t genera
                        size_t *n)
 {
   static const char sql[] = "SELECT place,losses,diverged FROM campaign_losses WHERE job=?1 ORDER BY place";
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   sqlite3_stmt *statement;
   int64_t most;
   int step = 0;
@@ -512,7 +512,7 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
   (void)sqlite3_reset(statement);
   if (error != MO_OK || step < 0)
     return error != MO_OK ? error : step;
-  return found == UINT64_MAX >> (64 - keys->head.n_environments);
+  return (uint32_t)__builtin_popcountll(found) == keys->head.n_environments;
 }
 
 static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys *keys)
@@ -535,7 +535,7 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, const struct
                                 struct mo_campaign_loss *losses)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct known_keys keys;
+  struct known_keys keys = {.lowest = INT64_MAX};
   int64_t n_known = 0;
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)

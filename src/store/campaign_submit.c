@@ -197,7 +197,7 @@ static int insert_inherited(struct mo_connection *writer, const struct mo_campai
   static const char sql[] = "INSERT INTO campaign_initial(job,position,genotype) VALUES(?1,?2,?3)";
   int64_t *listed = calloc(record->n_listed + 1, sizeof(*listed));
   struct mo_campaign_blobs blobs = {.n = 0};
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   uint32_t n = record->n_listed;
   int error = listed == NULL ? MO_ERR_NO_MEMORY : mo_campaign_head_get(writer, record->initial_campaign, &head);
   if (error == MO_OK && head.generation < 0)

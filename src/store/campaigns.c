@@ -396,7 +396,7 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
                             " WHERE x.job=?1 ORDER BY x.position";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_environment *environments = NULL;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   sqlite3_stmt *statement = NULL;
   uint32_t n = 0;
   int step = 0;
@@ -404,7 +404,7 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
   if (error == MO_OK)
     error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK) {
-    environments = calloc(head.n_environments, sizeof(*environments));
+    environments = calloc(head.n_environments + 1, sizeof(*environments));
     error = environments == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   }
   if (error == MO_OK)
@@ -439,7 +439,7 @@ int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits
                             " WHERE x.job=?1 ORDER BY x.position";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_bits *genotypes = NULL;
-  struct mo_campaign_head head;
+  struct mo_campaign_head head = {0};
   sqlite3_stmt *statement = NULL;
   uint32_t n = 0;
   int step = 0;

@@ -24,7 +24,7 @@ struct bench_campaign {
   uint32_t population;
   uint64_t n_designs;
   int64_t generation;
-  double processor_s; /* of all commits, by all threads */
+  double *processor_s; /* (generations + 1) of each commit, by all threads */
   struct mo_bits *forms, *genotypes;
   struct mo_campaign_loss *losses;
   uint32_t *numbers;
@@ -77,6 +77,7 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
   bench_check(mo_store_campaign_start(campaign->store, campaign->id), "start");
   campaign->population = settings->population;
   campaign->generation = -1;
+  campaign->processor_s = room((size_t)settings->generations + 1, sizeof(*campaign->processor_s));
   campaign->forms = room(n, sizeof(*campaign->forms));
   campaign->genotypes = room(n, sizeof(*campaign->genotypes));
   campaign->losses = room(n, sizeof(*campaign->losses));
@@ -92,6 +93,7 @@ void bench_campaign_free(struct bench_campaign *campaign)
     return;
   mo_store_close(campaign->store);
   (void)nftw(campaign->path, remove_entry, 16, FTW_DEPTH | FTW_PHYS);
+  free(campaign->processor_s);
   free(campaign->forms);
   free(campaign->genotypes);
   free(campaign->losses);
@@ -148,7 +150,7 @@ double bench_campaign_commit(struct bench_campaign *campaign, const struct bench
       loss->losses[k] = campaign->child_scores[i];
   }
   bench_check(mo_store_campaign_commit(campaign->store, campaign->id, &commit), "commit");
-  campaign->processor_s += processor_s() - processor_start;
+  campaign->processor_s[generation->generation] = processor_s() - processor_start;
   campaign->n_designs += n_children;
   campaign->generation = generation->generation;
   return bench_now_s() - start;
@@ -252,8 +254,9 @@ static double mebibytes(const struct bench_campaign *campaign, const char *file)
 
 void bench_campaign_report(struct bench_campaign *campaign)
 {
-  printf("\nprocessor time of a commit %.3f s in the mean\n",
-         campaign->processor_s / (double)(campaign->generation + 1));
+  const size_t n = (size_t)campaign->generation + 1;
+  const double median = bench_median(campaign->processor_s, n); /* sorts */
+  printf("\nprocessor time of a commit: median %.3f s, worst %.3f s\n", median, campaign->processor_s[n - 1]);
   printf("database %.1f MiB, its log %.1f MiB\n", mebibytes(campaign, "morphod.db"),
          mebibytes(campaign, "morphod.db-wal"));
   read_pages(campaign);
