@@ -120,6 +120,7 @@ static bool fits(struct life *life, struct act *act)
   const struct model *model = &life->model;
   const unsigned queued = IN(MO_JOB_QUEUED), running = IN(MO_JOB_RUNNING), paused = IN(MO_JOB_PAUSED);
   const struct evaluation_model *evaluation;
+  const struct training_model *training;
   act->parts = 1;
   switch (act->kind) {
   case ACT_PUT: /* a quarter: what is there already, perhaps under another name */
@@ -150,6 +151,12 @@ static bool fits(struct life *life, struct act *act)
   case ACT_TRAIN_CHECKPOINT: act->n = 1 + (uint32_t)life_some(life, KEPT_MAX); break;
   case ACT_TRAIN_PARK: act->n = (uint32_t)life_some(life, 2); break;
   case ACT_TRAIN_FINISH: break;
+  case ACT_TRAIN_REMOVE:
+    if (model->n_trainings == 0)
+      return false;
+    act->index = life_some(life, model->n_trainings);
+    training = &model->trainings[act->index];
+    return training->n_checkpoints > (mo_job_state_is_final(training->state) ? 0 : 1);
   case ACT_BACKUP: act->index = model->n_backups; return model->n_backups < BACKUPS_MAX && life_some(life, 4) == 0;
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
@@ -223,8 +230,15 @@ static bool validates(const struct training_model *training, const struct act *a
 static void apply_training(struct model *model, const struct act *act)
 {
   struct training_model *training = &model->trainings[act->index];
-  model->events++;
+  model->events += act->kind != ACT_TRAIN_REMOVE;
   switch (act->kind) {
+  case ACT_TRAIN_REMOVE:
+    if (mo_job_state_is_final(training->state))
+      training->n_checkpoints = 0;
+    else
+      training->checkpoints[0] = training->checkpoints[training->n_checkpoints - 1];
+    training->n_checkpoints = training->n_checkpoints > 0;
+    break;
   case ACT_TRAIN_START: /* from its newest checkpoint */
     training->state = MO_JOB_RUNNING;
     training->position = training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
@@ -401,12 +415,14 @@ static int do_training(struct life *life, const struct act *act)
   struct mo_training_step_row rows[20];
   struct mo_training_validation_row validation = {
       .step = training->position + act->n, .rollouts = 4, .mean_score = 0.5};
+  struct mo_checkpoints_removed removed;
   struct put put;
   uint8_t *bytes = NULL;
   size_t size;
   char name[32];
   int error;
   switch (act->kind) {
+  case ACT_TRAIN_REMOVE: return mo_store_training_checkpoints_remove(life->store, training->id, 0, &removed);
   case ACT_TRAIN_START: return mo_store_training_start(life->store, training->id);
   case ACT_TRAIN_PROGRESS:
     for (uint32_t i = 0; i < act->n; i++)

@@ -84,6 +84,7 @@ enum act_kind {
   ACT_TRAIN_CHECKPOINT,
   ACT_TRAIN_PARK,
   ACT_TRAIN_FINISH,
+  ACT_TRAIN_REMOVE, /* checkpoints that are not needed */
   ACT_BACKUP,
   ACT_CAMPAIGN,
   ACT_CAMPAIGN_START,
