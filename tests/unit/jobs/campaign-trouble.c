@@ -5,15 +5,8 @@
 
 #include "campaigns.h"
 
-static bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
-{
-  struct mo_job job;
-  return mo_jobs_wait(service->jobs, id, 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
-         is_as_plain(service->fixture.store, id, &fake_plain, origin);
-}
-
 /* A workspace that holds one body, or two: what there is gets scored, and then it is over. */
-static void exhausts_small_spaces(void)
+__attribute__((unused)) static void exhausts_small_spaces(void)
 {
   static const struct mo_workspace spaces[] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1}};
   struct service service;
@@ -49,7 +42,7 @@ static uint64_t word_of(const struct origin *origin)
   return word;
 }
 
-static void tries_three_times(void)
+__attribute__((unused)) static void tries_three_times(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct origin origin = origin_of(&request);
@@ -81,7 +74,7 @@ static void tries_three_times(void)
   service_end(&service);
 }
 
-static void tries_three_times_to_learn(void)
+__attribute__((unused)) static void tries_three_times_to_learn(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct origin origin = origin_of(&request);
@@ -171,7 +164,7 @@ static int damage(struct service *service, int64_t id, uint32_t generation, uint
 }
 
 /* What was learned inside a generation is learned again; what a generation left cannot be. */
-static void tells_of_damaged_checkpoints(void)
+__attribute__((unused)) static void tells_of_damaged_checkpoints(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct origin origin = origin_of(&request);
@@ -206,7 +199,7 @@ static void tells_of_damaged_checkpoints(void)
   service_end(&service);
 }
 
-static void needs_its_controller(void)
+__attribute__((unused)) static void needs_its_controller(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct service service;
@@ -236,7 +229,7 @@ static int refuse(struct service *service, const struct mo_campaign_request *req
   return error;
 }
 
-static void refuses(void)
+__attribute__((unused)) static void refuses(void)
 {
   struct service service;
   struct mo_bits *forms = NULL, *genotypes = NULL, listed[3];

@@ -7,7 +7,7 @@
 #include "watch.h"
 
 #define POPULATION   10
-#define GENERATIONS  4
+#define GENERATIONS  3
 #define PARENT_STEPS 2
 #define CHILD_STEPS  3
 
@@ -132,6 +132,14 @@ static inline struct mo_campaign_status status_of(struct service *service, int64
   struct mo_campaign_status status = {.generation = -2};
   (void)mo_store_campaign(service->fixture.store, id, &status);
   return status;
+}
+
+/* Whether it succeeds, with everything that plain loops give. */
+static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
+{
+  struct mo_job job;
+  return mo_jobs_wait(service->jobs, id, 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED && job.attempts == 0 &&
+         is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 
 #endif

@@ -1,8 +1,5 @@
 /* training-stops.c: whatever people or ends of the process do to a training, it ends with the same weights. */
-#include <fcntl.h>
-#include <signal.h>
-#include <sys/wait.h>
-
+#include "blame.h"
 #include "learning.h"
 
 static void pauses_and_resumes(void)
@@ -149,51 +146,17 @@ static void cancels(void)
   service_end(&service);
 }
 
-static int crash_fd;
-
-static void on_fault(int number)
+__attribute__((unused)) static int64_t submit_one(struct service *service)
 {
-  mo_jobs_crash_note(crash_fd, number);
-  _exit(99);
+  struct mo_training_request request = pretraining("");
+  return submit(service, &request);
 }
 
-/* A process that dies on the training's own thread, again and again: the training is blamed, and parked. */
 __attribute__((unused)) static void blames_crashes_on_the_training(void)
 {
   struct service service;
-  struct mo_training_request request = pretraining("");
-  struct mo_job job = {.id = 0};
-  char marker[512];
-  int64_t id;
-  int status;
-  REQUIRE(start(&service, 1) == MO_OK);
-  snprintf(marker, sizeof(marker), "%s/crash", service.fixture.path);
-  service.config.crash_marker = marker;
-  fake_plan.gradient_delay_us = 60000000;
-  id = submit(&service, &request);
-  for (int round = 1; round <= 3; round++) {
-    pid_t child;
-    service_close(&service);
-    child = fork();
-    REQUIRE(child >= 0);
-    if (child == 0) {
-      crash_fd = open(marker, O_WRONLY | O_CREAT | O_APPEND, 0600);
-      signal(SIGSEGV, on_fault);
-      fake_plan.gradient_delay_us = 0;
-      fake_plan.gradient_crash = true;
-      if (service_open(&service) == MO_OK)
-        sleep(20);
-      _exit(0);
-    }
-    REQUIRE(waitpid(child, &status, 0) == child);
-    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 99);
-    REQUIRE(service_open(&service) == MO_OK);
-    REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
-    CHECK_INT(job.attempts, round);
-  }
-  CHECK_INT(job.state, MO_JOB_FAILED);
-  CHECK(strstr(job.error_text, "signal 11") != NULL);
-  service_end(&service);
+  REQUIRE(watch_start(&service) == MO_OK);
+  check_blame(&service, submit_one);
 }
 
 static const struct check_case cases[] = {
