@@ -9,6 +9,15 @@ static void slow_down(void)
   fake_plan.gradient_delay_us = 5000;
 }
 
+/* A pause and a stop save all that is computed. */
+static void check_counts(const struct origin *origin, const struct fake_count *count)
+{
+  uint64_t rollouts = 0, robots = 0;
+  needs(origin, &rollouts, &robots);
+  CHECK_INT(atomic_load(&count->rollouts), rollouts);
+  CHECK_INT(atomic_load(&count->robots), robots);
+}
+
 static enum mo_campaign_phase phase_of(int mode, uint32_t round)
 {
   return mode != MO_ZERO_SHOT && round % 2 == 1 ? MO_CAMPAIGN_LEARN : MO_CAMPAIGN_SCORE;
@@ -20,9 +29,11 @@ __attribute__((unused)) static void pauses_and_resumes(void)
     struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
     struct origin origin = origin_of(&request);
     struct service service;
+    struct fake_count count = {0};
     int64_t id;
     REQUIRE(start(&service, 1) == MO_OK);
     slow_down();
+    fake_count = &count;
     id = submit(&service, &request);
     for (uint32_t round = 0; round < 3; round++) {
       double begin;
@@ -41,6 +52,8 @@ __attribute__((unused)) static void pauses_and_resumes(void)
       usleep(4000 * i);
     }
     CHECK(ends_as_plain(&service, id, &origin));
+    fake_count = NULL;
+    check_counts(&origin, &count);
     CHECK_INT(warnings, 0);
     service_end(&service);
   }
@@ -54,9 +67,11 @@ static void stops_and_goes_on(void)
     struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
     struct origin origin = origin_of(&request);
     struct service service;
+    struct fake_count count = {0};
     int64_t id;
     REQUIRE(start(&service, 1) == MO_OK);
     slow_down();
+    fake_count = &count;
     id = submit(&service, &request);
     for (uint32_t round = 0; round < 3; round++) {
       double begin;
@@ -70,6 +85,8 @@ static void stops_and_goes_on(void)
       REQUIRE(service_open(&service) == MO_OK);
     }
     CHECK(ends_as_plain(&service, id, &origin));
+    fake_count = NULL;
+    check_counts(&origin, &count);
     service_end(&service);
   }
 }

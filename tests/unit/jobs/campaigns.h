@@ -142,4 +142,16 @@ static inline bool ends_as_plain(struct service *service, int64_t id, const stru
          is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 
+/* The rollouts and learning robots that a campaign needs, when nothing is computed twice. */
+static inline void needs(const struct origin *origin, uint64_t *rollouts, uint64_t *robots)
+{
+  struct history *history = plain_history(&fake_plain, origin);
+  *rollouts = *robots = 0;
+  for (uint32_t g = 0; g < history->n_generations; g++) {
+    *rollouts += history->generations[g].rollouts;
+    *robots += (uint64_t)history->generations[g].learning_steps * origin->settings.population;
+  }
+  free(history);
+}
+
 #endif
