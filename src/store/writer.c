@@ -85,13 +85,38 @@ static void declare_fatal(struct mo_store *store)
   mo_store_declare_fatal(store, sqlite3_errmsg(store->writer.db));
 }
 
+/* Prepared when the writer starts: ending a transaction must not take memory that is not there. */
+static const char begin_sql[] = "BEGIN IMMEDIATE";
+static const char commit_sql[] = "COMMIT";
+static const char rollback_sql[] = "ROLLBACK";
+static const char savepoint_sql[] = "SAVEPOINT operation";
+static const char rollback_to_sql[] = "ROLLBACK TO operation";
+static const char release_sql[] = "RELEASE operation";
+
+static int run_sql(struct mo_store *store, const char *sql)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
+  return statement != NULL ? mo_sql_run(&store->writer, statement) : error;
+}
+
+static int prepare_transactions(struct mo_store *store)
+{
+  static const char *const sql[] = {begin_sql, commit_sql, rollback_sql, savepoint_sql, rollback_to_sql, release_sql};
+  int error = MO_OK;
+  for (size_t i = 0; i < sizeof(sql) / sizeof(sql[0]); i++)
+    if (mo_sql(&store->writer, sql[i], &error) == NULL)
+      return error;
+  return MO_OK;
+}
+
 /* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up. */
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   operation->first_event = store->n_events;
-  error = mo_sql_exec(writer, "SAVEPOINT operation");
+  error = run_sql(store, savepoint_sql);
   if (error != MO_OK)
     return error; /* there is none to go back to */
   operation->status = operation->run(store, operation->arguments);
@@ -99,15 +124,15 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {
     store->n_events = operation->first_event;
-    error = mo_sql_exec(writer, "ROLLBACK TO operation");
+    error = run_sql(store, rollback_to_sql);
   }
-  return error == MO_OK ? mo_sql_exec(writer, "RELEASE operation") : error;
+  return error == MO_OK ? run_sql(store, release_sql) : error;
 }
 
 static int commit(struct mo_store *store)
 {
   int64_t start = mo_monotonic_us();
-  int error = mo_sql_exec(&store->writer, "COMMIT");
+  int error = run_sql(store, commit_sql);
   if (error == MO_OK) {
     atomic_fetch_add(&store->commits, 1);
     atomic_fetch_add(&store->commit_ns, (uint64_t)(mo_monotonic_us() - start) * 1000);
@@ -118,7 +143,7 @@ static int commit(struct mo_store *store)
 static void abandon(struct mo_store *store)
 {
   if (!sqlite3_get_autocommit(store->writer.db))
-    (void)mo_sql_exec(&store->writer, "ROLLBACK");
+    (void)run_sql(store, rollback_sql);
   store->n_events = 0;
 }
 
@@ -127,7 +152,7 @@ static int run_alone(struct mo_store *store, struct mo_operation *operation)
   int error;
   if (atomic_load(&store->is_fatal))
     return MO_ERR_IO;
-  error = mo_sql_exec(&store->writer, "BEGIN IMMEDIATE");
+  error = run_sql(store, begin_sql);
   if (error == MO_OK)
     error = operation->run(store, operation->arguments);
   if (error == MO_OK)
@@ -171,7 +196,7 @@ static void release(struct mo_store *store, struct mo_operation *operation)
 /* All operations in one transaction. */
 static int run_together(struct mo_store *store, struct mo_operation *first)
 {
-  int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : mo_sql_exec(&store->writer, "BEGIN IMMEDIATE");
+  int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : run_sql(store, begin_sql);
   store->n_events = 0;
   for (struct mo_operation *operation = first; operation != NULL && error == MO_OK; operation = operation->next)
     error = run_in_savepoint(store, operation);
@@ -215,7 +240,7 @@ static void prune(struct mo_store *store)
   int error = MO_OK;
   store->last_prune_us = mo_monotonic_us();
   store->events_since_prune = 0;
-  if (mo_sql_exec(writer, "BEGIN IMMEDIATE") != MO_OK) {
+  if (run_sql(store, begin_sql) != MO_OK) {
     abandon(store);
     return;
   }
@@ -353,6 +378,9 @@ static void *write_loop(void *context)
 
 int mo_writer_start(struct mo_store *store)
 {
+  int error = prepare_transactions(store);
+  if (error != MO_OK)
+    return error;
   sqlite3_wal_hook(store->writer.db, count_frames, store);
   store->last_prune_us = mo_monotonic_us();
   store->last_restart_us = store->last_prune_us - RESTART_US;
