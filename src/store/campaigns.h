@@ -99,7 +99,8 @@ struct mo_campaign_submission {
   struct mo_sha256 body_sha256;
 };
 /* All replicates (seed, seed + 1, …) in one transaction; *id: the first; the others follow it without a gap. Errors as mo_store_submit;
- * MO_ERR_NOT_FOUND also: no such initial campaign; MO_ERR_CONFLICT also: it has no population yet. */
+ * MO_ERR_NOT_FOUND also: no such initial campaign; MO_ERR_CONFLICT also: it has no population yet; MO_ERR_RANGE: replicates, more
+ * listed designs than the population, no or too many environments. */
 int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_submission *submission, int64_t *id,
                              bool *replayed);
 /* Adds generations: to a queued, running, paused or succeeded campaign (which is queued again, unless it is exhausted). *before: its state
@@ -108,7 +109,7 @@ int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_su
  * cosine). Event "campaign.extended". */
 int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, enum mo_job_state *before);
 
-/* ---- reading ---- */
+/* ---- reading: lists of a campaign that is not there are empty, everything else gives MO_ERR_NOT_FOUND ---- */
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status); /* MO_ERR_NOT_FOUND */
 struct mo_campaign_query {
@@ -197,8 +198,9 @@ struct mo_campaign_loss {
   double losses[MO_ENVIRONMENTS_MAX]; /* (n_environments); +infinity: diverged */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
 };
-/* Returns after the commit. `generation` must be the one after the newest committed; older rows of another generation go. event_data: JSON
- * of "campaign.progress"; nullable: quiet. MO_ERR_CONFLICT as for trainings. */
+/* Returns after the commit. `generation` must be the one after the newest committed; older rows of another generation go; what is saved of
+ * a place stays as it was saved first. event_data: JSON of "campaign.progress"; nullable: quiet. MO_ERR_CONFLICT as for trainings;
+ * MO_ERR_RANGE: a place ≥ 2 populations. */
 int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
                                   const struct mo_campaign_loss *losses, size_t n, const char *event_data);
 /* Those that are saved, by place (malloc). */
@@ -254,7 +256,7 @@ struct mo_campaign_commit {
  * NaN, row.born_before is not the number of designs so far. Generation 0 has no parents: all of it are children. */
 int mo_store_campaign_commit(struct mo_store *store, int64_t id, const struct mo_campaign_commit *commit);
 /* running → succeeded. controller: nullable; under its name, as mo_store_training_finish. MO_ERR_CONFLICT also: it was extended meanwhile
- * (generations > expected): go on. */
+ * (generations > expected): go on. MO_ERR_INVALID: end is open. */
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end, uint32_t generations,
                              const char *name, const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller);

@@ -99,7 +99,8 @@ struct mo_store {
   int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
   int wal_frames, checkpoint_frames;
 
-  pthread_mutex_t checkpoints_mutex; /* files of trainings and campaigns with their rows; taken before anything is written */
+  pthread_mutex_t
+      checkpoints_mutex; /* files of trainings and campaigns with their rows; taken before anything is written */
   pthread_mutex_t listeners_mutex;
   struct {
     int handle;

@@ -3,6 +3,7 @@
  *   <path>/morphod.db (+ -wal, -shm)            every table (schema/migrations)
  *   <path>/controllers/<sha256>.safetensors     weights, by content
  *   <path>/trainings/<job>/<step>.checkpoint    states of trainings (store/trainings.h)
+ *   <path>/campaigns/<job>/<generation>-<step>.checkpoint    states of the learning of campaigns (store/campaigns.h)
  *   <path>/reserve                              512 KiB that a change of a job's state may use when the disk is full
  *   <path>/lock                                 held while a process uses the folder
  *
@@ -58,7 +59,8 @@ void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats); /
 
 /* A consistent copy of the database at `path` (must not exist): VACUUM INTO beside it, integrity_check, fsync, rename. The folder
  * controllers/ is to be copied after this; its files never change. Files of trainings/ come and go: copied before this, they may
- * lack the newest checkpoints, and a training goes on from an older one, or from its start. Runs on the caller's thread. MO_ERR_CONFLICT: path exists. */
+ * lack the newest checkpoints, and a training goes on from an older one, or from its start; those of campaigns/ have to be of the same
+ * generation as the database. Runs on the caller's thread. MO_ERR_CONFLICT: path exists. */
 int mo_store_backup(struct mo_store *store, const char *path, struct mo_message *message);
 /* SQLite's integrity_check and foreign_key_check. MO_ERR_CORRUPT with the first finding. */
 int mo_store_check(struct mo_store *store, struct mo_message *message);
