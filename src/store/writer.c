@@ -203,22 +203,33 @@ static int run_together(struct mo_store *store, struct mo_operation *first)
   return error == MO_OK ? commit(store) : error;
 }
 
+/* One operation, all of it or nothing. */
+static void finish_alone(struct mo_store *store, struct mo_operation *operation)
+{
+  operation->status = run_alone(store, operation);
+  if (operation->status == MO_ERR_IO)
+    declare_fatal(store);
+  if (operation->status != MO_OK)
+    abandon(store);
+  tell(store);
+}
+
+/* One alone needs no savepoint: a large one would copy every page that it changes. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
-  int error = run_together(store, first);
+  int error = MO_OK;
+  store->n_events = 0;
+  if (first->next == NULL)
+    finish_alone(store, first);
+  else
+    error = run_together(store, first);
   if (error != MO_OK) {
     if (error == MO_ERR_IO)
       declare_fatal(store); /* run_alone() runs nothing any more */
     abandon(store);
-    for (operation = first; operation != NULL; operation = operation->next) {
-      operation->status = run_alone(store, operation);
-      if (operation->status == MO_ERR_IO)
-        declare_fatal(store);
-      if (operation->status != MO_OK)
-        abandon(store);
-      tell(store);
-    }
+    for (operation = first; operation != NULL; operation = operation->next)
+      finish_alone(store, operation);
   }
   tell(store);
   for (operation = first; operation != NULL; operation = next) {
