@@ -74,7 +74,7 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
   free(faults);
 }
 
-/* Whether it brings work. */
+/* Whether it brings work, described at length. */
 static bool submits(const struct mo_request *request)
 {
   return request->method == MO_POST && (request->route == MO_ROUTE_EVALUATIONS ||
@@ -266,7 +266,8 @@ static enum MHD_Result dispatch(struct mo_request *request)
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
-  if (submits(request) &&
+  bool champions = request->method == MO_POST && request->route == MO_ROUTE_CAMPAIGN_CHAMPIONS;
+  if ((submits(request) || champions) &&
       !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s, mo_http_clock_us())) {
     mo_reply_problem(request, 429, NULL, "This client has submitted more than %u jobs in a second.",
                      http->config.client_rate_per_s);

@@ -223,6 +223,10 @@ def test_designs_know_their_campaigns(service, evolved, designs):
         mine = [one for one in value["campaigns"] if one["campaign"] == evolved["id"]]
         assert mine == [{"campaign": evolved["id"], **{key: row[key] for key in ("number", "parents", "operator", "born", "died", "score")}}]
         assert [int(one["campaign"]) for one in value["campaigns"]] == sorted(int(one["campaign"]) for one in value["campaigns"])
+    learned = run(service, but(LEARNS, generations=1))
+    for row in service.request("GET", learned["links"]["phylogeny"]).json()["items"]:
+        value = service.request("GET", f"/v1/designs/{row['id']}").json()
+        assert {"campaign": learned["id"], "number": row["number"]}.items() <= value["campaigns"][-1].items() and value["voxels"] == row["voxels"]
     alone = service.evaluate({"designs": [{"cells": [[x, 0, 0] for x in range(6)] + [[5, 1, 0], [5, 1, 1]]}], "physics": {"n_steps": 5}}).json()
     assert service.request("GET", f"/v1/designs/{alone['results'][0]['id']}").json()["campaigns"] == []
 
