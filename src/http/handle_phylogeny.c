@@ -89,8 +89,9 @@ void mo_handle_campaign_population(struct mo_request *request)
     struct mo_text text = {0};
     mo_text_format(&text, "{\"generation\":%lld,\"size\":%u,", (long long)generation, size);
     write_rows(&text, rows, (size_t)n);
-    if (offset + n < size)
-      mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation, (long long)(offset + n));
+    offset += n;
+    if (offset < size)
+      mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation, (long long)offset);
     else
       mo_text_add(&text, ",\"next_cursor\":null}");
     mo_reply_json(request, 200, &text);

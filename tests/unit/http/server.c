@@ -239,6 +239,88 @@ static void streams_take_no_place(void)
   mo_http_stop(http, 1000);
 }
 
+/* ---- replies of several pieces: the phylogeny of a campaign ---- */
+
+#define PHYLOGENY "/v1/campaigns/%lld/phylogeny?format=%s"
+#define DESIGNS   3000 /* of generations 0 and 1 */
+static long long campaign;
+
+static void evolve(void)
+{
+  static const char body[] =
+      "{\"mode\":\"zero-shot\",\"population\":1500,\"generations\":1,\"exclude_pretraining\":false,"
+      "\"environments\":[{\"light_xy_m\":[4,2.5],\"terrain_sigma_m\":0.1,\"seed\":1}]}";
+  char text[16384], path[64];
+  if (campaign != 0 || ask("POST", "/v1/campaigns", "", body, text, sizeof(text)) != 202)
+    return;
+  campaign = strtoll(strstr(text, "\"id\":\"") + 6, NULL, 10);
+  snprintf(path, sizeof(path), "/v1/campaigns/%lld", campaign);
+  for (int i = 0; i < 60 && strstr(text, "\"succeeded\"") == NULL; i++)
+    ask("GET", path, "Prefer: wait=5\r\n", "", text, sizeof(text));
+}
+
+/* The body of a reply in chunks, put together in its place; NULL: its last chunk is missing. */
+static char *unchunk(char *text)
+{
+  char *from = strstr(text, "\r\n\r\n"), *to = from, *body = from;
+  size_t size = 1;
+  if (from == NULL)
+    return NULL;
+  for (from += 4; size > 0;) {
+    char *end;
+    size = strtoul(from, &end, 16);
+    if (end == from || strlen(end) < size + 4)
+      return NULL;
+    memmove(to, end + 2, size);
+    to += size;
+    from = end + 2 + size + 2;
+  }
+  *to = '\0';
+  return body;
+}
+
+static void long_replies(void)
+{
+  const size_t size = 4 << 20;
+  struct mo_http_config config = {.max_body_bytes = 1 << 20, .max_body_memory = 8 << 20};
+  char *text = malloc(size), path[96];
+  struct mo_http *http = start(&config);
+  REQUIRE(http != NULL && text != NULL);
+  evolve();
+  REQUIRE(campaign > 0);
+  snprintf(path, sizeof(path), PHYLOGENY, campaign, "csv");
+  CHECK_INT(ask("GET", path, "", "", text, size), 200);
+  CHECK(strstr(text, "Transfer-Encoding: chunked") != NULL);
+  const char *body = unchunk(text);
+  REQUIRE(body != NULL);
+  int lines = 0;
+  for (const char *c = body; (c = strchr(c, '\n')) != NULL; c++)
+    lines++;
+  CHECK_INT(lines, DESIGNS + 1);
+  /* Each that is under way counts in the memory of replies, whatever its client does. */
+  int fds[12], refused = 0;
+  for (int i = 0; i < 12; i++) {
+    int small = 2048;
+    fds[i] = say("GET", path, "", "");
+    if (i % 2 == 0)
+      setsockopt(fds[i], SOL_SOCKET, SO_RCVBUF, &small, sizeof(small));
+  }
+  for (int i = 0; i < 12; i++)
+    refused += recv(fds[i], text, 12, MSG_WAITALL) == 12 && memcmp(text + 9, "503", 3) == 0;
+  printf("# %d of 12 refused\n", refused);
+  for (int i = 0; i < 12; i += 2)
+    close(fds[i]);
+  for (int i = 1; i < 12; i += 2)
+    CHECK(hear(fds[i], text, size) >= 0);
+  CHECK_INT(ask("GET", path, "", "", text, size), 200); /* their memory is back */
+  /* The end of the server in the middle of one: the reply is not finished. */
+  int fd = say("GET", path, "", "");
+  CHECK(recv(fd, text, 100, 0) > 0);
+  mo_http_stop(http, 50);
+  hear(fd, text, size);
+  free(text);
+}
+
 /* Readers that do not read hold their replies in memory, up to the limit. */
 static void memory(void)
 {
@@ -399,11 +481,12 @@ static atomic_bool churning;
 static void *client(void *context)
 {
   unsigned sort = *(const unsigned *)context, seed = sort * 7919 + 1;
-  char text[16384], body[256];
+  char text[16384], body[256], path[96];
+  snprintf(path, sizeof(path), PHYLOGENY, campaign, sort % 2 == 0 ? "csv" : "newick");
   while (atomic_load(&churning)) {
     seed = seed * 1103515245 + 12345;
     int fd;
-    switch (sort % 5) {
+    switch (sort % 6) {
     case 0: fd = say("GET", "/healthz", "", ""); break;
     case 1:
       snprintf(body, sizeof(body), one, (int)(1 + seed % 5000));
@@ -411,11 +494,12 @@ static void *client(void *context)
       break;
     case 2: fd = say("GET", "/v1/events?after=0", "", ""); break;
     case 3: fd = say("GET", "/v1/jobs?limit=20", "", ""); break;
+    case 5: fd = say("GET", path, "", ""); break;
     default: fd = dial(); break;
     }
     if (fd < 0)
       continue;
-    if (sort % 5 == 2 || seed >> 16 & 1) { /* leaves before the end */
+    if (sort % 6 == 2 || seed >> 16 & 1) { /* leaves before the end */
       struct pollfd polled = {fd, POLLIN, 0};
       poll(&polled, 1, (int)(seed >> 20 & 15));
       if (seed >> 17 & 1) {
@@ -423,7 +507,7 @@ static void *client(void *context)
         setsockopt(fd, SOL_SOCKET, SO_LINGER, &reset, sizeof(reset));
       }
       close(fd);
-    } else if (sort % 5 == 4) {
+    } else if (sort % 6 == 4) {
       (void)!send(fd, "GET /he", 7, MSG_NOSIGNAL);
       close(fd);
     } else {
@@ -436,22 +520,22 @@ static void *client(void *context)
 static void ends_under_churn(void)
 {
   struct mo_http_config config = {.max_connections = 24, .max_streams = 4, .n_io_threads = 4, .header_timeout_ms = 200};
-  pthread_t threads[15];
-  unsigned sorts[15];
+  pthread_t threads[18];
+  unsigned sorts[18];
   int rounds = getenv("MORPHO_STOPS") != NULL ? atoi(getenv("MORPHO_STOPS")) : 16, before = descriptors();
   atomic_store(&fake_plan.delay_us, 3000);
   for (int round = 0; round < rounds; round++) {
     struct mo_http *http = start(&config);
     REQUIRE(http != NULL);
     atomic_store(&churning, true);
-    for (unsigned i = 0; i < 15; i++) {
+    for (unsigned i = 0; i < 18; i++) {
       sorts[i] = i;
       REQUIRE(pthread_create(&threads[i], NULL, client, &sorts[i]) == 0);
     }
     pause_ms(20 + round % 7 * 5);
     mo_http_stop(http, 50);
     atomic_store(&churning, false);
-    for (unsigned i = 0; i < 15; i++)
+    for (unsigned i = 0; i < 18; i++)
       pthread_join(threads[i], NULL);
   }
   atomic_store(&fake_plan.delay_us, 0);
@@ -464,6 +548,7 @@ static const struct check_case cases[] = {
     {"addresses", addresses},
     {"limits of one client", limits},
     {"streams take no place of requests", streams_take_no_place},
+    {"long replies", long_replies},
     {"memory of replies", memory},
     {"shares of memory", memory_shares},
     {"draining", draining},
