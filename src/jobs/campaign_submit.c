@@ -180,8 +180,9 @@ static int explain_extension(int error, struct mo_message *message)
     return mo_fail(message, error, "the campaign has failed, was cancelled, or has found every design that there is");
   case MO_ERR_RANGE:
     return mo_fail(message, error,
-                   "a campaign has at most %d generations, and %" PRIu64 " designs (population × generations)",
-                   MO_GENERATIONS_MAX, MO_CAMPAIGN_DESIGNS_MAX);
+                   "a campaign has at most %d generations and %" PRIu64
+                   " designs (population × (generations + 1)), a simultaneous one at most %d steps of learning",
+                   MO_GENERATIONS_MAX, MO_CAMPAIGN_DESIGNS_MAX, MO_TRAINING_STEPS_MAX);
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error,
                    "its learning rate is one cosine over all generations: with more of them, those that are done would "

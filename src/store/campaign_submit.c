@@ -308,14 +308,14 @@ struct extend_arguments {
 /* Whether a campaign may have so many generations. */
 static int check_extension(const struct mo_campaign_settings *settings, uint64_t generations)
 {
-  uint64_t steps = (uint64_t)settings->parent_steps + settings->child_steps;
+  uint64_t steps = settings->child_steps + ((uint64_t)settings->parent_steps + settings->child_steps) * generations;
   if (generations > MO_GENERATIONS_MAX || settings->population * (generations + 1) > MO_CAMPAIGN_DESIGNS_MAX)
     return MO_ERR_RANGE;
   if (settings->mode != MO_SIMULTANEOUS)
     return MO_OK;
   if (settings->schedule.kind == MO_SCHEDULE_COSINE)
     return MO_ERR_UNSUPPORTED;
-  return steps * generations > MO_TRAINING_STEPS_MAX ? MO_ERR_RANGE : MO_OK;
+  return steps > MO_TRAINING_STEPS_MAX ? MO_ERR_RANGE : MO_OK;
 }
 
 static int extend(struct mo_store *store, void *arguments)

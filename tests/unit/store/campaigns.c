@@ -390,8 +390,8 @@ static void finishes_and_extends(void)
   submission.record.settings.child_steps = 1000;
   submission.record.settings.generations = 900;
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 99, &before), MO_ERR_RANGE); /* 1002 · 999 steps */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, &before), MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 97, &before), MO_OK);
   submission = campaign_submission(MO_ZERO_SHOT, MO_POPULATION_MAX, 4000);
   id = campaign_submit(&fixture, &submission);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, &before), MO_ERR_RANGE); /* 2^16 · 4097 designs */
