@@ -1,13 +1,11 @@
 /* attempt.c: what every run of a job with a thread of its own does in the same way: waiting for room, failing, winding down.
  *
- * Want of room is waited for: a write is tried again every second until it succeeds or a wish comes. A stop does not wait: the next
+ * Want of room is waited for: a write is tried again every second (retry_ms) until it succeeds or a wish comes. A stop does not wait: the next
  * start goes on from what is saved. An error ends the attempt; the third one in a row ends the job. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/internal.h"
-
-#define RETRY_SPACE_MS 1000
 
 int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text)
 {
@@ -86,7 +84,7 @@ int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), 
       error = MO_ERR_CANCELLED;
       break;
     }
-    mo_runner_sleep(attempt->runner, RETRY_SPACE_MS, least);
+    mo_runner_sleep(attempt->runner, attempt->runner->jobs->config.retry_ms, least);
   }
   if (waits)
     (void)set_waiting(attempt, false, phase, "");
@@ -165,6 +163,6 @@ void mo_attempt_give_up(struct mo_runner *runner, int64_t id)
     if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
         mo_runner_wished(runner) >= MO_WISH_STOP)
       return;
-    mo_runner_sleep(runner, RETRY_SPACE_MS, MO_WISH_STOP);
+    mo_runner_sleep(runner, runner->jobs->config.retry_ms, MO_WISH_STOP);
   }
 }

@@ -40,6 +40,8 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
     config->controllers_kept = 8;
   if (config->max_attempts == 0)
     config->max_attempts = 3;
+  if (config->retry_ms == 0)
+    config->retry_ms = 1000;
   if (config->save_interval_ms == 0)
     config->save_interval_ms = 100;
   config->crash_marker = NULL; /* read by now; the callers' texts are not kept */

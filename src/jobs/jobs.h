@@ -30,6 +30,7 @@ struct mo_jobs_config {
   uint32_t window_interactive;     /* 0: 4 per worker */
   uint32_t controllers_kept;       /* controllers kept ready for the back end, least recently used go; 0: 8 */
   uint32_t max_attempts;           /* crashes or errors until a job is parked as failed; 0: 3 */
+  uint32_t retry_ms;               /* between an error, or want of room, and the next try; 0: 1000 */
   uint32_t save_interval_ms;       /* losses wait at most this long for their commit; 0: 100 */
   const char *version;             /* of the product, for the lineage of trained controllers; NULL: "" */
   const char *crash_marker; /* file that mo_jobs_crash_note wrote in an earlier life; NULL: none. Read, then emptied */

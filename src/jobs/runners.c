@@ -8,7 +8,6 @@
 
 #include "jobs/internal.h"
 
-#define RETRY_MS   1000
 #define CLAIMS_MAX 65 /* one more than the most threads of a kind */
 
 struct mo_runner *mo_runners_find(struct mo_runners *runners, int64_t id)
@@ -131,7 +130,7 @@ static bool run_next(struct mo_runner *runner, bool *again)
   release(runner);
   *again = error != MO_OK && error != MO_ERR_CONFLICT; /* no room for its start, or the store is closing */
   if (failed)
-    mo_runner_sleep(runner, RETRY_MS, MO_WISH_STOP);
+    mo_runner_sleep(runner, runner->jobs->config.retry_ms, MO_WISH_STOP);
   return !*again;
 }
 
@@ -154,7 +153,7 @@ static void *serve(void *context)
     while (run_next(runner, &again))
       ;
     if (again)
-      mo_runner_sleep(runner, RETRY_MS, MO_WISH_STOP);
+      mo_runner_sleep(runner, runner->jobs->config.retry_ms, MO_WISH_STOP);
   }
   pthread_mutex_lock(&runners->mutex);
   runners->alive--;

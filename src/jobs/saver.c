@@ -10,7 +10,6 @@
 #include "jobs/internal.h"
 
 #define EVENT_EVERY_US 1000000
-#define RETRY_US       1000000
 #define SCORES_AT_ONCE 4096
 #define SCORES_BEHIND  16384
 #define BYTES_BEHIND   (UINT64_C(64) << 20)
@@ -241,7 +240,7 @@ static void delay(struct mo_jobs *jobs, int64_t id)
   if (jobs->n_delayed == MO_DELAYED_MAX)
     return; /* tried again at once */
   jobs->delayed[jobs->n_delayed].id = id;
-  jobs->delayed[jobs->n_delayed].until_us = mo_jobs_clock_us() + RETRY_US;
+  jobs->delayed[jobs->n_delayed].until_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
   jobs->n_delayed++;
 }
 
@@ -309,7 +308,7 @@ void mo_saver_finished(struct mo_jobs *jobs, int status)
   switch (status) {
   case MO_ERR_NO_SPACE:
   case MO_ERR_BUSY:
-  case MO_ERR_NO_MEMORY: jobs->retry_save_us = mo_jobs_clock_us() + RETRY_US; break;
+  case MO_ERR_NO_MEMORY: jobs->retry_save_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000; break;
   case MO_ERR_IO:
   case MO_ERR_CANCELLED: jobs->broken = true; break;
   default: settle(jobs, status); break;

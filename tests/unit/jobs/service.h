@@ -34,6 +34,7 @@ static inline int service_open(struct service *service)
 static inline int service_start(struct service *service)
 {
   memset(service, 0, sizeof(*service));
+  service->config.retry_ms = 100;
   fake_plan.delay_us = 0;
   fake_plan.fail_status = 0;
   fake_plan.skew = 0;

@@ -36,7 +36,7 @@ static void waits_for_room(void)
   CHECK_INT(live.step, 6);
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
   CHECK_INT(waiting[0], id);
-  usleep(1200000);
+  usleep(350000); /* it has tried again */
   CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
   CHECK_INT(live.phase, MO_TRAINING_WAIT);
   CHECK_INT(warnings, 1);
