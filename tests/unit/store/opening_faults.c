@@ -37,7 +37,7 @@ static const struct act contents[] = {
     {ACT_REQUEUE, 0, 0, 0, 1},
     {ACT_PUT, 0, 9, 0, 1},
     {ACT_SUBMIT, 0, 1, 0, 1},
-    {ACT_SAVE, 0, 0, 1, 1},
+    {ACT_SAVE, 0, 0, 2, 2},
     {ACT_TRAIN, 0, 21, 0, 1},
     {ACT_TRAIN_START, 0, 0, 0, 1},
     {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
@@ -256,6 +256,8 @@ static void works_without_memory(long stride)
       CHECK(error == MO_OK || reached);
       life_apply(&life.model, &act, done);
       act.parts -= done;
+      if (act.kind == ACT_SAVE)
+        act.n = act.parts;
       failed += error != MO_OK;
       tolerated += error == MO_OK && reached;
     }

@@ -1,0 +1,240 @@
+/* disk_vfs.c: SQLite's files on a disk: a file system over the default one. */
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "disk_inside.h"
+
+struct disk_file {
+  sqlite3_file base;
+  struct disk *disk;
+  struct inode *inode; /* NULL: a temporary file */
+  char name[240];
+  sqlite3_file *real;
+};
+
+/* In place of the C library's: what is certain is in memory, and the true disk may take its time. */
+__attribute__((visibility("default"))) int fsync(int fd)
+{
+  (void)fd;
+  return 0;
+}
+
+__attribute__((visibility("default"))) int fdatasync(int fd)
+{
+  (void)fd;
+  return 0;
+}
+
+/* SQLite syncs the folder of a new log or journal with that file's first sync, and after some removals. It asks for a folder only to sync it:
+ * the default file system's call is replaced by one that also notes that. */
+static int (*real_open_directory)(const char *path, int *fd);
+static _Thread_local bool folder_was_synced;
+
+static int open_directory(const char *path, int *fd)
+{
+  folder_was_synced = true;
+  return real_open_directory(path, fd);
+}
+
+#define FILE_OF(file)                                                                                                  \
+  struct disk_file *disk_file = (struct disk_file *)(file);                                                            \
+  sqlite3_file *real = disk_file->real
+
+/* Calls that change nothing on the disk: they fail on demand, and go on after a stop. */
+#define PASS(name, parameters, arguments, failure)                                                                     \
+  static int name parameters                                                                                           \
+  {                                                                                                                    \
+    FILE_OF(file);                                                                                                     \
+    bool fails;                                                                                                        \
+    pthread_mutex_lock(&disk_file->disk->mutex);                                                                       \
+    fails = !disk_ask(disk_file->disk);                                                                                \
+    pthread_mutex_unlock(&disk_file->disk->mutex);                                                                     \
+    return fails ? (failure) : real->pMethods->name arguments;                                                         \
+  }
+PASS(xRead, (sqlite3_file * file, void *to, int n, sqlite3_int64 at), (real, to, n, at), SQLITE_IOERR_READ)
+PASS(xFileSize, (sqlite3_file * file, sqlite3_int64 *size), (real, size), SQLITE_IOERR_FSTAT)
+PASS(xShmMap, (sqlite3_file * file, int page, int size, int extend, void volatile **to), (real, page, size, extend, to),
+     SQLITE_IOERR_SHMMAP)
+PASS(xLock, (sqlite3_file * file, int kind), (real, kind), SQLITE_IOERR_LOCK)
+
+#define FORWARD(name, parameters, arguments)                                                                           \
+  static int name parameters                                                                                           \
+  {                                                                                                                    \
+    FILE_OF(file);                                                                                                     \
+    return real->pMethods->name arguments;                                                                             \
+  }
+FORWARD(xUnlock, (sqlite3_file * file, int kind), (real, kind))
+FORWARD(xCheckReservedLock, (sqlite3_file * file, int *result), (real, result))
+FORWARD(xFileControl, (sqlite3_file * file, int op, void *argument), (real, op, argument))
+FORWARD(xSectorSize, (sqlite3_file * file), (real))
+FORWARD(xDeviceCharacteristics, (sqlite3_file * file), (real))
+FORWARD(xShmLock, (sqlite3_file * file, int offset, int n, int flags), (real, offset, n, flags))
+FORWARD(xShmUnmap, (sqlite3_file * file, int remove), (real, remove))
+FORWARD(xClose, (sqlite3_file * file), (real))
+
+static void xShmBarrier(sqlite3_file *file)
+{
+  FILE_OF(file);
+  real->pMethods->xShmBarrier(real);
+}
+
+static int xWrite(sqlite3_file *file, const void *from, int n, sqlite3_int64 at)
+{
+  FILE_OF(file);
+  struct disk *disk = disk_file->disk;
+  int result = SQLITE_IOERR_WRITE;
+  enum turn turn;
+  pthread_mutex_lock(&disk->mutex);
+  turn = disk_change(disk, false);
+  if (turn != TURN_OFF)
+    result = real->pMethods->xWrite(real, from, n, at);
+  if (result == SQLITE_OK && disk_file->inode != NULL)
+    inode_write(disk_file->inode, at, from, (size_t)n);
+  pthread_mutex_unlock(&disk->mutex);
+  return turn == TURN_LAST ? SQLITE_IOERR_WRITE : result;
+}
+
+static int xTruncate(sqlite3_file *file, sqlite3_int64 size)
+{
+  FILE_OF(file);
+  struct disk *disk = disk_file->disk;
+  int result = SQLITE_IOERR_TRUNCATE;
+  enum turn turn;
+  pthread_mutex_lock(&disk->mutex);
+  turn = disk_change(disk, false);
+  if (turn != TURN_OFF)
+    result = real->pMethods->xTruncate(real, size);
+  if (result == SQLITE_OK && disk_file->inode != NULL)
+    inode_truncate(disk_file->inode, size);
+  pthread_mutex_unlock(&disk->mutex);
+  return turn == TURN_LAST ? SQLITE_IOERR_TRUNCATE : result;
+}
+
+static int xSync(sqlite3_file *file, int flags)
+{
+  FILE_OF(file);
+  struct disk *disk = disk_file->disk;
+  int result = SQLITE_IOERR_FSYNC;
+  pthread_mutex_lock(&disk->mutex);
+  if (disk_change(disk, true) == TURN_GO) {
+    folder_was_synced = false;
+    result = real->pMethods->xSync(real, flags);
+    if (result == SQLITE_OK && disk_file->inode != NULL && (disk->lies & DISK_FORGETS_DATABASE) == 0) {
+      inode_sync(disk_file->inode);
+      if (folder_was_synced)
+        disk_sync_folder(disk, "");
+    }
+  }
+  pthread_mutex_unlock(&disk->mutex);
+  return result;
+}
+
+static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file, int flags, int *out)
+{
+  static const sqlite3_io_methods methods = {2,
+                                             xClose,
+                                             xRead,
+                                             xWrite,
+                                             xTruncate,
+                                             xSync,
+                                             xFileSize,
+                                             xLock,
+                                             xUnlock,
+                                             xCheckReservedLock,
+                                             xFileControl,
+                                             xSectorSize,
+                                             xDeviceCharacteristics,
+                                             xShmMap,
+                                             xShmLock,
+                                             xShmBarrier,
+                                             xShmUnmap,
+                                             NULL,
+                                             NULL};
+  struct disk_file *disk_file = (struct disk_file *)file;
+  struct disk *disk = vfs->pAppData;
+  const char *name = path != NULL ? disk_below(disk, path) : "";
+  bool creates = false, fails = false;
+  int result = SQLITE_CANTOPEN;
+  file->pMethods = NULL;
+  *disk_file = (struct disk_file){.disk = disk, .real = (sqlite3_file *)(disk_file + 1)};
+  snprintf(disk_file->name, sizeof(disk_file->name), "%s", name);
+  memset(disk_file->real, 0, (size_t)disk->real->szOsFile);
+  pthread_mutex_lock(&disk->mutex);
+  if (name[0] != '\0') {
+    disk_file->inode = names_inode(&disk->now, name);
+    creates = disk_file->inode == NULL && (flags & SQLITE_OPEN_CREATE) != 0;
+    fails = creates ? disk_change(disk, false) != TURN_GO : disk->stopped || !disk_ask(disk);
+  }
+  if (!fails)
+    result = disk->real->xOpen(disk->real, path, disk_file->real, flags, out);
+  if (result == SQLITE_OK && creates)
+    disk_file->inode = disk_create(disk, name);
+  if (disk_file->real->pMethods != NULL)
+    file->pMethods = &methods;
+  pthread_mutex_unlock(&disk->mutex);
+  return result;
+}
+
+static int vfs_delete(sqlite3_vfs *vfs, const char *path, int sync)
+{
+  struct disk *disk = vfs->pAppData;
+  int result = SQLITE_IOERR_DELETE;
+  enum turn turn;
+  pthread_mutex_lock(&disk->mutex);
+  turn = disk_change(disk, false);
+  if (turn != TURN_OFF) {
+    folder_was_synced = false;
+    result = disk->real->xDelete(disk->real, path, sync);
+  }
+  if (result == SQLITE_OK)
+    disk_note(disk, NAME_REMOVED, disk_below(disk, path), NULL, NULL);
+  if (turn == TURN_GO && folder_was_synced)
+    disk_sync_folder(disk, "");
+  pthread_mutex_unlock(&disk->mutex);
+  return turn == TURN_LAST ? SQLITE_IOERR_DELETE : result;
+}
+
+static int vfs_access(sqlite3_vfs *vfs, const char *path, int flags, int *result)
+{
+  struct disk *disk = vfs->pAppData;
+  bool fails;
+  pthread_mutex_lock(&disk->mutex);
+  fails = !disk_ask(disk);
+  pthread_mutex_unlock(&disk->mutex);
+  return fails ? SQLITE_IOERR_ACCESS : disk->real->xAccess(disk->real, path, flags, result);
+}
+
+static int vfs_randomness(sqlite3_vfs *vfs, int n, char *bytes)
+{
+  struct disk *disk = vfs->pAppData;
+  for (int i = 0; i < n; i++)
+    bytes[i] = (char)disk_random(disk);
+  return n;
+}
+
+int disk_vfs_start(struct disk *disk)
+{
+  disk->real = sqlite3_vfs_find(NULL);
+  disk->vfs = *disk->real;
+  disk->vfs.zName = "disk";
+  disk->vfs.pNext = NULL;
+  disk->vfs.pAppData = disk;
+  disk->vfs.szOsFile = (int)sizeof(struct disk_file) + disk->real->szOsFile;
+  disk->vfs.xOpen = vfs_open;
+  disk->vfs.xDelete = vfs_delete;
+  disk->vfs.xAccess = vfs_access;
+  disk->vfs.xRandomness = vfs_randomness;
+  if (real_open_directory == NULL)
+    real_open_directory = (int (*)(const char *, int *))disk->real->xGetSystemCall(disk->real, "openDirectory");
+  if (real_open_directory == NULL ||
+      disk->real->xSetSystemCall(disk->real, "openDirectory", (sqlite3_syscall_ptr)open_directory) != SQLITE_OK)
+    return -1;
+  return sqlite3_vfs_register(&disk->vfs, 0) == SQLITE_OK ? 0 : -1;
+}
+
+void disk_vfs_end(struct disk *disk)
+{
+  (void)disk->real->xSetSystemCall(disk->real, "openDirectory", NULL);
+  (void)sqlite3_vfs_unregister(&disk->vfs);
+}
