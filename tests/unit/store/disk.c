@@ -64,9 +64,7 @@ void disk_note(struct disk *disk, enum name_kind kind, const char *path, const c
   struct name_change *entry;
   if (disk->n_pending == disk->pending_room) {
     disk->pending_room = 2 * disk->pending_room + 16;
-    disk->pending = realloc(disk->pending, disk->pending_room * sizeof(*disk->pending));
-    if (disk->pending == NULL)
-      abort();
+    disk->pending = disk_memory(disk->pending, disk->pending_room * sizeof(*disk->pending));
   }
   entry = &disk->pending[disk->n_pending++];
   *entry = (struct name_change){.kind = kind, .inode = inode};

@@ -5,9 +5,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-static void *grown(void *old, size_t size)
+void *disk_memory(void *old, size_t size)
 {
   void *bytes = realloc(old, size > 0 ? size : 1);
+  if (bytes == NULL)
+    bytes = realloc(old, size > 0 ? size : 1);
   if (bytes == NULL)
     abort();
   return bytes;
@@ -17,10 +19,8 @@ static void *grown(void *old, size_t size)
 
 struct inode *inode_new(struct inode **list)
 {
-  struct inode *inode = calloc(1, sizeof(*inode));
-  if (inode == NULL)
-    abort();
-  inode->next = *list;
+  struct inode *inode = disk_memory(NULL, sizeof(*inode));
+  *inode = (struct inode){.next = *list};
   *list = inode;
   return inode;
 }
@@ -48,7 +48,7 @@ static struct piece *add_piece(struct inode *inode)
 {
   if (inode->n == inode->pending_room) {
     inode->pending_room = 2 * inode->pending_room + 16;
-    inode->pending = grown(inode->pending, inode->pending_room * sizeof(*inode->pending));
+    inode->pending = disk_memory(inode->pending, inode->pending_room * sizeof(*inode->pending));
   }
   return &inode->pending[inode->n++];
 }
@@ -56,7 +56,7 @@ static struct piece *add_piece(struct inode *inode)
 void inode_write(struct inode *inode, int64_t at, const void *bytes, size_t size)
 {
   struct piece *piece = add_piece(inode);
-  *piece = (struct piece){at, size, grown(NULL, size)};
+  *piece = (struct piece){at, size, disk_memory(NULL, size)};
   memcpy(piece->bytes, bytes, size);
 }
 
@@ -69,7 +69,7 @@ static void set_size(struct inode *inode, int64_t size)
 {
   if (size > inode->room) {
     inode->room = 2 * size;
-    inode->bytes = grown(inode->bytes, (size_t)inode->room);
+    inode->bytes = disk_memory(inode->bytes, (size_t)inode->room);
   }
   if (size > inode->size)
     memset(inode->bytes + inode->size, 0, (size_t)(size - inode->size));
@@ -94,8 +94,8 @@ void content_resize(struct content *content, int64_t size)
   if (size > content->room) {
     const int64_t room = 2 * size;
     const size_t before = (size_t)(content->room / SECTOR + 1), after = (size_t)(room / SECTOR + 1);
-    content->bytes = grown(content->bytes, (size_t)room);
-    content->written = grown(content->written, after * sizeof(*content->written));
+    content->bytes = disk_memory(content->bytes, (size_t)room);
+    content->written = disk_memory(content->written, after * sizeof(*content->written));
     memset(content->written + (content->room > 0 ? before : 0), 0,
            (after - (content->room > 0 ? before : 0)) * sizeof(*content->written));
     content->room = room;
@@ -164,7 +164,7 @@ static void put(struct names *names, const char *path, struct inode *inode)
   const size_t i = find(names, path);
   if (i == names->room) {
     names->room = 2 * names->room + 16;
-    names->list = grown(names->list, names->room * sizeof(*names->list));
+    names->list = disk_memory(names->list, names->room * sizeof(*names->list));
   }
   names->n += i == names->n;
   memmove(names->list[i].path, path, strlen(path) + 1);
@@ -205,7 +205,7 @@ void names_apply(struct names *names, const struct name_change *change)
 void names_copy(struct names *to, const struct names *from)
 {
   *to = (struct names){.n = from->n, .room = from->n};
-  to->list = grown(NULL, from->n * sizeof(*to->list));
+  to->list = disk_memory(NULL, from->n * sizeof(*to->list));
   if (from->n > 0)
     memcpy(to->list, from->list, from->n * sizeof(*to->list));
 }

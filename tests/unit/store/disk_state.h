@@ -1,6 +1,6 @@
 /* disk_state.h: the parts of a disk: files with their unsynced writes, and names that lead to them. For disk.c alone.
  *
- * Running out of memory ends the test. */
+ * Running out of memory ends the test, but for an allocator that fails once: that is what the store is tested with. */
 #ifndef MORPHO_TESTS_STORE_DISK_STATE_H
 #define MORPHO_TESTS_STORE_DISK_STATE_H
 
@@ -9,6 +9,8 @@
 #include <stdint.h>
 
 #define SECTOR 512
+
+void *disk_memory(void *old, size_t size); /* as realloc; never NULL */
 
 /* ---- data ---- */
 
