@@ -30,6 +30,21 @@ static const struct field fields[] = {
     {"label", "label", FIELD_WORD},
 };
 
+/* {"campaign": id} or {"evaluation": id}, by what kind of job it is. */
+static int name_population(struct ctl *ctl, const char *id, json_t **object)
+{
+  char path[64];
+  json_t *job;
+  if (!check_job_id(id))
+    return STATUS_USAGE;
+  snprintf(path, sizeof(path), "/v1/jobs/%s", id);
+  int status = transport_get_json(ctl, path, 0, &job);
+  if (status == STATUS_OK)
+    *object = json_pack("{s:s}", strcmp(text_of(job, "kind"), "campaign") == 0 ? "campaign" : "evaluation", id);
+  json_decref(job);
+  return status;
+}
+
 /* What a finetuning learns on: designs of operands, random ones, or a population. */
 static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
 {
@@ -48,9 +63,10 @@ static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
   if (best > 0 && population == NULL)
     return complain(STATUS_USAGE, "--best is for --population");
   if (population != NULL) {
-    if (!check_job_id(population))
-      return STATUS_USAGE;
-    json_t *object = json_pack("{s:s}", "evaluation", population);
+    json_t *object = NULL;
+    int status = name_population(ctl, population, &object);
+    if (status != STATUS_OK)
+      return status;
     if (best > 0)
       json_object_set_new(object, "best", json_integer(best));
     json_object_set_new(request, "population", object);
@@ -152,7 +168,7 @@ int run_train_list(struct ctl *ctl)
 
 static void print_settings(const struct ctl *ctl, const json_t *settings)
 {
-  char a[32], b[32], c[32], seed[32];
+  char a[32], b[32], c[32];
   const json_t *schedule = json_object_get(settings, "schedule"), *adam = json_object_get(settings, "adam");
   const json_t *validation = json_object_get(settings, "validation"), *physics = json_object_get(settings, "physics");
   const json_t *checkpoint = json_object_get(settings, "checkpoint");
@@ -160,9 +176,12 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
              number_of(settings, "seed"));
   if (json_is_integer(json_object_get(settings, "n_designs"))) {
     const json_t *population = json_object_get(settings, "population");
-    snprintf(seed, sizeof(seed), "%.20s", text_of(population, "evaluation"));
+    const char *evaluation = text_of(population, "evaluation"), *campaign = text_of(population, "campaign");
     print_fact(ctl, "designs", "%s%s%s", count_text(number_of(settings, "n_designs"), a),
-               *seed != 0 ? " of evaluation " : "", seed);
+               *evaluation != 0 ? " of evaluation "
+               : *campaign != 0 ? " of campaign "
+                                : "",
+               *evaluation != 0 ? evaluation : campaign);
   }
   print_fact(ctl, "schedule", "%s, %s down to %s", text_of(schedule, "kind"),
              real_text(json_object_get(schedule, "peak"), a), real_text(json_object_get(schedule, "floor"), b));

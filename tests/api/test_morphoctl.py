@@ -229,17 +229,15 @@ def test_training_pause_resume_cancel(ctl):
     assert ctl("train", "resume", job)[0] == 3 and ctl("train", "show", "999999")[0] == 3
 
 
-def test_watching_a_training_on_a_terminal(service, ctl):
-    """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
-    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--checkpoint-steps", "50",
-              "--validation-designs", "2")[1].strip()
+def watch_on_a_terminal(service, command, job, until_seen, farewell):
+    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed, without the escapes."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], "train", "watch", job], stdin=slave, stdout=slave, stderr=slave,
+    watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job], stdin=slave, stdout=slave, stderr=slave,
                              env={**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"})
     os.close(slave)
     seen, until = b"", time.monotonic() + 20
-    while b"checkpoint of step" not in seen or b" left" not in seen:
+    while not all(text.encode() in seen for text in until_seen):
         assert time.monotonic() < until and watch.poll() is None, seen
         if select.select([master], [], [], 0.1)[0]:
             seen += os.read(master, 65536)
@@ -253,11 +251,100 @@ def test_watching_a_training_on_a_terminal(service, ctl):
                 break
     os.close(master)
     assert watch.wait(10) == 130
-    view = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace").split("The training goes on.")[0])
+    view = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace").split(farewell)[0])
     assert all(len(line) <= 80 for line in re.split(r"[\r\n]+", view)), view
+    return view
+
+
+def test_watching_a_training_on_a_terminal(service, ctl):
+    """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
+    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--checkpoint-steps", "50",
+              "--validation-designs", "2")[1].strip()
+    view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"), "The training goes on.")
     assert re.search(r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of step \d+", view), view
     assert service.request("GET", f"/v1/trainings/{job}").json()["state"] == "running"
     assert ctl("train", "cancel", job)[0] == 0
+
+
+SMALL = ["--preset", "demo", "--population", "6", "--physics", "n_steps=20"]
+
+
+def test_campaign_from_start_to_export(service, ctl, tmp_path):
+    status, out, err = ctl("campaign", "start", "zero-shot", *SMALL, "-n", "3", "--label", "by hand", "--selection", "tournament",
+                           "--tournament-size", "2", "--workspace", "5,5,3", "--watch", "-", input_text=CELLS)
+    assert status == 0, err
+    assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2", "3"], out
+    campaign = re.match(r"campaign (\d+) is accepted: zero-shot, 6 designs, 3 generations", err)[1]
+    told = service.request("GET", f"/v1/campaigns/{campaign}").json()
+    assert told["label"] == "by hand" and told["settings"]["workspace"] == [5, 5, 3]
+    assert told["settings"]["selection"] == {"kind": "tournament", "size": 2} and told["settings"]["initial"] != "random"
+    assert json.loads(ctl("campaign", "show", campaign, "--json")[1]) == told
+    shown = ctl("campaign", "show", campaign)[1]
+    assert re.search(r"^progress +generation 3 of 3, 24 designs born$", shown, re.M), shown
+    assert re.search(r"^mean score +\d\.\d{4}  \S{4}$", shown, re.M) and re.search(r"^ +3 +\d\.\d{4}", shown, re.M), shown
+    assert any(line.split()[:4] == [campaign, "zero-shot", "succeeded", "6"] for line in ctl("campaign", "list")[1].splitlines())
+    assert any(line.split()[:7] == [campaign, "zero-shot", "succeeded", "batch", "6", "3", "generations"] for line in ctl("job", "list")[1].splitlines())
+    events = [json.loads(line) for line in ctl("campaign", "watch", campaign, "--json")[1].splitlines()]
+    assert [e["data"]["generation"] for e in events if e["type"] == "campaign.generation"] == [0, 1, 2, 3]
+    champions = ctl("campaign", "champions", campaign, "-n", "3", "-o", str(tmp_path / "paths"))
+    assert champions[0] == 0 and len(champions[1].splitlines()) == 4, champions
+    assert len(list((tmp_path / "paths").glob("design-*-com.npy"))) == 30
+    files = {what: str(tmp_path / what) for what in ("curve", "population", "phylogeny", "newick", "learning", "replicates")}
+    status, _, err = ctl("campaign", "export", campaign, *(part for what, path in files.items() for part in (f"--{what}", path)))
+    assert status == 0, err
+    rows = {what: open(path, encoding="utf-8").read().splitlines() for what, path in files.items()}
+    assert len(rows["curve"]) == 5 and len(rows["population"]) == 6 and len(rows["phylogeny"]) == 25 and len(rows["learning"]) == 1
+    assert rows["phylogeny"][0].startswith("id,ancestor_list,origin_time,destruction_time") and rows["newick"][0].endswith(";")
+    scores = ctl("eval", *SHORT, "--json", files["population"])
+    assert [r["score"] for r in json.loads(scores[1])["results"]] == sorted(r["score"] for r in json.loads(scores[1])["results"])
+    assert ctl("campaign", "extend", campaign, "2") == (0, f"campaign {campaign} is queued, to generation 5\n", "")
+    assert ctl("campaign", "watch", campaign)[0] == 0
+    assert ctl("campaign", "export", campaign, "--curve", "-")[1].splitlines()[:5] == rows["curve"]
+    status, out, err = ctl("train", "start", "finetune", "--population", campaign, "--best", "3", *TINY)
+    assert status == 0, err
+    shown = ctl("train", "show", out.strip())[1]
+    assert re.search(rf"^designs +3 of campaign {campaign}$", shown, re.M), shown
+
+
+def test_campaigns_that_learn_and_replicates(service, ctl):
+    learn = ["--child-steps", "1", "--parent-steps", "1", "--batch", "3"]
+    status, out, err = ctl("campaign", "start", "simultaneous", *SMALL, "-n", "1", *learn, "--schedule", "constant", "--peak", "0.001",
+                           "--sensor", "inverse_square", "--replicates", "2", "--seed", "7", "--name", "ctl-evolved")
+    assert status == 0, err
+    ids = out.split()
+    assert len(ids) == 2 and int(ids[1]) == int(ids[0]) + 1
+    assert all(ctl("campaign", "watch", i)[0] == 0 for i in ids)
+    shown = ctl("campaign", "show", ids[1])[1]
+    assert re.search(rf"^replicate +2 of 2 of campaign {ids[0]}$", shown, re.M) and re.search(r"^population +6 designs, seed 8$", shown, re.M), shown
+    assert re.search(r"^controller +random weights, sensor inverse_square$", shown, re.M) and re.search(r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
+    assert len(ctl("campaign", "export", ids[0], "--learning", "-")[1].splitlines()) == 1 + 1 + 2
+    assert ctl("campaign", "export", ids[0], "--replicates", "-")[1].count("\n") == 3
+    job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0], "--quiet")[1].strip()
+    assert ctl("campaign", "watch", job)[0] == 0
+    assert service.request("GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {"campaign": ids[0]}
+
+
+def test_wrong_campaigns(ctl):
+    for arguments, words in ((["start", "sideways"], "zero-shot"), (["start", "zero-shot", "--population", "1"], "population"),
+                             (["start", "zero-shot", "--child-steps", "3"], "learning"), (["start", "zero-shot", "--controller", "random"], "controller")):
+        status, _, err = ctl("campaign", *arguments)
+        assert status == 6 and words in err, (arguments, err)
+    for arguments, words in ((["start", "zero-shot", "--layers", "3"], "--selection age-layered"), (["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"),
+                             (["start", "zero-shot", "--from", "0"], "id of a job"), (["extend", "1", "none"], "further generations"),
+                             (["export", "1"], "what is to be exported"), (["champions", "1", "-o", "x", "--generation", "0"], "newest")):
+        status, _, err = ctl("campaign", *arguments)
+        assert status == 2 and words in err, (arguments, err)
+    assert ctl("campaign", "show", "999999")[0] == 3 and ctl("campaign", "extend", "999999", "1")[0] == 3
+
+
+def test_watching_a_campaign_on_a_terminal(service, ctl):
+    """The live view fits 80 columns and 24 lines; Ctrl-C leaves the campaign alone."""
+    job = ctl("campaign", "start", "zero-shot", *SMALL, "-n", "100000", "-q")[1].strip()
+    view = watch_on_a_terminal(service, "campaign", job, ("voxels", "Ctrl-C leaves", " left"), "The campaign goes on.")
+    assert re.search(r"zero-shot  running  generation [\d,]+ of 100,000   campaign", view) and re.search(r"diversity +0\.\d{4}  ", view), view
+    assert service.request("GET", f"/v1/campaigns/{job}").json()["state"] == "running"
+    assert ctl("campaign", "pause", job)[0] == 0 and re.search(r"^state +paused$", ctl("campaign", "show", job)[1], re.M)
+    assert ctl("campaign", "resume", job)[0] == 0 and ctl("campaign", "cancel", job)[0] == 0 and ctl("campaign", "watch", job)[0] == 3
 
 
 def test_unix_socket_and_token(start, ctl, tmp_path):
