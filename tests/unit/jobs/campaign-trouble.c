@@ -63,7 +63,7 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.fail_word = word_of(&origin);
   fake_plan.fail_times = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_NO_MEMORY);
@@ -88,12 +88,12 @@ __attribute__((unused)) static void tries_three_times_to_learn(void)
   CHECK(ends_as_plain(&service, id, &origin));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_NO_MEMORY);
   fake_plan.gradient_status = 0;
   fake_plan.poison = true;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
   service_end(&service);
 }
@@ -191,7 +191,7 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
       CHECK_INT(warnings, 1);
       CHECK(strstr(warned, "learns anew") != NULL);
     } else {
-      REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
       CHECK(strstr(job.error_text, "cannot be used") != NULL && strstr(job.error_text, "backup") != NULL);
     }
@@ -210,7 +210,7 @@ __attribute__((unused)) static void needs_its_controller(void)
   snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service.fixture.path, default_digits());
   REQUIRE(truncate(path, 1000) == 0);
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "store the same file again") != NULL);
   service_end(&service);
 }

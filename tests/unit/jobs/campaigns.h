@@ -106,7 +106,7 @@ static inline struct mo_campaign_live live_of(struct service *service, int64_t i
 
 static inline bool await_phase(struct service *service, int64_t id, enum mo_campaign_phase phase)
 {
-  double end = now_s() + 20;
+  double end = now_s() + 60;
   while (live_of(service, id).phase != phase)
     if (now_s() > end)
       return false;
@@ -118,7 +118,7 @@ static inline bool await_phase(struct service *service, int64_t id, enum mo_camp
 /* At least so far: a generation that is under way, or a later one, in this phase. */
 static inline bool await_place(struct service *service, int64_t id, uint32_t generation, enum mo_campaign_phase phase)
 {
-  double end = now_s() + 20;
+  double end = now_s() + 60;
   struct mo_campaign_live live;
   do {
     usleep(300);
@@ -138,7 +138,7 @@ static inline struct mo_campaign_status status_of(struct service *service, int64
 static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
 {
   struct mo_job job;
-  return mo_jobs_wait(service->jobs, id, 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED && job.attempts == 0 &&
+  return mo_jobs_wait(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED && job.attempts == 0 &&
          is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 
