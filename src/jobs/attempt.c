@@ -19,7 +19,7 @@ int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const stru
   mo_sha256_to_hex(sha256, digits);
   snprintf(attempt->text, sizeof(attempt->text),
            "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
-           "/v1/controllers/<name>), then submit again",
+           "/v1/controllers/<name>), then resume the job",
            digits);
   return error;
 }

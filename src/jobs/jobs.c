@@ -329,6 +329,22 @@ static struct mo_runners *runners_of(struct mo_jobs *jobs, enum mo_job_kind kind
   }
 }
 
+/* One that has failed is open again; the queue must have room for it. */
+static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
+{
+  enum mo_job_state before = MO_JOB_QUEUED;
+  struct mo_message message;
+  int error = mo_jobs_admit(jobs, 0, &message);
+  if (error != MO_OK)
+    return error;
+  error = mo_store_change_job(jobs->store, id, MO_CHANGE_RETRY, &before);
+  if (error != MO_OK || before != MO_JOB_FAILED) /* somebody else was faster */
+    mo_jobs_closed(jobs, 0);
+  if (error == MO_OK)
+    mo_runners_wake(runners);
+  return error;
+}
+
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
   struct mo_wish *wish = calloc(1, sizeof(*wish));
@@ -339,13 +355,17 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   if (wish == NULL)
     return MO_ERR_NO_MEMORY;
   error = mo_store_job(jobs->store, id, &job);
+  runners = error == MO_OK ? runners_of(jobs, job.kind) : NULL;
+  if (runners != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED) {
+    free(wish);
+    return retry(jobs, id, runners);
+  }
   if (error == MO_OK)
     error = mo_store_change_job(jobs->store, id, change_to, &before);
   if (error != MO_OK) {
     free(wish);
     return error;
   }
-  runners = runners_of(jobs, job.kind);
   if (change_to == MO_CHANGE_CANCEL) {
     atomic_fetch_add(&jobs->cancelled, 1);
     mo_jobs_closed(jobs, job.rollouts_total);

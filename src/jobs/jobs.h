@@ -7,7 +7,7 @@
  * again. What a crash costs is the blocks in flight.
  *
  * States:  queued → running → succeeded | failed         pause:  queued, running → paused      resume: paused → queued
- *          cancel: queued, running, paused → cancelled    restart: running → queued
+ *          cancel: queued, running, paused → cancelled    restart: running → queued            (trainings, campaigns: failed, too)
  * All functions may be called from any thread. Reading (jobs, results, events, designs) is the store's: store/store.h. */
 #ifndef MORPHO_JOBS_JOBS_H
 #define MORPHO_JOBS_JOBS_H
@@ -82,8 +82,10 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in the job's state. Asking for the
  * state that the job is in already (pause of a paused job, cancel of a cancelled one excepted) is a conflict. ---- */
 int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
-int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);  /* pausing a paused job: MO_OK, nothing changes */
-int mo_jobs_resume(struct mo_jobs *jobs, int64_t id); /* resuming a queued or running job: MO_OK, nothing changes */
+int mo_jobs_pause(struct mo_jobs *jobs, int64_t id); /* pausing a paused job: MO_OK, nothing changes */
+/* Resuming a queued or running job: MO_OK, nothing changes. A training or campaign that has failed goes on from what it has saved, with
+ * its attempts counted anew; MO_ERR_BUSY: too many jobs are open. */
+int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 
 /* Counts at once, also while the job runs. MO_ERR_RANGE; MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: the job is over. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);

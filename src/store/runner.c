@@ -38,26 +38,38 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
   return MO_OK;
 }
 
+/* Whether a change finds nothing to do; MO_ERR_CONFLICT: it is not possible. */
+static int check_change(const struct change_arguments *call, enum mo_job_kind kind, bool *is_idle)
+{
+  const bool is_retry = call->change == MO_CHANGE_RETRY;
+  *is_idle = (call->change == MO_CHANGE_PAUSE && call->before == MO_JOB_PAUSED) ||
+             (call->change == MO_CHANGE_RESUME && call->before != MO_JOB_PAUSED) ||
+             (is_retry && call->before != MO_JOB_FAILED);
+  if (mo_job_state_is_final(call->before) && !(is_retry && call->before == MO_JOB_FAILED && kind != MO_JOB_EVALUATION))
+    return MO_ERR_CONFLICT;
+  return MO_OK;
+}
+
 static int change_job(struct mo_store *store, void *arguments)
 {
   static const char sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3 WHERE id=?1";
-  static const char *const types[] = {"job.finished", "job.paused", "job.resumed"};
-  static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED};
+  static const char retry_sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3,attempts=0,error=0,"
+                                  "error_text=NULL WHERE id=?1";
+  static const char *const types[] = {"job.finished", "job.paused", "job.resumed", "job.resumed"};
+  static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED, MO_JOB_QUEUED};
   struct change_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state target = targets[call->change];
   enum mo_job_kind kind = MO_JOB_EVALUATION;
   sqlite3_stmt *statement;
+  bool is_idle = false;
   char data[128];
   int error = mo_job_state_get(writer, call->id, &call->before, &kind);
-  if (error != MO_OK)
+  if (error == MO_OK)
+    error = check_change(call, kind, &is_idle);
+  if (error != MO_OK || is_idle)
     return error;
-  if (mo_job_state_is_final(call->before))
-    return MO_ERR_CONFLICT;
-  if ((call->change == MO_CHANGE_PAUSE && call->before == MO_JOB_PAUSED) ||
-      (call->change == MO_CHANGE_RESUME && call->before != MO_JOB_PAUSED))
-    return MO_OK;
-  statement = mo_sql(writer, sql, &error);
+  statement = mo_sql(writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, &error);
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);

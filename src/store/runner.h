@@ -35,7 +35,8 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 
 /* ---- state changes asked for by people; each with its event ---- */
 
-enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME };
+/* Retry: of a training or campaign that has failed, which is queued again with no attempts counted; nothing of one that is not over. */
+enum mo_job_change { MO_CHANGE_CANCEL, MO_CHANGE_PAUSE, MO_CHANGE_RESUME, MO_CHANGE_RETRY };
 /* *before: the state that it left. MO_ERR_NOT_FOUND, MO_ERR_CONFLICT. */
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change, enum mo_job_state *before);
 

@@ -71,6 +71,13 @@ __attribute__((unused)) static void tries_three_times(void)
   CHECK_INT(status_of(&service, id).generation, 0);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_ERR_CONFLICT);
   CHECK_INT(settled(&service).jobs_failed, 1);
+  /* Nothing is lost: when the cause is gone, it goes on. */
+  fake_plan.fail_times = 0;
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+  CHECK(ends_as_plain(&service, id, &origin));
+  CHECK_INT(status_of(&service, id).job.error, MO_OK);
+  CHECK_INT(settled(&service).open_jobs, 0);
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_ERR_CONFLICT);
   service_end(&service);
 }
 
@@ -149,15 +156,19 @@ static void waits_for_room(void)
   service_end(&service);
 }
 
+/* Damages six bytes, or puts them right: the second time. */
 static int damage(struct service *service, int64_t id, uint32_t generation, uint32_t step)
 {
+  uint8_t bytes[6];
   char path[512];
   int fd, error = -1;
   snprintf(path, sizeof(path), "%s/campaigns/%lld/%u-%u.checkpoint", service->fixture.path, (long long)id, generation,
            step);
-  fd = open(path, O_WRONLY);
-  if (fd >= 0) {
-    error = pwrite(fd, "damage", 6, 5000) == 6 ? 0 : -1;
+  fd = open(path, O_RDWR);
+  if (fd >= 0 && pread(fd, bytes, 6, 5000) == 6) {
+    for (int i = 0; i < 6; i++)
+      bytes[i] ^= 0x55;
+    error = pwrite(fd, bytes, 6, 5000) == 6 ? 0 : -1;
     close(fd);
   }
   return error;
@@ -194,6 +205,9 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
       REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
       CHECK(strstr(job.error_text, "cannot be used") != NULL && strstr(job.error_text, "backup") != NULL);
+      REQUIRE(damage(&service, id, generation - 1, PARENT_STEPS + CHILD_STEPS) == 0);
+      CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+      CHECK(ends_as_plain(&service, id, &origin));
     }
   }
   service_end(&service);

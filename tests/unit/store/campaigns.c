@@ -472,6 +472,17 @@ static void parks_and_requeues(void)
   CHECK_INT(after, MO_JOB_FAILED);
   CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
   CHECK(strstr(campaign_event(&fixture, id).data, "\"kind\":\"campaign\",\"state\":\"failed\"") != NULL);
+  /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none that was cancelled. */
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &after), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_FAILED);
+  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
+  CHECK(job.state == MO_JOB_QUEUED && job.attempts == 0 && job.error == MO_OK && job.finished_us == 0);
+  CHECK(strcmp(campaign_event(&fixture, id).type, "job.resumed") == 0);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
+  CHECK_INT(after, MO_JOB_QUEUED);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, NULL), MO_ERR_CONFLICT);
   /* One that is paused stays so. */
   id = campaign_submit(&fixture, &submission);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
