@@ -269,12 +269,13 @@ static int write_out(const char *folder, const char *name, const struct content 
 {
   char path[560];
   FILE *file;
-  int result;
+  int result = 0;
   snprintf(path, sizeof(path), "%s/%s", folder, name);
   file = fopen(path, "wb");
   if (file == NULL)
     return -1;
-  result = fwrite(content->bytes, 1, (size_t)content->size, file) == (size_t)content->size ? 0 : -1;
+  if (content->size > 0 && fwrite(content->bytes, 1, (size_t)content->size, file) != (size_t)content->size)
+    result = -1;
   return fclose(file) == 0 ? result : -1;
 }
 
