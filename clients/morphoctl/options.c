@@ -364,7 +364,11 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
     return STATUS_USAGE;
   }
   if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0 || strcmp(words[1], "help") == 0) {
-    options_print_help(stdout, NULL);
+    const bool asks = n > 2 && strcmp(words[1], "help") == 0 && !is_option(words[2]); /* help COMMAND */
+    const struct command *asked = asks ? find_command(n - 1, words + 1, &used) : NULL;
+    if (asks && asked == NULL)
+      return unknown_command(n - 1, words + 1);
+    options_print_help(stdout, asked);
     return STATUS_OK;
   }
   if (strcmp(words[1], "--version") == 0) {

@@ -347,6 +347,16 @@ def test_watching_a_campaign_on_a_terminal(service, ctl):
     assert ctl("campaign", "resume", job)[0] == 0 and ctl("campaign", "cancel", job)[0] == 0 and ctl("campaign", "watch", job)[0] == 3
 
 
+def test_help_of_a_command(ctl):
+    for words in (["campaign", "extend"], ["status"]):
+        status, out, err = ctl("help", *words)
+        assert status == 0 and err == "" and out.startswith("Usage: morphoctl " + " ".join(words))
+        assert out == ctl(*words, "--help")[1]
+    assert ctl("help")[1] == ctl("--help")[1]
+    status, out, err = ctl("help", "campain")
+    assert status == 2 and out == "" and "campain" in err
+
+
 def test_unix_socket_and_token(start, ctl, tmp_path):
     tokens = tmp_path / "tokens"
     tokens.write_text("a-token-of-some-length\n")
