@@ -74,7 +74,7 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
 /* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: it cannot be used. */
 static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
 {
-  struct mo_message message = {.text = "its bytes are not those that were written"};
+  struct mo_message message = {.text = "it is missing, or its bytes are not those that were written"};
   uint8_t *bytes = NULL;
   size_t size = 0;
   int error = mo_store_campaign_checkpoint_of(run->jobs->store, run->id, generation, step, &bytes, &size);

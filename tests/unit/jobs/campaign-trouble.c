@@ -204,7 +204,8 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
     } else {
       REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
-      CHECK(strstr(job.error_text, "cannot be used") != NULL && strstr(job.error_text, "backup") != NULL);
+      CHECK(strstr(job.error_text, "cannot be used (it is missing, or its bytes") != NULL &&
+            strstr(job.error_text, "backup") != NULL);
       REQUIRE(damage(&service, id, generation - 1, PARENT_STEPS + CHILD_STEPS) == 0);
       CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
       CHECK(ends_as_plain(&service, id, &origin));
