@@ -361,13 +361,17 @@ def test_train_start_sends_what_was_asked_for():
 
 
 def test_train_start_finetune():
-    with Server([reply(202, TRAINING), reply(202, TRAINING), reply(202, TRAINING)]) as server:
+    with Server([reply(202, TRAINING), reply(200, JOB), reply(202, TRAINING), reply(200, {**JOB, "kind": "campaign"}), reply(202, TRAINING),
+                 reply(202, TRAINING)]) as server:
         assert run(server, "train", "start", "finetune", VOXELS, "-c", "walker", "--schedule", "one-cosine")[0] == 0
         assert json.loads(server.seen[0][3]) == {"kind": "finetune", "controller": "walker", "designs": [{"voxels": VOXELS}], "schedule": "one-cosine"}
         assert run(server, "train", "start", "finetune", "--population", "12", "--best", "64")[0] == 0
-        assert json.loads(server.seen[1][3]) == {"kind": "finetune", "population": {"evaluation": "12", "best": 64}}
+        assert server.seen[1][:2] == ("GET", "/v1/jobs/12")  # whose population it is
+        assert json.loads(server.seen[2][3]) == {"kind": "finetune", "population": {"evaluation": "12", "best": 64}}
+        assert run(server, "train", "start", "finetune", "--population", "13")[0] == 0
+        assert json.loads(server.seen[4][3]) == {"kind": "finetune", "population": {"campaign": "13"}}
         assert run(server, "train", "start", "finetune", "--random", "5", "--random-seed", "9")[0] == 0
-        assert len(json.loads(server.seen[2][3])["designs"]) == 5
+        assert len(json.loads(server.seen[5][3])["designs"]) == 5
 
 
 def test_train_start_that_makes_no_sense():
