@@ -58,7 +58,7 @@ static struct mo_http *start(struct mo_http_config *config)
 static int dial(void)
 {
   struct sockaddr_in name = {.sin_family = AF_INET, .sin_port = htons(port), .sin_addr = {htonl(INADDR_LOOPBACK)}};
-  struct timeval limit = {.tv_sec = 10};
+  struct timeval limit = {.tv_sec = 30};
   int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (fd >= 0 && connect(fd, (struct sockaddr *)&name, sizeof(name)) != 0) {
     close(fd);
