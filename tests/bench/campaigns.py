@@ -6,6 +6,7 @@ on where it was. Wall time per campaign is the sum of its generations' seconds; 
 import argparse
 import csv
 import json
+import math
 import re
 import subprocess
 import sys
@@ -145,21 +146,28 @@ def draw(rows, path):
 
     for p, (title, keys) in enumerate(panels):
         known = [v for row in rows for key, _ in keys if (v := value(row, key)) is not None]
-        high = max(known) * 1.05 or 1
+        high, low = max(known) * 1.05 or 1, None
         base = p * height
+        if p == 0 and min(known) > 0:  # scores fall by orders of magnitude
+            high, low = 10 ** math.ceil(math.log10(max(known))), 10 ** math.floor(math.log10(min(known)))
 
         def x(generation):
             return left + generation / last * (width - left - right)
 
         def y(v):
-            return base + height - bottom - v / high * (height - top - bottom)
+            share = v / high if low is None else math.log(v / low) / math.log(high / low)
+            return base + height - bottom - share * (height - top - bottom)
 
         out.append(f'<text x="{left}" y="{base + 24}" font-size="15">{title}</text>')
-        for i in range(5):
-            v, g = high * i / 4, last * i / 4
+        steps = [high * i / 4 for i in range(5)]
+        if low is not None:
+            steps = [d * 10 ** k for k in range(round(math.log10(low)), round(math.log10(high)) + 1) for d in (1, 2, 5) if d * 10 ** k <= high]
+        for v in steps:
             out.append(f'<line class="grid" x1="{left}" y1="{y(v):.1f}" x2="{width - right}" y2="{y(v):.1f}"/>'
-                       f'<text x="{left - 8}" y="{y(v) + 4:.1f}" text-anchor="end">{v:.3g}</text>'
-                       f'<text x="{x(g):.1f}" y="{base + height - bottom + 18}" text-anchor="middle">{g:.0f}</text>')
+                       f'<text x="{left - 8}" y="{y(v) + 4:.1f}" text-anchor="end">{v:.3g}</text>')
+        every = max(1, round(last / 6))
+        for g in range(0, int(last) + 1, every):
+            out.append(f'<text x="{x(g):.1f}" y="{base + height - bottom + 18}" text-anchor="middle">{g}</text>')
         for i, ((mode, seed), group) in enumerate(sorted(curves(rows).items(), key=lambda item: (MODES.index(item[0][0]), item[0][1]))):
             for key, dash in keys:
                 points = " ".join(f"{x(row['generation']):.1f},{y(v):.1f}" for row in group if (v := value(row, key)) is not None)
