@@ -146,7 +146,7 @@ static int write_marked(struct mo_request *request, const struct lineage *lineag
                         size_t limit, struct mo_text *text)
 {
   uint32_t *numbers = malloc(limit * sizeof(*numbers));
-  struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
+  struct mo_campaign_design *rows = calloc(limit, sizeof(*rows));
   size_t n = 0;
   bool more = false;
   int code = numbers != NULL && rows != NULL ? MO_OK : MO_ERR_NO_MEMORY;
