@@ -12,13 +12,14 @@
 
 enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) /* blocks take long there: fewer in the same time */
 /* Of a gradient's lives. The thread sanitizer slows what comes between two batches, not the kernels: longer lives make up for that. */
 #ifdef __SANITIZE_THREAD__
 #define GRADIENT_STEPS 200
 #else
 #define GRADIENT_STEPS 4
 #endif
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) /* blocks take long there: fewer in the same time */
 static const uint32_t lengths[LENGTHS] = {1, 6, 20};
 static const double tolerance = 0.3;
 #else
