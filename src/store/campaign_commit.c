@@ -120,7 +120,7 @@ static int check_turn(struct mo_store *store, struct commit_arguments *call)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, store->epoch);
-  error = mo_campaign_changed(writer, statement);
+  error = mo_run_changed(writer, statement);
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &call->head);
   if (error == MO_OK && call->head.generation + 1 != row->generation)
@@ -201,7 +201,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
     if (!call->lives[i])
       sqlite3_bind_int64(statement, 3, commit->row.generation);
     sqlite3_bind_blob(statement, 4, score, sizeof(score), SQLITE_STATIC);
-    error = mo_campaign_changed(writer, statement);
+    error = mo_run_changed(writer, statement);
     if (error == MO_ERR_CONFLICT)
       error = MO_ERR_CORRUPT;
   }

@@ -187,7 +187,7 @@ static int save_inside(struct mo_store *store, void *arguments)
   struct inside_arguments *call = arguments;
   struct mo_campaign_head head = {0};
   int64_t id = call->checkpoint->id;
-  int error = mo_campaign_touch(store, id);
+  int error = mo_run_touch(store, id, MO_JOB_CAMPAIGN);
   if (error == MO_OK)
     error = mo_campaign_head_get(&store->writer, id, &head);
   if (error == MO_OK && head.generation + 1 != call->checkpoint->generation)

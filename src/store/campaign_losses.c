@@ -55,7 +55,7 @@ static int save_losses(struct mo_store *store, void *arguments)
   struct mo_campaign_head head = {0};
   sqlite3_stmt *statement;
   int64_t scored = 0;
-  int error = mo_campaign_touch(store, call->id);
+  int error = mo_run_touch(store, call->id, MO_JOB_CAMPAIGN);
   if (error == MO_OK)
     error = mo_campaign_head_get(writer, call->id, &head);
   if (error == MO_OK && head.generation + 1 != call->generation)

@@ -21,14 +21,6 @@ struct mo_campaign_head {
 };
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo_campaign_head *head);
 
-/* A new version of a campaign that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
-int mo_campaign_touch(struct mo_store *store, int64_t id);
-/* An event of a job's state; more: further members of the object, each with its comma. */
-int mo_campaign_announce(struct mo_store *store, int64_t id, const char *type, enum mo_job_state state,
-                         const char *more);
-/* MO_ERR_CONFLICT when the statement changed nothing. */
-int mo_campaign_changed(struct mo_connection *writer, sqlite3_stmt *statement);
-
 /* Rows of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
 int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows, uint32_t n);
 /* The blobs of a generation; they stay until the statement is reset. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of a wrong size. */

@@ -8,129 +8,22 @@
 
 #include "store/campaign_rows.h"
 
-int mo_campaign_changed(struct mo_connection *writer, sqlite3_stmt *statement)
-{
-  int error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  return error == MO_OK && sqlite3_changes(writer->db) == 0 ? MO_ERR_CONFLICT : error;
-}
-
-int mo_campaign_touch(struct mo_store *store, int64_t id)
-{
-  static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  return mo_campaign_changed(&store->writer, statement);
-}
-
-int mo_campaign_announce(struct mo_store *store, int64_t id, const char *type, enum mo_job_state state,
-                         const char *more)
-{
-  char data[400];
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"campaign\",\"state\":\"%s\"%s}", (long long)id,
-           mo_job_state_name(state), more);
-  return mo_writer_event(store, id, type, data);
-}
-
-/* ---- the queue ---- */
+/* ---- the queue and the attempt ---- */
 
 int64_t mo_store_queued_campaigns(struct mo_store *store, int64_t *ids, size_t limit)
 {
-  static const char sql[] = "SELECT id FROM jobs WHERE state=0 AND kind=2 ORDER BY priority DESC,id LIMIT ?1";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, (sqlite3_int64)limit);
-    while ((error = mo_sql_step(reader, statement)) > 0)
-      ids[n++] = sqlite3_column_int64(statement, 0);
-  }
-  mo_reader_release(store, reader);
-  return error < 0 ? error : n;
-}
-
-static int start(struct mo_store *store, void *arguments)
-{
-  static const char sql[] = "UPDATE jobs SET state=1,epoch=?2,version=version+1,"
-                            "started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
-                            " WHERE id=?1 AND kind=2 AND state=0";
-  const int64_t *id = arguments;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, *id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_store_now_us());
-  error = mo_campaign_changed(&store->writer, statement);
-  return error == MO_OK ? mo_campaign_announce(store, *id, "job.started", MO_JOB_RUNNING, "") : error;
+  return mo_run_queued(store, MO_JOB_CAMPAIGN, ids, limit);
 }
 
 int mo_store_campaign_start(struct mo_store *store, int64_t id)
 {
-  return mo_write(store, start, &id);
-}
-
-struct park_arguments {
-  int64_t id;
-  int error;
-  const char *text;
-  uint32_t max_attempts;
-  enum mo_job_state after;
-};
-
-static int park(struct mo_store *store, void *arguments)
-{
-  static const char park_sql[] =
-      "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2";
-  static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=version+1,error=?4,error_text=?5,"
-                                  "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
-                                  "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
-                                  " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2";
-  struct park_arguments *call = arguments;
-  struct mo_connection *writer = &store->writer;
-  enum mo_job_kind kind;
-  int error = MO_OK;
-  bool applied;
-  sqlite3_stmt *statement = mo_sql(writer, call->error == MO_OK ? park_sql : retry_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, call->id);
-  sqlite3_bind_int64(statement, 2, store->epoch);
-  if (call->error != MO_OK) {
-    sqlite3_bind_int64(statement, 3, mo_store_now_us());
-    sqlite3_bind_int64(statement, 4, call->error);
-    sqlite3_bind_text(statement, 5, call->text, -1, SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 6, call->max_attempts);
-  }
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  applied = error == MO_OK && sqlite3_changes(writer->db) > 0;
-  if (error == MO_OK)
-    error = mo_job_state_get(writer, call->id, &call->after, &kind);
-  if (error != MO_OK || !applied)
-    return error;
-  return mo_campaign_announce(store, call->id, call->after == MO_JOB_FAILED ? "job.finished" : "job.requeued",
-                              call->after, "");
+  return mo_run_start(store, id, MO_JOB_CAMPAIGN);
 }
 
 int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
                            enum mo_job_state *after)
 {
-  struct park_arguments call = {id, error, error_text, max_attempts, MO_JOB_QUEUED};
-  int status = mo_write(store, park, &call);
-  if (status == MO_OK && after != NULL)
-    *after = call.after;
-  return status;
+  return mo_run_park(store, id, MO_JOB_CAMPAIGN, error, error_text, max_attempts, after);
 }
 
 /* ---- the end ---- */
@@ -159,7 +52,7 @@ static int finish(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 2, store->epoch);
   sqlite3_bind_int64(statement, 3, mo_store_now_us());
   sqlite3_bind_int64(statement, 4, call->generations);
-  error = mo_campaign_changed(writer, statement);
+  error = mo_run_changed(writer, statement);
   if (error == MO_OK && call->put != NULL)
     error = mo_controller_put_row(store, call->put);
   statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
@@ -177,7 +70,7 @@ static int finish(struct mo_store *store, void *arguments)
     mo_sha256_to_hex(&call->put->sha256, digits);
     snprintf(more + length, sizeof(more) - length, ",\"controller\":\"%s\",\"sha256\":\"%s\"", call->put->name, digits);
   }
-  return mo_campaign_announce(store, call->id, "job.finished", MO_JOB_SUCCEEDED, more);
+  return mo_run_announce(store, call->id, MO_JOB_CAMPAIGN, "job.finished", MO_JOB_SUCCEEDED, more);
 }
 
 int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end, uint32_t generations,

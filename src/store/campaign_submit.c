@@ -367,8 +367,8 @@ static int extend(struct mo_store *store, void *arguments)
   call->before = state;
   snprintf(more, sizeof(more), ",\"generations\":%llu,\"added\":%u", (unsigned long long)generations,
            (unsigned)call->generations);
-  return mo_campaign_announce(store, call->id, "campaign.extended", state == MO_JOB_SUCCEEDED ? MO_JOB_QUEUED : state,
-                              more);
+  return mo_run_announce(store, call->id, MO_JOB_CAMPAIGN, "campaign.extended",
+                         state == MO_JOB_SUCCEEDED ? MO_JOB_QUEUED : state, more);
 }
 
 int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, enum mo_job_state *before)

@@ -185,9 +185,20 @@ bool mo_job_query_waits(const struct mo_job_query *query);
 int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query); /* MO_ERR_LIMIT */
 /* The row of a fingerprint: found, or made. */
 int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
-/* Inside an operation: a new version of a training that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
-int mo_training_touch(struct mo_store *store, int64_t id);
 int mo_training_code_load(struct mo_connection *connection, int64_t id, struct mo_training_lineage *lineage);
+/* runs.c: of jobs that a thread of their own runs. Inside an operation: */
+/* A new version of one that takes writes still. MO_ERR_CONFLICT: it is over, or somebody else's. */
+int mo_run_touch(struct mo_store *store, int64_t id, enum mo_job_kind kind);
+/* An event of a job's state; more: further members of the object, each with its comma. */
+int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *type,
+                    enum mo_job_state state, const char *more);
+/* MO_ERR_CONFLICT when the statement changed nothing. */
+int mo_run_changed(struct mo_connection *writer, sqlite3_stmt *statement);
+/* Of their own: what mo_store_queued_trainings, mo_store_training_start and _park are, for any such kind. */
+int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *ids, size_t limit);
+int mo_run_start(struct mo_store *store, int64_t id, enum mo_job_kind kind);
+int mo_run_park(struct mo_store *store, int64_t id, enum mo_job_kind kind, int error, const char *error_text,
+                uint32_t max_attempts, enum mo_job_state *after);
 /* The sensor of a controller. MO_ERR_UNSUPPORTED: it is not of the default workspace. */
 int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor);
 

@@ -98,7 +98,7 @@ static int checkpoint(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   char data[256], digits[MO_SHA256_DIGITS + 1];
   sqlite3_stmt *statement;
-  int error = mo_training_touch(store, call->id);
+  int error = mo_run_touch(store, call->id, MO_JOB_TRAINING);
   if (error == MO_OK)
     error = forgive(writer, call->id, call->step);
   statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;

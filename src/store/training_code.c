@@ -80,7 +80,7 @@ static int note(struct mo_store *store, void *arguments)
   struct mo_connection *writer = &store->writer;
   char before[MO_FINGERPRINT_BYTES];
   uint32_t n;
-  int error = mo_training_touch(store, call->id);
+  int error = mo_run_touch(store, call->id, MO_JOB_TRAINING);
   if (error == MO_OK)
     error = forget_from(writer, call->id, call->step);
   if (error == MO_OK)

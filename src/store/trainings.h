@@ -104,7 +104,8 @@ int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struc
 
 /* ---- the runner's writes: each returns after its commit, with its event ---- */
 
-int64_t mo_store_queued_trainings(struct mo_store *store, int64_t *ids, size_t limit); /* ascending */
+/* By priority, then ascending. */
+int64_t mo_store_queued_trainings(struct mo_store *store, int64_t *ids, size_t limit);
 /* All of them but the start give MO_ERR_CONFLICT when the training is over, or was not started under this opening of the store. */
 int mo_store_training_start(struct mo_store *store, int64_t id); /* queued → running; MO_ERR_CONFLICT */
 /* Rows of steps and validations; event "training.progress" of the last one, or quiet. */
