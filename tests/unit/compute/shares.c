@@ -297,10 +297,12 @@ static void urgent_blocks_are_charged_to_nobody(void)
   struct mo_compute_share *calm = NULL, *hasty = NULL;
   struct mo_block slow, urgent[4];
   atomic_int done = 0;
+  int cancel = 0;
   REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
-  fill_block(&slow, brain, calm, 30 * lengths[2]);
+  fill_block(&slow, brain, calm, MO_STEPS_MAX); /* under way for as long as the urgent ones take, then cancelled */
+  slow.cancel = &cancel;
   slow.done = note;
   slow.context = &done;
   REQUIRE(mo_compute_submit(compute, &slow) == MO_OK);
@@ -316,6 +318,8 @@ static void urgent_blocks_are_charged_to_nobody(void)
     urgent[i].context = &done;
     REQUIRE(mo_compute_submit(compute, urgent + i) == MO_OK);
   }
+  CHECK(await(&done, 4));
+  __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
   REQUIRE(await(&done, 5));
   do {
     usleep(200);
@@ -324,14 +328,15 @@ static void urgent_blocks_are_charged_to_nobody(void)
   struct mo_compute_share_stats of_calm, of_hasty;
   mo_compute_share_get_stats(calm, &of_calm);
   mo_compute_share_get_stats(hasty, &of_hasty);
+  CHECK_INT(slow.status, MO_ERR_CANCELLED);
   CHECK_INT(stats.blocks_preempted, 4);
   CHECK(of_hasty.urgent_s == of_hasty.busy_s && of_hasty.urgent_s > 0);
-  CHECK(of_calm.urgent_s == 0);
+  CHECK(of_calm.urgent_s == 0 && of_calm.busy_s > 0);
   CHECK_INT(of_hasty.blocks_done, 4);
   CHECK_INT(of_calm.blocks_done, 1);
-  /* Two fifths of the steps, none counted twice. */
-  CHECK_NEAR(of_calm.busy_s + of_hasty.busy_s, stats.busy_s, 0.02 * stats.busy_s);
-  CHECK(of_hasty.busy_s < of_calm.busy_s);
+  /* No time is counted twice (the worker's holds that of its blocks), and little is lost, however loaded the machine is. */
+  CHECK(of_calm.busy_s + of_hasty.busy_s <= (1 + 1e-9) * stats.busy_s);
+  CHECK(of_calm.busy_s + of_hasty.busy_s > stats.busy_s / 2);
   mo_compute_share_free(calm);
   mo_compute_share_free(hasty);
   mo_compute_controller_free(brain);
