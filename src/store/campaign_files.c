@@ -164,8 +164,13 @@ int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkp
 void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint, int error)
 {
   /* After an I/O error nobody knows whether the row is there. */
-  if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there)
+  if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
+    char *folder = folder_of(store, checkpoint->id);
     (void)store->files->unlink(store->files->context, checkpoint->path);
+    if (folder != NULL)
+      (void)store->files->rmdir(store->files->context, folder); /* when it was made for this one */
+    free(folder);
+  }
   for (size_t i = 0; i < checkpoint->n_dropped && error == MO_OK; i++) {
     char *path = path_of(store, checkpoint->id, checkpoint->dropped[i][0], checkpoint->dropped[i][1]);
     if (path != NULL)

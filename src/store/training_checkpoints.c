@@ -150,10 +150,12 @@ static int write_checkpoint(struct mo_store *store, const char *folder, const ch
   int error = mo_folder_make(store, store->trainings_path, folder);
   if (error == MO_OK)
     error = mo_file_write(store, folder, path, bytes, (size_t)call->size);
-  if (error == MO_OK) {
+  if (error == MO_OK)
     error = mo_write(store, checkpoint, call);
-    if (error != MO_OK && error != MO_ERR_IO && !is_known)
-      (void)store->files->unlink(store->files->context, path);
+  /* After an I/O error nobody knows whether the row is there. */
+  if (error != MO_OK && error != MO_ERR_IO && !is_known) {
+    (void)store->files->unlink(store->files->context, path);
+    (void)store->files->rmdir(store->files->context, folder); /* when it was made for this one */
   }
   for (size_t i = 0; i < call->n_dropped && error == MO_OK; i++)
     remove_file(store, call->id, call->dropped[i]);

@@ -242,6 +242,9 @@ static void removes_what_is_not_needed(void)
   CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
   CHECK(removed.n == 1 && removed.steps[0] == 50);
   CHECK(access(folder, F_OK) != 0);
+  /* A run that learns late of its end leaves nothing. */
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 60, (const uint8_t *)"late", 4, 9), MO_ERR_CONFLICT);
+  CHECK(access(folder, F_OK) != 0);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK(status.checkpoint_step == 0 && status.job.version > version);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
