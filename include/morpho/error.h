@@ -28,7 +28,8 @@ enum mo_error {
   MO_ERR_BUSY = -14,          /* try again later */
   MO_ERR_EXHAUSTED = -15,     /* no further item exists */
   MO_ERR_CORRUPT = -16,       /* stored data contradicts itself */
-  MO_ERR_UNSUPPORTED = -17    /* valid, but this build or machine cannot do it */
+  MO_ERR_UNSUPPORTED = -17,   /* valid, but this build or machine cannot do it */
+  MO_ERR_DEVICE = -18         /* a device that computes is lost, or has failed */
 };
 
 /* One sentence for people, always terminated by NUL, without a trailing newline. */

@@ -25,6 +25,7 @@ const char *mo_error_text(int code)
   case MO_ERR_EXHAUSTED: return "exhausted";
   case MO_ERR_CORRUPT: return "stored data is corrupt";
   case MO_ERR_UNSUPPORTED: return "not supported here";
+  case MO_ERR_DEVICE: return "device failed";
   default: return "unknown error";
   }
 }
@@ -50,6 +51,7 @@ const char *mo_error_name(int code)
   case MO_ERR_EXHAUSTED: return "exhausted";
   case MO_ERR_CORRUPT: return "corrupt";
   case MO_ERR_UNSUPPORTED: return "unsupported";
+  case MO_ERR_DEVICE: return "device";
   default: return "unknown";
   }
 }
