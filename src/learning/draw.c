@@ -2,9 +2,15 @@
  *
  * Pretraining: the next bodies of the stream of the seed that are not held out. The set of bodies seen is not saved: a restored
  * training draws its earlier bodies again, about 6 µs each, and must arrive at the same number of draws. Finetuning: the designs
- * in turn, which go on from one step to the next. Whatever stops a draw, the next call goes on where it stopped. */
+ * in turn, which go on from one step to the next. Whatever stops a draw, the next call goes on where it stopped.
+ *
+ * Two hands hold robots: the current step's and, drawn ahead while that one's gradient is computed, the next one's. Bodies come out of
+ * the stream one after the other; all else about a robot depends on its number alone, and is made on several threads. */
 #include "learning/internal.h"
 
+#include "base/parallel.h"
+
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -14,10 +20,9 @@ static int take(struct mo_training *training, uint64_t *body)
 {
   for (;;) {
     uint64_t form[MO_DEFAULT_WORDS];
-    const int r = mo_body_stream_next(training->stream, body);
+    const int r = mo_body_stream_next_form(training->stream, body, form);
     if (r < 0)
       return r;
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
     if (!mo_held_out_form(form)) {
       training->taken++;
       return MO_OK;
@@ -50,116 +55,181 @@ static int replay(struct mo_training *training, const volatile int *cancel, vola
   return MO_OK;
 }
 
-static int draw_bodies(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)
+static int draw_bodies(struct mo_training *training, struct mo_hand *hand, const volatile int *cancel)
 {
-  int r = replay(training, cancel, replayed);
-  while (r == MO_OK && training->n_drawn < training->settings.batch) {
+  int r = MO_OK;
+  while (r == MO_OK && hand->n_drawn < training->settings.batch) {
     r = is_cancelled(training, cancel) ? MO_ERR_CANCELLED
-                                       : take(training, training->drawn + (size_t)MO_DEFAULT_WORDS * training->n_drawn);
-    training->n_drawn += r == MO_OK;
+                                       : take(training, hand->drawn + (size_t)MO_DEFAULT_WORDS * hand->n_drawn);
+    hand->n_drawn += r == MO_OK;
   }
+  hand->draws = mo_body_stream_draws(training->stream);
   return r;
 }
 
-static int prepare(struct mo_training *training)
+static int prepare(struct mo_training *training, struct mo_hand *hand)
 {
   const bool pretrain = training->settings.kind == MO_TRAINING_PRETRAIN;
   const size_t batch = training->settings.batch;
   int r = MO_OK;
   if (training->lattice == NULL)
     r = mo_lattice_create(MO_DEFAULT_WORKSPACE, &training->lattice);
-  if (r == MO_OK && pretrain && training->stream == NULL)
+  if (r == MO_OK && pretrain && training->stream == NULL) {
     r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, training->settings.seed, &training->stream);
+    if (r == MO_OK)
+      (void)mo_body_stream_set_threads(training->stream, training->n_threads); /* slower, if it cannot */
+  }
   if (r < 0)
     return r;
-  training->n_bodies = pretrain ? training->settings.batch : training->n_designs;
-  if (pretrain && training->drawn == NULL)
-    training->drawn = calloc(batch, MO_DEFAULT_WORDS * sizeof(*training->drawn));
-  if (training->bodies == NULL)
+  if (pretrain && hand->drawn == NULL)
+    hand->drawn = calloc(batch, MO_DEFAULT_WORDS * sizeof(*hand->drawn));
+  if (pretrain && hand->bodies == NULL)
+    hand->bodies = calloc(batch, sizeof(struct mo_body *));
+  if (!pretrain && training->bodies == NULL) {
+    training->n_bodies = training->n_designs;
     training->bodies = calloc(training->n_bodies, sizeof(struct mo_body *));
-  if (training->environments == NULL)
-    training->environments = calloc(batch, sizeof(*training->environments));
-  if (training->robots == NULL)
-    training->robots = calloc(batch, sizeof(*training->robots));
-  return (pretrain && training->drawn == NULL) || training->bodies == NULL || training->environments == NULL ||
-                 training->robots == NULL
+  }
+  if (hand->environments == NULL)
+    hand->environments = calloc(batch, sizeof(*hand->environments));
+  if (hand->robots == NULL)
+    hand->robots = calloc(batch, sizeof(*hand->robots));
+  return (pretrain ? hand->drawn == NULL || hand->bodies == NULL : training->bodies == NULL) ||
+                 hand->environments == NULL || hand->robots == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
 
-static int express(struct mo_training *training)
+/* What is to be made of genotypes and numbers alone. */
+struct making {
+  const struct mo_training *training;
+  const struct mo_hand *hand;
+  const uint64_t *genotypes;
+  struct mo_body **bodies;
+  atomic_int error; /* the last one */
+};
+
+static void make_bodies(void *context, size_t first, size_t end)
 {
-  const uint64_t *genotypes = training->settings.kind == MO_TRAINING_PRETRAIN ? training->drawn : training->designs;
-  for (uint32_t i = 0; i < training->n_bodies; i++) {
-    if (training->bodies[i] != NULL)
+  struct making *making = context;
+  for (size_t i = first; i < end; i++) {
+    if (making->bodies[i] != NULL)
       continue;
-    const int r = mo_body_create(training->lattice, genotypes + (size_t)MO_DEFAULT_WORDS * i, &training->bodies[i]);
+    const int r =
+        mo_body_create(making->training->lattice, making->genotypes + MO_DEFAULT_WORDS * i, &making->bodies[i]);
     if (r < 0)
-      return r;
+      atomic_store(&making->error, r);
   }
+}
+
+static void make_environments(void *context, size_t first, size_t end)
+{
+  const struct making *making = context;
+  for (size_t i = first; i < end; i++)
+    mo_environment_training(making->training->settings.seed, making->hand->step, i, &making->hand->environments[i]);
+}
+
+static int make_robots(struct mo_training *training, struct mo_hand *hand)
+{
+  const struct mo_training_settings *settings = &training->settings;
+  const bool pretrain = settings->kind == MO_TRAINING_PRETRAIN;
+  const uint32_t n_bodies = pretrain ? settings->batch : training->n_bodies;
+  struct making making = {.training = training,
+                          .hand = hand,
+                          .genotypes = pretrain ? hand->drawn : training->designs,
+                          .bodies = pretrain ? hand->bodies : training->bodies};
+  mo_parallel(training->n_threads, n_bodies, make_bodies, &making);
+  const int r = atomic_load(&making.error);
+  if (r < 0)
+    return r;
+  mo_parallel(training->n_threads, settings->batch, make_environments, &making);
+  const uint64_t first = (uint64_t)hand->step * settings->batch;
+  for (uint32_t i = 0; i < settings->batch; i++)
+    hand->robots[i] = (struct mo_robot){making.bodies[pretrain ? i : (first + i) % n_bodies], &hand->environments[i]};
+  hand->ready = true;
   return MO_OK;
+}
+
+static void free_bodies(struct mo_body **bodies, uint32_t n)
+{
+  for (uint32_t i = 0; bodies != NULL && i < n; i++) {
+    mo_body_free(bodies[i]);
+    bodies[i] = NULL;
+  }
+}
+
+static void forget(const struct mo_training *training, struct mo_hand *hand)
+{
+  hand->ready = false;
+  hand->n_drawn = 0;
+  free_bodies(hand->bodies, training->settings.batch);
+}
+
+static int fill(struct mo_training *training, uint32_t step, const volatile int *cancel, volatile uint64_t *replayed)
+{
+  const bool pretrain = training->settings.kind == MO_TRAINING_PRETRAIN;
+  struct mo_hand *hand = &training->hands[step % 2];
+  if (hand->ready && hand->step == step)
+    return MO_OK;
+  hand->step = step;
+  int r = prepare(training, hand);
+  if (r == MO_OK && pretrain)
+    r = replay(training, cancel, replayed);
+  if (r == MO_OK && pretrain)
+    r = draw_bodies(training, hand, cancel);
+  return r == MO_OK ? make_robots(training, hand) : r;
 }
 
 int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
                      const struct mo_robot **robots)
 {
-  const struct mo_training_settings *settings = &training->settings;
-  if (training->step >= settings->n_steps)
+  if (training->step >= training->settings.n_steps)
     return MO_ERR_CONFLICT;
-  if (!training->ready) {
-    int r = prepare(training);
-    if (r == MO_OK && settings->kind == MO_TRAINING_PRETRAIN)
-      r = draw_bodies(training, cancel, replayed);
-    if (r == MO_OK)
-      r = express(training);
-    if (r < 0)
-      return r;
-    const uint64_t first = (uint64_t)training->step * settings->batch;
-    for (uint32_t i = 0; i < settings->batch; i++) {
-      const uint64_t body = settings->kind == MO_TRAINING_PRETRAIN ? i : (first + i) % training->n_designs;
-      mo_environment_training(settings->seed, training->step, i, &training->environments[i]);
-      training->robots[i] = (struct mo_robot){training->bodies[body], &training->environments[i]};
-    }
-    training->ready = true;
-  }
-  *robots = training->robots;
-  return MO_OK;
+  const int r = fill(training, training->step, cancel, replayed);
+  if (r == MO_OK)
+    *robots = training->hands[training->step % 2].robots;
+  return r;
 }
 
-static void free_bodies(struct mo_training *training)
+int mo_training_draw_ahead(struct mo_training *training, const volatile int *cancel)
 {
-  for (uint32_t i = 0; training->bodies != NULL && i < training->n_bodies; i++) {
-    mo_body_free(training->bodies[i]);
-    training->bodies[i] = NULL;
-  }
+  if (mo_training_hand(training, training->step) == NULL)
+    return MO_ERR_CONFLICT;
+  return training->settings.n_steps - training->step > 1 ? fill(training, training->step + 1, cancel, NULL) : MO_OK;
+}
+
+struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step)
+{
+  struct mo_hand *hand = &training->hands[step % 2];
+  return hand->ready && hand->step == step ? hand : NULL;
+}
+
+void mo_training_set_threads(struct mo_training *training, uint32_t n_threads)
+{
+  training->n_threads = n_threads > 1 ? n_threads : 1;
+  if (training->stream != NULL)
+    (void)mo_body_stream_set_threads(training->stream, training->n_threads);
 }
 
 void mo_training_forget_robots(struct mo_training *training)
 {
-  training->ready = false;
-  training->n_drawn = 0;
-  if (training->settings.kind == MO_TRAINING_PRETRAIN)
-    free_bodies(training);
+  forget(training, &training->hands[training->step % 2]);
 }
 
 void mo_training_forget_designs(struct mo_training *training)
 {
-  mo_training_forget_robots(training);
-  free_bodies(training);
+  for (int h = 0; h < 2; h++)
+    forget(training, &training->hands[h]);
+  free_bodies(training->bodies, training->n_bodies);
   free(training->bodies);
   training->bodies = NULL;
   training->n_bodies = 0;
 }
 
-size_t mo_training_draw_bytes(const struct mo_training *training)
+static size_t bodies_bytes(struct mo_body *const *bodies, uint32_t n)
 {
-  size_t bytes = training->stream != NULL ? mo_body_stream_bytes(training->stream) : 0;
-  if (training->drawn != NULL)
-    bytes += training->settings.batch * MO_DEFAULT_WORDS * sizeof(*training->drawn);
-  if (training->environments != NULL)
-    bytes += training->settings.batch * (sizeof(struct mo_environment) + sizeof(struct mo_robot));
-  for (uint32_t i = 0; training->bodies != NULL && i < training->n_bodies; i++) {
-    const struct mo_body *body = training->bodies[i];
+  size_t bytes = 0;
+  for (uint32_t i = 0; bodies != NULL && i < n; i++) {
+    const struct mo_body *body = bodies[i];
     bytes += sizeof(struct mo_body *);
     if (body != NULL) /* per mass: lattice index and three coordinates; per spring: index, two ends, kind */
       bytes += sizeof(*body) + body->n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
@@ -168,13 +238,32 @@ size_t mo_training_draw_bytes(const struct mo_training *training)
   return bytes;
 }
 
+size_t mo_training_draw_bytes(const struct mo_training *training)
+{
+  const uint32_t batch = training->settings.batch;
+  size_t bytes = training->stream != NULL ? mo_body_stream_bytes(training->stream) : 0;
+  bytes += bodies_bytes(training->bodies, training->n_bodies);
+  for (int h = 0; h < 2; h++) {
+    const struct mo_hand *hand = &training->hands[h];
+    bytes += bodies_bytes(hand->bodies, batch);
+    if (hand->drawn != NULL)
+      bytes += batch * MO_DEFAULT_WORDS * sizeof(*hand->drawn);
+    if (hand->environments != NULL)
+      bytes += batch * (sizeof(struct mo_environment) + sizeof(struct mo_robot));
+  }
+  return bytes;
+}
+
 void mo_training_draw_free(struct mo_training *training)
 {
-  free_bodies(training);
-  free(training->bodies);
-  free(training->robots);
-  free(training->environments);
-  free(training->drawn);
+  mo_training_forget_designs(training);
+  for (int h = 0; h < 2; h++) {
+    struct mo_hand *hand = &training->hands[h];
+    free(hand->drawn);
+    free(hand->bodies);
+    free(hand->environments);
+    free(hand->robots);
+  }
   mo_body_stream_free(training->stream);
   mo_lattice_free(training->lattice);
 }

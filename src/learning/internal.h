@@ -18,17 +18,23 @@ struct mo_training {
   uint64_t draws;    /* pretrain: of the stream, up to the current step; what a replay must arrive at */
 
   /* Made at the first draw; not part of a checkpoint. */
+  uint32_t n_threads; /* that draw */
   struct mo_lattice *lattice;
   struct mo_body_stream *stream;
-  uint64_t taken;                      /* bodies taken from the stream */
-  bool replayed;                       /* the stream is where the current step begins, or beyond */
-  uint64_t *drawn;                     /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the current step … */
-  uint32_t n_drawn;                    /* … so far */
-  uint32_t n_bodies;                   /* pretrain: batch; finetune: n_designs */
-  struct mo_body **bodies;             /* (n_bodies), NULL where not made yet */
-  struct mo_environment *environments; /* (batch) */
-  struct mo_robot *robots;             /* (batch) */
-  bool ready;                          /* robots holds the current step's */
+  uint64_t taken; /* bodies taken from the stream */
+  bool replayed;  /* the stream is where the current step begins, or beyond */
+  uint32_t n_bodies;
+  struct mo_body **bodies; /* finetune: (n_bodies) of the designs, NULL where not made yet */
+  struct mo_hand {
+    uint32_t step;
+    uint64_t *drawn;                     /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step … */
+    uint32_t n_drawn;                    /* … so far */
+    struct mo_body **bodies;             /* pretrain: (batch), NULL where not made yet */
+    struct mo_environment *environments; /* (batch) */
+    struct mo_robot *robots;             /* (batch) */
+    uint64_t draws;                      /* pretrain: of the stream, up to the step's end */
+    bool ready;                          /* robots holds the step's */
+  } hands[2];                            /* of the current step, by its lowest bit, and of the one after it */
 };
 
 /* training.c: everything that a checkpoint holds is allocated, nothing is filled in but the settings. */
@@ -38,7 +44,9 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
 int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message);
 
 /* draw.c */
-void mo_training_forget_robots(struct mo_training *training); /* the step is over: its bodies are not needed any more */
+struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
+void mo_training_forget_robots(
+    struct mo_training *training); /* the current step is over: its bodies are not needed any more */
 void mo_training_forget_designs(struct mo_training *training); /* finetune: the bodies are of other designs now */
 size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);

@@ -75,6 +75,7 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
     return MO_ERR_NO_MEMORY;
   made->settings = *settings;
   made->n_designs = n_designs;
+  made->n_threads = 1;
   int r = mo_controller_create(MO_DEFAULT_WORKSPACE, settings->sensor, &made->controller);
   if (r == MO_OK) {
     made->adam.first = calloc(made->controller->n_parameters, sizeof(double));
@@ -216,7 +217,8 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters, 
                       const struct mo_gradient_counts *counts, struct mo_training_report *report)
 {
   const struct mo_training_settings *settings = &training->settings;
-  if (!training->ready || training->step >= settings->n_steps)
+  const struct mo_hand *hand = mo_training_hand(training, training->step);
+  if (hand == NULL || training->step >= settings->n_steps)
     return MO_ERR_CONFLICT;
   struct mo_training_report made = report_of(training, outcomes, counts);
   struct mo_controller *controller = training->controller;
@@ -228,10 +230,9 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters, 
                                  controller->n_parameters, &made.bounded);
   made.gradient_norm = made.skipped ? 0.0 : norm;
   training->skipped += made.skipped;
-  training->step++;
-  if (training->stream != NULL)
-    training->draws = mo_body_stream_draws(training->stream);
+  training->draws = hand->draws;
   mo_training_forget_robots(training);
+  training->step++;
   if (report != NULL)
     *report = made;
   return MO_OK;

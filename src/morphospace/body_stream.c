@@ -1,17 +1,48 @@
-/* body_stream.c: random bodies without repetition. */
+/* body_stream.c: random bodies without repetition.
+ *
+ * Draws and their canonical forms depend on their numbers alone, so they are made some hundred ahead, on as many threads as are
+ * allowed; which of them are new is decided one after the other, in the order of their numbers. With one thread nothing is made
+ * ahead. */
 #include <morpho/morphospace.h>
 
+#include "base/parallel.h"
 #include "morphospace/bits.h"
 
 #define FRUITLESS_MAX (UINT32_C(1) << 20)
 
+enum { AHEAD_PER_THREAD = 256 }; /* about 2 ms of work */
+
 struct mo_body_stream {
   struct mo_workspace workspace;
+  size_t words;
   uint64_t seed;
   uint64_t draws;
   struct mo_form_set *seen;
-  uint64_t *body, *form; /* scratch, one allocation */
+  uint32_t n_threads;
+  /* Draws made ahead: `first` … `first + n − 1`, each a body, its form, and what came of it. */
+  uint64_t first;
+  size_t n, room;
+  uint64_t *ahead; /* (room, 2, words) */
+  int *codes;      /* (room) */
 };
+
+static int make_room(struct mo_body_stream *stream, size_t room)
+{
+  uint64_t *ahead = calloc(room, 2 * stream->words * sizeof(*ahead));
+  int *codes = calloc(room, sizeof(*codes));
+  if (ahead == NULL || codes == NULL) {
+    free(ahead);
+    free(codes);
+    return MO_ERR_NO_MEMORY;
+  }
+  free(stream->ahead);
+  free(stream->codes);
+  stream->ahead = ahead;
+  stream->codes = codes;
+  stream->room = room;
+  stream->n = 0;
+  return MO_OK;
+}
 
 int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct mo_body_stream **stream)
 {
@@ -21,15 +52,17 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct m
     return code;
   }
   struct mo_body_stream *made = calloc(1, sizeof(*made));
-  uint64_t *scratch = calloc(2 * (size_t)mo_workspace_words(workspace), sizeof(uint64_t));
-  if (made == NULL || scratch == NULL) {
-    free(scratch);
-    free(made);
+  if (made == NULL) {
     mo_form_set_free(seen);
     return MO_ERR_NO_MEMORY;
   }
-  *made = (struct mo_body_stream){.workspace = workspace, .seed = seed, .seen = seen, .body = scratch};
-  made->form = scratch + mo_workspace_words(workspace);
+  *made = (struct mo_body_stream){
+      .workspace = workspace, .words = mo_workspace_words(workspace), .seed = seed, .seen = seen, .n_threads = 1};
+  code = make_room(made, 1);
+  if (code != MO_OK) {
+    mo_body_stream_free(made);
+    return code;
+  }
   *stream = made;
   return MO_OK;
 }
@@ -40,34 +73,80 @@ void mo_body_stream_free(struct mo_body_stream *stream)
     return;
   }
   mo_form_set_free(stream->seen);
-  free(stream->body);
+  free(stream->ahead);
+  free(stream->codes);
   free(stream);
 }
 
-int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits)
+int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads)
+{
+  n_threads = n_threads < 1 ? 1 : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
+  const int code = make_room(stream, n_threads == 1 ? 1 : (size_t)n_threads * AHEAD_PER_THREAD);
+  if (code == MO_OK) {
+    stream->n_threads = n_threads;
+  }
+  return code;
+}
+
+static void draw(void *context, size_t first, size_t end)
+{
+  const struct mo_body_stream *stream = context;
+  for (size_t i = first; i < end; i++) {
+    uint64_t *body = stream->ahead + 2 * stream->words * i;
+    struct mo_random random;
+    mo_random_init(&random, stream->seed, MO_PURPOSE_BODY, 0, stream->first + i);
+    stream->codes[i] = mo_genotype_random(stream->workspace, &random, body);
+    if (stream->codes[i] == MO_OK) {
+      mo_genotype_canonical(stream->workspace, body, body + stream->words);
+    }
+  }
+}
+
+/* Where the draw of number stream->draws lies. */
+static size_t draw_next(struct mo_body_stream *stream)
+{
+  const uint64_t at = stream->draws - stream->first;
+  if (at < stream->n && stream->codes[at] == MO_OK) {
+    return (size_t)at;
+  }
+  const uint64_t left = MO_RANDOM_INDEX_MAX - stream->draws + 1;
+  stream->first = stream->draws;
+  stream->n = stream->room < left ? stream->room : (size_t)left;
+  mo_parallel(stream->n_threads, stream->n, draw, stream);
+  return 0;
+}
+
+int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   for (uint32_t fruitless = 0; fruitless < FRUITLESS_MAX; fruitless++) {
     if (stream->draws > MO_RANDOM_INDEX_MAX) {
       return MO_ERR_EXHAUSTED;
     }
-    struct mo_random random;
-    mo_random_init(&random, stream->seed, MO_PURPOSE_BODY, 0, stream->draws);
-    int code = mo_genotype_random(stream->workspace, &random, stream->body);
+    const size_t at = draw_next(stream);
+    const uint64_t *body = stream->ahead + 2 * stream->words * at;
+    int code = stream->codes[at];
     if (code != MO_OK) {
       return code;
     }
-    mo_genotype_canonical(stream->workspace, stream->body, stream->form);
-    code = mo_form_set_add(stream->seen, stream->form);
+    code = mo_form_set_add(stream->seen, body + stream->words);
     if (code < 0) {
       return code; /* the same draw is tried again by the next call */
     }
     stream->draws++;
     if (code == 1) {
-      memcpy(bits, stream->body, mo_workspace_words(stream->workspace) * sizeof(uint64_t));
+      memcpy(bits, body, stream->words * sizeof(uint64_t));
+      if (form != NULL) {
+        memcpy(form, body + stream->words, stream->words * sizeof(uint64_t));
+      }
       return MO_OK;
     }
   }
   return MO_ERR_EXHAUSTED;
+}
+
+int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits)
+{
+  return mo_body_stream_next_form(stream, bits, NULL);
 }
 
 uint64_t mo_body_stream_draws(const struct mo_body_stream *stream)
@@ -77,7 +156,7 @@ uint64_t mo_body_stream_draws(const struct mo_body_stream *stream)
 
 size_t mo_body_stream_bytes(const struct mo_body_stream *stream)
 {
-  return sizeof(*stream) + 2 * mo_workspace_words(stream->workspace) * sizeof(uint64_t) +
+  return sizeof(*stream) + stream->room * (2 * stream->words * sizeof(uint64_t) + sizeof(int)) +
          mo_form_set_bytes(stream->seen);
 }
 

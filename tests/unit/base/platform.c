@@ -3,6 +3,7 @@
 
 #include "base/clock.h"
 #include "base/memory.h"
+#include "base/parallel.h"
 
 #include <morpho/error.h>
 #include <stdint.h>
@@ -25,6 +26,32 @@ static void allocation(void)
   CHECK(mo_alloc_aligned(huge / 2, 3) == NULL);
   CHECK(mo_alloc_aligned(huge, 1) == NULL);
   CHECK(mo_alloc_aligned(huge - 10, 1) == NULL);
+}
+
+struct tally {
+  unsigned char seen[1000];
+};
+
+static void tick(void *context, size_t first, size_t end)
+{
+  struct tally *tally = context;
+  for (size_t i = first; i < end; i++)
+    tally->seen[i]++;
+}
+
+static void parallel_loops(void)
+{
+  static const size_t sizes[] = {0, 1, 2, 5, 63, 64, 65, 999, 1000};
+  static const uint32_t threads[] = {0, 1, 2, 3, 7, MO_PARALLEL_THREADS_MAX, MO_PARALLEL_THREADS_MAX + 9, UINT32_MAX};
+  int wrong = 0;
+  for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++)
+    for (size_t t = 0; t < sizeof(threads) / sizeof(threads[0]); t++) {
+      struct tally tally = {{0}};
+      mo_parallel(threads[t], sizes[s], tick, &tally);
+      for (size_t i = 0; i < sizeof(tally.seen); i++)
+        wrong += tally.seen[i] != (i < sizes[s]);
+    }
+  CHECK_INT(wrong, 0);
 }
 
 static void clock_goes_on(void)
@@ -60,6 +87,7 @@ static void texts(void)
 static const struct check_case cases[] = {
     {"memory is aligned, zeroed, and checked against overflow", allocation},
     {"the clock goes on", clock_goes_on},
+    {"a loop on several threads", parallel_loops},
     {"codes have words of their own", texts},
 };
 CHECK_MAIN(cases)

@@ -4,16 +4,16 @@
 #include "learning/internal.h"
 
 /* The linker sends the room's calls here, so that a morphospace can run dry. */
-int __real_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
-int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
+int __real_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
+int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
 static long left = -1; /* bodies until there are no more; negative: no end */
 
-int __wrap_mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits)
+int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form)
 {
   if (left == 0)
     return MO_ERR_EXHAUSTED;
   left -= left > 0;
-  return __real_mo_body_stream_next(stream, bits);
+  return __real_mo_body_stream_next_form(stream, bits, form);
 }
 
 static bool is_body_of(const struct mo_body *body, const struct mo_lattice *lattice, const uint64_t *design)
@@ -25,6 +25,12 @@ static bool is_body_of(const struct mo_body *body, const struct mo_lattice *latt
                     memcmp(body->spring_lattice, made->spring_lattice, made->n_springs * sizeof(uint32_t)) == 0;
   mo_body_free(made);
   return same;
+}
+
+/* The bodies of the current step, as they came out of the stream. */
+static const uint64_t *drawn(const struct mo_training *training)
+{
+  return training->hands[training->step % 2].drawn;
 }
 
 static struct mo_training *pretraining(uint64_t seed, uint32_t batch, uint32_t n_steps)
@@ -53,7 +59,7 @@ static void distinct(void)
     for (uint32_t i = 0; i < 2500; i++) {
       struct mo_environment environment;
       uint64_t form[MO_DEFAULT_WORDS];
-      const uint64_t *design = training->drawn + (size_t)MO_DEFAULT_WORDS * i;
+      const uint64_t *design = drawn(training) + (size_t)MO_DEFAULT_WORDS * i;
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, design, form);
       other += !is_body_of(robots[i].body, training->lattice, design);
       held_out += mo_held_out_form(form);
@@ -176,7 +182,7 @@ static void exhausted(void)
   REQUIRE(mo_training_draw(other, NULL, NULL, &expected) == MO_OK);
   int different = 0;
   for (uint32_t i = 0; i < 300; i++)
-    different += !is_body_of(robots[i].body, other->lattice, other->drawn + (size_t)MO_DEFAULT_WORDS * i);
+    different += !is_body_of(robots[i].body, other->lattice, drawn(other) + (size_t)MO_DEFAULT_WORDS * i);
   CHECK_INT(different, 0);
   mo_training_free(training);
   mo_training_free(other);
@@ -194,13 +200,13 @@ static void exhausted_at_a_held_out_form(void)
     const struct mo_robot *robots;
     left = 1;
     CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
-    held_out += training->n_drawn == 0;
+    held_out += training->hands[step % 2].n_drawn == 0;
     left = 0;
     CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_EXHAUSTED);
     left = -1;
     REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
     REQUIRE(mo_training_draw(other, NULL, NULL, &robots) == MO_OK);
-    different += memcmp(training->drawn, other->drawn, 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
+    different += memcmp(drawn(training), drawn(other), 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
     REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
     REQUIRE(mo_training_apply(other, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
   }
@@ -237,7 +243,7 @@ static void replay(void)
   REQUIRE(mo_training_draw(training, NULL, NULL, &expected) == MO_OK);
   int different = 0;
   for (uint32_t i = 0; i < 200; i++)
-    different += !is_body_of(robots[i].body, training->lattice, training->drawn + (size_t)MO_DEFAULT_WORDS * i) ||
+    different += !is_body_of(robots[i].body, training->lattice, drawn(training) + (size_t)MO_DEFAULT_WORDS * i) ||
                  memcmp(robots[i].environment, expected[i].environment, sizeof(struct mo_environment)) != 0;
   CHECK_INT(different, 0);
   mo_training_free(restored);
@@ -251,6 +257,95 @@ static void replay(void)
   mo_training_free(training);
 }
 
+static int differences(const struct mo_training *a, const struct mo_robot *x, const struct mo_robot *y, uint32_t n)
+{
+  int different = 0;
+  for (uint32_t i = 0; i < n; i++)
+    different +=
+        !is_body_of(x[i].body, a->lattice, drawn(a) + (size_t)MO_DEFAULT_WORDS * i) ||
+        x[i].body->n_springs != y[i].body->n_springs ||
+        memcmp(x[i].body->spring_lattice, y[i].body->spring_lattice, y[i].body->n_springs * sizeof(uint32_t)) != 0 ||
+        memcmp(x[i].environment, y[i].environment, sizeof(struct mo_environment)) != 0;
+  return different;
+}
+
+/* Robots drawn ahead, on several threads, with stops on the way, and checkpoints between, are those of a plain draw; the present ones stay. */
+static void ahead(void)
+{
+  enum { N = 700, STEPS = 6 };
+  for (uint32_t threads = 1; threads <= 5; threads += 2) {
+    struct mo_training *plain = pretraining(8, N, STEPS), *training = pretraining(8, N, STEPS), *restored = NULL;
+    struct made_up made_up;
+    uint8_t *bytes = NULL, *expected_bytes = NULL;
+    size_t size = 0, expected_size = 0;
+    const struct mo_robot *robots, *expected, *same;
+    int different = 0;
+    REQUIRE(plain != NULL && training != NULL && made_up_create(&made_up, plain) == 0);
+    CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT); /* nothing is drawn yet */
+    mo_training_set_threads(training, threads);
+    for (uint32_t step = 0; step < STEPS; step++) {
+      REQUIRE(mo_training_draw(plain, NULL, NULL, &expected) == MO_OK);
+      REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+      if (step % 3 == 1) {
+        const volatile int cancel = 1;
+        left = N / 2;
+        CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_EXHAUSTED);
+        left = -1;
+        (void)mo_training_draw_ahead(training, &cancel);
+      }
+      if (step % 3 != 2)
+        CHECK_INT(mo_training_draw_ahead(training, NULL), MO_OK);
+      REQUIRE(mo_training_draw(training, NULL, NULL, &same) == MO_OK && same == robots);
+      different += differences(training, robots, expected, N);
+      REQUIRE(mo_training_encode(training, &bytes, &size) == MO_OK);
+      REQUIRE(mo_training_encode(plain, &expected_bytes, &expected_size) == MO_OK);
+      CHECK(size == expected_size && memcmp(bytes, expected_bytes, size) == 0);
+      if (step == 3) {
+        REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
+        mo_training_free(training);
+        training = restored;
+        mo_training_set_threads(training, threads);
+        REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+        different += differences(training, robots, expected, N);
+      }
+      free(bytes);
+      free(expected_bytes);
+      REQUIRE(mo_training_apply(plain, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+      REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+    }
+    CHECK_INT(different, 0);
+    CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT);
+    made_up_free(&made_up);
+    mo_training_free(plain);
+    mo_training_free(training);
+  }
+}
+
+/* Designs that change after a step was drawn ahead change that step. */
+static void ahead_of_new_designs(void)
+{
+  struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
+  struct mo_training *training = finetuning(&settings, 3, 1.0F);
+  const struct mo_robot *robots;
+  struct made_up made_up;
+  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
+  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+  REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
+  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+  uint64_t design[MO_DEFAULT_WORDS];
+  memcpy(design, training->designs + (size_t)2 * MO_DEFAULT_WORDS, sizeof(design));
+  REQUIRE(mo_training_set_designs(training, design, 1, NULL) == MO_OK);
+  REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
+  for (uint32_t i = 0; i < 5; i++) {
+    struct mo_environment environment;
+    CHECK(is_body_of(robots[i].body, training->lattice, design));
+    mo_environment_training(1, 1, i, &environment);
+    CHECK(memcmp(&environment, robots[i].environment, sizeof(environment)) == 0);
+  }
+  made_up_free(&made_up);
+  mo_training_free(training);
+}
+
 static const struct check_case cases[] = {
     {"20000 bodies are distinct and none is held out", distinct},
     {"held-out designs", held_out_designs},
@@ -260,5 +355,7 @@ static const struct check_case cases[] = {
     {"an exhausted morphospace", exhausted},
     {"exhausted at a form that is held out", exhausted_at_a_held_out_form},
     {"a replay", replay},
+    {"robots drawn ahead, on several threads", ahead},
+    {"designs that change after a draw ahead", ahead_of_new_designs},
 };
 CHECK_MAIN(cases)

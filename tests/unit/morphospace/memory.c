@@ -210,7 +210,7 @@ static void every_allocation(void)
   CHECK_INT(exhaust(contiguous), 2);
   CHECK_INT(exhaust(keep_largest), 2);
   CHECK_INT(exhaust(make_set), 1);
-  CHECK_INT(exhaust(make_stream), 3);
+  CHECK_INT(exhaust(make_stream), 4);
   mo_lattice_free(lattice);
 }
 

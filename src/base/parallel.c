@@ -1,0 +1,51 @@
+/* parallel.c: one loop on several threads, which live for the loop alone: a start costs some 20 µs, so a range should take a good
+ * deal longer. */
+#include "base/parallel.h"
+
+#include <pthread.h>
+#include <signal.h>
+#include <stdbool.h>
+
+struct range {
+  void (*part)(void *context, size_t first, size_t end);
+  void *context;
+  size_t first, end;
+  pthread_t thread;
+  bool started;
+};
+
+static void *run(void *argument)
+{
+  const struct range *range = argument;
+  range->part(range->context, range->first, range->end);
+  return NULL;
+}
+
+void mo_parallel(uint32_t n_threads, size_t n, void (*part)(void *context, size_t first, size_t end), void *context)
+{
+  struct range ranges[MO_PARALLEL_THREADS_MAX];
+  size_t n_ranges = n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
+  if (n_ranges > n)
+    n_ranges = n;
+  if (n_ranges <= 1) {
+    if (n > 0)
+      part(context, 0, n);
+    return;
+  }
+  sigset_t all, before;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
+  for (size_t i = 0; i < n_ranges; i++) {
+    const size_t rest = n % n_ranges; /* the first ones take one more */
+    ranges[i] = (struct range){.part = part, .context = context, .first = n / n_ranges * i + (i < rest ? i : rest)};
+    ranges[i].end = ranges[i].first + n / n_ranges + (i < rest);
+    ranges[i].started = i > 0 && pthread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
+  }
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  for (size_t i = 0; i < n_ranges; i++)
+    if (!ranges[i].started)
+      run(&ranges[i]);
+  for (size_t i = 0; i < n_ranges; i++)
+    if (ranges[i].started)
+      pthread_join(ranges[i].thread, NULL);
+}
