@@ -19,9 +19,9 @@ static double value_of(const json_t *object, const char *key)
   return json_is_number(value) ? json_number_value(value) : (double)NAN;
 }
 
-static double survived(const json_t *row, const char *operator)
+static double survived(const json_t *row, const char *op)
 {
-  const json_t *counts = json_object_get(json_object_get(row, "operators"), operator);
+  const json_t *counts = json_object_get(json_object_get(row, "operators"), op);
   double born = value_of(counts, "born");
   return born > 0 ? value_of(counts, "survived") / born : (double)NAN;
 }

@@ -134,17 +134,11 @@ enum mo_operator {
   MO_BORN_CROSSOVER = 4
 };
 #define MO_OPERATORS 5
-/* The fields below are called `operator`; in C++, where that is a keyword, `operator_`. */
-#ifdef __cplusplus
-#define MO_OPERATOR operator_
-#else
-#define MO_OPERATOR operator
-#endif
 const char *mo_operator_name(enum mo_operator birth); /* "random", "listed", "inherited", "mutation", "crossover" */
 
 #define MO_NO_PARENT UINT32_MAX
 struct mo_birth {
-  enum mo_operator MO_OPERATOR;
+  enum mo_operator op;
   uint32_t parents[2]; /* places in the population that the children are of; MO_NO_PARENT */
   uint32_t attempts;   /* until it was new: 1 at best */
 };
@@ -225,7 +219,7 @@ int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const
 /* Designs of a campaign are numbered in order of birth; parents have lower numbers. */
 struct mo_descent {
   uint32_t parents[2]; /* numbers; MO_NO_PARENT */
-  uint8_t MO_OPERATOR; /* enum mo_operator */
+  uint8_t op;          /* enum mo_operator */
 };
 /* marks: (n) bytes, zeroed by the caller; set to 1 for every ancestor (descendant) of `number`, itself not. descents: (n), of all
  * designs 0 … n − 1. */

@@ -55,10 +55,9 @@ static int try_child(struct nursery *nursery, int made)
   return made < 0 ? made : mo_seen_add(nursery->seen, next_child(nursery));
 }
 
-static void bear(struct nursery *nursery, enum mo_operator operator, uint32_t first, uint32_t second, uint32_t attempts)
+static void bear(struct nursery *nursery, enum mo_operator op, uint32_t first, uint32_t second, uint32_t attempts)
 {
-  nursery->births[nursery->n++] =
-      (struct mo_birth){.operator= operator, .parents = {first, second}, .attempts = attempts};
+  nursery->births[nursery->n++] = (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
 /* One mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */

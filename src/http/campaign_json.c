@@ -419,8 +419,9 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
 {
   mo_text_add(text, ",\"parents\":[");
   write_parents(text, &row->descent);
-  mo_text_format(text, "],\"operator\":\"%s\",\"born\":%u,\"died\":",
-                 mo_operator_name((enum mo_operator)row->descent.operator), row->born);
+  mo_text_format(text,
+                 "],\"operator\":\"%s\",\"born\":%u,\"died\":", mo_operator_name((enum mo_operator)row->descent.op),
+                 row->born);
   if (row->died >= 0)
     mo_text_json_integer(text, row->died);
   else
@@ -452,7 +453,7 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_json_integer(text, row->died);
   else
     mo_text_add(text, "inf");
-  mo_text_format(text, ",%s", mo_operator_name((enum mo_operator)row->descent.operator));
+  mo_text_format(text, ",%s", mo_operator_name((enum mo_operator)row->descent.op));
   mo_csv_number(text, row->score);
   mo_text_add(text, ",");
   mo_bits_write_id_bare(text, &row->form);

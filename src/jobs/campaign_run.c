@@ -254,9 +254,9 @@ static int make_first(struct mo_campaign_run *run, uint32_t *n)
     error =
         mo_population_initial(settings, run->seen, run->genotypes, n_given, n, NULL, &run->attempt.runner->interrupt);
   for (uint32_t i = 0; i < *n && error == MO_OK; i++)
-    run->births[i] = (struct mo_birth){.operator= i >= n_given ? MO_BORN_RANDOM
-                                       : i<n_listed            ? MO_BORN_LISTED
-                                                               : MO_BORN_INHERITED,
+    run->births[i] = (struct mo_birth){.op = i >= n_given   ? MO_BORN_RANDOM
+                                             : i < n_listed ? MO_BORN_LISTED
+                                                            : MO_BORN_INHERITED,
                                        .parents = {MO_NO_PARENT, MO_NO_PARENT},
                                        .attempts = 1};
   return error;
@@ -388,9 +388,9 @@ static void count_survivors(const struct mo_campaign_run *run, struct mo_campaig
   for (uint32_t i = 0; i < run->n_survivors; i++) {
     if (run->survivors[i] < run->n_parents)
       continue;
-    const enum mo_operator operator= run->births[run->survivors[i] - run->n_parents].operator;
-    row->survived_mutants += operator== MO_BORN_MUTATION;
-    row->survived_recombinants += operator== MO_BORN_CROSSOVER;
+    const enum mo_operator op = run->births[run->survivors[i] - run->n_parents].op;
+    row->survived_mutants += op == MO_BORN_MUTATION;
+    row->survived_recombinants += op == MO_BORN_CROSSOVER;
     young++;
   }
   row->turnover = run->n_survivors > 0 ? (double)young / run->n_survivors : 0;

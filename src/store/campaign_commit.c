@@ -32,7 +32,7 @@ static int check_births(const struct mo_campaign_commit *commit)
 {
   for (uint32_t i = 0; i < commit->row.n_children; i++) {
     const struct mo_birth *birth = &commit->births[i];
-    if ((unsigned)birth->operator>= MO_OPERATORS || isnan(commit->child_scores[i]))
+    if ((unsigned)birth->op >= MO_OPERATORS || isnan(commit->child_scores[i]))
       return MO_ERR_INVALID;
     for (int p = 0; p < 2; p++)
       if (birth->parents[p] != MO_NO_PARENT && birth->parents[p] >= commit->n_parents)
@@ -67,7 +67,7 @@ static int prepare(struct commit_arguments *call)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n_children; i++) {
     uint8_t *at = call->births + (size_t)i * MO_BIRTH_BYTES;
-    at[0] = (uint8_t)commit->births[i].operator;
+    at[0] = (uint8_t)commit->births[i].op;
     mo_encode_u32(parent_number(commit, &commit->births[i], 0), at + 1);
     mo_encode_u32(parent_number(commit, &commit->births[i], 1), at + 5);
   }
@@ -166,7 +166,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
     sqlite3_bind_int64(statement, 1, call->id);
     sqlite3_bind_int64(statement, 2, first + i);
     sqlite3_bind_int64(statement, 3, call->genotypes[i]);
-    sqlite3_bind_int64(statement, 4, birth->operator);
+    sqlite3_bind_int64(statement, 4, birth->op);
     for (int p = 0; p < 2; p++)
       if (birth->parents[p] != MO_NO_PARENT)
         sqlite3_bind_int64(statement, 5 + p, parent_number(commit, birth, p));

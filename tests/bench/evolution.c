@@ -160,7 +160,7 @@ static void store_initial(struct evolution *evolution)
                                         .survivors = evolution->survivors};
   for (uint32_t i = 0; i < evolution->n; i++) {
     evolution->births[i] =
-        (struct mo_birth){.operator= MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}, .attempts = 1};
+        (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}, .attempts = 1};
     evolution->survivors[i] = i;
   }
   evolution->campaign = bench_campaign_create(&evolution->settings, evolution->store_path);

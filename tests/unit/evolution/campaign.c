@@ -22,7 +22,7 @@ static uint64_t hash_of(const struct mo_campaign_settings *settings, int generat
       break;
     for (uint32_t i = 0; i < campaign.n_children; i++) {
       const struct mo_birth *birth = &campaign.births[i];
-      const uint32_t fields[] = {(uint32_t)birth->operator, birth->parents[0], birth->parents[1], birth->attempts};
+      const uint32_t fields[] = {(uint32_t)birth->op, birth->parents[0], birth->parents[1], birth->attempts};
       hash = fnv(hash, fields, sizeof(fields));
     }
     hash = fnv(hash, campaign.genotypes + (size_t)campaign.words * campaign.n,
@@ -92,17 +92,9 @@ static void made_again(void)
       CHECK_INT(n, campaign.n_children);
       CHECK(memcmp(children, campaign.genotypes + (size_t)W * campaign.n, W * n * sizeof(*children)) == 0);
       for (uint32_t i = 0; i < n; i++)
-        CHECK(births[i]
-                  .
-                  operator== campaign.births[i]
-                  .
-                  operator&& births[i]
-                  .attempts == campaign.births[i]
-                  .attempts && births[i]
-                  .parents[0] == campaign.births[i]
-                  .parents[0] && births[i]
-                  .parents[1] == campaign.births[i]
-                  .parents[1]);
+        CHECK(births[i].op == campaign.births[i].op && births[i].attempts == campaign.births[i].attempts &&
+              births[i].parents[0] == campaign.births[i].parents[0] &&
+              births[i].parents[1] == campaign.births[i].parents[1]);
       CHECK(memcmp(&counts, &campaign.counts, sizeof(counts)) == 0);
       memcpy(born + W * n_born, children, W * n * sizeof(*children));
       n_born += n;

@@ -33,17 +33,17 @@ static void check_births(const struct made_up_campaign *campaign)
     CHECK(birth->attempts >= 1);
     REQUIRE(birth->parents[0] < n);
     if (i < mutants) { /* each member of the group has one */
-      CHECK(birth->operator== MO_BORN_MUTATION && birth->parents[1] == MO_NO_PARENT);
+      CHECK(birth->op == MO_BORN_MUTATION && birth->parents[1] == MO_NO_PARENT);
       CHECK(!mutates[birth->parents[0]]);
       mutates[birth->parents[0]] = 1;
       attempts += birth->attempts;
     } else if (i >= mutants + campaign->counts.recombinants) {
-      CHECK(birth->operator== MO_BORN_MUTATION && birth->parents[1] == MO_NO_PARENT);
+      CHECK(birth->op == MO_BORN_MUTATION && birth->parents[1] == MO_NO_PARENT);
       CHECK(n - mutants < 2 || !mutates[birth->parents[0]]);
       attempts += birth->attempts;
     } else {
       REQUIRE(birth->parents[1] < n);
-      CHECK(birth->operator== MO_BORN_CROSSOVER && birth->parents[0] != birth->parents[1]);
+      CHECK(birth->op == MO_BORN_CROSSOVER && birth->parents[0] != birth->parents[1]);
       if (n - mutants >= 2)
         CHECK(!mutates[birth->parents[0]] && !mutates[birth->parents[1]]);
       pairs += birth->attempts;
@@ -150,7 +150,7 @@ static void inheritance(void)
       const struct mo_birth *birth = &campaign.births[i];
       const uint64_t *child = campaign.genotypes + (size_t)W * (campaign.n + i);
       uint64_t expected[W];
-      if (birth->operator!= MO_BORN_CROSSOVER)
+      if (birth->op != MO_BORN_CROSSOVER)
         continue;
       CHECK_INT(mo_genotype_crossover(MO_DEFAULT_WORKSPACE, campaign.genotypes + (size_t)W * birth->parents[0],
                                       campaign.genotypes + (size_t)W * birth->parents[1], expected),
@@ -340,10 +340,10 @@ static void fallback(void)
     uint32_t of_first = 0;
     for (uint32_t i = 0; i < 20; i++) {
       const struct mo_birth *birth = &campaign.births[i];
-      CHECK(birth->operator==(i < campaign.counts.recombinants ? MO_BORN_CROSSOVER : MO_BORN_MUTATION));
+      CHECK(birth->op == (i < campaign.counts.recombinants ? MO_BORN_CROSSOVER : MO_BORN_MUTATION));
       *(i < campaign.counts.recombinants ? &pairs : &attempts) += birth->attempts;
       CHECK(birth->parents[0] < 2);
-      of_first += birth->operator== MO_BORN_MUTATION && birth->parents[0] == 0;
+      of_first += birth->op == MO_BORN_MUTATION && birth->parents[0] == 0;
     }
     CHECK(of_first > 0 && of_first < campaign.counts.fallbacks);
     CHECK_INT(campaign.counts.crossover_attempts, pairs);

@@ -129,11 +129,11 @@ static void designs(void)
   struct mo_campaign_design row = {.number = 5,
                                    .form = {{1}},
                                    .genotype = {{1}},
-                                   .descent = {.parents = {3, MO_NO_PARENT}, .operator= MO_BORN_MUTATION },
-                                               .born = 2,
-                                               .died = 4,
-                                               .score = INFINITY,
-                                               .size = {1, 1, 8, 24}};
+                                   .descent = {.parents = {3, MO_NO_PARENT}, .op = MO_BORN_MUTATION},
+                                   .born = 2,
+                                   .died = 4,
+                                   .score = INFINITY,
+                                   .size = {1, 1, 8, 24}};
   struct mo_text text = {0};
   mo_text_add(&text, "{");
   mo_campaign_json_design(&text, &row);
@@ -147,7 +147,7 @@ static void designs(void)
   mo_campaign_csv_design(&text, &row, 3); /* at the end of generation 3 it lived */
   CHECK(strncmp(text.data, "5,\"[3]\",2,inf,mutation,,", 24) == 0);
   mo_text_free(&text);
-  row.descent = (struct mo_descent){.parents = {MO_NO_PARENT, MO_NO_PARENT}, .operator= MO_BORN_RANDOM };
+  row.descent = (struct mo_descent){.parents = {MO_NO_PARENT, MO_NO_PARENT}, .op = MO_BORN_RANDOM};
   row.died = -1;
   row.score = 0.5;
   mo_campaign_csv_design(&text, &row, 9);

@@ -144,7 +144,7 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     history->designs[number].genotype = bits[n_parents + i];
     history->designs[number].born = g;
     history->designs[number].died = -1;
-    history->designs[number].descent.operator=(uint8_t) births[i].operator;
+    history->designs[number].descent.op = (uint8_t)births[i].op;
     for (int k = 0; k < 2; k++)
       history->designs[number].descent.parents[k] =
           births[i].parents[k] == MO_NO_PARENT ? MO_NO_PARENT : numbers[births[i].parents[k]];
@@ -269,19 +269,11 @@ static inline bool same_history(const struct history *a, const struct history *b
   }
   for (uint32_t i = 0; i < a->n_designs; i++)
     if (memcmp(&a->designs[i].genotype, &b->designs[i].genotype, sizeof(struct mo_bits)) != 0 ||
-        a->designs[i]
-            .descent.
-            operator!= b->designs[i]
-            .descent.
-            operator|| a->designs[i]
-            .descent.parents[0] != b->designs[i]
-            .descent.parents[0] || a->designs[i]
-            .descent.parents[1] != b->designs[i]
-            .descent.parents[1] || a->designs[i]
-            .born != b->designs[i]
-            .born || a->designs[i]
-            .died != b->designs[i]
-            .died || !same_number(a->designs[i].score, b->designs[i].score)) {
+        a->designs[i].descent.op != b->designs[i].descent.op ||
+        a->designs[i].descent.parents[0] != b->designs[i].descent.parents[0] ||
+        a->designs[i].descent.parents[1] != b->designs[i].descent.parents[1] ||
+        a->designs[i].born != b->designs[i].born || a->designs[i].died != b->designs[i].died ||
+        !same_number(a->designs[i].score, b->designs[i].score)) {
       printf("# design %u differs: born %u, died %lld, score %.17g; expected %u, %lld, %.17g\n", i, a->designs[i].born,
              (long long)a->designs[i].died, a->designs[i].score, b->designs[i].born, (long long)b->designs[i].died,
              b->designs[i].score);

@@ -111,7 +111,7 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
   CHECK_INT(mo_store_campaign_designs(service.fixture.store, id, -1, designs, 4), 4);
-  CHECK(designs[0].descent.operator== MO_BORN_LISTED && designs[3].descent.operator== MO_BORN_RANDOM);
+  CHECK(designs[0].descent.op == MO_BORN_LISTED && designs[3].descent.op == MO_BORN_RANDOM);
   REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, designs, POPULATION, &n) == POPULATION);
   request = campaign(MO_ZERO_SHOT);
   request.record.initial_campaign = id;
@@ -125,7 +125,7 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
   history = plain_history(&fake_plain, &origin);
   for (int i = 0; i < 4; i++)
-    history->designs[i].descent.operator= MO_BORN_INHERITED;
+    history->designs[i].descent.op = MO_BORN_INHERITED;
   {
     struct history *stored = stored_history(service.fixture.store, id);
     CHECK(same_history(stored, history));

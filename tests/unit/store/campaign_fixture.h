@@ -178,7 +178,7 @@ static inline int made_next(struct made *made)
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, made->children[i].words, made->forms[i].words);
     made->sizes[i] = (struct mo_design_size){mo_genotype_count(MO_DEFAULT_WORKSPACE, made->children[i].words),
                                              i % 36 + 1, 100 + i % 100, 1000 + i % 1000};
-    made->births[i] = (struct mo_birth){.operator= MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}};
+    made->births[i] = (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}};
     if (n_parents > 0)
       made->births[i] = i % 4 == 0 ? (struct mo_birth){MO_BORN_MUTATION, {i % n_parents, MO_NO_PARENT}, 1}
                                    : (struct mo_birth){MO_BORN_CROSSOVER, {i % n_parents, (i + 1) % n_parents}, 2};

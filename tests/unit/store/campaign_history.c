@@ -21,11 +21,11 @@ static void remember(struct model *model, const struct made *made)
     *design = (struct mo_campaign_design){.number = first + i,
                                           .form = commit->forms[i],
                                           .genotype = commit->genotypes[i],
-                                          .descent = {.operator=(uint8_t) commit->births[i].operator},
-                                                      .born = g,
-                                                      .died = g,
-                                                      .score = commit->child_scores[i],
-                                                      .size = commit->sizes[i]};
+                                          .descent = {.op = (uint8_t)commit->births[i].op},
+                                          .born = g,
+                                          .died = g,
+                                          .score = commit->child_scores[i],
+                                          .size = commit->sizes[i]};
     for (int p = 0; p < 2; p++)
       design->descent.parents[p] = commit->births[i].parents[p] == MO_NO_PARENT
                                        ? MO_NO_PARENT
@@ -49,9 +49,8 @@ static bool same_design(const struct mo_campaign_design *a, const struct mo_camp
   return a->number == b->number && memcmp(&a->form, &b->form, sizeof(a->form)) == 0 &&
          memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
          a->descent.parents[0] == b->descent.parents[0] && a->descent.parents[1] == b->descent.parents[1] &&
-         a->descent.operator== b->descent.operator&& a->born == b->born && a->died == b->died &&
-             memcmp(&a->score, &b->score, sizeof(a->score)) == 0 &&
-         memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
+         a->descent.op == b->descent.op && a->born == b->born && a->died == b->died &&
+         memcmp(&a->score, &b->score, sizeof(a->score)) == 0 && memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
 }
 
 static void check_designs(struct fixture *fixture, int64_t id, const struct model *model)
@@ -104,7 +103,7 @@ static void check_descents(struct fixture *fixture, int64_t id, const struct mod
   for (uint32_t i = 0; i < n; i++)
     CHECK(descents[i].parents[0] == model->designs[i].descent.parents[0] &&
           descents[i].parents[1] == model->designs[i].descent.parents[1] &&
-          descents[i].operator== model->designs[i].descent.operator&& born[i] == model->designs[i].born);
+          descents[i].op == model->designs[i].descent.op && born[i] == model->designs[i].born);
   free(descents);
   free(born);
   REQUIRE(mo_store_campaign_descents(fixture->store, id, &descents, NULL, &n) == MO_OK);

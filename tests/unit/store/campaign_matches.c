@@ -35,7 +35,7 @@ static bool populations_match(const struct life *life, const struct campaign_mod
     for (uint32_t i = 0; i < MEMBERS; i++) {
       struct lived *child = &lived[g * MEMBERS + i];
       *child = (struct lived){.born = g, .died = -1, .score = generation.child_scores[i]};
-      child->descent.operator=(uint8_t) generation.births[i].operator;
+      child->descent.op = (uint8_t)generation.births[i].op;
       for (int p = 0; p < 2; p++)
         child->descent.parents[p] = generation.births[i].parents[p] == MO_NO_PARENT
                                         ? MO_NO_PARENT
@@ -75,19 +75,9 @@ static bool designs_match(const struct life *life, const struct campaign_model *
     if (rows[i].number != i ||
         memcmp(&rows[i].genotype, &life->genotypes[first + (size_t)i], sizeof(struct mo_bits)) != 0 ||
         memcmp(&rows[i].form, &life->forms[first + (size_t)i], sizeof(struct mo_bits)) != 0 ||
-        rows[i]
-            .descent.
-            operator!= lived[i]
-            .descent.
-            operator|| rows[i]
-            .descent.parents[0] != lived[i]
-            .descent.parents[0] || rows[i]
-            .descent.parents[1] != lived[i]
-            .descent.parents[1] || rows[i]
-            .born != lived[i]
-            .born || rows[i]
-            .died != lived[i]
-            .died || !same_double(rows[i].score, lived[i].score) ||
+        rows[i].descent.op != lived[i].descent.op || rows[i].descent.parents[0] != lived[i].descent.parents[0] ||
+        rows[i].descent.parents[1] != lived[i].descent.parents[1] || rows[i].born != lived[i].born ||
+        rows[i].died != lived[i].died || !same_double(rows[i].score, lived[i].score) ||
         rows[i].size.springs != 1000 + (uint32_t)i % MEMBERS)
       return life_differs(text, "design %lld of campaign %lld", (long long)i, (long long)campaign->id);
   return true;

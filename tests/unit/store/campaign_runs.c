@@ -144,7 +144,7 @@ static void refuses_what_is_wrong(void)
   REFUSE(survivors[0] = 2 * MADE_POPULATION, MO_ERR_INVALID);
   REFUSE(numbers[2] = numbers[3], MO_ERR_INVALID);
   REFUSE(births[2].parents[0] = MADE_POPULATION, MO_ERR_INVALID);
-  REFUSE(births[2].operator=(enum mo_operator) MO_OPERATORS, MO_ERR_INVALID);
+  REFUSE(births[2].op = (enum mo_operator)MO_OPERATORS, MO_ERR_INVALID);
   REFUSE(scores[5] = NAN, MO_ERR_INVALID);
   REFUSE(sizes[5].springs = UINT16_MAX + 1, MO_ERR_RANGE);
   REFUSE(sizes[5].masses = 1024, MO_ERR_RANGE);
