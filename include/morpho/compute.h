@@ -26,6 +26,9 @@ struct mo_compute_share;
 
 enum mo_urgency { MO_BATCH = 0, MO_INTERACTIVE = 1 };
 
+/* Where a block or batch is to be computed. Bits differ between the two, and are the same on any number of devices. */
+enum mo_back_end { MO_ON_CPU = 0, MO_ON_DEVICE = 1 };
+
 struct mo_compute_config {
   uint32_t n_workers;    /* 0: one per online processor */
   enum mo_isa isa;       /* from mo_isa_best(), or lower for tests */
@@ -44,19 +47,22 @@ struct mo_block {
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_urgency urgency;
+  enum mo_back_end back_end;             /* MO_ON_DEVICE: as far as devices can, see below */
   const struct mo_recording *recordings; /* NULL or (n_environments) */
   const volatile int *cancel;            /* NULL or a flag; non-zero ends the block with MO_ERR_CANCELLED */
   int64_t tag;                           /* the submitter's, e.g. the job; readable by mo_compute_current_tag */
   struct mo_compute_share *share;        /* whose worker time it is; NULL: the back end's own share, of weight 1 */
   /* Results. */
   struct mo_outcome outcomes[MO_BLOCK_LANES];
-  int status; /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, … */
-  /* Called once, on a worker's thread, after the results are written; must be short. The block may be freed in it. */
+  int status;                   /* MO_OK, MO_ERR_CANCELLED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE, … */
+  enum mo_back_end computed_on; /* with MO_OK */
+  /* Called once, on a worker's or a device's thread, after the results are written; must be short. The block may be freed in it. */
   void (*done)(struct mo_block *block, void *context);
   void *context;
   /* The back end's own. */
   struct mo_block *next;
   struct mo_gradient_task *gradient;
+  struct mo_device_task *shards;
 };
 
 struct mo_compute_stats {
@@ -78,7 +84,8 @@ void mo_compute_free(struct mo_compute *compute);
 /* Takes a copy of nothing: `controller` (nullable: passive bodies) must outlive the result. */
 int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
                                  struct mo_compute_controller **ret);
-void mo_compute_controller_free(struct mo_compute_controller *controller); /* only when no block uses it; NULL-safe */
+/* Only when no block uses it; where there are devices, before mo_compute_free. NULL-safe. */
+void mo_compute_controller_free(struct mo_compute_controller *controller);
 
 /* ---- shares: how the workers' time is divided among submitters ---- */
 
@@ -99,13 +106,15 @@ void mo_compute_share_set_weight(struct mo_compute_share *share, double weight);
 struct mo_compute_share_stats {
   double busy_s;        /* worker seconds in its blocks, without urgent blocks that overtook inside them */
   double urgent_s;      /* of these, in urgent blocks: charged to nobody */
+  double device_s;      /* seconds of devices in its blocks and gradients */
   uint64_t waiting;     /* batch blocks that wait */
   uint64_t blocks_done; /* urgent ones, too */
 };
 void mo_compute_share_get_stats(const struct mo_compute_share *share,
                                 struct mo_compute_share_stats *stats); /* lock-free reads */
 
-/* Queues a block; never blocks, never fails for a valid block (MO_ERR_INVALID, MO_ERR_CANCELLED after free began). */
+/* Queues a block; never blocks, never fails for a valid block (MO_ERR_INVALID, MO_ERR_CANCELLED after free began), but for devices with
+ * MO_ERR_DEVICE when none works. */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
 /* Submits blocks and waits for all of them; returns the first error by position. For tools and tests. */
@@ -125,7 +134,9 @@ struct mo_gradient_batch {
   const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */
   int64_t tag;
   struct mo_compute_share *share; /* as in a block */
+  enum mo_back_end back_end;
   /* Results. */
+  enum mo_back_end computed_on;
   double *d_parameters; /* (n_parameters) the gradient of the mean loss over all n robots; those that diverged or were
                                 * zeroed count as 0 */
   struct mo_outcome *outcomes; /* (n) */
@@ -139,7 +150,10 @@ struct mo_gradient_batch {
  * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next: a pack, and
  * at most two float32 gradients per worker. Create it once per training; one call at a time, which must have returned before
  * mo_compute_free. MO_ERR_RANGE (n, a bound below 0), MO_ERR_INVALID (something missing or not finite, a body of another workspace, physics or
- * an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED. On error the results are undefined. */
+ * an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE. On error the results are undefined.
+ *
+ * On devices the blocks are shards of 1024 consecutive robots, spread over the devices and added up in the same way: the same bits for
+ * any number of devices. `urgency` does not count there. What the devices do not support is computed by the workers, all of it. */
 struct mo_gradient_state;
 int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_state **state);
 void mo_gradient_state_free(struct mo_gradient_state *state); /* NULL-safe; before the compute */
@@ -147,7 +161,56 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
 /* As mo_compute_fingerprint, for gradients. */
 const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute);
 
-void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats); /* lock-free reads */
+/* ---- devices: GPUs, by a module that is loaded at run time ---- */
+
+/* Blocks with MO_ON_DEVICE wait in a queue of all devices together, in which shares have their weights as with the workers. A device
+ * takes many at once, of one share, one controller and one physics. What devices do not do is computed by the workers: blocks in float64 or
+ * with recordings, and whatever a module does not support; which it is depends on the block alone, and `computed_on` says so. Blocks of
+ * MO_INTERACTIVE go before the others. Where a device has no memory for so many it gets fewer. One that fails is lost: its work goes to
+ * the others, and when none is left all of it ends with MO_ERR_DEVICE, as does what comes later. */
+enum mo_device_state { MO_DEVICE_WORKS = 0, MO_DEVICE_LOST = 1 };
+
+struct mo_device_status {
+  uint32_t index;                       /* among the module's devices */
+  char name[96], id[48];                /* "NVIDIA H200"; UUID or PCI bus id */
+  uint64_t memory_bytes, free_bytes;    /* free: as it was a moment ago */
+  uint32_t multiprocessors, capability; /* 90: compute capability 9.0 */
+  enum mo_device_state state;
+  char error[256]; /* lost: why */
+  bool is_busy;
+  double load;   /* share of the last ten seconds, about, in which it was busy */
+  double busy_s; /* since the start */
+  uint64_t rollouts_done, gradient_robots_done, calls;
+  uint32_t rows_at_once; /* rollouts that it gets at most at a time; less after want of memory */
+};
+
+struct mo_devices_config {
+  const char *module;      /* path of the shared object */
+  const uint32_t *devices; /* (n) which of its devices; NULL: all that can be opened */
+  uint32_t n;
+  /* Told when a device is lost, and, while devices are added, of each that cannot be opened; on a thread of its own. Nullable. */
+  void (*lost)(void *context, const struct mo_device_status *status);
+  void *context;
+};
+
+/* Loads a module and opens its devices; once, before shares, controllers and blocks are made. MO_ERR_NOT_FOUND: there is no such file;
+ * MO_ERR_UNSUPPORTED: it is no module, or one for another version of this program; MO_ERR_EXHAUSTED: it finds no device that works;
+ * MO_ERR_RANGE: no such device; MO_ERR_DEVICE: one that was named cannot be opened; MO_ERR_CONFLICT: there are devices already;
+ * MO_ERR_NO_MEMORY. After an error there are none. */
+int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
+                           struct mo_message *message);
+uint32_t mo_compute_devices(const struct mo_compute *compute);         /* opened, lost ones too */
+uint32_t mo_compute_devices_working(const struct mo_compute *compute); /* of these, not lost */
+/* MO_ERR_RANGE: position is not below mo_compute_devices. */
+int mo_compute_device(struct mo_compute *compute, uint32_t position, struct mo_device_status *status);
+/* "cuda …": as the fingerprints below, of scores and gradients that devices compute. NULL: there are no devices. */
+const char *mo_compute_device_fingerprint(const struct mo_compute *compute);
+const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute);
+
+/* ---- facts ---- */
+
+/* Of the workers. Lock-free reads. */
+void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats);
 /* The tag of the block that the calling worker thread is in, −1 elsewhere. Async-signal-safe. */
 int64_t mo_compute_current_tag(void);
 /* "cpu avx512 float32 …": what the bits of a result depend on besides its inputs (back end, instruction set, code version). */

@@ -1,12 +1,12 @@
-/* controller.c: a controller's packs, one per precision, made when a block first asks for them. */
-#include "compute/internal.h"
+/* controller.c: a controller's packs, one per precision, made when a block first asks for them. Devices keep what they make of it
+ * themselves, until they are told to forget it. */
+#include "compute/devices.h"
 
-#include <pthread.h>
-#include <stdatomic.h>
 #include <stdlib.h>
 
 struct mo_compute_controller {
   const struct mo_controller *controller; /* NULL: passive */
+  struct mo_devices *devices;             /* NULL: there are none */
   enum mo_isa isa;
   pthread_mutex_t making;
   _Atomic(struct mo_pack *) pack[2]; /* by mo_precision; written once */
@@ -19,6 +19,7 @@ int mo_compute_controller_create(struct mo_compute *compute, const struct mo_con
   if (made == NULL)
     return MO_ERR_NO_MEMORY;
   made->controller = controller;
+  made->devices = mo_compute_get_devices(compute);
   made->isa = mo_compute_isa(compute);
   pthread_mutex_init(&made->making, NULL);
   *ret = made;
@@ -29,10 +30,17 @@ void mo_compute_controller_free(struct mo_compute_controller *controller)
 {
   if (controller == NULL)
     return;
+  if (controller->devices != NULL)
+    mo_devices_forget(controller->devices, controller);
   for (int precision = 0; precision < 2; precision++)
     mo_pack_free(atomic_load(&controller->pack[precision]));
   pthread_mutex_destroy(&controller->making);
   free(controller);
+}
+
+const struct mo_controller *mo_compute_controller_weights(const struct mo_compute_controller *controller)
+{
+  return controller->controller;
 }
 
 int mo_compute_controller_pack(struct mo_compute_controller *controller, enum mo_precision precision,

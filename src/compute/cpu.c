@@ -9,7 +9,7 @@
  *
  * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand back what is queued as
  * cancelled, and leave. Every block's `done` is called exactly once. Counters are atomics: reading them takes no lock. */
-#include "compute/fair.h"
+#include "compute/devices.h"
 
 #include <morpho/error.h>
 
@@ -54,7 +54,8 @@ struct mo_compute {
   enum mo_isa isa;
   int nice;
   size_t gradient_bytes;
-  uint32_t n_workers; /* started */
+  struct mo_devices *devices; /* NULL: there are none */
+  uint32_t n_workers;         /* started */
   struct worker *workers;
   pthread_mutex_t mutex;
   pthread_cond_t wake;
@@ -85,6 +86,21 @@ enum mo_isa mo_compute_isa(const struct mo_compute *compute)
 uint32_t mo_compute_workers(const struct mo_compute *compute)
 {
   return compute->n_workers;
+}
+
+struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute)
+{
+  return compute->devices;
+}
+
+void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices)
+{
+  compute->devices = devices;
+}
+
+void mo_compute_set_tag(int64_t tag)
+{
+  current_tag = tag;
 }
 
 /* ---- queues, under the mutex ---- */
@@ -252,6 +268,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth, 
   current_tag = block->tag;
   block->status = block->gradient != NULL ? differentiate(worker, block->gradient, depth, &meter)
                                           : simulate(worker, block, depth, &meter);
+  block->computed_on = MO_ON_CPU;
   count(worker, block);
   read_meter(worker, &meter);
   if (charge != NULL) {
@@ -311,26 +328,32 @@ static void *work(void *argument)
   return NULL;
 }
 
-/* Threads take no signals but those of their own faults: the service decides where the others go. */
-static int start_worker(struct mo_compute *compute, struct worker *worker, uint32_t number)
+/* The service decides where other signals go. */
+int mo_compute_thread(pthread_t *thread, const char *name, void *(*run)(void *context), void *context)
 {
-  worker->compute = compute;
-  for (int depth = 0; depth < DEPTHS; depth++)
-    if (mo_workspace_memory_create(&worker->memory[depth]) != MO_OK)
-      return MO_ERR_NO_MEMORY;
   static const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
   sigset_t blocked, before;
   sigfillset(&blocked);
   for (size_t i = 0; i < sizeof(faults) / sizeof(faults[0]); i++)
     sigdelset(&blocked, faults[i]);
   pthread_sigmask(SIG_SETMASK, &blocked, &before);
-  const int error = pthread_create(&worker->thread, NULL, work, worker);
+  const int error = pthread_create(thread, NULL, run, context);
   pthread_sigmask(SIG_SETMASK, &before, NULL);
-  if (error != 0)
-    return MO_ERR_NO_MEMORY;
+  if (error == 0)
+    (void)pthread_setname_np(*thread, name);
+  return error;
+}
+
+static int start_worker(struct mo_compute *compute, struct worker *worker, uint32_t number)
+{
+  worker->compute = compute;
+  for (int depth = 0; depth < DEPTHS; depth++)
+    if (mo_workspace_memory_create(&worker->memory[depth]) != MO_OK)
+      return MO_ERR_NO_MEMORY;
   char name[16];
   snprintf(name, sizeof(name), "mo-worker-%u", number % 10000);
-  (void)pthread_setname_np(worker->thread, name);
+  if (mo_compute_thread(&worker->thread, name, work, worker) != 0)
+    return MO_ERR_NO_MEMORY;
   compute->n_workers++;
   return MO_OK;
 }
@@ -387,6 +410,7 @@ void mo_compute_free(struct mo_compute *compute)
 {
   if (compute == NULL)
     return;
+  mo_devices_free(compute->devices);
   pthread_mutex_lock(&compute->mutex);
   atomic_store(&compute->stopping, true);
   pthread_cond_broadcast(&compute->wake);
@@ -437,11 +461,19 @@ static int enqueue(struct mo_compute *compute, struct mo_block *block, int urgen
   return stopping ? MO_ERR_CANCELLED : MO_OK;
 }
 
+int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block)
+{
+  return enqueue(compute, block, URGENT);
+}
+
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
 {
   if (!is_valid(compute, block))
     return MO_ERR_INVALID;
   block->gradient = NULL;
+  block->shards = NULL;
+  if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 && block->recordings == NULL)
+    return compute->devices != NULL ? mo_devices_submit(compute->devices, block) : MO_ERR_DEVICE;
   return enqueue(compute, block, URGENT);
 }
 
@@ -459,6 +491,10 @@ int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo
   if (share == NULL)
     return MO_ERR_NO_MEMORY;
   share->compute = compute;
+  if (compute->devices != NULL && mo_devices_share_create(compute->devices, weight, &share->on_devices) != MO_OK) {
+    free(share);
+    return MO_ERR_NO_MEMORY;
+  }
   pthread_mutex_lock(&compute->mutex);
   mo_fair_add(&compute->fair, share, weight);
   pthread_mutex_unlock(&compute->mutex);
@@ -474,7 +510,10 @@ void mo_compute_share_free(struct mo_compute_share *share)
     pthread_mutex_lock(&share->compute->mutex);
     mo_fair_remove(&share->compute->fair, share);
     pthread_mutex_unlock(&share->compute->mutex);
+    if (share->on_devices != NULL)
+      mo_devices_share_remove(share->compute->devices, share->on_devices);
   }
+  free(share->on_devices);
   free(share);
 }
 
@@ -483,6 +522,8 @@ void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
   pthread_mutex_lock(&share->compute->mutex);
   mo_fair_set_weight(&share->compute->fair, share, weight);
   pthread_mutex_unlock(&share->compute->mutex);
+  if (share->on_devices != NULL)
+    mo_devices_share_set_weight(share->compute->devices, share->on_devices, weight);
 }
 
 void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_compute_share_stats *stats)
@@ -493,48 +534,12 @@ void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_
       .waiting = atomic_load(&share->waiting),
       .blocks_done = atomic_load(&share->blocks_done),
   };
-}
-
-/* ---- waiting for blocks ---- */
-
-struct waiter {
-  pthread_mutex_t mutex;
-  pthread_cond_t all_done;
-  size_t left;
-};
-
-static void one_done(struct mo_block *block, void *context)
-{
-  struct waiter *waiter = context;
-  (void)block;
-  pthread_mutex_lock(&waiter->mutex);
-  if (--waiter->left == 0)
-    pthread_cond_signal(&waiter->all_done);
-  pthread_mutex_unlock(&waiter->mutex);
-}
-
-int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
-{
-  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER, .left = n};
-  for (size_t i = 0; i < n; i++) {
-    blocks[i].done = one_done;
-    blocks[i].context = &waiter;
-    const int status = mo_compute_submit(compute, blocks + i);
-    if (status != MO_OK) {
-      blocks[i].status = status;
-      one_done(blocks + i, &waiter);
-    }
-  }
-  pthread_mutex_lock(&waiter.mutex);
-  while (waiter.left > 0)
-    pthread_cond_wait(&waiter.all_done, &waiter.mutex);
-  pthread_mutex_unlock(&waiter.mutex);
-  pthread_cond_destroy(&waiter.all_done);
-  pthread_mutex_destroy(&waiter.mutex);
-  for (size_t i = 0; i < n; i++)
-    if (blocks[i].status != MO_OK)
-      return blocks[i].status;
-  return MO_OK;
+  const struct mo_compute_share *on_devices = share->on_devices;
+  if (on_devices == NULL)
+    return;
+  stats->device_s = 1e-9 * (double)atomic_load(&on_devices->busy_ns);
+  stats->waiting += atomic_load(&on_devices->waiting);
+  stats->blocks_done += atomic_load(&on_devices->blocks_done);
 }
 
 /* ---- facts ---- */

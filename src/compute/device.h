@@ -82,7 +82,8 @@ struct mo_device_module {
       *gradient_code;        /* versions of the code, for fingerprints: exact, fast, gradient */
   int (*count)(uint32_t *n); /* devices of this machine that the module can use; 0 without a driver */
   int (*open)(uint32_t index, struct mo_device **device);
-  void (*close)(struct mo_device *device); /* its controllers were freed before; NULL-safe; also of a lost device */
+  void (*close)(
+      struct mo_device *device); /* its controllers were freed before, but those of a lost device; NULL-safe */
   int (*info)(struct mo_device *device, struct mo_device_info *info);
   /* Keeps no reference to `controller`. */
   int (*controller_create)(struct mo_device *device, const struct mo_controller *controller,

@@ -56,7 +56,9 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
 /* Rollout steps: what the cost of a block is about proportional to. */
 static double units_of(const struct mo_block *block)
 {
-  const uint32_t n = block->gradient != NULL ? block->gradient->n : block->n_environments;
+  const uint32_t n = block->gradient != NULL ? block->gradient->n
+                     : block->shards != NULL ? block->shards->n
+                                             : block->n_environments;
   return (double)n * block->physics.n_steps;
 }
 
@@ -76,6 +78,23 @@ void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct m
   atomic_fetch_add(&fair->waiting, 1);
 }
 
+/* The charge's share has a block that waits: it is taken, and charged for. */
+static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *charge)
+{
+  struct mo_compute_share *share = charge->share;
+  struct mo_block *block = share->first;
+  const double units = units_of(block), estimate_s = units * share->unit_s[charge->kind];
+  share->first = block->next;
+  block->next = NULL;
+  atomic_fetch_sub(&share->waiting, 1);
+  atomic_fetch_sub(&fair->waiting, 1);
+  charge->n_blocks++;
+  charge->units += units;
+  charge->estimate_s += estimate_s;
+  share->virtual_s += estimate_s / share->weight;
+  return block;
+}
+
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge)
 {
   struct mo_compute_share *next = NULL;
@@ -84,26 +103,25 @@ struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charg
       next = share;
   if (next == NULL)
     return NULL;
-  struct mo_block *block = next->first;
-  next->first = block->next;
-  block->next = NULL;
-  atomic_fetch_sub(&next->waiting, 1);
-  atomic_fetch_sub(&fair->waiting, 1);
   if (fair->virtual_s < next->virtual_s)
     fair->virtual_s = next->virtual_s;
-  charge->share = next;
-  charge->kind = block->gradient != NULL ? MO_FAIR_GRADIENT : MO_FAIR_SCORING;
-  charge->units = units_of(block);
-  charge->estimate_s = charge->units * next->unit_s[charge->kind];
-  next->virtual_s += charge->estimate_s / next->weight;
-  return block;
+  const bool is_gradient = next->first->gradient != NULL || next->first->shards != NULL;
+  *charge = (struct mo_fair_charge){.share = next, .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
+  return take_first(fair, charge);
+}
+
+struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
+                                   bool (*fits)(const struct mo_block *block, void *context), void *context)
+{
+  const struct mo_block *next = charge->share->first;
+  return next != NULL && fits(next, context) ? take_first(fair, charge) : NULL;
 }
 
 void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds, bool whole)
 {
   struct mo_compute_share *share = charge->share;
   share->virtual_s += (seconds - charge->estimate_s) / share->weight;
-  atomic_fetch_add(&share->blocks_done, 1);
+  atomic_fetch_add(&share->blocks_done, charge->n_blocks);
   if (!whole || charge->units <= 0)
     return;
   const double unit_s = seconds / charge->units;

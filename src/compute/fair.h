@@ -25,7 +25,8 @@ struct mo_compute_share {
   double weight, virtual_s;
   double unit_s[MO_FAIR_KINDS]; /* estimates: worker seconds of one rollout step */
   struct mo_block *first, *last;
-  struct mo_compute_share *next; /* in order of creation */
+  struct mo_compute_share *next;       /* in order of creation */
+  struct mo_compute_share *on_devices; /* its place in the queue of the devices; NULL: there are none */
   atomic_uint_fast64_t busy_ns, urgent_ns, waiting, blocks_done;
 };
 
@@ -37,10 +38,11 @@ struct mo_fair {
   atomic_uint_fast64_t waiting; /* in all shares; read anywhere */
 };
 
-/* What a block that runs was charged at its start. */
+/* What a block that runs, or several that run together, were charged at their start. */
 struct mo_fair_charge {
   struct mo_compute_share *share;
   enum mo_fair_kind kind;
+  uint32_t n_blocks;
   double units, estimate_s;
 };
 
@@ -52,6 +54,9 @@ void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share);
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge); /* NULL: none waits */
+/* The next block of the charge's share, which is to run together with those taken before; NULL: none waits, or it does not fit. */
+struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
+                                   bool (*fits)(const struct mo_block *block, void *context), void *context);
 /* The block took so many worker seconds; `whole`: it was computed to its end, so that its cost tells something of the next. */
 void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds, bool whole);
 

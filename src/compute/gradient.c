@@ -3,7 +3,7 @@
  * Blocks are handed out in order, and their results are added up in order, by the calling thread, in float64. Between the two
  * lies a window of at most two blocks per worker, each with a float32 gradient of its own: a worker never waits for the sum, and
  * memory does not grow with the batch. What a sum's bits depend on is the batch alone. */
-#include "compute/fair.h"
+#include "compute/devices.h"
 
 #include <math.h>
 #include <pthread.h>
@@ -25,7 +25,9 @@ struct mo_gradient_state {
   uint32_t n_slots;
   struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
   size_t n_parameters; /* that each slot has room for */
-  uint32_t *order;     /* (order_room) */
+  float *shards;       /* (shards_room) sums that devices give */
+  size_t shards_room;
+  uint32_t *order; /* (order_room) */
   size_t order_room;
   atomic_bool stop; /* the call failed: what still runs may end */
   pthread_mutex_t mutex;
@@ -59,6 +61,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   pthread_cond_destroy(&state->finished);
   pthread_mutex_destroy(&state->mutex);
   mo_gradient_pack_free(state->pack);
+  free(state->shards);
   free(state->order);
   free(state->slots);
   free(state);
@@ -197,18 +200,31 @@ static void add(const struct mo_gradient_state *state, const struct mo_gradient_
   profile->robot_steps += task->profile.robot_steps;
 }
 
+static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
+{
+  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
+  batch->counts = (struct mo_gradient_counts){0};
+  batch->profile = (struct mo_gradient_profile){0};
+  batch->computed_on = back_end;
+}
+
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   int status = check(state->compute, batch);
   if (status != MO_OK)
     return status;
+  if (batch->back_end == MO_ON_DEVICE) {
+    struct mo_devices *devices = mo_compute_get_devices(state->compute);
+    clear(batch, MO_ON_DEVICE);
+    status = devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(devices, batch, &state->shards, &state->shards_room);
+    if (status != MO_ERR_UNSUPPORTED)
+      return status;
+  }
   const uint32_t n_blocks = (batch->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
   status = prepare(state, batch, n_blocks);
   if (status != MO_OK)
     return status;
-  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
-  batch->counts = (struct mo_gradient_counts){0};
-  batch->profile = (struct mo_gradient_profile){0};
+  clear(batch, MO_ON_CPU);
   atomic_store(&state->stop, false);
   uint32_t submitted = 0;
   for (uint32_t b = 0; b < n_blocks && (status == MO_OK || b < submitted); b++) {

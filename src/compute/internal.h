@@ -4,6 +4,7 @@
 
 #include <morpho/compute.h>
 
+#include <pthread.h>
 #include <stdatomic.h>
 
 /* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of any result.
@@ -33,7 +34,31 @@ struct mo_gradient_task {
   struct mo_gradient_counts counts;
   struct mo_gradient_profile profile;
 };
+/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots; queued by its `block`, as a gradient block is. */
+struct mo_device_task {
+  struct mo_block block;
+  const struct mo_controller *controller;
+  const struct mo_robot *robots; /* (n) */
+  uint32_t n;
+  double adjoint_bound, weight;
+  const atomic_bool *stop;
+  /* Results. */
+  struct mo_outcome *outcomes;      /* (n) */
+  float *d_parameters;              /* (shards, n_parameters) */
+  struct mo_gradient_counts counts; /* added to */
+};
+
 /* As mo_compute_submit; the task has been checked. MO_ERR_CANCELLED. */
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
+/* For a block that was submitted to devices and has to be computed by the workers. MO_ERR_CANCELLED. */
+int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block);
+
+struct mo_devices;
+struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
+void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices);
+const struct mo_controller *mo_compute_controller_weights(const struct mo_compute_controller *controller);
+/* Threads that compute: a thread that takes no signals but those of its own faults. 0 or what pthread_create gives. */
+int mo_compute_thread(pthread_t *thread, const char *name, void *(*run)(void *context), void *context);
+void mo_compute_set_tag(int64_t tag); /* of the calling thread; −1: none */
 
 #endif

@@ -1,0 +1,196 @@
+/* device_chunk.c: from blocks that wait to rows of one call, and back.
+ *
+ * A chunk is taken from the share whose turn it is, as one block is by a worker, and goes on with what this share has waiting. What
+ * waits is cut evenly: a job that has work for two calls and a half gets three of the same size, and all devices end at
+ * about the same time. */
+#include "compute/devices.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+int mo_chunk_create(struct mo_chunk *chunk)
+{
+  chunk->blocks = calloc(MO_CHUNK_ROWS, sizeof(*chunk->blocks));
+  chunk->status = calloc(MO_CHUNK_ROWS, sizeof(*chunk->status));
+  chunk->first_row = calloc(MO_CHUNK_ROWS, sizeof(*chunk->first_row));
+  chunk->bodies = calloc(MO_CHUNK_ROWS, sizeof(struct mo_body *));
+  chunk->robots = calloc(MO_CHUNK_ROWS, sizeof(*chunk->robots));
+  chunk->outcomes = calloc(MO_CHUNK_ROWS, sizeof(*chunk->outcomes));
+  return chunk->blocks == NULL || chunk->status == NULL || chunk->first_row == NULL || chunk->bodies == NULL ||
+                 chunk->robots == NULL || chunk->outcomes == NULL
+             ? MO_ERR_NO_MEMORY
+             : MO_OK;
+}
+
+void mo_chunk_destroy(struct mo_chunk *chunk)
+{
+  free(chunk->blocks);
+  free(chunk->status);
+  free(chunk->first_row);
+  free(chunk->bodies);
+  free(chunk->robots);
+  free(chunk->outcomes);
+}
+
+/* ---- taking ---- */
+
+struct room {
+  const struct mo_block *like;
+  uint32_t rows; /* left */
+};
+
+static bool fits(const struct mo_block *block, void *context)
+{
+  const struct room *room = context;
+  return block->shards == NULL && block->controller == room->like->controller && block->n_environments <= room->rows &&
+         memcmp(&block->physics, &room->like->physics, sizeof(block->physics)) == 0;
+}
+
+/* Rows of each of the calls that are needed for all that a share has waiting. */
+static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
+                          const struct mo_block *first)
+{
+  const uint64_t most = unit->row_limit < MO_CHUNK_ROWS ? unit->row_limit : MO_CHUNK_ROWS;
+  const uint64_t n_working = atomic_load(&unit->devices->n_working), n_devices = n_working > 0 ? n_working : 1;
+  const uint64_t waiting = (1 + atomic_load(&share->waiting)) * first->n_environments;
+  const uint64_t rounds = (waiting + most * n_devices - 1) / (most * n_devices);
+  const uint64_t rows = (waiting + rounds * n_devices - 1) / (rounds * n_devices);
+  return rows < first->n_environments ? first->n_environments : (uint32_t)(rows < most ? rows : most);
+}
+
+bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
+{
+  struct mo_fair *fair = &unit->devices->fair;
+  struct mo_block *block = mo_fair_take(fair, &chunk->charge);
+  if (block == NULL)
+    return false;
+  struct room room = {.like = block};
+  chunk->task = block->shards;
+  chunk->blocks[0] = block;
+  chunk->status[0] = MO_CHUNK_NOT_DONE;
+  chunk->n_blocks = chunk->n_active = 1;
+  chunk->n_rows = 0;
+  if (block->shards != NULL) {
+    unit->devices->tasks_waiting--;
+    return true;
+  }
+  room.rows = even_rows(unit, chunk->charge.share, block) - block->n_environments;
+  while ((block = mo_fair_take_more(fair, &chunk->charge, fits, &room)) != NULL) {
+    room.rows -= block->n_environments;
+    chunk->status[chunk->n_blocks] = MO_CHUNK_NOT_DONE;
+    chunk->blocks[chunk->n_blocks++] = block;
+  }
+  chunk->n_active = chunk->n_blocks;
+  return true;
+}
+
+/* ---- building ---- */
+
+static bool is_cancelled(const struct mo_block *block)
+{
+  return (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
+         (block->shards != NULL && atomic_load_explicit(block->shards->stop, memory_order_relaxed));
+}
+
+static bool same_body(const struct mo_block *a, const struct mo_block *b)
+{
+  return a->body == NULL && b->body == NULL && a->lattice == b->lattice &&
+         memcmp(a->genotype, b->genotype, mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
+}
+
+/* The block at `place` gets its rows; environments of one body are neighbours, also over several blocks. */
+static int build_block(struct mo_chunk *chunk, uint32_t place)
+{
+  const struct mo_block *block = chunk->blocks[place];
+  const struct mo_body *body = block->body;
+  chunk->bodies[place] = NULL;
+  chunk->first_row[place] = chunk->n_rows;
+  if (is_cancelled(block))
+    return MO_ERR_CANCELLED;
+  if (body == NULL && place > 0 && same_body(block, chunk->blocks[place - 1])) {
+    body = chunk->robots[chunk->first_row[place - 1]].body;
+  } else if (body == NULL) {
+    const int status = mo_body_create(block->lattice, block->genotype, &chunk->bodies[place]);
+    if (status != MO_OK)
+      return status;
+    body = chunk->bodies[place];
+  }
+  for (uint32_t i = 0; i < block->n_environments; i++)
+    chunk->robots[chunk->n_rows++] = (struct mo_robot){.body = body, .environment = block->environments[i]};
+  return MO_OK;
+}
+
+void mo_chunk_build(struct mo_chunk *chunk)
+{
+  if (chunk->task != NULL)
+    return;
+  for (uint32_t i = 0; i < chunk->n_active;) {
+    const int status = build_block(chunk, i);
+    if (status == MO_OK) {
+      i++;
+      continue;
+    }
+    struct mo_block *failed = chunk->blocks[i];
+    chunk->n_active--;
+    chunk->blocks[i] = chunk->blocks[chunk->n_active];
+    chunk->blocks[chunk->n_active] = failed;
+    chunk->bodies[chunk->n_active] = NULL;
+    chunk->status[chunk->n_active] = status;
+  }
+}
+
+bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)
+{
+  for (uint32_t i = 0; i < chunk->n_active; i++)
+    if (!is_cancelled(chunk->blocks[i]))
+      return false;
+  return true;
+}
+
+/* ---- handing back ---- */
+
+void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
+{
+  for (uint32_t i = 0; i < chunk->n_blocks; i++) {
+    if (chunk->status[i] != MO_CHUNK_NOT_DONE)
+      continue;
+    if (devices->stopping) {
+      chunk->status[i] = MO_ERR_CANCELLED;
+    } else if (atomic_load(&devices->n_working) == 0) {
+      chunk->status[i] = MO_ERR_DEVICE;
+    } else {
+      devices->tasks_waiting += chunk->task != NULL;
+      mo_fair_push(&devices->fair, chunk->charge.share, chunk->blocks[i]);
+      chunk->blocks[i] = NULL;
+    }
+  }
+  pthread_cond_broadcast(&devices->wake);
+}
+
+static void end_block(struct mo_devices *devices, struct mo_block *block, int status, const struct mo_outcome *outcomes)
+{
+  if (status == MO_CHUNK_TO_WORKERS) {
+    status = mo_compute_submit_to_workers(devices->compute, block);
+    if (status == MO_OK)
+      return;
+  } else if (status == MO_OK && block->shards == NULL) {
+    memcpy(block->outcomes, outcomes, block->n_environments * sizeof(*outcomes));
+  }
+  block->status = status;
+  block->computed_on = MO_ON_DEVICE;
+  block->done(block, block->context);
+}
+
+void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
+{
+  if (chunk->task == NULL)
+    for (uint32_t i = 0; i < chunk->n_active; i++) {
+      mo_body_free(chunk->bodies[i]);
+      chunk->bodies[i] = NULL;
+    }
+  for (uint32_t i = 0; i < chunk->n_blocks; i++)
+    if (chunk->blocks[i] != NULL)
+      end_block(devices, chunk->blocks[i], chunk->status[i],
+                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i] : NULL);
+  chunk->n_blocks = chunk->n_active = 0;
+}

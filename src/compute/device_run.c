@@ -1,0 +1,429 @@
+/* device_run.c: the two threads of a device.
+ *
+ * The gatherer takes a chunk when work waits, while the device is still busy with the one before, and builds its bodies. Submitters hand over
+ * one block at a time, and a device takes as long for one as for a thousand: so it waits until no more come, a few milliseconds. It also watches
+ * whether somebody still wants what runs.
+ *
+ * The runner calls the module. What the module has no memory for it gets in halves, and it gets more again after a while; what it does not support is
+ * halved, too, until only the blocks are left that it cannot do: so which they are does not depend on their neighbours. A failure of the device
+ * ends both threads; all that has no result goes back to the queue. */
+#include "compute/devices.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "base/clock.h"
+
+enum {
+  LINGER_IDLE_MS = 2,  /* without a new block, before a device that has nothing to do gets what waits */
+  LINGER_BUSY_MS = 10, /* … and one that has */
+  WATCH_MS = 20,
+  GROW_AFTER = 8 /* chunks without want of memory */
+};
+
+static const double load_s = 10; /* what the load is averaged over */
+
+/* Under the mutex; false: the time is over. */
+static bool wait_ms(struct mo_devices *devices, int ms)
+{
+  struct timespec end;
+  clock_gettime(CLOCK_MONOTONIC, &end);
+  end.tv_nsec += ms * 1000000L;
+  end.tv_sec += end.tv_nsec / 1000000000L;
+  end.tv_nsec %= 1000000000L;
+  return pthread_cond_timedwait(&devices->wake, &devices->mutex, &end) != ETIMEDOUT;
+}
+
+void mo_unit_account(struct mo_unit *unit)
+{
+  const uint64_t now_ns = mo_clock_ns();
+  const double passed_s = 1e-9 * (double)(now_ns - unit->changed_ns), keep = exp(-passed_s / load_s);
+  unit->changed_ns = now_ns;
+  unit->status.load = unit->status.load * keep + (unit->running != NULL ? 1 - keep : 0);
+  if (unit->running != NULL)
+    unit->status.busy_s += passed_s;
+}
+
+static bool has_ended(const struct mo_unit *unit)
+{
+  return unit->devices->stopping || unit->status.state == MO_DEVICE_LOST;
+}
+
+/* ---- the gatherer ---- */
+
+static void watch(struct mo_unit *unit)
+{
+  if (unit->running != NULL && (unit->devices->stopping || mo_chunk_is_cancelled(unit->running)))
+    __atomic_store_n(&unit->cancel, 1, __ATOMIC_RELAXED);
+}
+
+/* Until no more blocks come, or there is enough for everybody. */
+static void linger(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  const uint64_t enough = (uint64_t)MO_CHUNK_ROWS / 8 * devices->n;
+  uint64_t before = 0, waiting = atomic_load(&devices->fair.waiting), since_ns = mo_clock_ns();
+  while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit)) {
+    const uint64_t patience_ns = UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
+    if (waiting > before)
+      since_ns = mo_clock_ns();
+    else if (mo_clock_ns() - since_ns >= patience_ns)
+      return;
+    before = waiting;
+    (void)wait_ms(devices, 1);
+    watch(unit);
+    waiting = atomic_load(&devices->fair.waiting);
+  }
+}
+
+/* There is nothing to take, or another device has nothing to do and shall have it. */
+static bool has_to_wait(const struct mo_unit *unit)
+{
+  const struct mo_devices *devices = unit->devices;
+  if (unit->ready != NULL || atomic_load(&devices->fair.waiting) == 0)
+    return true;
+  for (uint32_t i = 0; i < devices->n && unit->held != NULL; i++) {
+    const struct mo_unit *other = &devices->units[i];
+    if (other->status.state == MO_DEVICE_WORKS && other->held == NULL && other->ready == NULL && !other->is_building)
+      return true;
+  }
+  return false;
+}
+
+static bool gather(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  while (!has_ended(unit) && has_to_wait(unit)) {
+    watch(unit);
+    if (unit->held != NULL)
+      (void)wait_ms(devices, WATCH_MS);
+    else
+      pthread_cond_wait(&devices->wake, &devices->mutex);
+  }
+  if (!has_ended(unit))
+    linger(unit);
+  return !has_ended(unit);
+}
+
+void *mo_unit_gather(void *context)
+{
+  struct mo_unit *unit = context;
+  struct mo_devices *devices = unit->devices;
+  pthread_mutex_lock(&devices->mutex);
+  while (gather(unit)) {
+    struct mo_chunk *chunk = &unit->chunks[unit->held == &unit->chunks[0]];
+    if (has_to_wait(unit) || !mo_chunk_take(unit, chunk)) /* others were faster */
+      continue;
+    unit->is_building = true;
+    pthread_mutex_unlock(&devices->mutex);
+    mo_chunk_build(chunk);
+    pthread_mutex_lock(&devices->mutex);
+    unit->is_building = false;
+    unit->ready = chunk;
+    pthread_cond_broadcast(&devices->wake);
+  }
+  while (devices->stopping && unit->running != NULL) { /* it ends soon */
+    watch(unit);
+    (void)wait_ms(devices, WATCH_MS);
+  }
+  unit->gathered_all = true;
+  pthread_cond_broadcast(&devices->wake);
+  pthread_mutex_unlock(&devices->mutex);
+  return NULL;
+}
+
+/* ---- weights ---- */
+
+/* Frees the copies that nobody needs any more. */
+static void drop_copies(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  struct mo_device_copy *gone = NULL, **link = &unit->copies;
+  pthread_mutex_lock(&devices->mutex);
+  while (*link != NULL) {
+    struct mo_device_copy *copy = *link;
+    if (copy->owner == NULL) {
+      *link = copy->next;
+      copy->next = gone;
+      gone = copy;
+    } else {
+      link = &copy->next;
+    }
+  }
+  pthread_mutex_unlock(&devices->mutex);
+  while (gone != NULL) {
+    struct mo_device_copy *next = gone->next;
+    if (gone->controller != NULL && unit->status.state == MO_DEVICE_WORKS)
+      devices->module->controller_free(unit->device, gone->controller);
+    free(gone);
+    gone = next;
+  }
+}
+
+static struct mo_device_copy *find_copy(struct mo_unit *unit, const struct mo_compute_controller *owner)
+{
+  pthread_mutex_lock(&unit->devices->mutex);
+  struct mo_device_copy *copy = unit->copies;
+  while (copy != NULL && copy->owner != owner)
+    copy = copy->next;
+  pthread_mutex_unlock(&unit->devices->mutex);
+  return copy;
+}
+
+/* *ret NULL: passive bodies. MO_ERR_UNSUPPORTED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
+static int prepare_controller(struct mo_unit *unit, const struct mo_compute_controller *owner,
+                              struct mo_device_controller **ret)
+{
+  const struct mo_device_module *module = unit->devices->module;
+  struct mo_device_copy *copy;
+  int status = MO_OK;
+  *ret = NULL;
+  if (mo_compute_controller_weights(owner) == NULL)
+    return MO_OK;
+  copy = find_copy(unit, owner);
+  if (copy == NULL) {
+    copy = calloc(1, sizeof(*copy));
+    if (copy == NULL)
+      return MO_ERR_NO_MEMORY;
+    status = module->controller_create(unit->device, mo_compute_controller_weights(owner), &copy->controller);
+    if (status != MO_OK && status != MO_ERR_UNSUPPORTED) {
+      free(copy);
+      return status;
+    }
+    pthread_mutex_lock(&unit->devices->mutex);
+    copy->owner = owner;
+    copy->next = unit->copies;
+    unit->copies = copy;
+    pthread_mutex_unlock(&unit->devices->mutex);
+  }
+  *ret = copy->controller;
+  return copy->controller != NULL ? MO_OK : MO_ERR_UNSUPPORTED;
+}
+
+/* ---- the runner ---- */
+
+static void shrink(uint32_t *limit, uint32_t tried, struct mo_unit *unit)
+{
+  pthread_mutex_lock(&unit->devices->mutex);
+  if (*limit > tried / 2)
+    *limit = tried / 2 > 0 ? tried / 2 : 1;
+  unit->good_chunks = 0;
+  pthread_mutex_unlock(&unit->devices->mutex);
+}
+
+static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, int status)
+{
+  for (uint32_t i = first; i < last; i++)
+    chunk->status[i] = status;
+}
+
+/* Scores blocks first … last − 1. MO_OK, whatever came of them, or MO_ERR_DEVICE. */
+static int score(struct mo_unit *unit, struct mo_chunk *chunk, struct mo_device_controller *controller, uint32_t first,
+                 uint32_t last)
+{
+  const struct mo_devices *devices = unit->devices;
+  const uint32_t row = chunk->first_row[first], middle = first + (last - first) / 2;
+  struct mo_device_score call = {.controller = controller,
+                                 .robots = chunk->robots + row,
+                                 .n = (last < chunk->n_active ? chunk->first_row[last] : chunk->n_rows) - row,
+                                 .physics = chunk->blocks[first]->physics,
+                                 .precision = MO_DEVICE_EXACT,
+                                 .cancel = &unit->cancel,
+                                 .outcomes = chunk->outcomes + row};
+  const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
+  int status = is_too_large ? MO_ERR_NO_MEMORY : devices->module->score(unit->device, &call);
+  if (status == MO_ERR_DEVICE || status == MO_OK || status == MO_ERR_CANCELLED) {
+    if (status != MO_ERR_DEVICE)
+      set_status(chunk, first, last, status);
+    return status == MO_ERR_DEVICE ? status : MO_OK;
+  }
+  if (status == MO_ERR_NO_MEMORY && !is_too_large)
+    shrink(&unit->row_limit, call.n, unit);
+  if (is_one) {
+    chunk->status[first] = status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status;
+    return MO_OK;
+  }
+  status = score(unit, chunk, controller, first, middle);
+  return status == MO_OK ? score(unit, chunk, controller, middle, last) : status;
+}
+
+static int run_blocks(struct mo_unit *unit, struct mo_chunk *chunk)
+{
+  struct mo_device_controller *controller = NULL;
+  int status = MO_OK;
+  if (chunk->n_active == 0)
+    return MO_OK;
+  status = prepare_controller(unit, chunk->blocks[0]->controller, &controller);
+  if (status == MO_OK)
+    return score(unit, chunk, controller, 0, chunk->n_active);
+  if (status == MO_ERR_DEVICE)
+    return status;
+  set_status(chunk, 0, chunk->n_active, status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status);
+  return MO_OK;
+}
+
+/* Differentiates shards first … last − 1. */
+static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint32_t first, uint32_t last)
+{
+  const uint32_t row = first * MO_DEVICE_SHARD, n = last - first, middle = first + n / 2;
+  const uint32_t end = last * MO_DEVICE_SHARD < task->n ? last * MO_DEVICE_SHARD : task->n;
+  struct mo_device_gradient call = {.controller = task->controller,
+                                    .robots = task->robots + row,
+                                    .n = end - row,
+                                    .physics = task->block.physics,
+                                    .adjoint_bound = task->adjoint_bound,
+                                    .weight = task->weight,
+                                    .cancel = &unit->cancel,
+                                    .d_parameters = task->d_parameters + first * task->controller->n_parameters,
+                                    .outcomes = task->outcomes + row};
+  const bool is_too_large = n > 1 && n > unit->shard_limit;
+  int status = is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->gradient(unit->device, &call);
+  if (status == MO_OK)
+    mo_gradient_counts_add(&task->counts, &call.counts);
+  if (status != MO_ERR_NO_MEMORY)
+    return status;
+  if (!is_too_large)
+    shrink(&unit->shard_limit, n, unit);
+  if (n == 1)
+    return status;
+  status = differentiate(unit, task, first, middle);
+  return status == MO_OK ? differentiate(unit, task, middle, last) : status;
+}
+
+static int run_task(struct mo_unit *unit, struct mo_chunk *chunk)
+{
+  struct mo_device_task *task = chunk->task;
+  int status = MO_ERR_CANCELLED;
+  task->counts = (struct mo_gradient_counts){0};
+  if (!mo_chunk_is_cancelled(chunk))
+    status = differentiate(unit, task, 0, (task->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD);
+  if (status != MO_ERR_DEVICE)
+    chunk->status[0] = status;
+  return status == MO_ERR_DEVICE ? status : MO_OK;
+}
+
+static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
+{
+  unit->status.calls++;
+  if (chunk->task != NULL && chunk->status[0] == MO_OK)
+    unit->status.gradient_robots_done += chunk->task->n;
+  for (uint32_t i = 0; chunk->task == NULL && i < chunk->n_active; i++)
+    if (chunk->status[i] == MO_OK)
+      unit->status.rollouts_done += chunk->blocks[i]->n_environments;
+  if (++unit->good_chunks >= GROW_AFTER) {
+    unit->good_chunks = 0;
+    unit->row_limit = unit->row_limit < MO_CHUNK_ROWS / 2 ? 2 * unit->row_limit : MO_CHUNK_ROWS;
+    unit->shard_limit = unit->shard_limit < MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD / 2
+                            ? 2 * unit->shard_limit
+                            : MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD;
+  }
+  unit->status.rows_at_once = unit->row_limit;
+}
+
+/* Under the mutex; it is kept. */
+static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
+{
+  mo_chunk_return(devices, chunk);
+  pthread_mutex_unlock(&devices->mutex);
+  mo_chunk_deliver(devices, chunk);
+  pthread_mutex_lock(&devices->mutex);
+}
+
+/* Under the mutex. Nobody is left to compute what waits. */
+static void drain(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  struct mo_chunk *chunk = &unit->chunks[0];
+  while ((devices->stopping || atomic_load(&devices->n_working) == 0) && mo_chunk_take(unit, chunk)) {
+    mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
+    chunk->n_active = 0;
+    hand_back(devices, chunk);
+  }
+}
+
+/* Under the mutex. */
+static void lose(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  unit->status.state = MO_DEVICE_LOST;
+  snprintf(unit->status.error, sizeof(unit->status.error), "%s", devices->module->error(unit->device));
+  atomic_fetch_sub(&devices->n_working, 1);
+  pthread_cond_broadcast(&devices->wake);
+  if (devices->lost != NULL) {
+    const struct mo_device_status status = unit->status;
+    pthread_mutex_unlock(&devices->mutex);
+    devices->lost(devices->context, &status);
+    pthread_mutex_lock(&devices->mutex);
+  }
+}
+
+/* Under the mutex: runs what is ready. */
+static void run_chunk(struct mo_unit *unit)
+{
+  struct mo_devices *devices = unit->devices;
+  struct mo_chunk *chunk = unit->ready;
+  mo_unit_account(unit);
+  unit->ready = NULL;
+  unit->running = unit->held = chunk;
+  unit->cancel = devices->stopping;
+  pthread_cond_broadcast(&devices->wake);
+  const uint64_t start_ns = mo_clock_ns();
+  pthread_mutex_unlock(&devices->mutex);
+  mo_compute_set_tag(chunk->blocks[0]->tag);
+  const int status = chunk->task != NULL ? run_task(unit, chunk) : run_blocks(unit, chunk);
+  mo_compute_set_tag(-1);
+  pthread_mutex_lock(&devices->mutex);
+  const uint64_t took_ns = mo_clock_ns() - start_ns;
+  mo_unit_account(unit);
+  unit->running = NULL;
+  count(unit, chunk);
+  mo_fair_settle(&devices->fair, &chunk->charge, 1e-9 * (double)took_ns, status == MO_OK);
+  atomic_fetch_add(&chunk->charge.share->busy_ns, took_ns);
+  if (status == MO_ERR_DEVICE)
+    lose(unit);
+  hand_back(devices, chunk);
+  unit->held = NULL;
+  pthread_cond_broadcast(&devices->wake);
+}
+
+static void look_up_memory(struct mo_unit *unit)
+{
+  struct mo_device_info info = {.name = ""};
+  pthread_mutex_unlock(&unit->devices->mutex);
+  const int status = unit->devices->module->info(unit->device, &info);
+  pthread_mutex_lock(&unit->devices->mutex);
+  unit->wants_info = false;
+  if (status == MO_OK)
+    unit->status.free_bytes = info.free_bytes;
+}
+
+void *mo_unit_run(void *context)
+{
+  struct mo_unit *unit = context;
+  struct mo_devices *devices = unit->devices;
+  pthread_mutex_lock(&devices->mutex);
+  while (!has_ended(unit) || !unit->gathered_all) {
+    if (unit->ready != NULL && !has_ended(unit))
+      run_chunk(unit);
+    else if (unit->wants_info && !has_ended(unit))
+      look_up_memory(unit);
+    else
+      pthread_cond_wait(&devices->wake, &devices->mutex);
+    pthread_mutex_unlock(&devices->mutex);
+    drop_copies(unit);
+    pthread_mutex_lock(&devices->mutex);
+  }
+  if (unit->ready != NULL) {
+    struct mo_chunk *chunk = unit->ready;
+    unit->ready = NULL;
+    mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
+    hand_back(devices, chunk);
+  }
+  drain(unit);
+  pthread_mutex_unlock(&devices->mutex);
+  return NULL;
+}

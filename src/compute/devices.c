@@ -1,0 +1,315 @@
+/* devices.c: a module of devices: loading it, opening its devices, their queue, what can be seen of them. */
+#include "compute/devices.h"
+
+#include <dlfcn.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "base/clock.h"
+
+#define DEVICES_MAX 64
+/* Estimates of a rollout step before anything was measured. */
+#define SCORING_S  1e-8
+#define GRADIENT_S 3e-8
+
+/* ---- loading ---- */
+
+static int load(struct mo_devices *devices, const char *path, struct mo_message *message)
+{
+  const struct mo_device_module *(*get)(void) = NULL;
+  const struct mo_device_module *module;
+  void *symbol;
+  if (access(path, F_OK) != 0 && errno == ENOENT)
+    return mo_fail(message, MO_ERR_NOT_FOUND, "there is no file %s", path);
+  devices->library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+  if (devices->library == NULL)
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "%s", dlerror());
+  symbol = dlsym(devices->library, "mo_device_module");
+  memcpy(&get, &symbol, sizeof(get));
+  module = get != NULL ? get() : NULL;
+  if (module == NULL)
+    return mo_fail(message, MO_ERR_UNSUPPORTED, "%s is not a module of devices", path);
+  if (module->abi != MO_DEVICE_ABI)
+    return mo_fail(
+        message, MO_ERR_UNSUPPORTED,
+        "%s is for another version of this program (interface %u, not %u): install the one that belongs to it", path,
+        (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
+  devices->module = module;
+  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s", module->name, module->score_code);
+  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint), "%s float32 %s", module->name,
+           module->gradient_code);
+  return MO_OK;
+}
+
+/* ---- opening ---- */
+
+static void close_unit(struct mo_unit *unit)
+{
+  const struct mo_device_module *module = unit->devices->module;
+  while (unit->copies != NULL) {
+    struct mo_device_copy *copy = unit->copies;
+    unit->copies = copy->next;
+    if (copy->controller != NULL && unit->status.state == MO_DEVICE_WORKS)
+      module->controller_free(unit->device, copy->controller);
+    free(copy);
+  }
+  if (unit->device != NULL)
+    module->close(unit->device);
+  for (size_t i = 0; i < sizeof(unit->chunks) / sizeof(unit->chunks[0]); i++)
+    mo_chunk_destroy(&unit->chunks[i]);
+}
+
+static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t index)
+{
+  struct mo_device_info info = {.name = ""};
+  int status = MO_OK;
+  *unit = (struct mo_unit){.devices = devices,
+                           .status = {.index = index, .rows_at_once = MO_CHUNK_ROWS},
+                           .changed_ns = mo_clock_ns(),
+                           .row_limit = MO_CHUNK_ROWS,
+                           .shard_limit = MO_DEVICE_ROWS_MAX / MO_DEVICE_SHARD};
+  for (size_t i = 0; i < sizeof(unit->chunks) / sizeof(unit->chunks[0]) && status == MO_OK; i++)
+    status = mo_chunk_create(&unit->chunks[i]);
+  if (status == MO_OK)
+    status = devices->module->open(index, &unit->device);
+  if (status == MO_OK)
+    status = devices->module->info(unit->device, &info);
+  snprintf(unit->status.name, sizeof(unit->status.name), "%s", info.name);
+  snprintf(unit->status.id, sizeof(unit->status.id), "%s", info.id);
+  unit->status.memory_bytes = info.memory_bytes;
+  unit->status.free_bytes = info.free_bytes;
+  unit->status.multiprocessors = info.multiprocessors;
+  unit->status.capability = info.capability;
+  if (status != MO_OK) {
+    unit->status.state = MO_DEVICE_LOST;
+    snprintf(unit->status.error, sizeof(unit->status.error), "%s",
+             unit->device != NULL ? devices->module->error(unit->device) : mo_error_text(status));
+    close_unit(unit);
+  }
+  return status;
+}
+
+/* Those that are asked for, or all that can be opened. */
+static int open_units(struct mo_devices *devices, const struct mo_devices_config *config, struct mo_message *message)
+{
+  uint32_t found = 0;
+  int status = devices->module->count(&found);
+  if (status != MO_OK)
+    return mo_fail(message, MO_ERR_DEVICE, "the module %s cannot count its devices", devices->module->name);
+  const uint32_t wanted = config->devices != NULL ? config->n : found < DEVICES_MAX ? found : DEVICES_MAX;
+  devices->units = calloc((size_t)wanted + 1, sizeof(*devices->units));
+  if (devices->units == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  for (uint32_t i = 0; i < wanted; i++) {
+    const uint32_t index = config->devices != NULL ? config->devices[i] : i;
+    struct mo_unit *unit = &devices->units[devices->n];
+    if (index >= found)
+      return mo_fail(message, MO_ERR_RANGE, "there is no device %u: the module %s finds %u", (unsigned)index,
+                     devices->module->name, (unsigned)found);
+    status = open_unit(devices, unit, index);
+    if (status == MO_ERR_NO_MEMORY)
+      return mo_fail(message, status, "no memory for device %u", (unsigned)index);
+    if (status == MO_OK) {
+      devices->n++;
+      continue;
+    }
+    if (config->lost != NULL)
+      config->lost(config->context, &unit->status);
+    if (config->devices != NULL)
+      return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be opened: %.180s", (unsigned)index, unit->status.error);
+  }
+  return devices->n > 0
+             ? MO_OK
+             : mo_fail(message, MO_ERR_EXHAUSTED, "the module %s finds no device that works", devices->module->name);
+}
+
+static int start(struct mo_devices *devices)
+{
+  char name[16];
+  for (uint32_t i = 0; i < devices->n; i++) {
+    struct mo_unit *unit = &devices->units[i];
+    snprintf(name, sizeof(name), "mo-gather-%u", (unsigned)i % 10000);
+    unit->has_gatherer = mo_compute_thread(&unit->gatherer, name, mo_unit_gather, unit) == 0;
+    snprintf(name, sizeof(name), "mo-device-%u", (unsigned)i % 10000);
+    unit->has_runner = unit->has_gatherer && mo_compute_thread(&unit->runner, name, mo_unit_run, unit) == 0;
+    if (!unit->has_runner)
+      return MO_ERR_NO_MEMORY;
+  }
+  return MO_OK;
+}
+
+int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_config *config,
+                           struct mo_message *message)
+{
+  if (mo_compute_get_devices(compute) != NULL)
+    return mo_fail(message, MO_ERR_CONFLICT, "there are devices already");
+  struct mo_devices *devices = calloc(1, sizeof(*devices));
+  pthread_condattr_t monotonic;
+  if (devices == NULL)
+    return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
+  devices->compute = compute;
+  devices->lost = config->lost;
+  devices->context = config->context;
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
+  pthread_mutex_init(&devices->mutex, NULL);
+  pthread_cond_init(&devices->wake, &monotonic);
+  pthread_condattr_destroy(&monotonic);
+  int status = load(devices, config->module, message);
+  if (status == MO_OK)
+    status = open_units(devices, config, message);
+  if (status == MO_OK) {
+    mo_fair_init(&devices->fair, devices->n);
+    devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
+    devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
+    mo_fair_add(&devices->fair, &devices->own, 1);
+    mo_fair_add(&devices->fair, &devices->urgent, MO_SHARE_WEIGHT_MAX);
+    atomic_store(&devices->n_working, devices->n);
+    status = start(devices);
+    if (status != MO_OK)
+      mo_fail(message, status, "no thread for a device");
+  }
+  if (status == MO_OK)
+    mo_compute_set_devices(compute, devices);
+  else
+    mo_devices_free(devices);
+  return status;
+}
+
+void mo_devices_free(struct mo_devices *devices)
+{
+  if (devices == NULL)
+    return;
+  pthread_mutex_lock(&devices->mutex);
+  devices->stopping = true;
+  for (uint32_t i = 0; i < devices->n; i++) {
+    __atomic_store_n(&devices->units[i].cancel, 1, __ATOMIC_RELAXED);
+    devices->units[i].gathered_all = devices->units[i].gathered_all || !devices->units[i].has_gatherer;
+  }
+  pthread_cond_broadcast(&devices->wake);
+  pthread_mutex_unlock(&devices->mutex);
+  for (uint32_t i = 0; i < devices->n; i++) {
+    if (devices->units[i].has_gatherer)
+      pthread_join(devices->units[i].gatherer, NULL);
+    if (devices->units[i].has_runner)
+      pthread_join(devices->units[i].runner, NULL);
+  }
+  for (uint32_t i = 0; i < devices->n; i++)
+    close_unit(&devices->units[i]);
+  free(devices->units);
+  pthread_cond_destroy(&devices->wake);
+  pthread_mutex_destroy(&devices->mutex);
+  if (devices->library != NULL)
+    dlclose(devices->library);
+  free(devices);
+}
+
+/* ---- the queue ---- */
+
+static struct mo_compute_share *share_of(struct mo_devices *devices, const struct mo_block *block)
+{
+  if (block->urgency == MO_INTERACTIVE && block->shards == NULL)
+    return &devices->urgent;
+  return block->share != NULL ? block->share->on_devices : &devices->own;
+}
+
+int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
+{
+  int status = MO_OK;
+  pthread_mutex_lock(&devices->mutex);
+  if (devices->stopping)
+    status = MO_ERR_CANCELLED;
+  else if (atomic_load(&devices->n_working) == 0)
+    status = MO_ERR_DEVICE;
+  if (status == MO_OK) {
+    const bool nothing_waits = atomic_load(&devices->fair.waiting) == 0;
+    devices->tasks_waiting += block->shards != NULL;
+    mo_fair_push(&devices->fair, share_of(devices, block), block);
+    if (nothing_waits || block->shards != NULL)
+      pthread_cond_broadcast(&devices->wake);
+  }
+  pthread_mutex_unlock(&devices->mutex);
+  return status;
+}
+
+void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_controller *controller)
+{
+  pthread_mutex_lock(&devices->mutex);
+  for (uint32_t i = 0; i < devices->n; i++)
+    for (struct mo_device_copy *copy = devices->units[i].copies; copy != NULL; copy = copy->next)
+      if (copy->owner == controller)
+        copy->owner = NULL;
+  pthread_cond_broadcast(&devices->wake); /* runners free it */
+  pthread_mutex_unlock(&devices->mutex);
+}
+
+int mo_devices_share_create(struct mo_devices *devices, double weight, struct mo_compute_share **ret)
+{
+  struct mo_compute_share *share = calloc(1, sizeof(*share));
+  if (share == NULL)
+    return MO_ERR_NO_MEMORY;
+  pthread_mutex_lock(&devices->mutex);
+  mo_fair_add(&devices->fair, share, weight);
+  pthread_mutex_unlock(&devices->mutex);
+  *ret = share;
+  return MO_OK;
+}
+
+void mo_devices_share_remove(struct mo_devices *devices, struct mo_compute_share *share)
+{
+  pthread_mutex_lock(&devices->mutex);
+  mo_fair_remove(&devices->fair, share);
+  pthread_mutex_unlock(&devices->mutex);
+}
+
+void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share, double weight)
+{
+  pthread_mutex_lock(&devices->mutex);
+  mo_fair_set_weight(&devices->fair, share, weight);
+  pthread_mutex_unlock(&devices->mutex);
+}
+
+/* ---- what can be seen ---- */
+
+uint32_t mo_compute_devices(const struct mo_compute *compute)
+{
+  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  return devices != NULL ? devices->n : 0;
+}
+
+uint32_t mo_compute_devices_working(const struct mo_compute *compute)
+{
+  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  return devices != NULL ? atomic_load(&devices->n_working) : 0;
+}
+
+int mo_compute_device(struct mo_compute *compute, uint32_t position, struct mo_device_status *status)
+{
+  struct mo_devices *devices = mo_compute_get_devices(compute);
+  if (devices == NULL || position >= devices->n)
+    return MO_ERR_RANGE;
+  struct mo_unit *unit = &devices->units[position];
+  pthread_mutex_lock(&devices->mutex);
+  mo_unit_account(unit);
+  *status = unit->status;
+  status->is_busy = unit->running != NULL;
+  unit->wants_info = true;
+  pthread_cond_broadcast(&devices->wake);
+  pthread_mutex_unlock(&devices->mutex);
+  return MO_OK;
+}
+
+const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
+{
+  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  return devices != NULL ? devices->fingerprint : NULL;
+}
+
+const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
+{
+  const struct mo_devices *devices = mo_compute_get_devices(compute);
+  return devices != NULL ? devices->gradient_fingerprint : NULL;
+}

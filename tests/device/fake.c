@@ -1,0 +1,224 @@
+/* fake.c: a module of devices that computes on the processor, for tests on machines without any: scores by the fast path, gradients by
+ * blocks of the CPU. It does what the environment says when it is loaded or opens a device:
+ *   MORPHO_FAKE_DEVICES       how many devices there are (1)
+ *   MORPHO_FAKE_ROWS          most rows of a call to `score`, MORPHO_FAKE_SHARDS most shards of one to `gradient`: else no memory
+ *   MORPHO_FAKE_SPRINGS       a body with more is not supported
+ *   MORPHO_FAKE_DELAY_MS      what every call takes longer
+ *   MORPHO_FAKE_LOSE          "1:5": device 1 is lost in its fifth call
+ *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
+ *   MORPHO_FAKE_SHUT          this device cannot be opened
+ *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
+#include "compute/device.h"
+
+#include <stdbool.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#define NO_LIMIT UINT32_MAX
+
+struct mo_device {
+  uint32_t index, rows, shards, springs, delay_ms, lost_in, calls;
+  const char *lost_if;
+  bool is_lost;
+  uint32_t n_controllers;
+  struct mo_workspace_memory *memory;
+  struct mo_gradient_memory *gradient;
+  struct mo_pack *passive;
+  const volatile int *cancel; /* of the call under way */
+};
+
+struct mo_device_controller {
+  struct mo_pack *pack;
+};
+
+static uint32_t number(const char *name, uint32_t otherwise)
+{
+  const char *text = getenv(name);
+  return text != NULL && text[0] != '\0' ? (uint32_t)strtoul(text, NULL, 10) : otherwise;
+}
+
+static int fake_count(uint32_t *n)
+{
+  *n = number("MORPHO_FAKE_DEVICES", 1);
+  return MO_OK;
+}
+
+static int fake_open(uint32_t index, struct mo_device **ret)
+{
+  unsigned which = 0, call = 0;
+  const char *lose = getenv("MORPHO_FAKE_LOSE");
+  struct mo_device *device;
+  int status;
+  if (number("MORPHO_FAKE_SHUT", NO_LIMIT) == index)
+    return MO_ERR_DEVICE;
+  device = calloc(1, sizeof(*device));
+  if (device == NULL)
+    return MO_ERR_NO_MEMORY;
+  device->index = index;
+  device->rows = number("MORPHO_FAKE_ROWS", NO_LIMIT);
+  device->shards = number("MORPHO_FAKE_SHARDS", NO_LIMIT);
+  device->springs = number("MORPHO_FAKE_SPRINGS", NO_LIMIT);
+  device->delay_ms = number("MORPHO_FAKE_DELAY_MS", 0);
+  device->lost_if = getenv("MORPHO_FAKE_LOSE_IF");
+  if (lose != NULL && sscanf(lose, "%u:%u", &which, &call) == 2 && which == index)
+    device->lost_in = call;
+  status = mo_workspace_memory_create(&device->memory);
+  if (status == MO_OK)
+    status = mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &device->gradient);
+  if (status == MO_OK)
+    status = mo_pack_create(NULL, mo_isa_best(), MO_FLOAT32, &device->passive);
+  if (status != MO_OK)
+    abort();
+  *ret = device;
+  return MO_OK;
+}
+
+static void fake_close(struct mo_device *device)
+{
+  if (device == NULL)
+    return;
+  if (device->n_controllers > 0 && !device->is_lost)
+    abort(); /* they were to be freed before */
+  mo_pack_free(device->passive);
+  mo_workspace_memory_free(device->memory);
+  mo_gradient_memory_free(device->gradient);
+  free(device);
+}
+
+static int fake_info(struct mo_device *device, struct mo_device_info *info)
+{
+  *info = (struct mo_device_info){.name = "Fake device",
+                                  .memory_bytes = UINT64_C(8) << 30,
+                                  .free_bytes = UINT64_C(6) << 30,
+                                  .multiprocessors = 4,
+                                  .capability = 90};
+  snprintf(info->id, sizeof(info->id), "FAKE-%u", (unsigned)device->index);
+  return MO_OK;
+}
+
+static int fake_controller_create(struct mo_device *device, const struct mo_controller *controller,
+                                  struct mo_device_controller **ret)
+{
+  struct mo_device_controller *made = calloc(1, sizeof(*made));
+  if (made == NULL || mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &made->pack) != MO_OK)
+    abort();
+  device->n_controllers++;
+  *ret = made;
+  return MO_OK;
+}
+
+static void fake_controller_free(struct mo_device *device, struct mo_device_controller *controller)
+{
+  if (controller == NULL)
+    return;
+  device->n_controllers--;
+  mo_pack_free(controller->pack);
+  free(controller);
+}
+
+static int look(void *context)
+{
+  const struct mo_device *device = context;
+  return device->cancel != NULL && __atomic_load_n(device->cancel, __ATOMIC_RELAXED) != 0;
+}
+
+/* What every call begins with. */
+static int begin(struct mo_device *device, const struct mo_robot *robots, uint32_t n, const volatile int *cancel)
+{
+  const struct timespec millisecond = {.tv_nsec = 1000000};
+  device->cancel = cancel;
+  device->calls++;
+  if (device->is_lost) /* nothing may be asked of it any more */
+    abort();
+  for (uint32_t i = 0; i < n; i++)
+    if (robots[i].body->n_springs > device->springs)
+      return MO_ERR_UNSUPPORTED;
+  for (uint32_t ms = 0; ms < device->delay_ms && look(device) == 0; ms++)
+    nanosleep(&millisecond, NULL);
+  device->is_lost = (device->lost_in > 0 && device->calls >= device->lost_in) ||
+                    (device->lost_if != NULL && access(device->lost_if, F_OK) == 0);
+  return device->is_lost ? MO_ERR_DEVICE : look(device) != 0 ? MO_ERR_CANCELLED : MO_OK;
+}
+
+static int fake_score(struct mo_device *device, struct mo_device_score *score)
+{
+  const struct mo_pause_point pause = {.interval = 10, .reached = look, .context = device};
+  const struct mo_pack *pack = score->controller != NULL ? score->controller->pack : device->passive;
+  int status;
+  if (score->n < 1 || score->n > MO_DEVICE_ROWS_MAX)
+    return MO_ERR_INVALID;
+  if (score->n > device->rows)
+    return MO_ERR_NO_MEMORY;
+  status = begin(device, score->robots, score->n, score->cancel);
+  for (uint32_t i = 0; i < score->n && status == MO_OK;) {
+    const struct mo_environment *environments[MO_BLOCK_LANES];
+    uint32_t lanes = 0;
+    while (i + lanes < score->n && lanes < MO_BLOCK_LANES && score->robots[i + lanes].body == score->robots[i].body) {
+      environments[lanes] = score->robots[i + lanes].environment;
+      lanes++;
+    }
+    status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes, &score->physics, NULL,
+                              &pause, NULL, score->outcomes + i);
+    i += lanes;
+  }
+  return status;
+}
+
+static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gradient)
+{
+  const struct mo_pause_point pause = {.interval = 4, .reached = look, .context = device};
+  const struct mo_gradient_options options = {.adjoint_bound = gradient->adjoint_bound, .weight = gradient->weight};
+  const uint32_t n_parameters = (uint32_t)gradient->controller->n_parameters;
+  struct mo_gradient_pack *pack = NULL;
+  float *part = calloc(n_parameters, sizeof(*part));
+  int status;
+  if (gradient->n < 1 || gradient->n > MO_DEVICE_ROWS_MAX)
+    status = MO_ERR_INVALID;
+  else if ((gradient->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD > device->shards)
+    status = MO_ERR_NO_MEMORY;
+  else
+    status = begin(device, gradient->robots, gradient->n, gradient->cancel);
+  if (status == MO_OK && (part == NULL || mo_gradient_pack_create(gradient->controller, mo_isa_best(), &pack) != MO_OK))
+    abort();
+  for (uint32_t i = 0; i < gradient->n && status == MO_OK; i += MO_GRADIENT_ROBOTS) {
+    float *sum = gradient->d_parameters + (size_t)(i / MO_DEVICE_SHARD) * n_parameters;
+    const uint32_t left = gradient->n - i, n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
+    status = mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics, &options, &pause,
+                               NULL, gradient->outcomes + i, part, &gradient->counts);
+    for (uint32_t k = 0; k < n_parameters; k++)
+      sum[k] = i % MO_DEVICE_SHARD == 0 ? part[k] : sum[k] + part[k];
+  }
+  mo_gradient_pack_free(pack);
+  free(part);
+  return status;
+}
+
+static const char *fake_error(const struct mo_device *device)
+{
+  return device->is_lost ? "the fake device has fallen off its bus" : "no error";
+}
+
+const struct mo_device_module *mo_device_module(void)
+{
+  static struct mo_device_module module = {.abi = MO_DEVICE_ABI,
+                                           .name = "fake",
+                                           .score_code = "score-1",
+                                           .fast_code = "fast-1",
+                                           .gradient_code = "gradient-1",
+                                           .count = fake_count,
+                                           .open = fake_open,
+                                           .close = fake_close,
+                                           .info = fake_info,
+                                           .controller_create = fake_controller_create,
+                                           .controller_free = fake_controller_free,
+                                           .score = fake_score,
+                                           .gradient = fake_gradient,
+                                           .error = fake_error};
+  module.abi = number("MORPHO_FAKE_ABI", MO_DEVICE_ABI);
+  if (getenv("MORPHO_FAKE_CODE") != NULL)
+    module.score_code = module.gradient_code = getenv("MORPHO_FAKE_CODE");
+  return &module;
+}

@@ -1,0 +1,642 @@
+/* Devices, with a module that computes on the processor (tests/device/fake.c): the same bits for any number of them, however often memory
+ * is short or one is lost; and nothing is forgotten. */
+#include <morpho/compute.h>
+
+#include "../check.h"
+
+#include <stdatomic.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { DESIGNS = 40, ENVIRONMENTS = 10, STEPS = 30, ROBOTS = 2100, ROBOT_STEPS = 4 };
+
+static struct mo_controller *controller;
+static struct mo_lattice *lattice;
+static struct mo_environment environments[ENVIRONMENTS];
+static uint64_t genotypes[DESIGNS][MO_DEFAULT_WORDS];
+static struct mo_body *bodies[DESIGNS];
+static struct mo_robot robots[ROBOTS];
+static struct mo_outcome expected[DESIGNS][ENVIRONMENTS]; /* of the workers */
+static struct mo_block blocks[DESIGNS];
+
+static int setup(void)
+{
+  static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS", "LOSE", "SHUT", "ABI"};
+  struct mo_body_stream *stream = NULL;
+  for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
+    char name[64];
+    snprintf(name, sizeof(name), "MORPHO_FAKE_%s", names[i]);
+    unsetenv(name);
+  }
+  if (controller != NULL)
+    return 1;
+  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
+      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) != MO_OK ||
+      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) != MO_OK)
+    return 0;
+  mo_controller_randomize(controller, 5);
+  for (uint32_t i = 0; i < ENVIRONMENTS; i++)
+    mo_environment_training(3, 0, i, environments + i);
+  for (uint32_t d = 0; d < DESIGNS; d++)
+    if (mo_body_stream_next(stream, genotypes[d]) != MO_OK ||
+        mo_body_create(lattice, genotypes[d], &bodies[d]) != MO_OK)
+      return 0;
+  mo_body_stream_free(stream);
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    robots[i] = (struct mo_robot){bodies[i % DESIGNS], environments + i % ENVIRONMENTS};
+  return 1;
+}
+
+static void set(const char *name, const char *value)
+{
+  setenv(name, value, 1);
+}
+
+/* ---- one back end, with so many devices ---- */
+
+static atomic_int n_lost;
+
+static void note_loss(void *context, const struct mo_device_status *status)
+{
+  (void)context;
+  CHECK_INT(status->state, MO_DEVICE_LOST);
+  CHECK(strlen(status->error) > 0);
+  atomic_fetch_add(&n_lost, 1);
+}
+
+static struct mo_compute *open_devices(const char *n)
+{
+  const struct mo_compute_config config = {.n_workers = 2, .isa = mo_isa_best()};
+  const struct mo_devices_config devices = {.module = FAKE_DEVICE, .lost = note_loss};
+  struct mo_compute *compute = NULL;
+  struct mo_message message = {.text = ""};
+  atomic_store(&n_lost, 0);
+  CHECK_INT(mo_compute_create_cpu(&config, &compute), MO_OK);
+  if (n != NULL) {
+    set("MORPHO_FAKE_DEVICES", n);
+    CHECK_INT(mo_compute_add_devices(compute, &devices, &message), MO_OK);
+    CHECK_TEXT(message.text, "");
+    CHECK_INT(mo_compute_devices(compute), atoi(n));
+    CHECK_INT(mo_compute_devices_working(compute), atoi(n));
+  }
+  return compute;
+}
+
+static struct mo_block block_of(uint32_t design, struct mo_compute_controller *brain, uint32_t steps)
+{
+  struct mo_block block = {.lattice = lattice,
+                           .genotype = genotypes[design],
+                           .controller = brain,
+                           .n_environments = ENVIRONMENTS,
+                           .physics = mo_default_physics(),
+                           .back_end = MO_ON_DEVICE,
+                           .tag = 1};
+  block.physics.n_steps = steps;
+  for (uint32_t i = 0; i < ENVIRONMENTS; i++)
+    block.environments[i] = environments + i;
+  return block;
+}
+
+/* Scores all designs; the status of the run. */
+static int score(struct mo_compute *compute, struct mo_compute_share *share)
+{
+  struct mo_compute_controller *brain = NULL;
+  CHECK_INT(mo_compute_controller_create(compute, controller, &brain), MO_OK);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    blocks[d] = block_of(d, brain, STEPS);
+    blocks[d].share = share;
+  }
+  int status = mo_compute_run(compute, blocks, DESIGNS);
+  mo_compute_controller_free(brain);
+  return status;
+}
+
+static void expect_scores(enum mo_back_end computed_on)
+{
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    CHECK_INT(blocks[d].status, MO_OK);
+    CHECK_INT(blocks[d].computed_on, computed_on);
+    CHECK(memcmp(blocks[d].outcomes, expected[d], sizeof(expected[d])) == 0);
+  }
+}
+
+static void compute_expected(void)
+{
+  struct mo_compute *compute = open_devices(NULL);
+  struct mo_compute_controller *brain = NULL;
+  CHECK_INT(mo_compute_controller_create(compute, controller, &brain), MO_OK);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    blocks[d] = block_of(d, brain, STEPS);
+    blocks[d].back_end = MO_ON_CPU;
+  }
+  CHECK_INT(mo_compute_run(compute, blocks, DESIGNS), MO_OK);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    CHECK_INT(blocks[d].computed_on, MO_ON_CPU);
+    memcpy(expected[d], blocks[d].outcomes, sizeof(expected[d]));
+  }
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- loading ---- */
+
+static void expect_refusal(const char *module, const uint32_t *devices, uint32_t n, int status, const char *words)
+{
+  const struct mo_compute_config config = {.n_workers = 1, .isa = mo_isa_best()};
+  const struct mo_devices_config asked = {.module = module, .devices = devices, .n = n, .lost = note_loss};
+  struct mo_compute *compute = NULL;
+  struct mo_message message = {.text = ""};
+  REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK);
+  CHECK_INT(mo_compute_add_devices(compute, &asked, &message), status);
+  CHECK(strstr(message.text, words) != NULL);
+  if (strstr(message.text, words) == NULL)
+    printf("# it says: %s\n", message.text);
+  CHECK_INT(mo_compute_devices(compute), 0);
+  CHECK(mo_compute_device_fingerprint(compute) == NULL);
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(mo_compute_controller_create(compute, NULL, &brain) == MO_OK);
+  blocks[0] = block_of(0, brain, 2);
+  CHECK_INT(mo_compute_run(compute, blocks, 1), MO_ERR_DEVICE);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+static void says_what_cannot_be_loaded(void)
+{
+  const uint32_t second = 1, first = 0;
+  char other[4096];
+  REQUIRE(setup());
+  snprintf(other, sizeof(other), "%s/meson.build", getenv("MORPHO_SOURCE_DIR"));
+  expect_refusal("/no/such/file.so", NULL, 0, MO_ERR_NOT_FOUND, "/no/such/file.so");
+  expect_refusal(other, NULL, 0, MO_ERR_UNSUPPORTED, "meson.build");
+  set("MORPHO_FAKE_ABI", "7");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED, "another version of this program (interface 7, not 1)");
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DEVICES", "0");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
+  set("MORPHO_FAKE_DEVICES", "1");
+  expect_refusal(FAKE_DEVICE, &second, 1, MO_ERR_RANGE, "there is no device 1");
+  set("MORPHO_FAKE_SHUT", "0");
+  expect_refusal(FAKE_DEVICE, &first, 1, MO_ERR_DEVICE, "device 0");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
+}
+
+static void passes_over_what_cannot_be_opened(void)
+{
+  const struct mo_compute_config config = {.n_workers = 1, .isa = mo_isa_best()};
+  const struct mo_devices_config devices = {.module = FAKE_DEVICE, .lost = note_loss};
+  struct mo_compute *compute = NULL;
+  struct mo_device_status status;
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DEVICES", "3");
+  set("MORPHO_FAKE_SHUT", "1");
+  atomic_store(&n_lost, 0);
+  REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK);
+  CHECK_INT(mo_compute_add_devices(compute, &devices, NULL), MO_OK);
+  CHECK_INT(atomic_load(&n_lost), 1);
+  CHECK_INT(mo_compute_devices(compute), 2);
+  CHECK_INT(mo_compute_device(compute, 1, &status), MO_OK);
+  CHECK_INT(status.index, 2);
+  CHECK_TEXT(status.id, "FAKE-2");
+  CHECK_INT(mo_compute_device(compute, 2, &status), MO_ERR_RANGE);
+  CHECK_INT(mo_compute_add_devices(compute, &devices, NULL), MO_ERR_CONFLICT);
+  mo_compute_free(compute);
+}
+
+/* ---- scores ---- */
+
+static void scores_do_not_depend_on_the_number(void)
+{
+  static const char *const numbers[] = {"1", "2", "4"};
+  REQUIRE(setup());
+  for (size_t i = 0; i < 3; i++) {
+    struct mo_compute *compute = open_devices(numbers[i]);
+    uint64_t rollouts = 0;
+    CHECK_TEXT(mo_compute_device_fingerprint(compute), "fake float32 score-1");
+    CHECK_TEXT(mo_compute_device_gradient_fingerprint(compute), "fake float32 gradient-1");
+    CHECK_INT(score(compute, NULL), MO_OK);
+    expect_scores(MO_ON_DEVICE);
+    CHECK_INT(score(compute, NULL), MO_OK); /* another controller at the same place */
+    expect_scores(MO_ON_DEVICE);
+    for (uint32_t d = 0; d < mo_compute_devices(compute); d++) {
+      struct mo_device_status status;
+      CHECK_INT(mo_compute_device(compute, d, &status), MO_OK);
+      CHECK_TEXT(status.name, "Fake device");
+      CHECK_INT(status.state, MO_DEVICE_WORKS);
+      CHECK_INT(status.capability, 90);
+      CHECK(status.memory_bytes > status.free_bytes && status.free_bytes > 0);
+      CHECK(status.load >= 0 && status.load <= 1);
+      rollouts += status.rollouts_done;
+    }
+    CHECK_INT(rollouts, 2 * DESIGNS * ENVIRONMENTS);
+    mo_compute_free(compute);
+  }
+}
+
+static void scores_do_not_depend_on_memory(void)
+{
+  static const char *const numbers[] = {"1", "2"};
+  REQUIRE(setup());
+  set("MORPHO_FAKE_ROWS", "37");
+  for (size_t i = 0; i < 2; i++) {
+    struct mo_compute *compute = open_devices(numbers[i]);
+    struct mo_device_status status;
+    for (int k = 0; k < 12; k++) { /* it tries larger calls again, and falls back */
+      CHECK_INT(score(compute, NULL), MO_OK);
+      expect_scores(MO_ON_DEVICE);
+    }
+    CHECK_INT(mo_compute_device(compute, 0, &status), MO_OK);
+    CHECK(status.rows_at_once < 300);
+    mo_compute_free(compute);
+  }
+  set("MORPHO_FAKE_ROWS", "9"); /* not even one block */
+  struct mo_compute *compute = open_devices("1");
+  CHECK_INT(score(compute, NULL), MO_ERR_NO_MEMORY);
+  for (uint32_t d = 0; d < DESIGNS; d++)
+    CHECK_INT(blocks[d].status, MO_ERR_NO_MEMORY);
+  mo_compute_free(compute);
+}
+
+static void workers_do_the_rest(void)
+{
+  static const char *const numbers[] = {"1", "2"};
+  uint32_t n_large = 0;
+  char limit[16];
+  REQUIRE(setup());
+  snprintf(limit, sizeof(limit), "%u", (unsigned)bodies[0]->n_springs);
+  set("MORPHO_FAKE_SPRINGS", limit);
+  for (size_t i = 0; i < 2; i++) {
+    struct mo_compute *compute = open_devices(numbers[i]);
+    CHECK_INT(score(compute, NULL), MO_OK);
+    for (uint32_t d = 0; d < DESIGNS; d++) {
+      const bool is_large = bodies[d]->n_springs > bodies[0]->n_springs;
+      n_large += is_large;
+      CHECK_INT(blocks[d].status, MO_OK);
+      CHECK_INT(blocks[d].computed_on, is_large ? MO_ON_CPU : MO_ON_DEVICE);
+      CHECK(memcmp(blocks[d].outcomes, expected[d], sizeof(expected[d])) == 0);
+    }
+    struct mo_compute_controller *brain = NULL;
+    REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+    blocks[0] = block_of(0, brain, STEPS);
+    blocks[0].precision = MO_FLOAT64;
+    CHECK_INT(mo_compute_run(compute, blocks, 1), MO_OK);
+    CHECK_INT(blocks[0].computed_on, MO_ON_CPU);
+    mo_compute_controller_free(brain);
+    mo_compute_free(compute);
+  }
+  CHECK(n_large > 0 && n_large < 2 * DESIGNS);
+}
+
+/* ---- failures ---- */
+
+static void goes_on_without_a_device(void)
+{
+  struct mo_device_status status;
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DELAY_MS", "2");
+  set("MORPHO_FAKE_ROWS", "40");
+  set("MORPHO_FAKE_LOSE", "0:3");
+  struct mo_compute *compute = open_devices("2");
+  for (int k = 0; k < 3; k++) {
+    CHECK_INT(score(compute, NULL), MO_OK);
+    expect_scores(MO_ON_DEVICE);
+  }
+  CHECK_INT(atomic_load(&n_lost), 1);
+  CHECK_INT(mo_compute_devices_working(compute), 1);
+  CHECK_INT(mo_compute_devices(compute), 2);
+  CHECK_INT(mo_compute_device(compute, 0, &status), MO_OK);
+  CHECK_INT(status.state, MO_DEVICE_LOST);
+  CHECK_TEXT(status.error, "the fake device has fallen off its bus");
+  mo_compute_free(compute);
+}
+
+static void ends_without_any_device(void)
+{
+  uint32_t n_done = 0, n_failed = 0;
+  REQUIRE(setup());
+  set("MORPHO_FAKE_ROWS", "40");
+  set("MORPHO_FAKE_LOSE", "0:8");
+  struct mo_compute *compute = open_devices("1");
+  CHECK_INT(score(compute, NULL), MO_ERR_DEVICE);
+  for (uint32_t d = 0; d < DESIGNS; d++) {
+    n_done += blocks[d].status == MO_OK;
+    n_failed += blocks[d].status == MO_ERR_DEVICE;
+    if (blocks[d].status == MO_OK)
+      CHECK(memcmp(blocks[d].outcomes, expected[d], sizeof(expected[d])) == 0);
+  }
+  CHECK_INT(n_done + n_failed, DESIGNS);
+  CHECK(n_done > 0 && n_failed > 0);
+  CHECK_INT(mo_compute_devices_working(compute), 0);
+  CHECK_INT(score(compute, NULL), MO_ERR_DEVICE);
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  blocks[0] = block_of(0, brain, STEPS);
+  blocks[0].back_end = MO_ON_CPU; /* the workers are as they were */
+  CHECK_INT(mo_compute_run(compute, blocks, 1), MO_OK);
+  CHECK(memcmp(blocks[0].outcomes, expected[0], sizeof(expected[0])) == 0);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+struct pending {
+  atomic_int left, counts[4]; /* ended, cancelled, lost, otherwise */
+};
+
+static void note_end(struct mo_block *block, void *context)
+{
+  struct pending *pending = context;
+  atomic_fetch_add(&pending->counts[block->status == MO_OK              ? 0
+                                    : block->status == MO_ERR_CANCELLED ? 1
+                                    : block->status == MO_ERR_DEVICE    ? 2
+                                                                        : 3],
+                   1);
+  atomic_fetch_sub(&pending->left, 1);
+}
+
+static void sleep_ms(long ms)
+{
+  const struct timespec time = {.tv_sec = ms / 1000, .tv_nsec = ms % 1000 * 1000000};
+  nanosleep(&time, NULL);
+}
+
+static double now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+static void wait_for(const struct pending *pending)
+{
+  const double start_s = now_s();
+  while (atomic_load(&pending->left) > 0 && now_s() - start_s < 60)
+    sleep_ms(1);
+  CHECK_INT(atomic_load(&pending->left), 0);
+}
+
+/* Half of the blocks are cancelled, then all: those that run end soon, the others have the same bits. */
+static void cancels(void)
+{
+  volatile int flags[2] = {0, 0};
+  struct pending pending = {.left = DESIGNS};
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(setup());
+  struct mo_compute *compute = open_devices("1");
+  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  for (int all = 0; all < 2; all++) {
+    atomic_store(&pending.left, DESIGNS);
+    for (uint32_t d = 0; d < DESIGNS; d++) {
+      blocks[d] = block_of(d, brain, all ? 1000000 : STEPS);
+      blocks[d].cancel = &flags[d % 2];
+      blocks[d].done = note_end;
+      blocks[d].context = &pending;
+    }
+    flags[0] = 1;
+    flags[1] = 0;
+    for (uint32_t d = 0; d < DESIGNS; d++)
+      CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+    if (all) {
+      sleep_ms(50);
+      __atomic_store_n(&flags[1], 1, __ATOMIC_RELAXED);
+    }
+    wait_for(&pending);
+    for (uint32_t d = 0; d < DESIGNS; d++) {
+      CHECK_INT(blocks[d].status, all || d % 2 == 0 ? MO_ERR_CANCELLED : MO_OK);
+      if (blocks[d].status == MO_OK)
+        CHECK(memcmp(blocks[d].outcomes, expected[d], sizeof(expected[d])) == 0);
+    }
+  }
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- the end ---- */
+
+static void hands_everything_back_at_the_end(void)
+{
+  static const char *const numbers[] = {"1", "2"};
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DELAY_MS", "5");
+  set("MORPHO_FAKE_ROWS", "40");
+  for (int k = 0; k < 6; k++) {
+    struct mo_compute *compute = open_devices(numbers[k % 2]);
+    struct mo_compute_controller *brain = NULL;
+    struct pending pending = {.left = DESIGNS};
+    REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+    for (uint32_t d = 0; d < DESIGNS; d++) {
+      blocks[d] = block_of(d, brain, STEPS);
+      blocks[d].done = note_end;
+      blocks[d].context = &pending;
+      CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+    }
+    sleep_ms(4L * k);
+    /* Weights may be freed only when nothing uses them: so the back end first, which this one time outlives what it made of them. */
+    mo_compute_free(compute);
+    CHECK_INT(atomic_load(&pending.left), 0);
+    CHECK_INT(atomic_load(&pending.counts[0]) + atomic_load(&pending.counts[1]), DESIGNS);
+    free(brain);
+  }
+}
+
+/* ---- shares ---- */
+
+struct stream {
+  struct mo_compute *compute;
+  struct mo_block blocks[16];
+  atomic_bool stop;
+  atomic_int left;
+};
+
+static void again(struct mo_block *block, void *context)
+{
+  struct stream *stream = context;
+  if (atomic_load(&stream->stop) || mo_compute_submit(stream->compute, block) != MO_OK)
+    atomic_fetch_sub(&stream->left, 1);
+}
+
+/* Two jobs on one device: seconds in proportion to weights, though one has twice as many blocks waiting. */
+static void devices_are_shared_by_weight(void)
+{
+  static struct stream streams[2];
+  static const uint32_t n[2] = {8, 16};
+  static const double weights[2] = {3, 1};
+  struct mo_compute_share *shares[2];
+  struct mo_compute_controller *brain = NULL;
+  struct mo_compute_share_stats stats[2];
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DELAY_MS", "5");
+  set("MORPHO_FAKE_ROWS", "20");
+  struct mo_compute *compute = open_devices("1");
+  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  for (int s = 0; s < 2; s++) {
+    CHECK_INT(mo_compute_share_create(compute, 1, &shares[s]), MO_OK);
+    mo_compute_share_set_weight(shares[s], weights[s]);
+    streams[s].compute = compute;
+    atomic_store(&streams[s].left, (int)n[s]);
+    for (uint32_t i = 0; i < n[s]; i++) {
+      streams[s].blocks[i] = block_of(i, brain, 2);
+      streams[s].blocks[i].share = shares[s];
+      streams[s].blocks[i].done = again;
+      streams[s].blocks[i].context = &streams[s];
+      CHECK_INT(mo_compute_submit(compute, &streams[s].blocks[i]), MO_OK);
+    }
+  }
+  sleep_ms(1500);
+  for (int s = 0; s < 2; s++) {
+    mo_compute_share_get_stats(shares[s], &stats[s]);
+    atomic_store(&streams[s].stop, true);
+  }
+  const double ratio = stats[0].device_s / stats[1].device_s;
+  CHECK(stats[1].device_s > 0 && ratio > 2 && ratio < 4.5);
+  printf("# seconds of the device: %.3f and %.3f\n", stats[0].device_s, stats[1].device_s);
+  for (int s = 0; s < 2; s++) {
+    while (atomic_load(&streams[s].left) > 0)
+      sleep_ms(1);
+    mo_compute_share_free(shares[s]);
+  }
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
+/* ---- gradients ---- */
+
+struct gradient {
+  int status;
+  enum mo_back_end computed_on;
+  double *d_parameters;
+  struct mo_outcome *outcomes;
+  struct mo_gradient_counts counts;
+};
+
+static struct gradient differentiate(struct mo_compute *compute, enum mo_back_end back_end, const volatile int *cancel)
+{
+  struct gradient gradient = {.d_parameters = calloc(controller->n_parameters, sizeof(double)),
+                              .outcomes = calloc(ROBOTS, sizeof(struct mo_outcome))};
+  struct mo_gradient_batch batch = {.controller = controller,
+                                    .robots = robots,
+                                    .n = ROBOTS,
+                                    .physics = mo_default_physics(),
+                                    .adjoint_bound = 2,
+                                    .back_end = back_end,
+                                    .cancel = cancel,
+                                    .d_parameters = gradient.d_parameters,
+                                    .outcomes = gradient.outcomes};
+  struct mo_gradient_state *state = NULL;
+  batch.physics.n_steps = ROBOT_STEPS;
+  CHECK_INT(mo_gradient_state_create(compute, &state), MO_OK);
+  gradient.status = mo_compute_gradient(state, &batch);
+  gradient.computed_on = batch.computed_on;
+  gradient.counts = batch.counts;
+  mo_gradient_state_free(state);
+  return gradient;
+}
+
+static void free_gradient(struct gradient *gradient)
+{
+  free(gradient->d_parameters);
+  free(gradient->outcomes);
+}
+
+static void expect_same(const struct gradient *a, const struct gradient *b)
+{
+  CHECK_INT(a->status, MO_OK);
+  CHECK_INT(b->status, MO_OK);
+  CHECK_INT(a->computed_on, b->computed_on);
+  CHECK(memcmp(a->d_parameters, b->d_parameters, controller->n_parameters * sizeof(double)) == 0);
+  CHECK(memcmp(a->outcomes, b->outcomes, ROBOTS * sizeof(*a->outcomes)) == 0);
+  CHECK_INT(a->counts.robots, ROBOTS);
+  CHECK(memcmp(&a->counts, &b->counts, sizeof(a->counts)) == 0);
+}
+
+static void gradients_do_not_depend_on_devices(void)
+{
+  static const struct {
+    const char *n, *shards, *lose;
+  } cases[] = {{"2", NULL, NULL}, {"4", NULL, NULL}, {"1", "1", NULL}, {"2", "1", NULL}, {"2", NULL, "1:1"}};
+  REQUIRE(setup());
+  struct mo_compute *compute = open_devices("1");
+  struct gradient first = differentiate(compute, MO_ON_DEVICE, NULL);
+  struct gradient on_workers = differentiate(compute, MO_ON_CPU, NULL);
+  mo_compute_free(compute);
+  CHECK_INT(first.computed_on, MO_ON_DEVICE);
+  CHECK_INT(on_workers.computed_on, MO_ON_CPU);
+  double dot = 0, a = 0, b = 0; /* other sums of the same */
+  for (size_t i = 0; i < controller->n_parameters; i++) {
+    dot += first.d_parameters[i] * on_workers.d_parameters[i];
+    a += first.d_parameters[i] * first.d_parameters[i];
+    b += on_workers.d_parameters[i] * on_workers.d_parameters[i];
+  }
+  CHECK(a > 0 && dot / sqrt(a * b) > 0.9999);
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    REQUIRE(setup());
+    if (cases[i].shards != NULL)
+      set("MORPHO_FAKE_SHARDS", cases[i].shards);
+    if (cases[i].lose != NULL)
+      set("MORPHO_FAKE_LOSE", cases[i].lose);
+    compute = open_devices(cases[i].n);
+    struct gradient other = differentiate(compute, MO_ON_DEVICE, NULL);
+    expect_same(&first, &other);
+    CHECK_INT(atomic_load(&n_lost), cases[i].lose != NULL);
+    free_gradient(&other);
+    mo_compute_free(compute);
+  }
+  REQUIRE(setup());
+  set("MORPHO_FAKE_SPRINGS", "20"); /* some are larger: then the workers do all of it */
+  compute = open_devices("2");
+  struct gradient other = differentiate(compute, MO_ON_DEVICE, NULL);
+  expect_same(&on_workers, &other);
+  free_gradient(&other);
+  mo_compute_free(compute);
+  free_gradient(&first);
+  free_gradient(&on_workers);
+}
+
+static void gradients_say_what_failed(void)
+{
+  static const volatile int cancelled = 1;
+  static const struct {
+    const char *name, *value;
+    const volatile int *cancel;
+    int status;
+  } cases[] = {{"MORPHO_FAKE_SHARDS", "0", NULL, MO_ERR_NO_MEMORY},
+               {"MORPHO_FAKE_LOSE", "0:1", NULL, MO_ERR_DEVICE},
+               {"MORPHO_FAKE_DELAY_MS", "1", &cancelled, MO_ERR_CANCELLED}};
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    REQUIRE(setup());
+    set(cases[i].name, cases[i].value);
+    struct mo_compute *compute = open_devices("1");
+    struct gradient gradient = differentiate(compute, MO_ON_DEVICE, cases[i].cancel);
+    CHECK_INT(gradient.status, cases[i].status);
+    free_gradient(&gradient);
+    mo_compute_free(compute);
+  }
+  REQUIRE(setup());
+  struct mo_compute *compute = open_devices(NULL);
+  struct gradient gradient = differentiate(compute, MO_ON_DEVICE, NULL);
+  CHECK_INT(gradient.status, MO_ERR_DEVICE);
+  free_gradient(&gradient);
+  mo_compute_free(compute);
+}
+
+static void prepare(void)
+{
+  REQUIRE(setup());
+  compute_expected();
+}
+
+static const struct check_case cases[] = {
+    {"workers say what is expected", prepare},
+    {"a module that cannot be used is refused in words", says_what_cannot_be_loaded},
+    {"a device that cannot be opened is passed over", passes_over_what_cannot_be_opened},
+    {"scores do not depend on the number of devices", scores_do_not_depend_on_the_number},
+    {"scores do not depend on want of memory", scores_do_not_depend_on_memory},
+    {"workers compute what devices do not support", workers_do_the_rest},
+    {"the others go on when one device is lost", goes_on_without_a_device},
+    {"the last device's loss ends its work, and that alone", ends_without_any_device},
+    {"what is cancelled ends soon", cancels},
+    {"the end hands everything back", hands_everything_back_at_the_end},
+    {"devices are shared by weight", devices_are_shared_by_weight},
+    {"gradients do not depend on devices", gradients_do_not_depend_on_devices},
+    {"gradients say what failed", gradients_say_what_failed},
+};
+CHECK_MAIN(cases)
