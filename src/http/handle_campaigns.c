@@ -8,7 +8,6 @@
 #include "http/campaign_request.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "store/runner.h"
 
 /* ---- POST /v1/campaigns ---- */
 
@@ -28,15 +27,12 @@ static void design_fault(uint32_t place, const char *words, struct mo_faults *fa
   mo_faults_add(faults, MO_FAULT_BODY, pointer, "%s", words);
 }
 
-static void submission_error(struct mo_request *request, const struct mo_parsed_campaign *parsed, int code,
-                             uint32_t place, const struct mo_message *message, struct mo_faults *faults)
+static void submission_error(struct mo_request *request, const struct mo_parsed_campaign *parsed,
+                             const struct mo_submission_key *key, int code, uint32_t place,
+                             const struct mo_message *message, struct mo_faults *faults)
 {
   struct mo_store *store = request->http->services.store;
   const char *words = message->text[0] != '\0' ? message->text : mo_error_text(code);
-  int64_t id;
-  bool key =
-      parsed->request.idempotency_key != NULL &&
-      mo_store_replay(store, parsed->request.idempotency_key, &parsed->request.body_sha256, &id) == MO_ERR_CONFLICT;
   switch (code) {
   case MO_ERR_NOT_FOUND:
   case MO_ERR_UNSUPPORTED:
@@ -53,7 +49,7 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
     mo_reply_problem(request, 422, faults, NULL);
     break;
   case MO_ERR_CONFLICT:
-    if (key || parsed->request.record.initial_campaign == 0) {
+    if (mo_key_conflicts(store, key) || parsed->request.record.initial_campaign == 0) {
       mo_reply_key_conflict(request, faults);
     } else {
       mo_faults_add(faults, MO_FAULT_BODY, "/initial/campaign", "%s", words);
@@ -120,7 +116,7 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     code = mo_jobs_submit_campaign(http->services.jobs, &parsed->request, &request->submitted, &replayed, &place,
                                    &message);
     if (code != MO_OK)
-      submission_error(request, parsed, code, place, &message, faults);
+      submission_error(request, parsed, key, code, place, &message, faults);
   } else {
     if (code == MO_ERR_INVALID)
       look_up(http->services.store, parsed, faults);
@@ -133,19 +129,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
 
 void mo_handle_campaigns_post(struct mo_request *request)
 {
-  struct mo_submission_key key;
-  if (!mo_submission_begin(request, "campaign", &key))
+  if (!mo_handle_submission(request, "campaign", submit))
     return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  if (faults == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "campaign");
-    return;
-  }
-  bool stored = submit(request, &key, faults);
-  free(faults);
-  if (!stored)
-    return;
-  mo_request_drop_body(request);
   reply_campaign(request, 202, request->submitted);
   if (request->reply.status == 202) {
     request->reply.retry_after_s = 1;
@@ -156,28 +141,14 @@ void mo_handle_campaigns_post(struct mo_request *request)
 
 /* ---- reading ---- */
 
+static void reply_now(struct mo_request *request, const struct mo_job *job)
+{
+  reply_campaign(request, 200, job->id);
+}
+
 enum mo_handled mo_handle_campaign(struct mo_request *request)
 {
-  struct mo_query_value none;
-  int64_t id;
-  if (!request->wait_over &&
-      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request)))
-    return MO_HANDLED;
-  if (!mo_path_id(request, 0, &id))
-    return MO_HANDLED;
-  struct mo_job *job = malloc(sizeof(*job));
-  int code = MO_ERR_NO_MEMORY;
-  enum mo_handled handled = job != NULL ? mo_await_job(request, id, job, &code) : MO_HANDLED;
-  if (handled == MO_HANDLED) {
-    if (code == MO_OK && job->kind != MO_JOB_CAMPAIGN)
-      code = MO_ERR_NOT_FOUND;
-    if (code != MO_OK)
-      mo_reply_error(request, code, "campaign");
-    else
-      reply_campaign(request, 200, id);
-  }
-  free(job);
-  return handled;
+  return mo_handle_job_of(request, MO_JOB_CAMPAIGN, "campaign", reply_now);
 }
 
 static void reply_list(struct mo_request *request, const struct mo_campaign_query *query, size_t limit)
@@ -186,27 +157,20 @@ static void reply_list(struct mo_request *request, const struct mo_campaign_quer
   struct mo_campaign_status *page = malloc(limit * sizeof(*page));
   int64_t n = page != NULL ? mo_store_campaigns(http->services.store, query, page, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_campaign_live live = {.seconds_left = -1};
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_campaign_live(http->services.jobs, page[i].job.id, &live);
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
+    if (query->state >= 0 && mo_campaign_state_shown(&page[i], &live) != (enum mo_job_state)query->state)
+      continue; /* it has begun or ceased to wait since it was found */
+    mo_text_add(&text, comma);
+    comma = ",";
     mo_campaign_json_write(&text, &page[i], &live);
   }
-  if (n > 0 && (size_t)n == limit)
-    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)page[n - 1].job.id);
-  else
-    mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
   free(page);
-  if (n < 0) {
-    mo_text_free(&text);
-    mo_reply_error(request, (int)n, "page");
-    return;
-  }
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
 }
 
 void mo_handle_campaigns(struct mo_request *request)
@@ -216,21 +180,15 @@ void mo_handle_campaigns(struct mo_request *request)
   int64_t waiting[MO_WAITING_MAX];
   struct mo_campaign_query query = {
       .state = -1, .waiting = waiting, .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
-  enum mo_job_state state;
   size_t limit;
   if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[2], &limit))
+      !mo_query_limit(request, &values[2], &limit) || !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_before(request, &values[3], &query.before))
     return;
-  if (values[0].present && mo_job_state_from_name(values[0].text, &state) != MO_OK)
-    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
-  else if (values[1].present && !mo_decimal(values[1].text, strlen(values[1].text), 1, INT64_MAX, &query.group))
+  if (values[1].present && !mo_decimal(values[1].text, strlen(values[1].text), 1, INT64_MAX, &query.group))
     mo_reply_bad_parameter(request, "group", "the id of a group, in decimal digits, is expected");
-  else if (values[3].present && !mo_decimal(values[3].text, strlen(values[3].text), 1, INT64_MAX, &query.before))
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
-  else {
-    query.state = values[0].present ? (int)state : -1;
+  else
     reply_list(request, &query, limit);
-  }
 }
 
 /* ---- control ---- */

@@ -172,21 +172,8 @@ static void reply_submitted(struct mo_request *request, const struct mo_job *job
 
 enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
 {
-  if (request->submitted == 0) {
-    struct mo_submission_key key;
-    if (!mo_submission_begin(request, "evaluation", &key) || !mo_read_wait(request))
-      return MO_HANDLED;
-    struct mo_faults *faults = calloc(1, sizeof(*faults));
-    if (faults == NULL) {
-      mo_reply_error(request, MO_ERR_NO_MEMORY, "evaluation");
-      return MO_HANDLED;
-    }
-    bool stored = submit(request, &key, faults);
-    free(faults);
-    if (!stored)
-      return MO_HANDLED;
-    mo_request_drop_body(request); /* while it waits for the result, others may send theirs */
-  }
+  if (request->submitted == 0 && (!mo_read_wait(request) || !mo_handle_submission(request, "evaluation", submit)))
+    return MO_HANDLED;
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;
   if (job != NULL && mo_await_job(request, request->submitted, job, &code) == MO_PARKED) {
@@ -215,7 +202,8 @@ void mo_reply_accepted_evaluation(struct mo_request *request, int64_t id)
 
 /* ---- reading ---- */
 
-static enum mo_handled get_job(struct mo_request *request, bool with_results)
+enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const char *what,
+                                 void (*reply)(struct mo_request *request, const struct mo_job *job))
 {
   struct mo_query_value none;
   int64_t id;
@@ -226,28 +214,76 @@ static enum mo_handled get_job(struct mo_request *request, bool with_results)
     return MO_HANDLED;
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;
-  if (job != NULL && mo_await_job(request, id, job, &code) == MO_PARKED) {
-    free(job);
-    return MO_PARKED;
+  enum mo_handled handled = job != NULL ? mo_await_job(request, id, job, &code) : MO_HANDLED;
+  if (handled == MO_HANDLED) {
+    if (code == MO_OK && kind >= 0 && job->kind != (enum mo_job_kind)kind)
+      code = MO_ERR_NOT_FOUND;
+    if (code != MO_OK)
+      mo_reply_error(request, code, what);
+    else
+      reply(request, job);
   }
-  if (code == MO_OK && with_results && job->kind != MO_JOB_EVALUATION)
-    code = MO_ERR_NOT_FOUND;
-  if (code != MO_OK)
-    mo_reply_error(request, code, with_results ? "evaluation" : "job");
-  else
-    reply_job(request, 200, job, with_results);
   free(job);
-  return MO_HANDLED;
+  return handled;
+}
+
+static void reply_evaluation(struct mo_request *request, const struct mo_job *job)
+{
+  reply_job(request, 200, job, true);
+}
+
+static void reply_any(struct mo_request *request, const struct mo_job *job)
+{
+  reply_job(request, 200, job, false);
 }
 
 enum mo_handled mo_handle_evaluation_get(struct mo_request *request)
 {
-  return get_job(request, true);
+  return mo_handle_job_of(request, MO_JOB_EVALUATION, "evaluation", reply_evaluation);
 }
 
 enum mo_handled mo_handle_job_get(struct mo_request *request)
 {
-  return get_job(request, false);
+  return mo_handle_job_of(request, -1, "job", reply_any);
+}
+
+/* ---- lists ---- */
+
+bool mo_query_state(struct mo_request *request, const struct mo_query_value *value, int *state)
+{
+  enum mo_job_state named;
+  *state = -1;
+  if (value->present && mo_job_state_from_name(value->text, &named) != MO_OK) {
+    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
+    return false;
+  }
+  if (value->present)
+    *state = (int)named;
+  return true;
+}
+
+bool mo_query_before(struct mo_request *request, const struct mo_query_value *value, int64_t *before)
+{
+  *before = 0;
+  if (!value->present || mo_decimal(value->text, strlen(value->text), 1, INT64_MAX, before))
+    return true;
+  mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+  return false;
+}
+
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last)
+{
+  if (n < 0) {
+    mo_text_free(text);
+    mo_reply_error(request, (int)n, "page");
+    return;
+  }
+  if (n > 0 && (size_t)n == limit)
+    mo_text_format(text, "],\"next_cursor\":\"%lld\"}", (long long)last);
+  else
+    mo_text_add(text, "],\"next_cursor\":null}");
+  mo_reply_json(request, 200, text);
+  mo_reply_etag_of_body(request);
 }
 
 void mo_handle_jobs(struct mo_request *request)
@@ -261,34 +297,22 @@ void mo_handle_jobs(struct mo_request *request)
   if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[2], &limit))
     return;
-  enum mo_job_state state;
   enum mo_job_kind kind;
-  if (values[0].present && mo_job_state_from_name(values[0].text, &state) != MO_OK) {
-    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
+  if (!mo_query_state(request, &values[0], &query.state))
     return;
-  }
   if (values[1].present && mo_job_kind_from_name(values[1].text, &kind) != MO_OK) {
     mo_reply_bad_parameter(request, "kind", "evaluation, training or campaign is expected");
     return;
   }
-  if (values[3].present && !mo_decimal(values[3].text, strlen(values[3].text), 1, INT64_MAX, &query.before)) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
+  if (!mo_query_before(request, &values[3], &query.before))
     return;
-  }
-  if (values[0].present)
-    query.state = (int)state;
   if (values[1].present)
     query.kind = (int)kind;
   struct mo_job *jobs = malloc((limit + 1) * sizeof(*jobs));
   int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit) : MO_ERR_NO_MEMORY;
-  if (n < 0) {
-    mo_reply_error(request, (int)n, "page");
-    free(jobs);
-    return;
-  }
   struct mo_text text = {0};
   const char *comma = "";
-  int code = MO_OK;
+  int code = n < 0 ? (int)n : MO_OK;
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
     size_t size = text.size;
@@ -296,18 +320,8 @@ void mo_handle_jobs(struct mo_request *request)
     if (text.size > size)
       comma = ",";
   }
-  if ((size_t)n == limit)
-    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)jobs[n - 1].id);
-  else
-    mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0);
   free(jobs);
-  if (code != MO_OK) {
-    mo_text_free(&text);
-    mo_reply_error(request, code, "page");
-    return;
-  }
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
 }
 
 /* ---- control ---- */

@@ -8,7 +8,6 @@
 #include "http/server.h"
 #include "http/training_json.h"
 #include "http/training_request.h"
-#include "store/runner.h"
 
 #define CSV_ROWS_MAX                                                                                                   \
   10000 /* of one reply that was not asked for a limit: 5 µs each on a thread that serves others, too */
@@ -27,16 +26,9 @@ static void look_up(struct mo_store *store, const struct mo_parsed_training *par
   mo_look_up_job(store, parsed->request.population, parsed->population_kind, population_pointer(parsed), faults);
 }
 
-/* Whether the key was used with another body, which is told like a conflict with the population. */
-static bool key_conflicts(struct mo_store *store, const struct mo_training_request *training)
-{
-  int64_t id;
-  return training->idempotency_key != NULL &&
-         mo_store_replay(store, training->idempotency_key, &training->body_sha256, &id) == MO_ERR_CONFLICT;
-}
-
-static void submission_error(struct mo_request *request, const struct mo_parsed_training *parsed, int code,
-                             const struct mo_message *message, struct mo_faults *faults)
+static void submission_error(struct mo_request *request, const struct mo_parsed_training *parsed,
+                             const struct mo_submission_key *key, int code, const struct mo_message *message,
+                             struct mo_faults *faults)
 {
   struct mo_store *store = request->http->services.store;
   const char *words = message->text[0] != '\0' ? message->text : mo_error_text(code);
@@ -59,7 +51,7 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
     mo_reply_problem(request, 422, faults, NULL);
     break;
   case MO_ERR_CONFLICT:
-    if (key_conflicts(store, &parsed->request) || parsed->request.population == 0) {
+    if (mo_key_conflicts(store, key) || parsed->request.population == 0) {
       mo_reply_key_conflict(request, faults);
     } else {
       mo_faults_add(faults, MO_FAULT_BODY, population_pointer(parsed), "%s", words);
@@ -143,7 +135,7 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     parsed->request.body_sha256 = key->body_sha256;
     code = mo_jobs_submit_training(http->services.jobs, &parsed->request, &request->submitted, &replayed, &message);
     if (code != MO_OK)
-      submission_error(request, parsed, code, &message, faults);
+      submission_error(request, parsed, key, code, &message, faults);
   } else {
     if (code == MO_ERR_INVALID)
       look_up(http->services.store, parsed, faults);
@@ -156,19 +148,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
 
 void mo_handle_trainings_post(struct mo_request *request)
 {
-  struct mo_submission_key key;
-  if (!mo_submission_begin(request, "training", &key))
+  if (!mo_handle_submission(request, "training", submit))
     return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
-  if (faults == NULL) {
-    mo_reply_error(request, MO_ERR_NO_MEMORY, "training");
-    return;
-  }
-  bool stored = submit(request, &key, faults);
-  free(faults);
-  if (!stored)
-    return;
-  mo_request_drop_body(request);
   reply_training(request, 202, request->submitted);
   if (request->reply.status == 202)
     snprintf(request->reply.location, sizeof(request->reply.location), "/v1/trainings/%lld",
@@ -177,28 +158,14 @@ void mo_handle_trainings_post(struct mo_request *request)
 
 /* ---- reading ---- */
 
+static void reply_now(struct mo_request *request, const struct mo_job *job)
+{
+  reply_training(request, 200, job->id);
+}
+
 enum mo_handled mo_handle_training(struct mo_request *request)
 {
-  struct mo_query_value none;
-  int64_t id;
-  if (!request->wait_over &&
-      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request)))
-    return MO_HANDLED;
-  if (!mo_path_id(request, 0, &id))
-    return MO_HANDLED;
-  struct mo_job *job = malloc(sizeof(*job));
-  int code = MO_ERR_NO_MEMORY;
-  enum mo_handled handled = job != NULL ? mo_await_job(request, id, job, &code) : MO_HANDLED;
-  if (handled == MO_HANDLED) {
-    if (code == MO_OK && job->kind != MO_JOB_TRAINING)
-      code = MO_ERR_NOT_FOUND;
-    if (code != MO_OK)
-      mo_reply_error(request, code, "training");
-    else
-      reply_training(request, 200, id);
-  }
-  free(job);
-  return handled;
+  return mo_handle_job_of(request, MO_JOB_TRAINING, "training", reply_now);
 }
 
 void mo_handle_trainings(struct mo_request *request)
@@ -208,21 +175,11 @@ void mo_handle_trainings(struct mo_request *request)
   struct mo_query_value values[3];
   struct mo_job_query query = {.state = -1, .kind = -1};
   int64_t waiting[MO_WAITING_MAX];
-  enum mo_job_state state;
   size_t limit;
   if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[1], &limit))
+      !mo_query_limit(request, &values[1], &limit) || !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_before(request, &values[2], &query.before))
     return;
-  if (values[0].present && mo_job_state_from_name(values[0].text, &state) != MO_OK) {
-    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
-    return;
-  }
-  if (values[2].present && !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &query.before)) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
-    return;
-  }
-  if (values[0].present)
-    query.state = (int)state;
   query.waiting = waiting;
   query.n_waiting = mo_jobs_waiting(http->services.jobs, waiting);
   struct mo_training_status *page = malloc(limit * sizeof(*page));
@@ -240,18 +197,8 @@ void mo_handle_trainings(struct mo_request *request)
     comma = ",";
     mo_training_json_write(&text, &page[i], population_kind(http, &page[i]), &live);
   }
-  if (n > 0 && (size_t)n == limit)
-    mo_text_format(&text, "],\"next_cursor\":\"%lld\"}", (long long)page[n - 1].job.id);
-  else
-    mo_text_add(&text, "],\"next_cursor\":null}");
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
   free(page);
-  if (n < 0) {
-    mo_text_free(&text);
-    mo_reply_error(request, (int)n, "page");
-    return;
-  }
-  mo_reply_json(request, 200, &text);
-  mo_reply_etag_of_body(request);
 }
 
 /* ---- curves ---- */

@@ -175,6 +175,13 @@ struct mo_submission_key {
   struct mo_sha256 body_sha256;
 };
 bool mo_submission_begin(struct mo_request *request, const char *what, struct mo_submission_key *key);
+/* A whole submission: begins, and calls `submit` with room for faults, which reads the body and stores (false: it made a reply). True: it
+ * is stored, and the body's memory is given back. */
+bool mo_handle_submission(struct mo_request *request, const char *what,
+                          bool (*submit)(struct mo_request *request, const struct mo_submission_key *key,
+                                         struct mo_faults *faults));
+/* Whether the key was used with another body, where MO_ERR_CONFLICT may mean something else, too. */
+bool mo_key_conflicts(struct mo_store *store, const struct mo_submission_key *key);
 /* The usual refusals of submissions: what a reader of a body said (faults nullable without memory), the key with another body (adds
  * its fault), too much work. */
 void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults, const char *what);
@@ -189,6 +196,14 @@ void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
 bool mo_read_wait(struct mo_request *request);
 /* Reads the job; parks the request while the job is not final and there is time. *job is filled in unless parked. */
 enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_job *job, int *code);
+/* GET of a job of this kind (−1: of any; else 404 about a `what`) by its id, once it is over or there is no more time to wait. */
+enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const char *what,
+                                 void (*reply)(struct mo_request *request, const struct mo_job *job));
+/* Lists of jobs: the state that is asked for (−1: any), the cursor (0: none), false: the 400 is made; the reply, from n items of which the
+ * last is job `last` (n negative: an error), behind those in `text`. */
+bool mo_query_state(struct mo_request *request, const struct mo_query_value *value, int *state);
+bool mo_query_before(struct mo_request *request, const struct mo_query_value *value, int64_t *before);
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last);
 /* A training, as it is stored and as it runs. MO_ERR_NOT_FOUND. */
 int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
                      struct mo_training_live *live);

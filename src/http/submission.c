@@ -4,6 +4,7 @@
 
 #include "http/field.h"
 #include "http/server.h"
+#include "store/runner.h"
 
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also)
 {
@@ -45,6 +46,31 @@ bool mo_submission_begin(struct mo_request *request, const char *what, struct mo
   if (field != NULL)
     mo_sha256_of(request->body, request->body_size, &key->body_sha256);
   return true;
+}
+
+bool mo_handle_submission(struct mo_request *request, const char *what,
+                          bool (*submit)(struct mo_request *request, const struct mo_submission_key *key,
+                                         struct mo_faults *faults))
+{
+  struct mo_submission_key key;
+  if (!mo_submission_begin(request, what, &key))
+    return false;
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  bool stored = false;
+  if (faults == NULL)
+    mo_reply_error(request, MO_ERR_NO_MEMORY, what);
+  else
+    stored = submit(request, &key, faults);
+  free(faults);
+  if (stored)
+    mo_request_drop_body(request); /* while it waits for a result, others may send theirs */
+  return stored;
+}
+
+bool mo_key_conflicts(struct mo_store *store, const struct mo_submission_key *key)
+{
+  int64_t id;
+  return key->key[0] != '\0' && mo_store_replay(store, key->key, &key->body_sha256, &id) == MO_ERR_CONFLICT;
 }
 
 void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults, const char *what)
