@@ -299,32 +299,21 @@ int run_campaign_show(struct ctl *ctl)
 int run_campaign_extend(struct ctl *ctl)
 {
   const char *id = ctl->operands[0], *more = ctl->operands[1];
-  char path[64], body[64], *end;
+  char path[64], *end;
   long long generations = strtoll(more, &end, 10);
   if (!check_job_id(id))
     return STATUS_USAGE;
   if (*more == 0 || *end != 0 || generations < 1 || generations > 1000000)
     return complain(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
   snprintf(path, sizeof(path), "/v1/campaigns/%s/extend", id);
-  int n = snprintf(body, sizeof(body), "{\"generations\": %lld}", generations);
-  struct reply reply;
-  int status = transport_send(ctl,
-                              &(struct request){.method = "POST",
-                                                .path = path,
-                                                .content_type = "application/json",
-                                                .body = body,
-                                                .body_bytes = (size_t)n,
-                                                .once = true},
-                              &reply);
-  json_t *campaign = status == STATUS_OK ? reply_json(&reply) : NULL;
+  json_t *request = json_pack("{sI}", "generations", (json_int_t)generations), *campaign = NULL;
+  int status = request != NULL ? post_job(ctl, path, request, 0, &campaign) : complain(STATUS_ERROR, "out of memory");
   if (campaign != NULL && ctl->json)
     print_json(campaign);
   else if (campaign != NULL && !ctl->quiet)
     print_plain_line(stdout, "campaign %s is %s, to generation %" PRId64, id, text_of(campaign, "state"),
                      number_of(json_object_get(campaign, "progress"), "generations"));
-  if (status == STATUS_OK && campaign == NULL)
-    status = STATUS_ERROR;
+  json_decref(request);
   json_decref(campaign);
-  reply_free(&reply);
   return status;
 }

@@ -235,6 +235,7 @@ static void extension_error(struct mo_request *request, int64_t id, int code, co
           status->end == MO_CAMPAIGN_EXHAUSTED ? "" : mo_job_state_name(status->job.state));
     break;
   case MO_ERR_UNSUPPORTED: mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: %s.", words); break;
+  case MO_ERR_DUPLICATE: mo_reply_key_conflict(request, faults); break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE:
     mo_faults_add(faults, MO_FAULT_BODY, "/generations", "%s", words);
@@ -246,26 +247,29 @@ static void extension_error(struct mo_request *request, int64_t id, int code, co
   free(status);
 }
 
-void mo_handle_campaign_extend(struct mo_request *request)
+static bool extend(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
 {
-  struct mo_submission_key key;
-  int64_t id;
-  uint32_t generations = 0;
-  if (!mo_submission_begin(request, "campaign", &key) || !mo_path_id(request, 0, &id) ||
-      !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
-    return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
   struct mo_message message = {""};
-  int code =
-      faults != NULL ? mo_extension_parse(request->body, request->body_size, &generations, faults) : MO_ERR_NO_MEMORY;
+  struct mo_request_key known;
+  uint32_t generations = 0;
+  int64_t id;
+  if (!mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
+    return false;
+  int code = mo_extension_parse(request->body, request->body_size, &generations, faults);
   if (code != MO_OK) {
     mo_reply_parse_error(request, code, faults, "campaign");
-  } else {
-    code = mo_jobs_extend_campaign(request->http->services.jobs, id, generations, &message);
-    if (code != MO_OK)
-      extension_error(request, id, code, &message, faults);
-    else
-      reply_campaign(request, 200, id);
+    return false;
   }
-  free(faults);
+  code = mo_jobs_extend_campaign(request->http->services.jobs, id, generations,
+                                 mo_submission_key_of(key, "extend", id, &known), &message);
+  if (code != MO_OK)
+    extension_error(request, id, code, &message, faults);
+  request->submitted = id;
+  return code == MO_OK;
+}
+
+void mo_handle_campaign_extend(struct mo_request *request)
+{
+  if (mo_handle_submission(request, "campaign", extend))
+    reply_campaign(request, 200, request->submitted);
 }

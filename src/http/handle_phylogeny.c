@@ -433,6 +433,7 @@ static void record_error(struct mo_request *request, int code, const struct mo_m
   case MO_ERR_CONFLICT:
     mo_reply_problem(request, 409, NULL, "The campaign's champions cannot be recorded: %s.", words);
     break;
+  case MO_ERR_DUPLICATE: mo_reply_key_conflict(request, faults); break;
   case MO_ERR_LIMIT:
   case MO_ERR_INVALID:
   case MO_ERR_RANGE:
@@ -445,27 +446,29 @@ static void record_error(struct mo_request *request, int code, const struct mo_m
   }
 }
 
-void mo_handle_campaign_champions_post(struct mo_request *request)
+static bool record(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
 {
-  struct mo_http *http = request->http;
-  struct mo_submission_key key;
-  uint32_t count = 12, stride = 10;
-  int64_t id, evaluation = 0;
-  if (!mo_submission_begin(request, "evaluation", &key) || !mo_path_id(request, 0, &id) ||
-      !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
-    return;
-  struct mo_faults *faults = calloc(1, sizeof(*faults));
   struct mo_message message = {""};
-  int code = faults != NULL ? mo_champions_parse(request->body, request->body_size, &count, &stride, faults)
-                            : MO_ERR_NO_MEMORY;
+  struct mo_request_key known;
+  uint32_t count = 12, stride = 10;
+  int64_t id;
+  if (!mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
+    return false;
+  int code = mo_champions_parse(request->body, request->body_size, &count, &stride, faults);
   if (code != MO_OK) {
     mo_reply_parse_error(request, code, faults, "evaluation");
-  } else {
-    code = mo_jobs_campaign_record_champions(http->services.jobs, id, count, stride, &evaluation, &message);
-    if (code != MO_OK)
-      record_error(request, code, &message, faults);
-    else
-      mo_reply_accepted_evaluation(request, evaluation);
+    return false;
   }
-  free(faults);
+  code = mo_jobs_campaign_record_champions(request->http->services.jobs, id, count, stride,
+                                           mo_submission_key_of(key, "champions", id, &known), &request->submitted,
+                                           &message);
+  if (code != MO_OK)
+    record_error(request, code, &message, faults);
+  return code == MO_OK;
+}
+
+void mo_handle_campaign_champions_post(struct mo_request *request)
+{
+  if (mo_handle_submission(request, "evaluation", record))
+    mo_reply_accepted_evaluation(request, request->submitted);
 }

@@ -180,6 +180,10 @@ bool mo_submission_begin(struct mo_request *request, const char *what, struct mo
 bool mo_handle_submission(struct mo_request *request, const char *what,
                           bool (*submit)(struct mo_request *request, const struct mo_submission_key *key,
                                          struct mo_faults *faults));
+/* For a request about a job, by its id: the same body about another job, or to do something else with it (`what`), is another request. NULL:
+ * there is no key. `known` is filled in. */
+const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key, const char *what, int64_t id,
+                                                  struct mo_request_key *known);
 /* Whether the key was used with another body, where MO_ERR_CONFLICT may mean something else, too. */
 bool mo_key_conflicts(struct mo_store *store, const struct mo_submission_key *key);
 /* The usual refusals of submissions: what a reader of a body said (faults nullable without memory), the key with another body (adds

@@ -1,4 +1,5 @@
 /* submission.c: what the calls that bring work have in common. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -65,6 +66,19 @@ bool mo_handle_submission(struct mo_request *request, const char *what,
   if (stored)
     mo_request_drop_body(request); /* while it waits for a result, others may send theirs */
   return stored;
+}
+
+const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key, const char *what, int64_t id,
+                                                  struct mo_request_key *known)
+{
+  char digits[MO_SHA256_DIGITS + 1], text[MO_SHA256_DIGITS + 64];
+  if (key->key[0] == '\0')
+    return NULL;
+  mo_sha256_to_hex(&key->body_sha256, digits);
+  int n = snprintf(text, sizeof(text), "%s %lld %s", what, (long long)id, digits);
+  known->text = key->key;
+  mo_sha256_of(text, (size_t)n, &known->sha256);
+  return known;
 }
 
 bool mo_key_conflicts(struct mo_store *store, const struct mo_submission_key *key)

@@ -178,6 +178,7 @@ static int explain_extension(int error, struct mo_message *message)
   case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no such campaign");
   case MO_ERR_CONFLICT:
     return mo_fail(message, error, "the campaign has failed, was cancelled, or has found every design that there is");
+  case MO_ERR_DUPLICATE: return mo_fail(message, error, "the idempotency key was used with another request");
   case MO_ERR_RANGE:
     return mo_fail(message, error,
                    "a campaign has at most %d generations and %" PRIu64
@@ -192,18 +193,22 @@ static int explain_extension(int error, struct mo_message *message)
   }
 }
 
-int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations, struct mo_message *message)
+int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations, const struct mo_request_key *key,
+                            struct mo_message *message)
 {
   enum mo_job_state before = MO_JOB_RUNNING;
+  int64_t known;
   int error;
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   if (generations == 0)
     return mo_fail(message, MO_ERR_INVALID, "an extension has at least one generation");
+  if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, &known) == MO_OK)
+    return MO_OK;
   error = mo_jobs_admit(jobs, 0, message); /* one that has succeeded is open again */
   if (error != MO_OK)
     return error;
-  error = mo_store_extend_campaign(jobs->store, id, generations, &before);
+  error = mo_store_extend_campaign(jobs->store, id, generations, key, &before);
   if (error != MO_OK || before != MO_JOB_SUCCEEDED)
     mo_jobs_closed(jobs, 0);
   if (error != MO_OK)

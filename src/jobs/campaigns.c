@@ -183,7 +183,8 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
 
 static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                             const struct mo_sha256 *sha256, const struct mo_bits *genotypes, uint32_t n,
-                            uint32_t stride, int64_t *evaluation, struct mo_message *message)
+                            uint32_t stride, const struct mo_request_key *key, int64_t *evaluation,
+                            struct mo_message *message)
 {
   const struct mo_campaign_record *record = &status->record;
   struct mo_environment *environments = NULL;
@@ -200,6 +201,10 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
                                           .record_com = true,
                                           .record_stride = stride};
   int error = MO_OK;
+  if (key != NULL) {
+    request.idempotency_key = key->text;
+    request.body_sha256 = key->sha256;
+  }
   mo_sha256_to_hex(sha256, controller + strlen(controller));
   if (request.environment_set == NULL) {
     error = mo_store_campaign_environments(jobs->store, status->job.id, &environments, &request.n_environments);
@@ -208,11 +213,11 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   if (error == MO_OK)
     error = mo_jobs_submit_evaluation(jobs, &request, evaluation, &replayed, message);
   free(environments);
-  return error;
+  return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
 }
 
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
-                                      int64_t *evaluation, struct mo_message *message)
+                                      const struct mo_request_key *key, int64_t *evaluation, struct mo_message *message)
 {
   struct mo_campaign_status status;
   struct mo_campaign_design *rows;
@@ -225,6 +230,8 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   int error;
   if (m < 1 || m > MO_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "1 to %d champions can be recorded, not %u", MO_DESIGNS_MAX, (unsigned)m);
+  if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, evaluation) == MO_OK)
+    return MO_OK;
   error = mo_store_campaign(jobs->store, id, &status);
   if (error == MO_OK && status.generation < 0)
     return mo_fail(message, MO_ERR_NOT_FOUND, "campaign %lld has no population yet", (long long)id);
@@ -244,7 +251,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   if (error != MO_OK)
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));
   else
-    error = submit_recording(jobs, &status, &sha256, genotypes, n, stride, evaluation, message);
+    error = submit_recording(jobs, &status, &sha256, genotypes, n, stride, key, evaluation, message);
   if (created) /* the evaluation refers to it by its hash */
     (void)mo_store_controller_remove(jobs->store, name);
   free(rows);

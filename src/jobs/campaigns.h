@@ -27,7 +27,9 @@ struct mo_campaign_request {
  * more listed than the population. *fault: which. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request, int64_t *id,
                             bool *replayed, uint32_t *fault, struct mo_message *message);
-int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations, struct mo_message *message);
+/* As mo_store_extend_campaign; key (nullable): one that is known is answered even when the queue is full. */
+int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations, const struct mo_request_key *key,
+                            struct mo_message *message);
 /* mo_jobs_cancel, mo_jobs_pause, mo_jobs_resume and mo_jobs_wait work on campaigns, too. */
 
 enum mo_campaign_phase {
@@ -56,8 +58,10 @@ int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_l
 int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generation, uint32_t m,
                                struct mo_campaign_design *rows, double *distinctiveness, uint32_t *n);
 /* An evaluation of the champions of the newest generation in the campaign's environments with the controller that scored them (of a campaign
- * that learns: stored from its newest checkpoint, by hash), recording the centre of mass every `stride` steps. *id: the evaluation. */
+ * that learns: stored from its newest checkpoint, by hash), recording the centre of mass every `stride` steps. key (nullable): known, the
+ * evaluation that it brought; MO_ERR_DUPLICATE: known with another request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
-                                      int64_t *evaluation, struct mo_message *message);
+                                      const struct mo_request_key *key, int64_t *evaluation,
+                                      struct mo_message *message);
 
 #endif

@@ -302,6 +302,7 @@ int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_su
 struct extend_arguments {
   int64_t id;
   uint32_t generations;
+  const struct mo_request_key *key;
   enum mo_job_state before;
 };
 
@@ -333,7 +334,12 @@ static int extend(struct mo_store *store, void *arguments)
   int ended, step;
   char more[96];
   sqlite3_stmt *statement;
-  int error = mo_job_state_get(writer, call->id, &state, &kind);
+  int64_t known;
+  int error = call->key != NULL ? mo_key_find(writer, call->key->text, &call->key->sha256, &known) : MO_ERR_NOT_FOUND;
+  call->before = MO_JOB_QUEUED;
+  if (error != MO_ERR_NOT_FOUND)
+    return error == MO_ERR_CONFLICT ? MO_ERR_DUPLICATE : error;
+  error = mo_job_state_get(writer, call->id, &state, &kind);
   if (error == MO_OK && kind != MO_JOB_CAMPAIGN)
     error = MO_ERR_NOT_FOUND;
   statement = error == MO_OK ? mo_sql(writer, find_sql, &error) : NULL;
@@ -362,6 +368,8 @@ static int extend(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, (sqlite3_int64)generations);
   error = mo_sql_run(writer, statement);
+  if (error == MO_OK && call->key != NULL)
+    error = mo_key_insert(writer, call->key->text, &call->key->sha256, mo_store_now_us(), call->id);
   if (error != MO_OK)
     return error;
   call->before = state;
@@ -371,9 +379,10 @@ static int extend(struct mo_store *store, void *arguments)
                          state == MO_JOB_SUCCEEDED ? MO_JOB_QUEUED : state, more);
 }
 
-int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, enum mo_job_state *before)
+int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, const struct mo_request_key *key,
+                             enum mo_job_state *before)
 {
-  struct extend_arguments call = {.id = id, .generations = generations};
+  struct extend_arguments call = {.id = id, .generations = generations, .key = key};
   int error = generations == 0 ? MO_ERR_RANGE : mo_write(store, extend, &call);
   if (error == MO_OK && before != NULL)
     *before = call.before;

@@ -106,8 +106,10 @@ int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_su
 /* Adds generations: to a queued, running, paused or succeeded campaign (which is queued again, unless it is exhausted). *before: its state
  * before. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: failed, cancelled or exhausted; MO_ERR_RANGE: beyond MO_GENERATIONS_MAX or
  * MO_CAMPAIGN_DESIGNS_MAX; MO_ERR_UNSUPPORTED: its learning rate depends on the number of generations (simultaneous by one
- * cosine). Event "campaign.extended". */
-int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, enum mo_job_state *before);
+ * cosine), MO_ERR_DUPLICATE: the key is known with another request. Event "campaign.extended". key (nullable): an extension whose key is
+ * known is done, and *before is MO_JOB_QUEUED. */
+int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, const struct mo_request_key *key,
+                             enum mo_job_state *before);
 
 /* ---- reading: lists of a campaign that is not there are empty, everything else gives MO_ERR_NOT_FOUND ---- */
 

@@ -23,6 +23,12 @@
 
 struct mo_store;
 
+/* How a request that may be sent twice is known again, for as long as idempotency_keep_s: the client's key, and what it asks for. */
+struct mo_request_key {
+  const char *text;
+  struct mo_sha256 sha256;
+};
+
 struct mo_store_config {
   const char *path;                       /* the state folder: must exist and be writable */
   const char *vfs;                        /* NULL: SQLite's default; tests name one that fails on demand */

@@ -498,6 +498,31 @@ def test_idempotency(service):
         finished(service, str(int(first.json()["id"]) + i))
 
 
+def test_idempotency_of_what_is_done_with_a_campaign(service):
+    """An extension that is sent twice adds once, and champions are recorded once, even when they have others behind them by then."""
+    id = run(service, SMALL)["id"]
+    path, key = f"/v1/campaigns/{id}", {"Idempotency-Key": "more-of-it"}
+    generations = SMALL["generations"] + 2
+    for _ in range(3):
+        reply = service.request("POST", path + "/extend", {"generations": 2}, headers=key)
+        assert reply.status == 200 and reply.json()["settings"]["generations"] == generations, reply.body
+    assert finished(service, id).json()["progress"]["generation"] == generations
+    assert service.request("POST", path + "/extend", {"generations": 2}, headers=key).json()["state"] == "succeeded"
+    other = run(service, but(SMALL, seed=77))["id"]
+    for about, body in ((path + "/extend", {"generations": 1}), (f"/v1/campaigns/{other}/extend", {"generations": 2}), (path + "/champions", {})):
+        reply = service.request("POST", about, body, headers=key)
+        assert reply.status == 422 and reply.json()["errors"][0]["header"] == "Idempotency-Key", (about, reply.body)
+    key = {"Idempotency-Key": "record-it"}
+    first = service.request("POST", path + "/champions", {"count": 2}, headers=key)
+    assert first.status == 202, first.body
+    assert service.request("POST", path + "/extend", {"generations": 1}, headers={"Idempotency-Key": "and-more"}).status == 200
+    finished(service, id)
+    again = service.request("POST", path + "/champions", {"count": 2}, headers=key)
+    assert again.status == 202 and again.json()["id"] == first.json()["id"] and again.headers["Location"] == first.headers["Location"]
+    assert service.request("POST", path + "/champions", {"count": 3}, headers=key).status == 422
+    assert service.request("POST", path + "/champions", {"count": 2}, headers={"Idempotency-Key": "record-it-again"}).json()["id"] != first.json()["id"]
+
+
 def test_lists(service, evolved, learned):
     seen, cursor = [], ""
     while cursor is not None:

@@ -115,7 +115,7 @@ static void cancels(void)
   CHECK_INT(mo_jobs_cancel(service.jobs, scoring), MO_OK);
   CHECK(await_phase(&service, scoring, MO_CAMPAIGN_IDLE));
   CHECK_INT(mo_jobs_cancel(service.jobs, scoring), MO_ERR_CONFLICT);
-  CHECK_INT(mo_jobs_extend_campaign(service.jobs, scoring, 1, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_extend_campaign(service.jobs, scoring, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
   stats = settled(&service);
   CHECK_INT(stats.open_jobs, 0);
@@ -128,6 +128,7 @@ __attribute__((unused)) static void extends(void)
 {
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
     struct mo_campaign_request request = campaign((enum mo_campaign_mode)mode);
+    struct mo_request_key key = {.text = "more"};
     struct origin origin;
     struct service service;
     struct mo_job job;
@@ -139,25 +140,26 @@ __attribute__((unused)) static void extends(void)
     slow_down();
     id = submit(&service, &request);
     REQUIRE(await_phase(&service, id, MO_CAMPAIGN_SCORE));
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_OK); /* running */
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK); /* running */
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_OK); /* paused */
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK); /* paused */
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
     REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
     CHECK_INT(settled(&service).open_jobs, 0);
     CHECK_INT(status_of(&service, id).generation, 3);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_OK); /* over */
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_OK);
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* over */
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* the same again */
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_OK);
     REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
     while (status_of(&service, id).generation < 5 &&
            job.state == MO_JOB_SUCCEEDED) /* the first was over before the second came */
       REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
     CHECK(ends_as_plain(&service, id, &origin));
     CHECK_INT(settled(&service).open_jobs, 0);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 0, NULL), MO_ERR_INVALID);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL), MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, 99, 1, NULL), MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 0, NULL, NULL), MO_ERR_INVALID);
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, 99, 1, NULL, NULL), MO_ERR_NOT_FOUND);
     service_end(&service);
   }
 }
@@ -174,7 +176,7 @@ __attribute__((unused)) static void does_not_extend_one_cosine(void)
   origin = origin_of(&request);
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &service.fixture.message), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, &service.fixture.message), MO_ERR_UNSUPPORTED);
   CHECK(strstr(service.fixture.message.text, "cosine") != NULL);
   CHECK(ends_as_plain(&service, id, &origin));
   service_end(&service);

@@ -28,7 +28,7 @@ __attribute__((unused)) static void exhausts_small_spaces(void)
       CHECK(status.generation >= 0 && status.generation < 20);
       CHECK_INT(status.n_designs, (i == 0 ? 1 : i == 1 ? 2 : 4)); /* 1, 2, L and the square */
       CHECK_INT(status.has_result, mode != MO_ZERO_SHOT);
-      CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_ERR_CONFLICT);
+      CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CONFLICT);
     }
   service_end(&service);
 }
@@ -69,7 +69,7 @@ __attribute__((unused)) static void tries_three_times(void)
   CHECK_INT(job.error, MO_ERR_NO_MEMORY);
   CHECK(strstr(job.error_text, "the runner of rollouts reported: out of memory") != NULL);
   CHECK_INT(status_of(&service, id).generation, 0);
-  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(settled(&service).jobs_failed, 1);
   /* Nothing is lost: when the cause is gone, it goes on. */
   fake_plan.fail_times = 0;
@@ -327,7 +327,7 @@ __attribute__((unused)) static void refuses(void)
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
   bad = campaign(MO_ZERO_SHOT);
   CHECK_INT(refuse(&service, &bad, "stopping", NULL), MO_ERR_CANCELLED);
-  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL), MO_ERR_CANCELLED);
+  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CANCELLED);
   free(forms);
   free(genotypes);
   service_end(&service);

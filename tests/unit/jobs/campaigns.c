@@ -306,7 +306,7 @@ __attribute__((unused)) static void shows_its_champions(void)
         CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
       }
       CHECK(has_best);
-      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, &evaluation, &service.fixture.message),
+      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation, &service.fixture.message),
                 MO_OK);
       REQUIRE(mo_jobs_wait(service.jobs, evaluation, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
@@ -323,9 +323,9 @@ __attribute__((unused)) static void shows_its_champions(void)
     CHECK_INT(n, POPULATION);
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, &evaluation, NULL), MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, &evaluation, NULL), MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, &evaluation, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, NULL, &evaluation, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, NULL, &evaluation, NULL), MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, NULL, &evaluation, NULL), MO_ERR_RANGE);
     service_end(&service);
   }
 }

@@ -122,7 +122,7 @@ static inline int live_on(struct life *life, int part)
   case SECOND_COMMIT:
   case THIRD_COMMIT: return commit_life(life);
   case PARK: return mo_store_campaign_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
-  case EXTEND: return mo_store_extend_campaign(store, life->id, 3, &state);
+  case EXTEND: return mo_store_extend_campaign(store, life->id, 3, NULL, &state);
   default:
     return mo_store_campaign_finish(store, life->id, MO_CAMPAIGN_COMPLETED, 4, "walker", life->weights, life->size,
                                     life->controller);

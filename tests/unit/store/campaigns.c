@@ -347,6 +347,7 @@ static void finishes_and_extends(void)
   struct mo_campaign_status status;
   struct mo_controller *controller = NULL;
   enum mo_job_state before = MO_JOB_FAILED;
+  struct mo_request_key key = {.text = "more"};
   struct mo_event event;
   int64_t id;
   REQUIRE(fixture_start(&fixture) == 0);
@@ -354,13 +355,13 @@ static void finishes_and_extends(void)
   mo_controller_randomize(controller, 77);
   id = campaign_submit(&fixture, &submission);
   /* Queued. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 0, &before), MO_ERR_RANGE);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 0, NULL, &before), MO_ERR_RANGE);
   CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 9, NULL, NULL, 0, NULL),
             MO_ERR_CONFLICT);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   finish_with(&fixture, id, controller);
   /* Succeeded: queued again, without its end. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, NULL, &before), MO_OK);
   CHECK_INT(before, MO_JOB_SUCCEEDED);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 && status.end == MO_CAMPAIGN_OPEN);
@@ -369,42 +370,52 @@ static void finishes_and_extends(void)
   CHECK_TEXT(event.type, "campaign.extended");
   CHECK(strstr(event.data, "\"state\":\"queued\",\"generations\":3,\"added\":2") != NULL);
   /* Queued, running, paused: just longer. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK_INT(before, MO_JOB_QUEUED);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK(before == MO_JOB_RUNNING && campaign_state(&fixture, id) == MO_JOB_RUNNING);
   CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 4, NULL, NULL, 0, NULL),
             MO_ERR_CONFLICT); /* extended meanwhile */
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
   CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 5, NULL, NULL, 0, NULL),
             MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK(before == MO_JOB_PAUSED && campaign_state(&fixture, id) == MO_JOB_PAUSED);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.job.steps_total, 6);
+  /* With a key: once. */
+  mo_sha256_of("one", 3, &key.sha256);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &key, &before), MO_OK);
+  CHECK_INT(before, MO_JOB_PAUSED);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &key, &before), MO_OK);
+  CHECK_INT(before, MO_JOB_QUEUED);
+  mo_sha256_of("two", 3, &key.sha256);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, &key, &before), MO_ERR_DUPLICATE);
+  CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
+  CHECK_INT(status.job.steps_total, 7);
   /* Limits: of generations, of designs, of the steps of a training. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 5, &before), MO_ERR_RANGE);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, UINT32_MAX, &before), MO_ERR_RANGE);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 6, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 6, NULL, &before), MO_ERR_RANGE);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, UINT32_MAX, NULL, &before), MO_ERR_RANGE);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 7, NULL, &before), MO_OK);
   submission.record.settings.child_steps = 1000;
   submission.record.settings.generations = 900;
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, &before), MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 97, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, NULL, &before), MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 97, NULL, &before), MO_OK);
   submission = campaign_submission(MO_ZERO_SHOT, MO_POPULATION_MAX, 4000);
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, &before), MO_ERR_RANGE); /* 2^16 · 4097 designs */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 95, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, NULL, &before), MO_ERR_RANGE); /* 2^16 · 4097 designs */
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 95, NULL, &before), MO_OK);
   /* What depends on the number of generations. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
   submission.record.settings.schedule.kind = MO_SCHEDULE_COSINE;
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_UNSUPPORTED);
   submission.record.settings.mode = MO_FEW_SHOT;
   submission.controller = "default";
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   /* Exhausted: there is nothing new to find. */
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_OPEN, 2, NULL, NULL, 0, NULL), MO_ERR_INVALID);
@@ -412,17 +423,17 @@ static void finishes_and_extends(void)
   CHECK(strstr(campaign_event(&fixture, id).data, "\"end\":\"exhausted\"}") != NULL);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.has_result);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
   /* Cancelled, failed, of another kind, not there. */
   id = campaign_submit(&fixture, &submission);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
   id = campaign_submit(&fixture, &submission);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL), MO_OK);
   CHECK_INT(campaign_state(&fixture, id), MO_JOB_FAILED);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, &before), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, 12345, 1, &before), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, 12345, 1, NULL, &before), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   mo_controller_free(controller);
   fixture_end(&fixture);
