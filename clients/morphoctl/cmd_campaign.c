@@ -1,4 +1,4 @@
-/* cmd_campaign.c: campaign start, list, show, extend. */
+/* cmd_campaign.c: campaign start, list, show, extend, prune. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -316,4 +316,9 @@ int run_campaign_extend(struct ctl *ctl)
   json_decref(request);
   json_decref(campaign);
   return status;
+}
+
+int run_campaign_prune(struct ctl *ctl)
+{
+  return prune_checkpoints(ctl, "campaign", "");
 }

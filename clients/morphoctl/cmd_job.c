@@ -1,4 +1,4 @@
-/* cmd_job.c: job list, show, cancel, pause, resume, weight. */
+/* cmd_job.c: job list, show, cancel, pause, resume, weight; checkpoints that are not needed. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -149,4 +149,32 @@ int run_job_weight(struct ctl *ctl)
   json_decref(job);
   reply_free(&reply);
   return status;
+}
+
+int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below)
+{
+  int worst = STATUS_OK;
+  for (size_t i = 0; i < ctl->n_operands; i++) {
+    const char *id = ctl->operands[i];
+    char path[96], count[32];
+    if (!check_job_id(id))
+      return STATUS_USAGE;
+    snprintf(path, sizeof(path), "/v1/%ss/%s/checkpoints%s", kind, id, below);
+    struct reply reply;
+    int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
+    json_t *value = status == STATUS_OK ? reply_json(&reply) : NULL;
+    size_t n = json_array_size(json_object_get(value, "removed"));
+    if (value != NULL && ctl->json)
+      print_json(value);
+    else if (value != NULL && !ctl->quiet)
+      print_plain_line(stdout, "%s %s: %s checkpoint%s deleted, %.1f MB", kind, id, count_text((int64_t)n, count),
+                       n == 1 ? "" : "s", (double)number_of(value, "bytes") * 1e-6);
+    json_decref(value);
+    reply_free(&reply);
+    if (status != STATUS_OK)
+      worst = status;
+    if (status == STATUS_CONNECTION || status == STATUS_INTERRUPTED)
+      break;
+  }
+  return worst;
 }

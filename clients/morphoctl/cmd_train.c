@@ -389,32 +389,10 @@ int run_train_export(struct ctl *ctl)
 int run_train_prune(struct ctl *ctl)
 {
   int64_t step = 0;
-  int worst = STATUS_OK;
+  char below[32] = "";
   if (!option_number(ctl, "step", 1, 1000000, &step))
     return STATUS_USAGE;
-  for (size_t i = 0; i < ctl->n_operands; i++) {
-    const char *id = ctl->operands[i];
-    char path[96], below[32] = "", count[32];
-    if (!check_job_id(id))
-      return STATUS_USAGE;
-    if (step > 0)
-      snprintf(below, sizeof(below), "/%" PRId64, step);
-    snprintf(path, sizeof(path), "/v1/trainings/%s/checkpoints%s", id, below);
-    struct reply reply;
-    int status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
-    json_t *value = status == STATUS_OK ? reply_json(&reply) : NULL;
-    size_t n = json_array_size(json_object_get(value, "removed"));
-    if (value != NULL && ctl->json)
-      print_json(value);
-    else if (value != NULL && !ctl->quiet)
-      print_plain_line(stdout, "training %s: %s checkpoint%s deleted, %.1f MB", id, count_text((int64_t)n, count),
-                       n == 1 ? "" : "s", (double)number_of(value, "bytes") * 1e-6);
-    json_decref(value);
-    reply_free(&reply);
-    if (status != STATUS_OK)
-      worst = status;
-    if (status == STATUS_CONNECTION || status == STATUS_INTERRUPTED)
-      break;
-  }
-  return worst;
+  if (step > 0)
+    snprintf(below, sizeof(below), "/%" PRId64, step);
+  return prune_checkpoints(ctl, "training", below);
 }

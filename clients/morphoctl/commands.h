@@ -32,6 +32,7 @@ int run_campaign_list(struct ctl *ctl);
 int run_campaign_show(struct ctl *ctl);
 int run_campaign_watch(struct ctl *ctl);
 int run_campaign_extend(struct ctl *ctl);
+int run_campaign_prune(struct ctl *ctl);
 int run_campaign_champions(struct ctl *ctl);
 int run_campaign_export(struct ctl *ctl);
 int run_controller_list(struct ctl *ctl);
@@ -98,6 +99,8 @@ bool is_final(const char *state);
 bool is_state(const char *word); /* "queued", "running", … */
 /* Whether an operand is the decimal id of a job; complains if not. */
 bool check_job_id(const char *text);
+/* Deletes checkpoints of the jobs of this kind ("training", "campaign") that the operands name, and tells of each; below: "", or the path of one. */
+int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below);
 
 const char *text_of(const json_t *object, const char *key); /* "" if there is none */
 int64_t number_of(const json_t *object, const char *key);

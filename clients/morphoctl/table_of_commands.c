@@ -255,6 +255,11 @@ const struct command commands[] = {
      campaign_champions_options, 1, 1, run_campaign_champions},
     {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.", NULL, campaign_export_options, 1,
      1, run_campaign_export},
+    {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.",
+     "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A simultaneous campaign "
+     "cannot be extended or resumed after it; of one without a result champions cannot be recorded any more. Of a "
+     "campaign that has not ended nothing is deleted.",
+     NULL, 1, MANY, run_campaign_prune},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
     {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL, controller_get_options, 1, 1,

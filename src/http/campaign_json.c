@@ -162,7 +162,8 @@ static void write_result(struct mo_text *text, const struct mo_campaign_status *
 
 static void write_links(struct mo_text *text, long long id)
 {
-  static const char *const below[] = {"generations", "learning", "population", "phylogeny", "champions", "replicates"};
+  static const char *const below[] = {"generations", "learning",    "population", "phylogeny",
+                                      "champions",   "checkpoints", "replicates"};
   mo_text_format(text, ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"events\":\"/v1/events?job=%lld\"", id, id);
   for (size_t i = 0; i < sizeof(below) / sizeof(below[0]); i++)
     mo_text_format(text, ",\"%s\":\"/v1/campaigns/%lld/%s\"", below[i], id, below[i]);
@@ -200,6 +201,15 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
     mo_text_add(text, "null");
   write_result(text, status);
   write_links(text, (long long)status->job.id);
+  mo_text_add(text, "}");
+}
+
+void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_campaign_checkpoint_row *row)
+{
+  mo_text_format(text, "{\"generation\":%u,\"step\":%u,\"sha256\":", row->generation, row->step);
+  mo_hash_write(text, &row->sha256);
+  mo_text_member_count(text, "size", row->size);
+  mo_text_member_time(text, "stored_at", row->stored_us);
   mo_text_add(text, "}");
 }
 

@@ -11,6 +11,7 @@ enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *statu
 /* The campaign. live: of this moment. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_campaign_live *live);
+void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_campaign_checkpoint_row *row);
 /* The same as an item of the list of jobs. */
 void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
                           const struct mo_campaign_live *live);

@@ -24,6 +24,9 @@ static enum mo_handled handle_campaign(struct mo_request *request)
   case MO_ROUTE_CAMPAIGN_DESIGN: mo_handle_campaign_design(request); break;
   case MO_ROUTE_CAMPAIGN_ANCESTORS: mo_handle_campaign_ancestors(request); break;
   case MO_ROUTE_CAMPAIGN_DESCENDANTS: mo_handle_campaign_descendants(request); break;
+  case MO_ROUTE_CAMPAIGN_CHECKPOINTS:
+    (request->method == MO_DELETE ? mo_handle_campaign_checkpoints_delete : mo_handle_campaign_checkpoints)(request);
+    break;
   case MO_ROUTE_CAMPAIGN_CHAMPIONS:
     (post ? mo_handle_campaign_champions_post : mo_handle_campaign_champions)(request);
     break;
@@ -71,6 +74,7 @@ enum mo_handled mo_handle(struct mo_request *request)
   case MO_ROUTE_CAMPAIGN_ANCESTORS:
   case MO_ROUTE_CAMPAIGN_DESCENDANTS:
   case MO_ROUTE_CAMPAIGN_PHYLOGENY:
+  case MO_ROUTE_CAMPAIGN_CHECKPOINTS:
   case MO_ROUTE_CAMPAIGN_CHAMPIONS: return handle_campaign(request);
   case MO_ROUTE_JOBS: mo_handle_jobs(request); break;
   case MO_ROUTE_JOB:

@@ -1,4 +1,4 @@
-/* handle_campaigns.c: campaigns: submission, state, lists, control. Their curves are in handle_curves.c, what was born in them in
+/* handle_campaigns.c: campaigns: submission, state, lists, control, checkpoints. Their curves are in handle_curves.c, what was born in them in
  * handle_phylogeny.c. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -234,7 +234,8 @@ static void extension_error(struct mo_request *request, int64_t id, int code, co
           status->end == MO_CAMPAIGN_EXHAUSTED ? "has exhausted its morphospace, of which nothing new is left" : "is ",
           status->end == MO_CAMPAIGN_EXHAUSTED ? "" : mo_job_state_name(status->job.state));
     break;
-  case MO_ERR_UNSUPPORTED: mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: %s.", words); break;
+  case MO_ERR_UNSUPPORTED:
+  case MO_ERR_EMPTY: mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: %s.", words); break;
   case MO_ERR_DUPLICATE: mo_reply_key_conflict(request, faults); break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE:
@@ -272,4 +273,57 @@ void mo_handle_campaign_extend(struct mo_request *request)
 {
   if (mo_handle_submission(request, "campaign", extend))
     reply_campaign(request, 200, request->submitted);
+}
+
+/* ---- checkpoints ---- */
+
+static bool begin_checkpoints(struct mo_request *request, int64_t *id)
+{
+  struct mo_query_value none;
+  return mo_query_read(request, NULL, &none, 0) && mo_accepts_json(request) && mo_path_id(request, 0, id) &&
+         mo_job_is(request, *id, MO_JOB_CAMPAIGN, "campaign");
+}
+
+void mo_handle_campaign_checkpoints(struct mo_request *request)
+{
+  struct mo_campaign_checkpoint_row rows[MO_CAMPAIGN_CHECKPOINTS_MAX];
+  struct mo_text text = {0};
+  int64_t id;
+  if (!begin_checkpoints(request, &id))
+    return;
+  int64_t n = mo_store_campaign_checkpoints(request->http->services.store, id, rows, MO_CAMPAIGN_CHECKPOINTS_MAX);
+  if (n < 0) {
+    mo_reply_error(request, (int)n, "page");
+    return;
+  }
+  mo_text_add(&text, "{\"items\":[");
+  for (int64_t i = 0; i < n; i++) {
+    mo_text_add(&text, i > 0 ? "," : "");
+    mo_campaign_json_checkpoint(&text, &rows[i]);
+  }
+  mo_text_add(&text, "]}");
+  mo_reply_json(request, 200, &text);
+  mo_reply_etag_of_body(request);
+}
+
+void mo_handle_campaign_checkpoints_delete(struct mo_request *request)
+{
+  struct mo_campaign_checkpoints_removed removed;
+  struct mo_text text = {0};
+  int64_t id;
+  if (!begin_checkpoints(request, &id))
+    return;
+  int code = mo_store_campaign_checkpoints_remove(request->http->services.store, id, &removed);
+  if (code != MO_OK) {
+    mo_reply_error(request, code, "campaign");
+    return;
+  }
+  mo_text_add(&text, "{\"removed\":[");
+  for (size_t i = 0; i < removed.n; i++)
+    mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "", removed.places[i][0],
+                   removed.places[i][1]);
+  mo_text_add(&text, "]");
+  mo_text_member_count(&text, "bytes", removed.bytes);
+  mo_text_add(&text, "}");
+  mo_reply_json(request, 200, &text);
 }

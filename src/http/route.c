@@ -35,6 +35,7 @@ const struct mo_route_info mo_routes[MO_ROUTES] = {
     [MO_ROUTE_CAMPAIGN_DESCENDANTS] = {"/v1/campaigns/{id}/designs/{number}/descendants", MO_GET, false, false},
     [MO_ROUTE_CAMPAIGN_PHYLOGENY] = {"/v1/campaigns/{id}/phylogeny", MO_GET, false, false},
     [MO_ROUTE_CAMPAIGN_CHAMPIONS] = {"/v1/campaigns/{id}/champions", MO_GET | MO_POST, false, false},
+    [MO_ROUTE_CAMPAIGN_CHECKPOINTS] = {"/v1/campaigns/{id}/checkpoints", MO_GET | MO_DELETE, false, false},
     [MO_ROUTE_JOBS] = {"/v1/jobs", MO_GET, false, false},
     [MO_ROUTE_JOB] = {"/v1/jobs/{id}", MO_GET | MO_DELETE, false, false},
     [MO_ROUTE_JOB_PAUSE] = {"/v1/jobs/{id}/pause", MO_POST, false, false},

@@ -251,6 +251,8 @@ void mo_handle_campaign_descendants(struct mo_request *request);
 enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request);
 void mo_handle_campaign_champions(struct mo_request *request);
 void mo_handle_campaign_champions_post(struct mo_request *request);
+void mo_handle_campaign_checkpoints(struct mo_request *request);
+void mo_handle_campaign_checkpoints_delete(struct mo_request *request);
 void mo_handle_designs(struct mo_request *request);
 void mo_handle_design(struct mo_request *request);
 void mo_handle_controllers(struct mo_request *request);

@@ -188,6 +188,8 @@ static int explain_extension(int error, struct mo_message *message)
     return mo_fail(message, error,
                    "its learning rate is one cosine over all generations: with more of them, those that are done would "
                    "have been others");
+  case MO_ERR_EMPTY:
+    return mo_fail(message, error, "the checkpoint of what it has learned, which it would go on from, was deleted");
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
   default: return mo_fail(message, error, "the campaign could not be extended: %s", mo_error_text(error));
   }

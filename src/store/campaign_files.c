@@ -111,7 +111,7 @@ static int drop_rows(struct mo_connection *writer, const char *list_sql, struct 
   sqlite3_bind_int64(statement, 1, checkpoint->id);
   sqlite3_bind_int64(statement, 2, checkpoint->generation);
   sqlite3_bind_int64(statement, 3, checkpoint->step);
-  while (checkpoint->n_dropped < MO_CAMPAIGN_DROPPED_MAX && (step = mo_sql_step(writer, statement)) > 0) {
+  while (checkpoint->n_dropped < MO_CAMPAIGN_CHECKPOINTS_MAX && (step = mo_sql_step(writer, statement)) > 0) {
     checkpoint->dropped[checkpoint->n_dropped][0] = (uint32_t)sqlite3_column_int64(statement, 0);
     checkpoint->dropped[checkpoint->n_dropped++][1] = (uint32_t)sqlite3_column_int64(statement, 1);
   }
@@ -281,6 +281,91 @@ int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t
   *step = row.step;
   *bytes = found;
   *size = (size_t)row.size;
+  return MO_OK;
+}
+
+int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id, struct mo_campaign_checkpoint_row *rows,
+                                      size_t limit)
+{
+  static const char sql[] = "SELECT generation,step,sha256,size,stored_us FROM campaign_checkpoints WHERE job=?1"
+                            " ORDER BY generation DESC,step DESC LIMIT ?2";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  int64_t n = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step = 0;
+    sqlite3_bind_int64(statement, 1, id);
+    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+      struct mo_campaign_checkpoint_row *row = &rows[n++];
+      row->generation = (uint32_t)sqlite3_column_int64(statement, 0);
+      row->step = (uint32_t)sqlite3_column_int64(statement, 1);
+      error = mo_column_hash(statement, 2, &row->sha256);
+      row->size = (uint64_t)sqlite3_column_int64(statement, 3);
+      row->stored_us = sqlite3_column_int64(statement, 4);
+    }
+    if (step < 0)
+      error = step;
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
+/* ---- on request ---- */
+
+struct removal_arguments {
+  struct mo_campaign_checkpoint checkpoint;
+  int64_t bytes;
+};
+
+static int remove_rows(struct mo_store *store, void *arguments)
+{
+  static const char size_sql[] = "SELECT coalesce(sum(size),0) FROM campaign_checkpoints WHERE job=?1";
+  static const char list_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND ?2>=0 AND ?3>=0"
+                                 " ORDER BY generation DESC,step DESC";
+  struct removal_arguments *call = arguments;
+  struct mo_connection *writer = &store->writer;
+  enum mo_job_kind kind = MO_JOB_EVALUATION;
+  enum mo_job_state state = MO_JOB_QUEUED;
+  sqlite3_stmt *statement;
+  int error = mo_job_state_get(writer, call->checkpoint.id, &state, &kind);
+  call->checkpoint.n_dropped = 0;
+  call->bytes = 0;
+  if (error == MO_OK && kind != MO_JOB_CAMPAIGN)
+    error = MO_ERR_NOT_FOUND;
+  if (error != MO_OK || !mo_job_state_is_final(state))
+    return error;
+  statement = mo_sql(writer, size_sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, call->checkpoint.id);
+  error = mo_sql_integer(writer, statement, &call->bytes);
+  return error == MO_OK ? drop_rows(writer, list_sql, &call->checkpoint) : error;
+}
+
+int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
+                                         struct mo_campaign_checkpoints_removed *removed)
+{
+  struct removal_arguments call = {.checkpoint = {.id = id}};
+  char *folder = folder_of(store, id);
+  int error;
+  if (folder == NULL)
+    return MO_ERR_NO_MEMORY;
+  pthread_mutex_lock(&store->checkpoints_mutex);
+  error = mo_write(store, remove_rows, &call);
+  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
+    error = mo_write(store, remove_rows, &call);
+  mo_campaign_checkpoint_end(store, &call.checkpoint, error);
+  if (error == MO_OK)
+    (void)store->files->rmdir(store->files->context, folder); /* when nothing is left */
+  pthread_mutex_unlock(&store->checkpoints_mutex);
+  free(folder);
+  if (error != MO_OK)
+    return error;
+  memcpy(removed->places, call.checkpoint.dropped, sizeof(removed->places));
+  removed->n = call.checkpoint.n_dropped;
+  removed->bytes = (uint64_t)call.bytes;
   return MO_OK;
 }
 

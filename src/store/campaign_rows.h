@@ -38,7 +38,6 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
 /* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that it makes needless (row, in an
  * operation), then their files (end, always); under checkpoints_mutex. `committed`: it is the state after its generation. */
-#define MO_CAMPAIGN_DROPPED_MAX 64
 struct mo_campaign_checkpoint {
   int64_t id;
   uint32_t generation, step;
@@ -47,7 +46,7 @@ struct mo_campaign_checkpoint {
   struct mo_sha256 sha256;
   char *path;
   bool was_there;
-  uint32_t dropped[MO_CAMPAIGN_DROPPED_MAX][2];
+  uint32_t dropped[MO_CAMPAIGN_CHECKPOINTS_MAX][2];
   size_t n_dropped;
 };
 int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,

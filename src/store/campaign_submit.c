@@ -319,6 +319,21 @@ static int check_extension(const struct mo_campaign_settings *settings, uint64_t
   return steps > MO_TRAINING_STEPS_MAX ? MO_ERR_RANGE : MO_OK;
 }
 
+/* Of a campaign whose next generation learns on from what the newest one has learned: whether that is there. */
+static int check_learning(struct mo_connection *writer, int64_t id, enum mo_campaign_mode mode)
+{
+  static const char sql[] = "SELECT count(*) FROM campaigns m WHERE m.job=?1 AND (m.generation<0 OR EXISTS("
+                            "SELECT 1 FROM campaign_checkpoints c WHERE c.job=?1 AND c.generation=m.generation))";
+  int error = MO_OK;
+  int64_t n = 0;
+  sqlite3_stmt *statement = mode == MO_SIMULTANEOUS ? mo_sql(writer, sql, &error) : NULL;
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, id);
+  error = mo_sql_integer(writer, statement, &n);
+  return error == MO_OK && n == 0 ? MO_ERR_EMPTY : error;
+}
+
 static int extend(struct mo_store *store, void *arguments)
 {
   static const char find_sql[] = "SELECT m.settings,m.generations,m.ended FROM campaigns m WHERE m.job=?1";
@@ -357,6 +372,8 @@ static int extend(struct mo_store *store, void *arguments)
     error = MO_ERR_CONFLICT;
   if (error == MO_OK)
     error = check_extension(&settings, generations);
+  if (error == MO_OK)
+    error = check_learning(writer, call->id, settings.mode);
   statement = error == MO_OK ? mo_sql(writer, job_sql, &error) : NULL;
   if (statement == NULL)
     return error;

@@ -106,7 +106,7 @@ int mo_store_submit_campaign(struct mo_store *store, const struct mo_campaign_su
 /* Adds generations: to a queued, running, paused or succeeded campaign (which is queued again, unless it is exhausted). *before: its state
  * before. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: failed, cancelled or exhausted; MO_ERR_RANGE: beyond MO_GENERATIONS_MAX or
  * MO_CAMPAIGN_DESIGNS_MAX; MO_ERR_UNSUPPORTED: its learning rate depends on the number of generations (simultaneous by one
- * cosine), MO_ERR_DUPLICATE: the key is known with another request. Event "campaign.extended". key (nullable): an extension whose key is
+ * cosine); MO_ERR_EMPTY: simultaneous, and what it has learned was removed; MO_ERR_DUPLICATE: the key is known with another request. Event "campaign.extended". key (nullable): an extension whose key is
  * known is done, and *before is MO_JOB_QUEUED. */
 int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t generations, const struct mo_request_key *key,
                              enum mo_job_state *before);
@@ -227,6 +227,26 @@ int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
  * learned since. Others are not kept. */
 int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation, uint32_t *step,
                                     uint8_t **bytes, size_t *size);
+
+/* Those that are kept: one after the newest committed generation, perhaps one inside the generation under way. */
+#define MO_CAMPAIGN_CHECKPOINTS_MAX 64
+struct mo_campaign_checkpoint_row {
+  uint32_t generation, step;
+  struct mo_sha256 sha256;
+  uint64_t size;
+  int64_t stored_us;
+};
+int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id, struct mo_campaign_checkpoint_row *rows,
+                                      size_t limit); /* newest first */
+/* Removes those that are not needed: of a campaign that has ended every one, of another none. On a full disk with the reserve.
+ * MO_ERR_NOT_FOUND: no such campaign. */
+struct mo_campaign_checkpoints_removed {
+  uint32_t places[MO_CAMPAIGN_CHECKPOINTS_MAX][2]; /* (n) generation, step; newest first */
+  size_t n;
+  uint64_t bytes;
+};
+int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
+                                         struct mo_campaign_checkpoints_removed *removed);
 
 /* A whole generation, one transaction. */
 struct mo_campaign_commit {

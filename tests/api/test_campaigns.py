@@ -485,6 +485,42 @@ def test_an_extension_that_would_change_the_past(service):
     assert reply.status == 409 and len(reply.json()["detail"]) > 40, reply.body
 
 
+def test_checkpoints_are_deleted(service):
+    """A campaign that has ended needs none; one that has not keeps what it goes on from."""
+    simultaneous = but(LEARNS, mode="simultaneous", learning={"parent_steps": 1, "child_steps": 1, "batch": 2})
+    done = run(service, but(simultaneous, generations=1))
+    path = done["links"]["checkpoints"]
+    kept = service.request("GET", path)
+    assert kept.headers["ETag"] and [(item["generation"], item["step"]) for item in kept.json()["items"]] == [(1, 2)]
+    folder = service.state / "campaigns" / done["id"]
+    assert [file.name for file in folder.iterdir()] == ["1-2.checkpoint"]
+    reply = service.request("DELETE", path).json()
+    assert reply == {"removed": [{"generation": 1, "step": 2}], "bytes": kept.json()["items"][0]["size"]} and reply["bytes"] > 12e6
+    assert not folder.exists() and service.request("GET", path).json() == {"items": []}
+    assert service.request("DELETE", path).json() == {"removed": [], "bytes": 0}
+    assert service.request("GET", f"/v1/controllers/{done['result']['controller']['name']}").status == 200, "the result stays"
+    reply = service.request("POST", f"/v1/campaigns/{done['id']}/extend", {"generations": 1})
+    assert reply.status == 409 and "was deleted" in reply.json()["detail"], reply.body
+    assert service.request("GET", f"/v1/campaigns/{done['id']}").json()["state"] == "succeeded"
+    # One that is paused goes on from its own, whether it is asked for or not.
+    id = service.request("POST", "/v1/campaigns", but(simultaneous, generations=100000)).json()["id"]
+    path, deadline = f"/v1/campaigns/{id}/checkpoints", time.monotonic() + 60
+    while not service.request("GET", path).json()["items"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert service.request("DELETE", path).json()["removed"] == [] and service.request("GET", path).json()["items"]
+    assert service.request("POST", f"/v1/campaigns/{id}/cancel").status == 200
+    finished(service, id)
+    assert service.request("DELETE", path).json()["removed"]
+    while (service.state / "campaigns" / id).exists(): # its thread may write one more, whose row is refused
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert service.request("GET", path).json()["items"] == []
+    frozen = run(service, SMALL)["links"]["checkpoints"]
+    assert service.request("GET", frozen).json() == {"items": []} and service.request("DELETE", frozen).json() == {"removed": [], "bytes": 0}
+    assert service.request("DELETE", frozen + "?all=1").status == 400
+
+
 def test_idempotency(service):
     key = {"Idempotency-Key": "campaign-one"}
     first = service.request("POST", "/v1/campaigns", but(SMALL, replicates=2), headers=key)
@@ -551,6 +587,7 @@ def test_nothing_there(service, evolved):
         for verb in ("pause", "resume", "cancel"):
             assert service.request("POST", f"/v1/campaigns/{id}/{verb}").status == 404
         assert service.request("POST", f"/v1/campaigns/{id}/extend", {"generations": 1}).status == 404
+        assert service.request("GET", f"/v1/campaigns/{id}/checkpoints").status == service.request("DELETE", f"/v1/campaigns/{id}/checkpoints").status == 404
         assert service.request("POST", f"/v1/campaigns/{id}/champions", {}).status == 404
     assert service.request("GET", f"/v1/evaluations/{evolved['id']}").status == 404
     assert service.request("GET", f"/v1/trainings/{evolved['id']}").status == 404

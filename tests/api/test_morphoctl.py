@@ -319,6 +319,9 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
     assert re.search(r"^controller +random weights, sensor inverse_square$", shown, re.M) and re.search(r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
     assert len(ctl("campaign", "export", ids[0], "--learning", "-")[1].splitlines()) == 1 + 1 + 2
     assert ctl("campaign", "export", ids[0], "--replicates", "-")[1].count("\n") == 3
+    assert ctl("campaign", "prune", ids[1], ids[1])[1] == f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\ncampaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n"
+    assert json.loads(ctl("campaign", "prune", ids[1], "--json")[1]) == {"removed": [], "bytes": 0} and ctl("campaign", "prune", "999999")[0] == 3
+    assert "was deleted" in ctl("campaign", "extend", ids[1], "1")[2]
     job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0], "--quiet")[1].strip()
     assert ctl("campaign", "watch", job)[0] == 0
     assert service.request("GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {"campaign": ids[0]}
