@@ -70,24 +70,39 @@ static void draw(struct view *view, bool now)
 
 /* ---- what is known ---- */
 
-static int load(struct view *view, const json_t *at)
+static int load(struct view *view)
 {
-  char line[400], words[256], generation[96];
   int status = campaign_load(view->ctl, &view->campaign);
   if (status != STATUS_OK)
     return status;
-  const json_t *campaign = view->campaign.json;
-  view->finished = is_final(text_of(campaign, "state"));
+  view->finished = is_final(text_of(view->campaign.json, "state"));
   view->told_s = monotonic_s();
-  for (; view->told < view->campaign.n; view->told++) {
+  return STATUS_OK;
+}
+
+/* A line for each generation up to this one that has none yet. Only the last one's time is known: that of its event (nullable). */
+static void tell(struct view *view, int64_t until, const json_t *at)
+{
+  char line[400], words[256], generation[96];
+  const int64_t generations = number_of(json_object_get(view->campaign.json, "progress"), "generations");
+  for (; view->told < view->campaign.n && view->campaign.rows[view->told].generation <= until; view->told++) {
     const struct campaign_row *row = &view->campaign.rows[view->told];
-    campaign_generation_text(row->generation, number_of(json_object_get(campaign, "progress"), "generations"),
-                             generation, sizeof(generation));
+    campaign_generation_text(row->generation, generations, generation, sizeof(generation));
     campaign_row_text(row, words, sizeof(words));
     snprintf(line, sizeof(line), "%s  %s", generation, words);
-    screen_event(&view->screen, view->ctl, at, line);
+    if (at != NULL && row->generation == until)
+      screen_event(&view->screen, view->ctl, at, line);
+    else
+      screen_earlier(&view->screen, view->ctl, line);
   }
-  return STATUS_OK;
+}
+
+static int load_and_tell(struct view *view)
+{
+  int status = load(view);
+  if (status == STATUS_OK)
+    tell(view, INT64_MAX, NULL);
+  return status;
 }
 
 /* Members of "progress" that an event tells. */
@@ -107,15 +122,18 @@ static int show_event(void *context, const char *type, const char *data)
   struct view *view = context;
   char line[400], words[256];
   if (strcmp(type, "reset") == 0)
-    return load(view, NULL) != STATUS_OK || view->finished;
+    return load_and_tell(view) != STATUS_OK || view->finished;
   json_t *event = json_loads(data, 0, NULL);
   const json_t *details = json_object_get(event, "data"), *at = json_object_get(event, "at");
+  bool generation = strcmp(type, "campaign.generation") == 0;
   int status = STATUS_OK;
   if (strcmp(type, "campaign.progress") == 0) {
     take_progress(view, details);
   } else {
-    status = load(view, at);
-    if (strcmp(type, "campaign.generation") != 0 && status == STATUS_OK) {
+    status = load(view);
+    if (status == STATUS_OK && generation) {
+      tell(view, number_of(details, "generation"), at);
+    } else if (status == STATUS_OK) {
       campaign_event_text(type, details, words, sizeof(words));
       if (strncmp(type, "job.", 4) == 0)
         snprintf(words, sizeof(words), "  %s", text_of(view->campaign.json, "state"));
@@ -125,7 +143,7 @@ static int show_event(void *context, const char *type, const char *data)
   }
   json_decref(event);
   draw(view, view->finished);
-  return status != STATUS_OK || view->finished;
+  return status != STATUS_OK || (view->finished && !generation); /* more generations may be told before the end is */
 }
 
 static int look_again(void *context)
@@ -133,7 +151,7 @@ static int look_again(void *context)
   struct view *view = context;
   char before[64], line[400];
   snprintf(before, sizeof(before), "%s", text_of(view->campaign.json, "phase"));
-  int status = load(view, NULL);
+  int status = load(view);
   if (status != STATUS_OK)
     return status;
   const char *phase = text_of(view->campaign.json, "phase"), *reason = text_of(view->campaign.json, "reason");
@@ -178,7 +196,7 @@ int watch_campaign(struct ctl *ctl, const char *id)
   snprintf(view.campaign.id, sizeof(view.campaign.id), "%s", id);
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
-    status = load(&view, NULL);
+    status = load_and_tell(&view);
   if (status == STATUS_OK)
     draw(&view, true);
   struct follow follow = {.ctl = ctl,
@@ -197,9 +215,10 @@ int watch_campaign(struct ctl *ctl, const char *id)
                      "The campaign goes on. To watch it again: morphoctl campaign watch %s; to set it aside: morphoctl "
                      "campaign pause %s; to stop it: morphoctl campaign cancel %s",
                      id, id, id);
-  else if (status == STATUS_OK && view.finished)
+  else if (status == STATUS_OK && view.finished) {
+    tell(&view, INT64_MAX, NULL);
     status = finish(&view);
-  else if (status == STATUS_OK)
+  } else if (status == STATUS_OK)
     status = STATUS_ERROR; /* what was complained about */
   campaign_free(&view.campaign);
   return status;

@@ -87,6 +87,14 @@ void screen_event(const struct screen *screen, const struct ctl *ctl, const json
   fflush(stdout);
 }
 
+void screen_earlier(const struct screen *screen, const struct ctl *ctl, const char *words)
+{
+  if (screen->live || ctl->quiet)
+    return;
+  print_plain_line(stdout, "%*s  %s", (int)strlen("2026-01-01 00:00:00"), "", words);
+  fflush(stdout);
+}
+
 int newest_event(struct ctl *ctl, int64_t *newest)
 {
   json_t *page;

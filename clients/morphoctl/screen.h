@@ -23,6 +23,8 @@ void screen_lines(FILE *file, const char *text);
 
 /* Elsewhere: a line with the event's time (NULL: now). Nothing on a live screen. */
 void screen_event(const struct screen *screen, const struct ctl *ctl, const json_t *at, const char *words);
+/* The same of what was before, at a time that is not known. */
+void screen_earlier(const struct screen *screen, const struct ctl *ctl, const char *words);
 
 /* The place of the newest event: what a page from beyond it says. */
 int newest_event(struct ctl *ctl, int64_t *newest);

@@ -236,7 +236,7 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
     watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job], stdin=slave, stdout=slave, stderr=slave,
                              env={**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"})
     os.close(slave)
-    seen, until = b"", time.monotonic() + 20
+    seen, until = b"", time.monotonic() + 60
     while not all(text.encode() in seen for text in until_seen):
         assert time.monotonic() < until and watch.poll() is None, seen
         if select.select([master], [], [], 0.1)[0]:
@@ -299,6 +299,8 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
     assert [r["score"] for r in json.loads(scores[1])["results"]] == sorted(r["score"] for r in json.loads(scores[1])["results"])
     assert ctl("campaign", "extend", campaign, "2") == (0, f"campaign {campaign} is queued, to generation 5\n", "")
     assert ctl("campaign", "watch", campaign)[0] == 0
+    lines = ctl("campaign", "watch", campaign)[1].splitlines()
+    assert len(lines) == 6 and all(re.match(rf" {{21}}generation {i} of 5  mean ", line) for i, line in enumerate(lines)), "long ago: without a time"
     assert ctl("campaign", "export", campaign, "--curve", "-")[1].splitlines()[:5] == rows["curve"]
     status, out, err = ctl("train", "start", "finetune", "--population", campaign, "--best", "3", *TINY)
     assert status == 0, err
