@@ -1,0 +1,311 @@
+/* gradient-physics-step.c: a step of the fast gradient's float32 physics, and the way back, against the float64 reference.
+ *
+ * The two may disagree about a comparison whose sides differ by less than float32 resolves: whether a mass strikes, in which
+ * cell, which friction applies, whether an impact comes at once. Float64 alone decides whether a mass is at such a kink: the reference's
+ * own contact, from a state that is off by no more than NEAR_M and NEAR_M_PER_S, must come to what float32 came to, both ways. There must be few
+ * such masses; all others, and all that hangs on their branch, must agree without exception. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include <morpho/random.h>
+
+#include "../check.h"
+#include "gradient-physics-both.h"
+#include "rollout/contact.h"
+
+/* Some digits of float32 at the edge of the map, and what the springs' rounding makes of velocities. */
+#define NEAR_M           5e-7
+#define NEAR_M_PER_S     1e-4
+#define NEAR_TRIES       4000
+#define POSITION_M       2e-6 /* tolerances of a step: of positions and velocities; of adjoints, by the robot's largest */
+#define VELOCITY_M_PER_S 5e-5
+#define D_VELOCITY       2e-4
+#define D_POSITION       2e-4
+
+/* A state near the ground anywhere on the map and beyond it, in which some masses strike. */
+static void make_state(struct both *b, struct mo_random *random)
+{
+  const struct gradient_case *c = b->c;
+  const uint32_t n = c->body->n_masses;
+  const bool far = mo_random_below(random, 3) == 0;
+  const double shift[2] = {(far ? 6 : 0.5) * (mo_random_uniform(random) - 0.5),
+                           (far ? 6 : 0.5) * (mo_random_uniform(random) - 0.5)};
+  const double speed = mo_random_below(random, 2) == 0 ? 0.1 : 1.0,
+               noise = mo_random_below(random, 2) == 0 ? 0.002 : 0.02;
+  double lowest = INFINITY;
+  mo_scene_start(c->body, &c->environment, &c->physics, b->position);
+  for (uint32_t m = 0; m < n; m++) {
+    double *p = b->position + 3 * m;
+    for (int axis = 0; axis < 3; axis++)
+      p[axis] += noise * (mo_random_uniform(random) - 0.5) + (axis < 2 ? shift[axis] : 0);
+    lowest = fmin(lowest, p[2] - mo_terrain_height(c->environment.terrain_heights_m, p[0], p[1]));
+  }
+  const double sink = lowest + 0.03 * mo_random_uniform(random) - 0.003;
+  for (uint32_t m = 0; m < n; m++)
+    for (int axis = 0; axis < 3; axis++) {
+      const uint32_t i = 3 * m + (uint32_t)axis;
+      const double centre = axis < 2 ? MO_WORLD_CENTRE_M : 0;
+      b->position[i] = rounded(b->position[i] - (axis == 2 ? sink : centre)) + centre;
+      b->velocity[i] = rounded(speed * mo_random_normal(random));
+      b->d_position[i] = rounded(mo_random_normal(random));
+      b->d_velocity[i] = rounded(0.1 * mo_random_normal(random));
+    }
+}
+
+/* The reference's contact of a mass again, from its shifted state. */
+static void shift(struct both *b, uint32_t m)
+{
+  struct mo_reference *r = &b->reference;
+  const size_t at = 3 * (size_t)m;
+  for (size_t i = at; i < at + 3; i++) {
+    b->tape.position_m[i] += b->shift_m[i];
+    b->tape.velocity_m_per_s[i] += b->shift_m_per_s[i];
+    r->position_m[i] = b->tape.position_m[i];
+    r->velocity_m_per_s[i] = b->tape.velocity_m_per_s[i];
+  }
+  mo_contact_move(r->physics, r->environment->terrain_heights_m, r->highest_m, r->position_m + at,
+                  r->velocity_m_per_s + at);
+}
+
+/* Moves masses by as little as springs bear to where float32 hardly tells sides apart, or where contact is rare: one in four each on the
+ * edge of a cell and on the ground; where it will end on the ground; sliding fast; falling
+ * beside an edge, which the slope pushes it over. */
+static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
+{
+  const struct gradient_case *c = b->c;
+  const double *heights_m = c->environment.terrain_heights_m, dt = c->physics.dt_s, bear_m = 0.04;
+  const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
+  const uint32_t n = c->body->n_masses;
+  for (uint32_t m = 0; m < n; m++) {
+    double *p = b->position + 3 * (size_t)m, *v = b->velocity + 3 * (size_t)m;
+    const uint32_t axis = mo_random_below(random, 2);
+    const double edge = cell_m * round(p[axis] / cell_m), beside = m % 4 == 3 ? 0.001 * mo_random_normal(random) : 0;
+    if ((m % 4 == 0 || m % 4 == 3) && fabs(edge - p[axis]) < bear_m)
+      p[axis] = rounded(edge + beside - MO_WORLD_CENTRE_M) + MO_WORLD_CENTRE_M;
+    const double ground = mo_terrain_height(heights_m, p[0], p[1]);
+    if (m % 4 != 1 && fabs(ground - p[2]) < bear_m)
+      p[2] = rounded(ground);
+    for (int i = 0; i < 2 && m % 4 >= 2; i++)
+      v[i] = m % 4 == 2 ? rounded(4 * mo_random_normal(random)) : 0;
+    if (m % 4 == 3)
+      v[2] = rounded(-8 * mo_random_uniform(random));
+  }
+  /* Where the springs take them: their velocity before contact is on the tape. Moving them changes it a little. */
+  for (int round = 0; round < 4; round++) {
+    memcpy(b->reference.position_m, b->position, 3 * n * sizeof(double));
+    memcpy(b->reference.velocity_m_per_s, b->velocity, 3 * n * sizeof(double));
+    if (!mo_reference_step(&b->reference, step))
+      return;
+    for (uint32_t m = 1; m < n; m += 4) {
+      double *p = b->position + 3 * (size_t)m;
+      const double *v = b->tape.velocity_m_per_s + 3 * (size_t)m;
+      const double lift = mo_terrain_height(heights_m, p[0] + dt * v[0], p[1] + dt * v[1]) - (p[2] + dt * v[2]);
+      if (fabs(lift) < 0.004)
+        p[2] = rounded(p[2] + lift);
+    }
+  }
+}
+
+static bool run_both(struct both *b, const struct physics_functions *f, uint32_t step)
+{
+  const struct gradient_case *c = b->c;
+  const size_t bytes = 3 * (size_t)c->body->n_masses * sizeof(double);
+  struct mo_reference *r = &b->reference;
+  memcpy(r->position_m, b->position, bytes);
+  memcpy(r->velocity_m_per_s, b->velocity, bytes);
+  if (!mo_reference_step(r, step))
+    return false;
+  for (uint32_t m = 0; m < c->body->n_masses; m++)
+    if (b->at_kink[m])
+      shift(b, m);
+  memcpy(b->adjoint.d_position, b->d_position, bytes);
+  memcpy(b->adjoint.d_velocity, b->d_velocity, bytes);
+  memcpy(b->fast.d_position, b->d_position, bytes);
+  memcpy(b->fast.d_velocity, b->d_velocity, bytes);
+  mo_adjoint_step(r, &b->tape, &b->adjoint);
+  for (uint32_t m = 0; m < c->body->n_masses; m++)
+    b->d_sensors[m] = b->adjoint.d_input[c->body->mass_lattice[m]];
+  b->fast.position_m = b->position;
+  b->fast.velocity_m_per_s = b->velocity;
+  b->fast.activation = b->tape.control.output;
+  b->fast.sensors = b->fast_sensors;
+  b->fast.d_sensors = b->d_sensors;
+  b->fast.d_activation = b->fast_d_activation;
+  return f->step(&b->scene, &b->fast);
+}
+
+struct tally {
+  uint32_t steps, masses, hits, kinks, faults;
+  double sensor, velocity, position, d_velocity, d_position, d_activation; /* largest errors */
+};
+
+/* Where the reference's contact of mass m, a little off, comes to what the fast path made of it: state, ∂loss/∂ velocity and, with `rest`,
+ * ∂loss/∂ position, of which `rest` is missing. Sets the shift; false: nowhere near. */
+static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_velocity, double d_position,
+                      struct mo_random *random)
+{
+  const struct mo_reference *r = &b->reference;
+  const double *heights_m = r->environment->terrain_heights_m;
+  const double keep = exp(-r->physics->drag_per_s * r->physics->dt_s);
+  const size_t at = 3 * (size_t)m;
+  double here[3];
+  for (int n = -1; n < NEAR_TRIES; n++) { /* the first time at the state itself */
+    double p[3], v[3], next[3], speed[3], dp[3], dv[3], wanted[3];
+    for (size_t i = 0; i < 3; i++) {
+      p[i] = next[i] = b->tape.position_m[at + i] + (n < 0 ? 0 : NEAR_M * (2 * mo_random_uniform(random) - 1));
+      v[i] = speed[i] =
+          b->tape.velocity_m_per_s[at + i] + (n < 0 ? 0 : NEAR_M_PER_S * (2 * mo_random_uniform(random) - 1));
+      dp[i] = b->d_position[at + i];
+      dv[i] = b->d_velocity[at + i];
+    }
+    mo_contact_move(r->physics, heights_m, r->highest_m, next, speed);
+    mo_contact_move_adjoint(r->physics, heights_m, r->highest_m, p, v, dp, dv);
+    for (size_t i = 0; i < 3; i++) {
+      dv[i] *= keep;
+      if (n < 0)
+        here[i] = dp[i];
+      wanted[i] = rest != NULL ? here[i] + rest[i] : dp[i];
+    }
+    if (distance(next, b->fast.next_m + at) < POSITION_M &&
+        distance(speed, b->fast.next_m_per_s + at) < VELOCITY_M_PER_S &&
+        distance(dv, b->fast.d_velocity + at) < D_VELOCITY * d_velocity &&
+        distance(dp, wanted) < D_POSITION * d_position) {
+      for (size_t i = 0; i < 3; i++) {
+        b->shift_m[at + i] += p[i] - b->tape.position_m[at + i];
+        b->shift_m_per_s[at + i] += v[i] - b->tape.velocity_m_per_s[at + i];
+      }
+      return true;
+    }
+  }
+  return false;
+}
+
+/* What is off in the robot's largest adjoints, after the fast path has run with the reference's branches. */
+struct scales {
+  double d_velocity, d_position, d_activation;
+};
+
+static struct scales scales_of(const struct both *b)
+{
+  const size_t n = 3 * (size_t)b->c->body->n_masses;
+  return (struct scales){size_of(b->adjoint.d_velocity, n), size_of(b->adjoint.d_position, n),
+                         size_of(b->adjoint.d_activation, b->c->body->n_springs)};
+}
+
+static bool agrees(const struct both *b, uint32_t m, const struct scales *size, bool with_positions)
+{
+  const size_t at = 3 * (size_t)m;
+  return distance(b->fast.next_m + at, b->reference.position_m + at) < POSITION_M &&
+         distance(b->fast.next_m_per_s + at, b->reference.velocity_m_per_s + at) < VELOCITY_M_PER_S &&
+         distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) < D_VELOCITY * size->d_velocity &&
+         (!with_positions ||
+          distance(b->fast.d_position + at, b->adjoint.d_position + at) < D_POSITION * size->d_position);
+}
+
+/* Runs both; then again with the reference on the other side of the kinks that masses are at. First those that velocities tell of: springs
+ * carry their adjoints on to the positions of others. Then those that positions alone tell of: impacts at time 0, or just after it. */
+static bool run_to_agreement(struct both *b, const struct physics_functions *f, uint32_t step, struct mo_random *random)
+{
+  const uint32_t n = b->c->body->n_masses;
+  memset(b->at_kink, 0, n * sizeof(bool));
+  memset(b->shift_m, 0, 3 * n * sizeof(double));
+  memset(b->shift_m_per_s, 0, 3 * n * sizeof(double));
+  if (!run_both(b, f, step))
+    return false;
+  for (int pass = 0; pass < 2; pass++) {
+    const struct scales size = scales_of(b);
+    bool again = false;
+    for (uint32_t m = 0; m < n; m++) {
+      const size_t at = 3 * (size_t)m;
+      double rest[3];
+      for (size_t i = 0; i < 3; i++)
+        rest[i] = b->fast.d_position[at + i] - b->adjoint.d_position[at + i];
+      if (!agrees(b, m, &size, pass > 0) &&
+          find_kink(b, m, pass > 0 ? rest : NULL, size.d_velocity, size.d_position, random))
+        again = b->at_kink[m] = true;
+    }
+    if (again && !run_both(b, f, step))
+      return false;
+  }
+  return true;
+}
+
+static void compare(struct both *b, const char *where, struct tally *t)
+{
+  const struct mo_body *body = b->c->body;
+  const struct mo_reference *r = &b->reference;
+  const struct scales size = scales_of(b);
+  t->steps++;
+  t->masses += body->n_masses;
+  t->hits += b->fast.hits;
+  CHECK(b->fast.sane);
+  for (uint32_t m = 0; m < body->n_masses; m++) {
+    const size_t at = 3 * (size_t)m;
+    const double sensor = b->tape.control.input[body->mass_lattice[m]];
+    const double moved = distance(b->fast.next_m + at, r->position_m + at);
+    const double turned = distance(b->fast.next_m_per_s + at, r->velocity_m_per_s + at);
+    const double pulled = distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) / size.d_velocity;
+    const double pushed = distance(b->fast.d_position + at, b->adjoint.d_position + at) / size.d_position;
+    t->kinks += b->at_kink[m];
+    t->sensor = fmax(t->sensor, fabs(b->fast_sensors[m] - sensor) / fmax(1, fabs(sensor)));
+    t->position = fmax(t->position, moved);
+    t->velocity = fmax(t->velocity, turned);
+    t->d_velocity = fmax(t->d_velocity, pulled);
+    t->d_position = fmax(t->d_position, pushed);
+    if (!agrees(b, m, &size, true) && t->faults++ < 10)
+      printf("# %s, mass %u: off by %.1e m, %.1e m/s; adjoints %.1e, %.1e%s\n", where, m, moved, turned, pulled, pushed,
+             b->at_kink[m] ? ", at a kink" : "");
+  }
+  for (uint32_t s = 0; s < body->n_springs; s++)
+    t->d_activation =
+        fmax(t->d_activation, fabs(b->fast_d_activation[s] - b->adjoint.d_activation[s]) / size.d_activation);
+}
+
+static void one_step(void)
+{
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
+    struct tally t = {0};
+    for (uint32_t k = 0; k < GRADIENT_CASES; k++) {
+      struct gradient_case c;
+      struct both b;
+      struct mo_random random, near;
+      REQUIRE(gradient_case_create(k, &c) == 0);
+      mo_random_init(&random, 5, MO_PURPOSE_CHECK, 1, k);
+      REQUIRE(both_create(&c, &b));
+      mo_random_init(&near, 5, MO_PURPOSE_CHECK, 2, k);
+      for (uint32_t i = 0; i < 40; i++) {
+        make_state(&b, &random);
+        if (i % 2 == 1)
+          go_to_kinks(&b, &random, i);
+        if (!run_to_agreement(&b, functions[isa], i, &near)) {
+          printf("# case %u, state %u: the reference diverged\n", k, i);
+          continue;
+        }
+        char where[64];
+        snprintf(where, sizeof(where), "%s, case %u, state %u", mo_isa_name((enum mo_isa)isa), k, i);
+        compare(&b, where, &t);
+      }
+      both_free(&b);
+      gradient_case_free(&c);
+    }
+    printf("# %s: %u steps, %u masses, %u of them struck, %u of those at a kink\n", mo_isa_name((enum mo_isa)isa),
+           t.steps, t.masses, t.hits, t.kinks);
+    printf("#   largest errors: sensors %.1e, velocities %.1e m/s, positions %.1e m\n", t.sensor, t.velocity,
+           t.position);
+    printf("#   adjoints, of the robot's largest: velocities %.1e, positions %.1e, activations %.1e\n", t.d_velocity,
+           t.d_position, t.d_activation);
+    CHECK(t.hits > t.masses / 50);
+    CHECK_INT(t.faults, 0);
+    CHECK(t.kinks > t.hits / 100 && t.kinks < t.hits / 8);
+    CHECK(t.sensor < 1e-5);
+    CHECK(t.velocity < VELOCITY_M_PER_S);
+    CHECK(t.position < POSITION_M);
+    CHECK(t.d_velocity < D_VELOCITY);
+    CHECK(t.d_position < D_POSITION);
+    CHECK(t.d_activation < 1e-4);
+  }
+}
+
+static const struct check_case cases[] = {{"one step and back", one_step}};
+CHECK_MAIN(cases)
