@@ -223,18 +223,10 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 /* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
 static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row, uint8_t **ret)
 {
-  struct mo_sha256 sha256;
   char *path = path_of(store, id, row->generation, row->step);
-  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read(path, (size_t)row->size, ret);
+  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
   free(path);
-  if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  mo_sha256_of(*ret, (size_t)row->size, &sha256);
-  if (mo_sha256_equal(&sha256, &row->sha256))
-    return MO_OK;
-  free(*ret);
-  *ret = NULL;
-  return MO_ERR_CORRUPT;
+  return error;
 }
 
 static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to, struct found *row, uint8_t **bytes)
@@ -284,32 +276,22 @@ int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t
   return MO_OK;
 }
 
+static int take_checkpoint(sqlite3_stmt *statement, void *any)
+{
+  struct mo_campaign_checkpoint_row *row = any;
+  row->generation = (uint32_t)sqlite3_column_int64(statement, 0);
+  row->step = (uint32_t)sqlite3_column_int64(statement, 1);
+  row->size = (uint64_t)sqlite3_column_int64(statement, 3);
+  row->stored_us = sqlite3_column_int64(statement, 4);
+  return mo_column_hash(statement, 2, &row->sha256);
+}
+
 int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id, struct mo_campaign_checkpoint_row *rows,
                                       size_t limit)
 {
   static const char sql[] = "SELECT generation,step,sha256,size,stored_us FROM campaign_checkpoints WHERE job=?1"
                             " ORDER BY generation DESC,step DESC LIMIT ?2";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  int64_t n = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = 0;
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      struct mo_campaign_checkpoint_row *row = &rows[n++];
-      row->generation = (uint32_t)sqlite3_column_int64(statement, 0);
-      row->step = (uint32_t)sqlite3_column_int64(statement, 1);
-      error = mo_column_hash(statement, 2, &row->sha256);
-      row->size = (uint64_t)sqlite3_column_int64(statement, 3);
-      row->stored_us = sqlite3_column_int64(statement, 4);
-    }
-    if (step < 0)
-      error = step;
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  return mo_read_rows(store, sql, &id, 1, limit, take_checkpoint, rows, sizeof(*rows));
 }
 
 /* ---- on request ---- */

@@ -47,8 +47,9 @@ static uint32_t column_parent(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL ? MO_NO_PARENT : (uint32_t)sqlite3_column_int64(row, column);
 }
 
-static int design_from_row(sqlite3_stmt *row, struct mo_campaign_design *design)
+static int design_from_row(sqlite3_stmt *row, void *any)
 {
+  struct mo_campaign_design *design = any;
   uint64_t size = (uint64_t)sqlite3_column_int64(row, 7);
   int error;
   design->number = (uint32_t)sqlite3_column_int64(row, 0);
@@ -70,24 +71,8 @@ int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t af
                                   size_t limit)
 {
   static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int step = 0;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-      error = design_from_row(statement, &rows[n++]);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : step < 0 ? step : n;
+  const int64_t values[] = {id, after};
+  return mo_read_rows(store, sql, values, 2, limit, design_from_row, rows, sizeof(*rows));
 }
 
 static int load_design(struct mo_connection *reader, int64_t id, uint32_t number, struct mo_campaign_design *design)

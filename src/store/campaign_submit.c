@@ -39,25 +39,6 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_submis
   return error;
 }
 
-static int insert_job(struct mo_connection *writer, const struct mo_campaign_submission *submission, int64_t now_us,
-                      int64_t *id)
-{
-  static const char sql[] = "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-                            "finished_us,error,weight) VALUES(2,0,?1,1,0,0,?2,?3,0,0,0,?4)";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, submission->priority);
-  sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 3, now_us);
-  sqlite3_bind_double(statement, 4, submission->weight > 0 ? submission->weight : 1);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *id = sqlite3_last_insert_rowid(writer->db);
-  return error;
-}
-
 static int insert_campaign(struct mo_connection *writer, const struct mo_campaign_submission *submission,
                            const struct setting *setting, int64_t id, int64_t group)
 {
@@ -104,27 +85,8 @@ static int insert_environments(struct mo_connection *writer, const struct mo_cam
       "INSERT INTO campaign_environments(job,position,environment)"
       " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
   static const char sql[] = "INSERT INTO campaign_environments(job,position,environment) VALUES(?1,?2,?3)";
-  sqlite3_stmt *statement;
-  int64_t row = 0;
-  int error = MO_OK;
-  if (setting->set != 0) {
-    statement = mo_sql(writer, copy_sql, &error);
-    if (statement == NULL)
-      return error;
-    sqlite3_bind_int64(statement, 1, group);
-    sqlite3_bind_int64(statement, 2, setting->set);
-    return mo_sql_run(writer, statement);
-  }
-  for (uint32_t i = 0; i < setting->n_environments && error == MO_OK; i++) {
-    error = mo_environment_row(writer, &submission->environments[i], &row);
-    if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
-      sqlite3_bind_int64(statement, 1, group);
-      sqlite3_bind_int64(statement, 2, i);
-      sqlite3_bind_int64(statement, 3, row);
-      error = mo_sql_run(writer, statement);
-    }
-  }
-  return error;
+  return mo_environments_insert(writer, copy_sql, sql, group, setting->set, submission->environments,
+                                setting->n_environments);
 }
 
 /* ---- the population of another campaign ---- */
@@ -233,7 +195,8 @@ static int submit_replicate(struct mo_store *store, const struct mo_campaign_sub
 {
   char data[192];
   int64_t id = 0;
-  int error = insert_job(&store->writer, submission, now_us, &id);
+  int error = mo_job_insert(&store->writer, MO_JOB_CAMPAIGN, submission->priority, submission->weight,
+                            submission->label, now_us, &id);
   if (replicate == 0)
     *group = id;
   else if (error == MO_OK && id != *group + replicate)

@@ -238,10 +238,11 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   return error;
 }
 
-static int load_status(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
+static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char sql[] =
       "SELECT job" GENERATION_FIELDS(COLUMN) " FROM campaign_generations WHERE job=?1 AND generation=?2";
+  struct mo_campaign_status *status = any;
   sqlite3_stmt *row;
   int step;
   int error;
@@ -277,7 +278,8 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
 
 /* ---- lists ---- */
 
-static int64_t list_ids(struct mo_connection *reader, const struct mo_campaign_query *query, int64_t *ids, size_t limit)
+int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
+                           struct mo_campaign_status *statuses, size_t limit)
 {
   static const char shown_sql[] =
       "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job WHERE m.job<?1 AND (?4=0 OR m.replicates_of=?4)"
@@ -286,41 +288,16 @@ static int64_t list_ids(struct mo_connection *reader, const struct mo_campaign_q
                                 " AND (?2<0 OR j.state=?2) AND ?4=0 ORDER BY m.job DESC LIMIT ?3";
   static const char group_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job WHERE m.job<?1"
                                   " AND (?2<0 OR j.state=?2) AND m.replicates_of=?4 ORDER BY m.job DESC LIMIT ?3";
-  const struct mo_job_query shown = {.state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};
-  bool waits = mo_job_query_waits(&shown);
-  int error = MO_OK;
-  int64_t n = 0;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, waits ? shown_sql : query->group != 0 ? group_sql : all_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
-  sqlite3_bind_int64(statement, 2, query->state);
-  sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-  sqlite3_bind_int64(statement, 4, query->group);
-  if (waits && (error = mo_bind_waiting(statement, 5, &shown)) != MO_OK)
-    return error;
-  while ((step = mo_sql_step(reader, statement)) > 0)
-    ids[n++] = sqlite3_column_int64(statement, 0);
-  return step < 0 ? step : n;
+  const struct mo_job_query shown = {
+      .before = query->before, .state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};
+  const char *sql = mo_job_query_waits(&shown) ? shown_sql : query->group != 0 ? group_sql : all_sql;
+  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses, sizeof(*statuses));
 }
 
-int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
-                           struct mo_campaign_status *statuses, size_t limit)
+static int take_generation(sqlite3_stmt *statement, void *row)
 {
-  int64_t ids[MO_PAGE_MAX] = {0};
-  struct mo_connection *reader;
-  int64_t n;
-  int error;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  error = mo_sql_exec(reader, "BEGIN");
-  n = error == MO_OK ? list_ids(reader, query, ids, limit) : error;
-  for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = load_status(reader, ids[i], &statuses[i]);
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, row);
+  return MO_OK;
 }
 
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
@@ -328,23 +305,14 @@ int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_
 {
   static const char sql[] = "SELECT job" GENERATION_FIELDS(
       COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 ORDER BY generation LIMIT ?3";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    while ((error = mo_sql_step(reader, statement)) > 0)
-      read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, &rows[n++]);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  const int64_t values[] = {id, after};
+  return mo_read_rows(store, sql, values, 2, limit, take_generation, rows, sizeof(*rows));
+}
+
+static int take_step(sqlite3_stmt *statement, void *row)
+{
+  read_fields(statement, 1, step_fields, N_STEP_FIELDS, row);
+  return MO_OK;
 }
 
 int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation, uint32_t after_step,
@@ -352,24 +320,8 @@ int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t afte
 {
   static const char sql[] = "SELECT job" STEP_FIELDS(
       COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) ORDER BY generation,step LIMIT ?4";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after_generation);
-    sqlite3_bind_int64(statement, 3, after_step);
-    sqlite3_bind_int64(statement, 4, (sqlite3_int64)limit);
-    while ((error = mo_sql_step(reader, statement)) > 0)
-      read_fields(statement, 1, step_fields, N_STEP_FIELDS, &rows[n++]);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  const int64_t values[] = {id, after_generation, after_step};
+  return mo_read_rows(store, sql, values, 3, limit, take_step, rows, sizeof(*rows));
 }
 
 /* ---- environments and initial designs: of the group ---- */

@@ -152,6 +152,45 @@ int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_quer
   return sqlite3_bind_text(statement, index, text, (int)size, SQLITE_TRANSIENT) == SQLITE_OK ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
+static int64_t read_ids(struct mo_connection *reader, const char *sql, const struct mo_job_query *query, int64_t group,
+                        int64_t *ids, size_t limit)
+{
+  int error = MO_OK;
+  int64_t n = 0;
+  int step;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
+  sqlite3_bind_int64(statement, 2, query->state);
+  sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+  sqlite3_bind_int64(statement, 4, group);
+  if (mo_job_query_waits(query) && (error = mo_bind_waiting(statement, 5, query)) != MO_OK)
+    return error;
+  while ((step = mo_sql_step(reader, statement)) > 0)
+    ids[n++] = sqlite3_column_int64(statement, 0);
+  return step < 0 ? step : n;
+}
+
+int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_job_query *query, int64_t group,
+                     size_t limit, int (*load)(struct mo_connection *reader, int64_t id, void *status), void *statuses,
+                     size_t status_size)
+{
+  int64_t ids[MO_PAGE_MAX] = {0};
+  struct mo_connection *reader;
+  int64_t n;
+  int error;
+  if (limit > MO_PAGE_MAX)
+    return MO_ERR_LIMIT;
+  reader = mo_reader_acquire(store);
+  error = mo_sql_exec(reader, "BEGIN");
+  n = error == MO_OK ? read_ids(reader, sql, query, group, ids, limit) : error;
+  for (int64_t i = 0; i < n && error == MO_OK; i++)
+    error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : n;
+}
+
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit)
 {
   static const char all_sql[] =

@@ -52,6 +52,20 @@ int mo_file_read(const char *path, size_t size, uint8_t **ret)
   return MO_OK;
 }
 
+int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256, uint8_t **ret)
+{
+  struct mo_sha256 found;
+  int error = mo_file_read(path, size, ret);
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  mo_sha256_of(*ret, size, &found);
+  if (mo_sha256_equal(&found, sha256))
+    return MO_OK;
+  free(*ret);
+  *ret = NULL;
+  return MO_ERR_CORRUPT;
+}
+
 /* ---- what the system does ---- */
 
 static int system_open(void *context, const char *path, int flags)

@@ -42,6 +42,10 @@ int mo_sql_run(struct mo_connection *connection, sqlite3_stmt *statement);
 int mo_sql_exec(struct mo_connection *connection, const char *sql);
 /* The one integer of the first row; MO_ERR_NOT_FOUND without rows. */
 int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, int64_t *value);
+/* A page: what a statement gives for these integers (?1 …) and, behind them, the limit, each row by `take` into its place. Returns their
+ * number or an error; MO_ERR_LIMIT: more than MO_PAGE_MAX are wanted. */
+int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values, size_t limit,
+                     int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size);
 /* What a SQLite code means to callers. */
 int mo_sql_error(sqlite3 *db, int code);
 
@@ -162,6 +166,11 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, co
 int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
                       const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
 /* What submissions name or give: found, or made. */
+int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority, double weight,
+                  const char *label, int64_t now_us, int64_t *id);
+/* Environments of a job: those of a set (copy_sql: ?1 job, ?2 set), or without one (0) these (sql: ?1 job, ?2 position, ?3 environment). */
+int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql, int64_t id, int64_t set,
+                           const struct mo_environment *environments, uint32_t n);
 int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row);
 int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
                    enum mo_sensor sensor, int64_t *row);
@@ -183,6 +192,11 @@ int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo
 /* Whether the query needs that: the plain state needs no sorting. */
 bool mo_job_query_waits(const struct mo_job_query *query);
 int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query); /* MO_ERR_LIMIT */
+/* A page of jobs of one kind, read in one transaction: `sql` gives their ids for ?1 the id that they are below, ?2 the state, ?3 the limit, ?4
+ * the group and, where mo_job_query_waits, ?5 those that wait; `load` reads each into its place. */
+int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_job_query *query, int64_t group,
+                     size_t limit, int (*load)(struct mo_connection *reader, int64_t id, void *status), void *statuses,
+                     size_t status_size);
 /* The row of a fingerprint: found, or made. */
 int mo_fingerprint_row(struct mo_connection *writer, const char *text, int64_t *id);
 int mo_training_code_load(struct mo_connection *connection, int64_t id, struct mo_training_lineage *lineage);
@@ -223,6 +237,8 @@ void mo_controller_put_end(struct mo_controller_put *call);
 /* The bytes of a file (malloc). MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of another size; MO_ERR_IO; MO_ERR_NO_MEMORY: or no file
  * can be opened now. */
 int mo_file_read(const char *path, size_t size, uint8_t **bytes);
+/* The same of a file that a row speaks of: MO_ERR_CORRUPT also when it is not there, or its bytes have another hash. */
+int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256, uint8_t **bytes);
 /* Atomic and durable: `path` is in `folder`. MO_ERR_NO_SPACE: nothing was changed. */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size);
 int mo_folder_sync(struct mo_store *store, const char *path); /* MO_ERR_IO is fatal to the store */

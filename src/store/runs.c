@@ -34,25 +34,17 @@ int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
   return mo_writer_event(store, id, type, data);
 }
 
+static int take_id(sqlite3_stmt *statement, void *id)
+{
+  *(int64_t *)id = sqlite3_column_int64(statement, 0);
+  return MO_OK;
+}
+
 int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *ids, size_t limit)
 {
-  static const char sql[] = "SELECT id FROM jobs WHERE state=0 AND kind=?2 ORDER BY priority DESC,id LIMIT ?1";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, (sqlite3_int64)limit);
-    sqlite3_bind_int64(statement, 2, kind);
-    while ((error = mo_sql_step(reader, statement)) > 0)
-      ids[n++] = sqlite3_column_int64(statement, 0);
-  }
-  mo_reader_release(store, reader);
-  return error < 0 ? error : n;
+  static const char sql[] = "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
+  const int64_t value = kind;
+  return mo_read_rows(store, sql, &value, 1, limit, take_id, ids, sizeof(*ids));
 }
 
 struct start_arguments {

@@ -261,28 +261,36 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
   return error;
 }
 
+int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority, double weight,
+                  const char *label, int64_t now_us, int64_t *id)
+{
+  static const char sql[] = "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
+                            "finished_us,error,weight) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5)";
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
+  if (statement == NULL)
+    return error;
+  sqlite3_bind_int64(statement, 1, kind);
+  sqlite3_bind_int64(statement, 2, priority);
+  sqlite3_bind_text(statement, 3, label, -1, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 4, now_us);
+  sqlite3_bind_double(statement, 5, weight > 0 ? weight : 1);
+  error = mo_sql_run(writer, statement);
+  (void)sqlite3_clear_bindings(statement);
+  *id = sqlite3_last_insert_rowid(writer->db);
+  return error;
+}
+
 static int insert_job(struct mo_connection *writer, const struct mo_submission *submission,
                       const struct setting *setting, int64_t now_us, int64_t *id)
 {
-  static const char job_sql[] =
-      "INSERT INTO "
-      "jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error,weight)"
-      " VALUES(0,0,?1,1,0,0,?2,?3,0,0,0,?4)";
   static const char evaluation_sql[] =
       "INSERT INTO evaluations(job,controller,controller_name,physics,environment_set,n_designs,n_environments,verify,"
       "record,record_stride,done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
   const char *name = strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, job_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, submission->priority);
-  sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 3, now_us);
-  sqlite3_bind_double(statement, 4, submission->weight > 0 ? submission->weight : 1);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *id = sqlite3_last_insert_rowid(writer->db);
+  sqlite3_stmt *statement;
+  int error =
+      mo_job_insert(writer, MO_JOB_EVALUATION, submission->priority, submission->weight, submission->label, now_us, id);
   statement = error == MO_OK ? mo_sql(writer, evaluation_sql, &error) : NULL;
   if (statement == NULL)
     return error;
@@ -301,27 +309,23 @@ static int insert_job(struct mo_connection *writer, const struct mo_submission *
   return error;
 }
 
-static int insert_environments(struct mo_connection *writer, const struct mo_submission *submission,
-                               const struct setting *setting, int64_t id)
+int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql, int64_t id, int64_t set,
+                           const struct mo_environment *environments, uint32_t n)
 {
-  static const char copy_sql[] =
-      "INSERT INTO evaluation_environments(job,position,environment)"
-      " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
-  static const char insert_sql[] = "INSERT INTO evaluation_environments(job,position,environment) VALUES(?1,?2,?3)";
   sqlite3_stmt *statement;
   int64_t row = 0;
   int error = MO_OK;
-  if (setting->set != 0) {
+  if (set != 0) {
     statement = mo_sql(writer, copy_sql, &error);
     if (statement == NULL)
       return error;
     sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, setting->set);
+    sqlite3_bind_int64(statement, 2, set);
     return mo_sql_run(writer, statement);
   }
-  for (uint32_t i = 0; i < submission->n_environments && error == MO_OK; i++) {
-    error = mo_environment_row(writer, &submission->environments[i], &row);
-    if (error == MO_OK && (statement = mo_sql(writer, insert_sql, &error)) != NULL) {
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    error = mo_environment_row(writer, &environments[i], &row);
+    if (error == MO_OK && (statement = mo_sql(writer, sql, &error)) != NULL) {
       sqlite3_bind_int64(statement, 1, id);
       sqlite3_bind_int64(statement, 2, i);
       sqlite3_bind_int64(statement, 3, row);
@@ -368,6 +372,11 @@ int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo
 
 static int submit(struct mo_store *store, void *arguments)
 {
+  static const char copy_sql[] =
+      "INSERT INTO evaluation_environments(job,position,environment)"
+      " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
+  static const char environments_sql[] =
+      "INSERT INTO evaluation_environments(job,position,environment) VALUES(?1,?2,?3)";
   static const char designs_sql[] = "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   struct submit_arguments *call = arguments;
   const struct mo_submission *submission = call->submission;
@@ -387,7 +396,8 @@ static int submit(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_job(writer, submission, &setting, now_us, &call->id);
   if (error == MO_OK)
-    error = insert_environments(writer, submission, &setting, call->id);
+    error = mo_environments_insert(writer, copy_sql, environments_sql, call->id, setting.set, submission->environments,
+                                   submission->n_environments);
   if (error == MO_OK)
     error = mo_designs_insert(writer, designs_sql, call->id, submission->forms, submission->genotypes,
                               submission->n_designs, now_us);

@@ -194,18 +194,10 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
 static int read_checkpoint(const struct mo_store *store, int64_t id, const struct mo_training_checkpoint_row *row,
                            uint8_t **ret)
 {
-  struct mo_sha256 found;
   char *path = path_of(store, id, row->step);
-  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read(path, (size_t)row->size, ret);
+  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
   free(path);
-  if (error != MO_OK)
-    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
-  mo_sha256_of(*ret, (size_t)row->size, &found);
-  if (mo_sha256_equal(&found, &row->sha256))
-    return MO_OK;
-  free(*ret);
-  *ret = NULL;
-  return MO_ERR_CORRUPT;
+  return error;
 }
 
 int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step, uint8_t **ret,

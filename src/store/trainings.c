@@ -18,27 +18,6 @@ struct submit_arguments {
   bool replayed;
 };
 
-static int insert_job(struct mo_connection *writer, const struct mo_training_submission *submission, int64_t now_us,
-                      int64_t *id)
-{
-  static const char sql[] =
-      "INSERT INTO "
-      "jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,finished_us,error,weight)"
-      " VALUES(1,0,?1,1,0,0,?2,?3,0,0,0,?4)";
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(writer, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, submission->priority);
-  sqlite3_bind_text(statement, 2, submission->label, -1, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 3, now_us);
-  sqlite3_bind_double(statement, 4, submission->weight > 0 ? submission->weight : 1);
-  error = mo_sql_run(writer, statement);
-  (void)sqlite3_clear_bindings(statement);
-  *id = sqlite3_last_insert_rowid(writer->db);
-  return error;
-}
-
 static int insert_training(struct mo_connection *writer, const struct mo_training_submission *submission,
                            int64_t parent, const struct mo_training_settings *settings, int64_t id)
 {
@@ -96,7 +75,8 @@ static int submit(struct mo_store *store, void *arguments)
       error = mo_controller_sensor(writer, parent, &settings.sensor);
   }
   if (error == MO_OK)
-    error = insert_job(writer, submission, now_us, &call->id);
+    error = mo_job_insert(writer, MO_JOB_TRAINING, submission->priority, submission->weight, submission->label, now_us,
+                          &call->id);
   if (error == MO_OK)
     error = insert_training(writer, submission, parent, &settings, call->id);
   if (error == MO_OK)
@@ -134,8 +114,9 @@ static double column_number(sqlite3_stmt *row, int column)
 #define STEP_COLUMNS                                                                                                   \
   "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,bounded,seconds"
 
-static void step_from_row(sqlite3_stmt *row, struct mo_training_step_row *step)
+static int step_from_row(sqlite3_stmt *row, void *any)
 {
+  struct mo_training_step_row *step = any;
   *step = (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
                                                    .mean_loss = column_number(row, 1),
                                                    .rate = column_number(row, 2),
@@ -147,17 +128,20 @@ static void step_from_row(sqlite3_stmt *row, struct mo_training_step_row *step)
                                                    .skipped = sqlite3_column_int(row, 8) != 0,
                                                    .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
                                         .seconds = column_number(row, 10)};
+  return MO_OK;
 }
 
 #define VALIDATION_COLUMNS "step,rollouts,diverged,mean_score,standard_error"
 
-static void validation_from_row(sqlite3_stmt *row, struct mo_training_validation_row *validation)
+static int validation_from_row(sqlite3_stmt *row, void *any)
 {
+  struct mo_training_validation_row *validation = any;
   *validation = (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
                                                     .rollouts = (uint32_t)sqlite3_column_int64(row, 1),
                                                     .diverged = (uint32_t)sqlite3_column_int64(row, 2),
                                                     .mean_score = column_number(row, 3),
                                                     .standard_error = column_number(row, 4)};
+  return MO_OK;
 }
 
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
@@ -211,12 +195,13 @@ static int first_row(struct mo_connection *reader, const char *sql, int64_t id, 
   return mo_sql_step(reader, *row);
 }
 
-static int load_status(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
+static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char step_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 ORDER BY step DESC LIMIT 1";
   static const char validation_sql[] =
       "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 ORDER BY step DESC LIMIT 1";
   static const char checkpoint_sql[] = "SELECT step FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  struct mo_training_status *status = any;
   sqlite3_stmt *row;
   int found;
   int error;
@@ -226,12 +211,12 @@ static int load_status(struct mo_connection *reader, int64_t id, struct mo_train
     return error;
   found = first_row(reader, step_sql, id, &row);
   if (found > 0) {
-    step_from_row(row, &status->last);
+    (void)step_from_row(row, &status->last);
     (void)sqlite3_reset(row);
   }
   if (found >= 0 && (found = first_row(reader, validation_sql, id, &row)) > 0) {
     status->has_validation = true;
-    validation_from_row(row, &status->validation);
+    (void)validation_from_row(row, &status->validation);
     (void)sqlite3_reset(row);
   }
   if (found >= 0 && (found = first_row(reader, checkpoint_sql, id, &row)) > 0) {
@@ -256,79 +241,31 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
 
 /* ---- lists ---- */
 
-static int64_t list_ids(struct mo_connection *reader, const struct mo_job_query *query, int64_t *ids, size_t limit)
-{
-  static const char shown_sql[] =
-      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
-          "?2", "?4") " ORDER BY t.job DESC LIMIT ?3";
-  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
-                            " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
-  int error = MO_OK;
-  int64_t n = 0;
-  int step;
-  sqlite3_stmt *statement = mo_sql(reader, mo_job_query_waits(query) ? shown_sql : sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
-  sqlite3_bind_int64(statement, 2, query->state);
-  sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-  if (mo_job_query_waits(query) && (error = mo_bind_waiting(statement, 4, query)) != MO_OK)
-    return error;
-  while ((step = mo_sql_step(reader, statement)) > 0)
-    ids[n++] = sqlite3_column_int64(statement, 0);
-  return step < 0 ? step : n;
-}
-
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_training_status *statuses, size_t limit)
 {
-  int64_t ids[MO_PAGE_MAX] = {0};
-  struct mo_connection *reader;
-  int64_t n;
-  int error;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  error = mo_sql_exec(reader, "BEGIN");
-  n = error == MO_OK ? list_ids(reader, query, ids, limit) : error;
-  for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = load_status(reader, ids[i], &statuses[i]);
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  static const char shown_sql[] =
+      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
+          "?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
+  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
+                            " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
+  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_status, statuses,
+                      sizeof(*statuses));
 }
 
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit)
 {
   static const char all_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
-                                " ORDER BY step LIMIT ?3";
+                                " AND ?3<=1 ORDER BY step LIMIT ?4";
   /* Each multiple is looked up: reading what lies between takes a third of a second in a million rows. */
   static const char some_sql[] =
-      "WITH RECURSIVE wanted(at) AS (SELECT (?2/?4+1)*?4 UNION ALL SELECT at+?4 FROM wanted"
-      " WHERE at+?4<=(SELECT max(step) FROM training_steps WHERE job=?1) LIMIT ?3)"
+      "WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL SELECT at+?3 FROM wanted"
+      " WHERE at+?3<=(SELECT max(step) FROM training_steps WHERE job=?1) LIMIT ?4)"
       " SELECT " STEP_COLUMNS " FROM wanted CROSS JOIN training_steps WHERE job=?1 AND step=at"
       " ORDER BY at";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, stride > 1 ? some_sql : all_sql, &error);
-  if (statement != NULL) {
-    int step;
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    if (stride > 1)
-      sqlite3_bind_int64(statement, 4, stride);
-    while ((step = mo_sql_step(reader, statement)) > 0)
-      step_from_row(statement, &rows[n++]);
-    error = step;
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  const int64_t values[] = {id, after, stride};
+  return mo_read_rows(store, stride > 1 ? some_sql : all_sql, values, 3, limit, step_from_row, rows, sizeof(*rows));
 }
 
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
@@ -336,25 +273,17 @@ int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_
 {
   static const char sql[] =
       "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2 ORDER BY step LIMIT ?3";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step;
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, after);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    while ((step = mo_sql_step(reader, statement)) > 0)
-      validation_from_row(statement, &rows[n++]);
-    error = step;
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  const int64_t values[] = {id, after};
+  return mo_read_rows(store, sql, values, 2, limit, validation_from_row, rows, sizeof(*rows));
+}
+
+static int take_checkpoint(sqlite3_stmt *statement, void *any)
+{
+  struct mo_training_checkpoint_row *row = any;
+  row->step = (uint32_t)sqlite3_column_int64(statement, 0);
+  row->size = (uint64_t)sqlite3_column_int64(statement, 2);
+  row->stored_us = sqlite3_column_int64(statement, 3);
+  return mo_column_hash(statement, 1, &row->sha256);
 }
 
 int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id, struct mo_training_checkpoint_row *rows,
@@ -362,30 +291,7 @@ int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id, struct
 {
   static const char sql[] = "SELECT step,sha256,size,stored_us FROM training_checkpoints WHERE job=?1"
                             " ORDER BY step DESC LIMIT ?2";
-  struct mo_connection *reader;
-  sqlite3_stmt *statement;
-  int error = MO_OK;
-  int64_t n = 0;
-  if (limit > MO_PAGE_MAX)
-    return MO_ERR_LIMIT;
-  reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = 0;
-    sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      struct mo_training_checkpoint_row *row = &rows[n++];
-      row->step = (uint32_t)sqlite3_column_int64(statement, 0);
-      error = mo_column_hash(statement, 1, &row->sha256);
-      row->size = (uint64_t)sqlite3_column_int64(statement, 2);
-      row->stored_us = sqlite3_column_int64(statement, 3);
-    }
-    if (step < 0)
-      error = step;
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  return mo_read_rows(store, sql, &id, 1, limit, take_checkpoint, rows, sizeof(*rows));
 }
 
 int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **ret, uint32_t *ret_n)
