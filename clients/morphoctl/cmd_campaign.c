@@ -158,13 +158,8 @@ int run_campaign_start(struct ctl *ctl)
                        count_text(number_of(settings, "generations"), generations),
                        replicates > 1 ? ", with its replicates" : "", watch ? "" : "; morphoctl campaign watch ",
                        watch ? "" : id);
-    if (watch && ctl->json) { /* the API's events, one per line */
-      ctl->operands[0] = id;
-      ctl->n_operands = 1;
-      status = run_watch(ctl);
-    } else if (watch) {
-      status = watch_campaign(ctl, id);
-    }
+    if (watch)
+      status = watch_started(ctl, id, watch_campaign);
   }
   json_decref(campaign);
   return status;
@@ -178,11 +173,7 @@ int run_campaign_list(struct ctl *ctl)
   int status = collect_states(ctl, "/v1/campaigns", &items);
   if (status != STATUS_OK)
     return status;
-  if (ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else {
+  if (!print_page(ctl, items)) {
     struct table table;
     size_t i;
     const json_t *item;

@@ -24,11 +24,7 @@ int run_controller_list(struct ctl *ctl)
   int status = collect(ctl, "/v1/controllers", 0, &items);
   if (status != STATUS_OK)
     return status;
-  if (ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else {
+  if (!print_page(ctl, items)) {
     struct table table;
     size_t i;
     const json_t *controller;

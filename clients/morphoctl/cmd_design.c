@@ -102,11 +102,7 @@ int run_design_list(struct ctl *ctl)
   free(path);
   if (status != STATUS_OK)
     return status;
-  if (ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else {
+  if (!print_page(ctl, items)) {
     struct table table;
     size_t i;
     const json_t *design;

@@ -14,11 +14,7 @@ int run_job_list(struct ctl *ctl)
   int status = collect_states(ctl, "/v1/jobs", &items);
   if (status != STATUS_OK)
     return status;
-  if (ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else {
+  if (!print_page(ctl, items)) {
     struct table table;
     size_t i;
     const json_t *job;

@@ -115,13 +115,8 @@ int run_train_start(struct ctl *ctl)
       print_plain_line(stderr, "training %s is accepted: %s steps of %s robots%s%s", id,
                        count_text(number_of(settings, "steps"), steps), count_text(number_of(settings, "batch"), batch),
                        watch ? "" : "; morphoctl train watch ", watch ? "" : id);
-    if (watch && ctl->json) { /* the API's events, one per line */
-      ctl->operands[0] = id;
-      ctl->n_operands = 1;
-      status = run_watch(ctl);
-    } else if (watch) {
-      status = watch_training(ctl, id);
-    }
+    if (watch)
+      status = watch_started(ctl, id, watch_training);
   }
   json_decref(training);
   return status;
@@ -135,11 +130,7 @@ int run_train_list(struct ctl *ctl)
   int status = collect_states(ctl, "/v1/trainings", &items);
   if (status != STATUS_OK)
     return status;
-  if (ctl->json) {
-    json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-    print_json(page);
-    json_decref(page);
-  } else {
+  if (!print_page(ctl, items)) {
     struct table table;
     size_t i;
     const json_t *item;

@@ -118,3 +118,12 @@ int run_watch(struct ctl *ctl)
     status = STATUS_NEGATIVE;
   return status;
 }
+
+int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id))
+{
+  if (!ctl->json)
+    return watch(ctl, id);
+  ctl->operands[0] = id;
+  ctl->n_operands = 1;
+  return run_watch(ctl);
+}

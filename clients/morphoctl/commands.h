@@ -20,6 +20,8 @@ int run_job_pause(struct ctl *ctl);
 int run_job_resume(struct ctl *ctl);
 int run_job_weight(struct ctl *ctl);
 int run_watch(struct ctl *ctl);
+/* A job that was just started: with --json the API's events, one per line, else `watch`. */
+int watch_started(struct ctl *ctl, const char *id, int (*watch)(struct ctl *ctl, const char *id));
 int run_train_start(struct ctl *ctl);
 int run_train_list(struct ctl *ctl);
 int run_train_show(struct ctl *ctl);
@@ -94,6 +96,8 @@ int show_json(struct ctl *ctl, const char *path);
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
 /* The same by the options --state, --limit and --all, which it checks. */
 int collect_states(struct ctl *ctl, const char *list, json_t **items);
+/* The items as one page, if JSON is asked for; false: nothing is printed. */
+bool print_page(const struct ctl *ctl, json_t *items);
 
 bool is_final(const char *state);
 bool is_state(const char *word); /* "queued", "running", … */

@@ -125,6 +125,16 @@ int collect_states(struct ctl *ctl, const char *list, json_t **items)
   return collect(ctl, path, (size_t)limit, items);
 }
 
+bool print_page(const struct ctl *ctl, json_t *items)
+{
+  if (!ctl->json)
+    return false;
+  json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
+  print_json(page);
+  json_decref(page);
+  return true;
+}
+
 static void print_name(const struct ctl *ctl, const char *name)
 {
   printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "", (int)(14 - strlen(name)), "");
