@@ -26,6 +26,7 @@ static const struct field fields[] = {
     {"label", "label", FIELD_WORD},
     {"priority", "priority", FIELD_WORD},
     {"weight", "weight", FIELD_REAL},
+    {"device", "device", FIELD_WORD},
 };
 static const struct field learning_fields[] = {
     {"parent-steps", "parent_steps", FIELD_WHOLE},
@@ -216,6 +217,7 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   if (*text_of(campaign, "reason") != 0)
     print_fact(ctl, "reason", "%s", text_of(campaign, "reason"));
   print_fact(ctl, "weight", "%g", json_number_value(json_object_get(campaign, "weight")));
+  print_fact(ctl, "device", "%s", text_of(campaign, "device"));
   if (*text_of(campaign, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(campaign, "label"));
   if (json_is_object(error))

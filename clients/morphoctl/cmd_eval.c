@@ -159,8 +159,8 @@ int run_eval(struct ctl *ctl)
       json_object_set_new(request, "label", json_string(label));
     if (priority != NULL)
       json_object_set_new(request, "priority", json_string(priority));
-    static const struct field weight = {"weight", "weight", FIELD_REAL};
-    status = fill_fields(ctl, request, &weight, 1);
+    static const struct field fields[] = {{"weight", "weight", FIELD_REAL}, {"device", "device", FIELD_WORD}};
+    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
   }
   if (status == STATUS_OK)
     status = evaluate(ctl, request, wait, &evaluation);

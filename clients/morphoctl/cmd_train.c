@@ -27,6 +27,7 @@ static const struct field fields[] = {
     {"checkpoint-keep", "checkpoint.keep", FIELD_WHOLE},
     {"priority", "priority", FIELD_WORD},
     {"weight", "weight", FIELD_REAL},
+    {"device", "device", FIELD_WORD},
     {"label", "label", FIELD_WORD},
 };
 
@@ -222,6 +223,7 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   else if (strcmp(text_of(training, "phase"), "idle") != 0)
     print_fact(ctl, "phase", "%s", text_of(training, "phase"));
   print_fact(ctl, "weight", "%g", json_number_value(json_object_get(training, "weight")));
+  print_fact(ctl, "device", "%s", text_of(training, "device"));
   if (*text_of(training, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(training, "label"));
   const json_t *error = json_object_get(training, "error");

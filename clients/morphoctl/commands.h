@@ -43,6 +43,7 @@ int run_controller_get(struct ctl *ctl);
 int run_controller_put(struct ctl *ctl);
 int run_controller_delete(struct ctl *ctl);
 int run_status(struct ctl *ctl);
+int run_devices(struct ctl *ctl);
 int run_version(struct ctl *ctl);
 int run_completion(struct ctl *ctl);
 

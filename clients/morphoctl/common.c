@@ -178,6 +178,7 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
   if (*text_of(job, "reason") != 0)
     print_fact(ctl, "reason", "%s", text_of(job, "reason"));
   print_fact(ctl, "weight", "%g", json_number_value(json_object_get(job, "weight")));
+  print_fact(ctl, "device", "%s", text_of(job, "device"));
   if (*text_of(job, "label") != 0)
     print_fact(ctl, "label", "%s", text_of(job, "label"));
   const json_t *error = json_object_get(job, "error");

@@ -18,6 +18,7 @@
 #include <morpho/controller.h>
 
 #include "daemon/crash.h"
+#include "daemon/devices.h"
 #include "daemon/log.h"
 #include "daemon/tokens.h"
 #include "http/http.h"
@@ -372,6 +373,12 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   if (error != MO_OK) {
     mo_fail(message, error, "workers: %s", mo_error_text(error));
     exit_status = fail_with(message, error, EXIT_SYSTEM);
+    goto out;
+  }
+
+  error = devices_open(service->compute, settings, message);
+  if (error != MO_OK) {
+    exit_status = fail_with(message, error, EXIT_CONFIG);
     goto out;
   }
 

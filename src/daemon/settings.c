@@ -48,6 +48,12 @@ const struct setting settings_table[] = {
         "Instruction set of the kernels. Scores of one set are the same for ever; sets differ in the last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
               "Niceness of the computing threads above the process's, so that replies never wait for computing."),
+    LIST_ROW("devices", devices, "auto", NULL, false,
+             "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not depend on how many "
+             "there are, but differ from "
+             "the processors' in the last digits."),
+    PATH_ROW("compute_module", compute_module, "", "morphod-cuda.so of the installation, if it is there", false,
+             "Module that computes on the devices."),
     PATH_ROW("default_controller", default_controller, "", "bootstrap.safetensors of the installation", false,
              "Controller file that becomes \"default\" and \"bootstrap\" at the first start."),
     PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,

@@ -41,6 +41,8 @@ struct settings {
   uint64_t workers;
   int isa; /* 0: auto, else enum mo_isa + 1 */
   uint64_t worker_nice;
+  struct setting_list devices;
+  char *compute_module;
   char *default_controller;
   char *token_file;
   int token_on_loopback; /* 0: no, 1: yes */
@@ -130,6 +132,14 @@ struct listen_address {
   uint16_t port;
 };
 int settings_parse_address(const char *text, struct listen_address *address, struct mo_message *message);
+
+/* Which devices: "auto", "none", or numbers. */
+#define SETTINGS_DEVICES_MAX 64
+struct device_choice {
+  bool all;
+  uint32_t n, indices[SETTINGS_DEVICES_MAX]; /* (n) when not all; 0: none */
+};
+int settings_parse_devices(const struct setting_list *list, struct device_choice *choice, struct mo_message *message);
 
 void settings_print_help(FILE *file);
 void settings_print(const struct settings *settings, FILE *file); /* a file that gives these values */

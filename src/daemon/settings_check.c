@@ -70,6 +70,44 @@ int settings_parse_address(const char *text, struct listen_address *address, str
   return MO_OK;
 }
 
+int settings_parse_devices(const struct setting_list *list, struct device_choice *choice, struct mo_message *message)
+{
+  struct device_choice found = {.n = 0};
+  for (size_t i = 0; i < list->n; i++) {
+    const char *text = list->items[i];
+    const bool is_word = strcmp(text, "auto") == 0 || strcmp(text, "none") == 0;
+    if (is_word && list->n > 1)
+      return mo_fail(message, MO_ERR_INVALID, "\"%s\" stands alone", text);
+    if (is_word) {
+      found.all = strcmp(text, "auto") == 0;
+      continue;
+    }
+    char *end;
+    errno = 0;
+    const unsigned long index = strtoul(text, &end, 10);
+    if (!isdigit((unsigned char)*text) || *end != 0 || errno != 0 || index > 1023)
+      return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not auto, none or the number of a device", text);
+    for (uint32_t k = 0; k < found.n; k++)
+      if (found.indices[k] == index)
+        return mo_fail(message, MO_ERR_INVALID, "device %lu is named twice", index);
+    if (found.n == SETTINGS_DEVICES_MAX)
+      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named", SETTINGS_DEVICES_MAX);
+    found.indices[found.n++] = (uint32_t)index;
+  }
+  *choice = found;
+  return MO_OK;
+}
+
+static void check_devices(const struct settings *settings, struct settings_faults *faults)
+{
+  struct device_choice choice;
+  struct mo_message message = {{0}};
+  if (settings_parse_devices(&settings->devices, &choice, &message) != MO_OK)
+    settings_fault(faults, true, "devices: %s", message.text);
+  if (settings->compute_module != NULL && access(settings->compute_module, R_OK) != 0)
+    settings_fault(faults, true, "compute_module: %s: %s", settings->compute_module, strerror(errno));
+}
+
 /* The state folder: a writable folder, or one that can be made below the deepest existing folder of its path. */
 static void check_state_dir(const char *path, struct settings_faults *faults)
 {
@@ -218,6 +256,7 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
   if (settings->isa > 0 && settings->isa - 1 > (int)mo_isa_best())
     settings_fault(faults, true, "isa: this processor does not run %s; the widest is %s",
                    mo_isa_name((enum mo_isa)(settings->isa - 1)), mo_isa_name(mo_isa_best()));
+  check_devices(settings, faults);
   for (size_t i = 0; i < settings->allowed_hosts.n; i++)
     if (strpbrk(settings->allowed_hosts.items[i], "/@") != NULL)
       settings_fault(faults, true, "allowed_hosts: \"%s\" is not a host name", settings->allowed_hosts.items[i]);

@@ -19,6 +19,8 @@ static void write_reason(struct mo_text *text, const struct mo_campaign_status *
 {
   if (live->phase == MO_CAMPAIGN_WAIT && !mo_job_state_is_final(status->job.state))
     mo_text_member(text, "reason", live->reason);
+  else if (mo_job_lacks_device(&status->job))
+    mo_text_member(text, "reason", status->job.error_text);
   else
     mo_text_add(text, ",\"reason\":null");
 }

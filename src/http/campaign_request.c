@@ -410,6 +410,8 @@ static bool read_job_field(struct mo_json *json, struct mo_json_slice key, struc
   } else if (mo_json_is(key, "priority")) {
     if (mo_read_choice(json, "batch", "interactive", &choice))
       request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
+  } else if (mo_json_is(key, "device")) {
+    mo_read_device(json, &request->back_end);
   } else if (mo_json_is(key, "weight")) {
     mo_read_weight(json, &request->weight);
   } else if (mo_json_is(key, "replicates")) {
@@ -466,7 +468,7 @@ static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_
   } else if (!read_job_field(json, key, parsed)) {
     mo_read_unknown(json, "mode, preset, population, generations, seed, replicates, controller, environments, initial, "
                           "workspace, mutation, selection, learning, exclude_pretraining, collapse_share, physics, "
-                          "name, label, priority, weight");
+                          "name, label, priority, weight, device");
   }
   return MO_OK;
 }
@@ -512,8 +514,10 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
 
 int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed, struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_campaign){
-      .request = {.priority = MO_BATCH, .weight = 1, .record = {.replicates = 1, .checkpoint_every_s = 60}}};
+  *parsed = (struct mo_parsed_campaign){.request = {.priority = MO_BATCH,
+                                                    .back_end = MO_BACK_END_AUTO,
+                                                    .weight = 1,
+                                                    .record = {.replicates = 1, .checkpoint_every_s = 60}}};
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;

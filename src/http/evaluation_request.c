@@ -58,6 +58,8 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
         request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
     } else if (mo_json_is(key, "weight")) {
       mo_read_weight(json, &request->weight);
+    } else if (mo_json_is(key, "device")) {
+      mo_read_device(json, &request->back_end);
     } else if (mo_json_is(key, "label")) {
       if (mo_read_label(json, parsed->label))
         request->label = parsed->label;
@@ -65,7 +67,7 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
       mo_json_bool(json, &request->verify);
     } else {
       mo_read_unknown(json, "designs, environments, controller, record, record_stride, physics, precision, priority, "
-                            "weight, label, verify");
+                            "weight, device, label, verify");
     }
   }
   if (code != MO_OK || json->stop)
@@ -86,6 +88,7 @@ int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluati
   parsed->request.precision = MO_FLOAT32;
   parsed->request.priority = -1;
   parsed->request.weight = 1;
+  parsed->request.back_end = MO_BACK_END_AUTO;
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;

@@ -291,7 +291,7 @@ static const char index_page[] =
     "href=\"/v1/campaigns\">campaigns</a>, <a href=\"/v1/designs\">designs</a>, "
     "<a "
     "href=\"/v1/controllers\">controllers</a>, "
-    "<a href=\"/v1/workers\">workers</a></li>\n"
+    "<a href=\"/v1/workers\">workers</a>, <a href=\"/v1/devices\">devices</a></li>\n"
     "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a href=\"/metrics\">metrics</a></li>\n"
     "</ul></body></html>\n";
 
@@ -305,6 +305,7 @@ void mo_handle_direct(struct mo_request *request)
   case MO_ROUTE_READY: health(request); break;
   case MO_ROUTE_METRICS: metrics(request); break;
   case MO_ROUTE_WORKERS: workers(request); break;
+  case MO_ROUTE_DEVICES: mo_handle_devices(request); break;
   case MO_ROUTE_OPENAPI:
     mo_reply_static(request, 200, "application/json", mo_openapi_json, mo_openapi_json_size);
     mo_reply_etag(request, "openapi-%s", request->http->contract_tag);

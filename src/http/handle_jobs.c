@@ -124,6 +124,7 @@ static void submission_error(struct mo_request *request, int code, const struct 
   case MO_ERR_NOT_FOUND: pointer = "/controller"; break;
   case MO_ERR_UNSUPPORTED: pointer = "/controller"; break;
   case MO_ERR_LIMIT: pointer = "/record"; break;
+  case MO_ERR_DEVICE: pointer = "/device"; break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE: pointer = ""; break;
   case MO_ERR_CONFLICT: mo_reply_key_conflict(request, faults); break;

@@ -30,8 +30,9 @@ static int export_checkpoint(struct mo_http *http, const struct mo_training_stat
   free(stored);
   if (code == MO_OK) {
     *at = mo_training_step(training);
-    code = mo_training_export(training, status->record.has_parent ? digits : NULL,
-                              mo_jobs_code_version(http->services.jobs), &status->code, &controller);
+    code =
+        mo_training_export(training, status->record.has_parent ? digits : NULL,
+                           mo_jobs_code_version(http->services.jobs, status->job.back_end), &status->code, &controller);
   }
   if (code == MO_OK)
     code = mo_controller_encode(controller, bytes, size);

@@ -58,6 +58,10 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
       mo_reply_problem(request, 409, faults, NULL);
     }
     break;
+  case MO_ERR_DEVICE:
+    mo_faults_add(faults, MO_FAULT_BODY, "/device", "%s", words);
+    mo_reply_problem(request, 422, faults, NULL);
+    break;
   case MO_ERR_BUSY: mo_reply_queue_full(request); break;
   default: mo_reply_error(request, code, "training"); break;
   }

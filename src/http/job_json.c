@@ -107,11 +107,17 @@ static void write_results(struct mo_text *text, const struct mo_evaluation_resul
   mo_text_bytes(text, "]", 1);
 }
 
+bool mo_job_lacks_device(const struct mo_job *job)
+{
+  return job->state == MO_JOB_PAUSED && job->error == MO_ERR_DEVICE;
+}
+
 void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo_job_state state)
 {
   mo_text_member(text, "state", mo_job_state_name(state));
   mo_text_member(text, "priority", job->priority == MO_INTERACTIVE ? "interactive" : "batch");
   mo_text_member_number(text, "weight", job->weight);
+  mo_text_member(text, "device", job->back_end == MO_ON_DEVICE ? "cuda" : "cpu");
   if (job->has_label)
     mo_text_member(text, "label", job->label);
   else
@@ -120,7 +126,7 @@ void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo
   mo_text_member_time(text, "started_at", job->started_us);
   mo_text_member_time(text, "finished_at", job->finished_us);
   mo_text_member_count(text, "attempts", job->attempts);
-  if (job->state == MO_JOB_FAILED) {
+  if (job->state == MO_JOB_FAILED || mo_job_lacks_device(job)) {
     mo_text_add(text, ",\"error\":{\"detail\":");
     mo_text_json_string(text, job->error_text, strlen(job->error_text));
     mo_text_member(text, "code", mo_error_name(job->error));

@@ -11,6 +11,9 @@ void mo_bits_write_bare(struct mo_text *text, const struct mo_bits *bits); /* th
 void mo_bits_write_id_bare(struct mo_text *text, const struct mo_bits *form);
 void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash); /* in quotes */
 /* The members that jobs of every kind have, from state to error. state: as it is shown. */
+/* It is paused because no device is there to compute it. */
+bool mo_job_lacks_device(const struct mo_job *job);
+
 void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo_job_state state);
 /* An evaluation; results nullable: then without them. */
 void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct mo_evaluation_results *results);

@@ -116,6 +116,39 @@ static void write_compute(struct mo_http *http, struct mo_text *text)
         c.rollouts_diverged);
 }
 
+/* One series for each device. */
+static void write_devices(struct mo_http *http, struct mo_text *text)
+{
+  enum { LOST, LOAD, BUSY, CALLS, ROLLOUTS, ROBOTS, MEMORY, FREE, SERIES };
+  static const struct {
+    const char *name, *type, *help;
+  } series[SERIES] = {
+      [LOST] = {"morphod_device_lost", "gauge", "1 of a device that has failed and computes nothing any more."},
+      [LOAD] = {"morphod_device_load", "gauge", "Share of the last ten seconds in which the device was busy."},
+      [BUSY] = {"morphod_device_busy_seconds_total", "counter", "Time of calls to the device."},
+      [CALLS] = {"morphod_device_calls_total", "counter", "Calls: chunks of rollouts, parts of gradients."},
+      [ROLLOUTS] = {"morphod_device_rollouts_total", "counter", "Rollouts computed by the device."},
+      [ROBOTS] = {"morphod_device_gradient_robots_total", "counter", "Robots whose gradient the device computed."},
+      [MEMORY] = {"morphod_device_memory_bytes", "gauge", "Memory of the device."},
+      [FREE] = {"morphod_device_memory_free_bytes", "gauge", "Free memory, as of the look before this one."},
+  };
+  struct mo_device_status status;
+  for (int s = 0; s < SERIES && mo_compute_devices(http->services.compute) > 0; s++) {
+    head(text, series[s].name, series[s].type, series[s].help);
+    for (uint32_t i = 0; mo_compute_device(http->services.compute, i, &status) == MO_OK; i++) {
+      const double values[SERIES] = {[LOST] = status.state == MO_DEVICE_LOST,
+                                     [LOAD] = status.load,
+                                     [BUSY] = status.busy_s,
+                                     [CALLS] = (double)status.calls,
+                                     [ROLLOUTS] = (double)status.rollouts_done,
+                                     [ROBOTS] = (double)status.gradient_robots_done,
+                                     [MEMORY] = (double)status.memory_bytes,
+                                     [FREE] = (double)status.free_bytes};
+      mo_text_format(text, "%s{device=\"%u\"} %.17g\n", series[s].name, status.index, values[s]);
+    }
+  }
+}
+
 static void write_jobs(struct mo_http *http, struct mo_text *text)
 {
   struct mo_jobs_stats j;
@@ -148,6 +181,12 @@ static void write_worker_time(struct mo_http *http, struct mo_text *text)
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
     mo_text_format(text, "morphod_job_worker_seconds_total{kind=\"%s\"} ", mo_job_kind_name((enum mo_job_kind)kind));
     mo_text_json_number(text, j.worker_s[kind]);
+    mo_text_add(text, "\n");
+  }
+  head(text, "morphod_job_device_seconds_total", "counter", "Time of devices by kind of job, since the start.");
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
+    mo_text_format(text, "morphod_job_device_seconds_total{kind=\"%s\"} ", mo_job_kind_name((enum mo_job_kind)kind));
+    mo_text_json_number(text, j.device_s[kind]);
     mo_text_add(text, "\n");
   }
 }
@@ -216,6 +255,7 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   write_requests(http, text);
   write_http(http, text);
   write_compute(http, text);
+  write_devices(http, text);
   write_jobs(http, text);
   write_worker_time(http, text);
   write_trainings(http, text);

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "http/field.h"
+#include "jobs/jobs.h"
 #include "store/store.h"
 
 #define SIGMA_MAX_M 10.0
@@ -485,6 +486,22 @@ bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
 bool mo_read_weight(struct mo_json *json, double *weight)
 {
   return mo_json_bounded(json, MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
+}
+
+void mo_read_device(struct mo_json *json, int *back_end)
+{
+  struct mo_json_slice word;
+  unsigned depth = json->depth;
+  if (!mo_json_string(json, &word))
+    return;
+  if (mo_json_is(word, "auto"))
+    *back_end = MO_BACK_END_AUTO;
+  else if (mo_json_is(word, "cpu"))
+    *back_end = MO_ON_CPU;
+  else if (mo_json_is(word, "cuda"))
+    *back_end = MO_ON_DEVICE;
+  else
+    mo_json_fault_at(json, depth, "", "\"auto\", \"cpu\" or \"cuda\" is expected");
 }
 
 /* One of two words; false when it is neither. */

@@ -48,6 +48,9 @@ bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1]);
 /* A job's weight, MO_WEIGHT_MIN to MO_WEIGHT_MAX. Untouched if it is not one. */
 bool mo_read_weight(struct mo_json *json, double *weight);
 
+/* Where a job is to be computed, "auto", "cpu" or "cuda": what a request's back_end takes. Untouched if it is none of these. */
+void mo_read_device(struct mo_json *json, int *back_end);
+
 /* One of two words: 0 or 1 in *choice; false when it is neither. */
 bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice);
 

@@ -47,6 +47,7 @@ const struct mo_route_info mo_routes[MO_ROUTES] = {
     [MO_ROUTE_CONTROLLER] = {"/v1/controllers/{name}", MO_GET | MO_PUT | MO_DELETE, false, false},
     [MO_ROUTE_EVENTS] = {"/v1/events", MO_GET, false, false},
     [MO_ROUTE_WORKERS] = {"/v1/workers", MO_GET, false, true},
+    [MO_ROUTE_DEVICES] = {"/v1/devices", MO_GET, false, true},
     [MO_ROUTE_HEALTH] = {"/healthz", MO_GET, true, true},
     [MO_ROUTE_READY] = {"/readyz", MO_GET, true, true},
     [MO_ROUTE_METRICS] = {"/metrics", MO_GET, false, true},

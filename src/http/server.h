@@ -236,6 +236,7 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request); /* one o
 void mo_handle_training_controller(struct mo_request *request);
 void mo_handle_training_held_out(struct mo_request *request);
 void mo_handle_held_out(struct mo_request *request);
+void mo_handle_devices(struct mo_request *request);
 void mo_handle_campaigns_post(struct mo_request *request);
 void mo_handle_campaigns(struct mo_request *request);
 enum mo_handled mo_handle_campaign(struct mo_request *request);

@@ -190,15 +190,17 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
     } else if (mo_json_is(key, "priority")) {
       if (mo_read_choice(json, "batch", "interactive", &choice))
         request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
+    } else if (mo_json_is(key, "device")) {
+      mo_read_device(json, &request->back_end);
     } else if (mo_json_is(key, "weight")) {
       mo_read_weight(json, &request->weight);
     } else if (mo_json_is(key, "label")) {
       if (mo_read_label(json, parsed->label))
         request->label = parsed->label;
     } else {
-      mo_read_unknown(json,
-                      "kind, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
-                      "gradient_norm_limit, adjoint_bound, physics, validation, checkpoint, priority, weight, label");
+      mo_read_unknown(
+          json, "kind, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
+                "gradient_norm_limit, adjoint_bound, physics, validation, checkpoint, priority, weight, device, label");
     }
   }
   return code;
@@ -238,7 +240,7 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
 
 int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed, struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_training){.request = {.priority = MO_BATCH, .weight = 1}};
+  *parsed = (struct mo_parsed_training){.request = {.priority = MO_BATCH, .back_end = MO_BACK_END_AUTO, .weight = 1}};
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;

@@ -135,6 +135,17 @@ static int write_failure(void *context)
   return note_failure(attempt->jobs, kind_of(attempt), attempt->id, attempt->error, attempt->text);
 }
 
+/* No device is left to compute it: it is paused where it stands. */
+static void halt(struct mo_attempt *attempt, int (*save)(void *context), void *context)
+{
+  attempt->winding_down = true;
+  attempt->error = MO_ERR_DEVICE;
+  (void)save(context);
+  mo_back_end_describe_loss(attempt->jobs, attempt->text, sizeof(attempt->text));
+  mo_attempt_warn(attempt, MO_ERR_DEVICE, attempt->text);
+  (void)mo_attempt_persist(attempt, write_failure, attempt, "the note of an error");
+}
+
 bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context), void *context)
 {
   switch (error) {
@@ -143,6 +154,7 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
     mo_jobs_closed(attempt->jobs, 0);
     return false;
   case MO_ERR_CANCELLED: wind_down(attempt, save, context); return false;
+  case MO_ERR_DEVICE: halt(attempt, save, context); return false;
   case MO_ERR_CONFLICT: return false; /* paused or cancelled while its end was written: the job has that state */
   default: break;
   }

@@ -148,12 +148,18 @@ static struct mo_flight *new_flight(struct mo_jobs *jobs, struct mo_active *acti
                                     .physics = work->job.physics,
                                     .precision = work->job.precision,
                                     .urgency = work->job.priority,
+                                    .back_end = active->back_end,
                                     .cancel = &flight->cancel,
                                     .tag = active->id,
                                     .share = jobs->evaluations,
                                     .done = flight_done,
                                     .context = flight};
   return flight;
+}
+
+static enum mo_lane lane_of(const struct mo_flight *flight)
+{
+  return mo_lane_of(flight->block.urgency, flight->block.back_end);
 }
 
 /* Hands the block over. The job must outlive it: it uses the job's environments and controller. */
@@ -166,11 +172,10 @@ static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_fli
   flight->owner = active;
   flight->serial = ++jobs->serial;
   flight->next = jobs->flights;
+  if (jobs->flights != NULL)
+    jobs->flights->previous = flight;
   jobs->flights = flight;
-  if (flight->block.urgency == MO_INTERACTIVE)
-    jobs->flights_interactive++;
-  else
-    jobs->flights_batch++;
+  jobs->n_flights[lane_of(flight)]++;
   atomic_fetch_add(&jobs->blocks_in_flight, 1);
   error = mo_compute_submit(jobs->compute, &flight->block);
   if (error != MO_OK) {
@@ -323,14 +328,13 @@ int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *
 
 static void drop_flight(struct mo_jobs *jobs, struct mo_flight *flight)
 {
-  struct mo_flight **link = &jobs->flights;
-  while (*link != flight)
-    link = &(*link)->next;
-  *link = flight->next;
-  if (flight->block.urgency == MO_INTERACTIVE)
-    jobs->flights_interactive--;
+  if (flight->previous != NULL)
+    flight->previous->next = flight->next;
   else
-    jobs->flights_batch--;
+    jobs->flights = flight->next;
+  if (flight->next != NULL)
+    flight->next->previous = flight->previous;
+  jobs->n_flights[lane_of(flight)]--;
   atomic_fetch_sub(&jobs->blocks_in_flight, 1);
 }
 
@@ -361,7 +365,8 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
       finish_cell(jobs, active, waiter->cell, rollout->diverged_step, waiter->owner ? COMPUTED : SHARED);
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
-      if (status != MO_ERR_CANCELLED) {
+      /* A job that only waited for another's rollout computes it itself. */
+      if (status != MO_ERR_CANCELLED && (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
         mo_block_describe(status, text);
         mo_active_fail(jobs, active, status, text);
       }
@@ -369,6 +374,11 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     free(waiter);
     mo_active_release(jobs, active);
   }
+}
+
+static int64_t fingerprint_of(const struct mo_jobs *jobs, const struct mo_block *block)
+{
+  return block->computed_on == MO_ON_DEVICE ? jobs->device_fingerprint : jobs->fingerprints[block->precision];
 }
 
 static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
@@ -380,7 +390,7 @@ static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
                                    .controller = rollout->controller,
                                    .physics = rollout->physics,
                                    .environment = rollout->environment,
-                                   .fingerprint = jobs->fingerprints[flight->block.precision],
+                                   .fingerprint = fingerprint_of(jobs, &flight->block),
                                    .loss = outcome->loss,
                                    .diverged_step = outcome->diverged_step};
     int status = mo_block_check(&flight->block, i);
@@ -413,7 +423,7 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
                                  .controller = work->controller,
                                  .physics = work->physics,
                                  .environment = work->environment_rows[k],
-                                 .fingerprint = jobs->fingerprints[flight->block.precision],
+                                 .fingerprint = fingerprint_of(jobs, &flight->block),
                                  .loss = outcome->loss,
                                  .diverged_step = outcome->diverged_step,
                                  .verify_job = work->job.verify ? active->id : 0,

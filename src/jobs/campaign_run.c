@@ -484,7 +484,7 @@ static int commit(struct mo_campaign_run *run)
                                             .n_survivors = run->n_survivors,
                                             .losses = is_zero_shot ? run->losses : NULL,
                                             .n_losses = is_zero_shot ? run->n_scored : 0,
-                                            .fingerprint = run->jobs->fingerprints[MO_FLOAT32],
+                                            .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
                                             .event_data = generation_data};
   error = describe_generation(run, &run->commit.row);
   if (error == MO_OK && !is_zero_shot) {
@@ -560,8 +560,8 @@ static int write_end(void *context)
   else
     snprintf(name, sizeof(name), "campaign-%lld", (long long)run->id);
   if (run->learner.training != NULL)
-    error = mo_training_export(run->learner.training, record->has_controller ? digits : NULL, run->jobs->code_version,
-                               NULL, &controller);
+    error = mo_training_export(run->learner.training, record->has_controller ? digits : NULL,
+                               run->jobs->code_versions[run->status.job.back_end], NULL, &controller);
   if (error == MO_OK && controller != NULL)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)

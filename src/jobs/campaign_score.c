@@ -1,6 +1,7 @@
 /* campaign_score.c: the scores of a generation.
  *
- * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end.
+ * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end, of devices
+ * some thousands.
  * Losses of a candidate are known when all its blocks are; they are saved at once, several candidates in one transaction where they come faster
  * than the disk writes. What a crash costs is the blocks in flight and those that wait for their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
  * this controller, is not computed again. */
@@ -10,9 +11,8 @@
 
 #include "jobs/campaign_run.h"
 
-#define SAVED_AT_ONCE   1024
-#define BLOCKS_A_WORKER 2
-#define RATE_AFTER_US   INT64_C(500000)
+#define SAVED_AT_ONCE 1024
+#define RATE_AFTER_US INT64_C(500000)
 
 /* One block in the back end. */
 struct flight {
@@ -104,7 +104,8 @@ static int read_known(struct mo_campaign_run *run)
       places[n++] = i;
     }
   if (found == 0 && n > 0)
-    found = mo_store_campaign_known(run->jobs->store, run->id, asked, n, known);
+    found = mo_store_campaign_known(run->jobs->store, run->id,
+                                    mo_back_end_fingerprint(run->jobs, run->status.job.back_end), asked, n, known);
   for (int64_t i = 0; i < found; i++)
     if (known[i].place < n) {
       know(run, places[known[i].place], &known[i]);
@@ -190,6 +191,7 @@ static int launch(struct scoring *scoring)
                                     .physics = run->status.record.settings.physics,
                                     .precision = MO_FLOAT32,
                                     .urgency = run->status.job.priority,
+                                    .back_end = run->status.job.back_end,
                                     .cancel = &run->attempt.runner->interrupt,
                                     .tag = run->id,
                                     .share = scoring->run->share,
@@ -307,11 +309,9 @@ static int compute(struct scoring *scoring)
 
 static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
 {
-  struct mo_compute_stats stats;
-  mo_compute_get_stats(run->jobs->compute, &stats);
-  *scoring = (struct scoring){.run = run,
-                              .window = BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1),
-                              .begin_us = mo_jobs_clock_us()};
+  const uint32_t window = mo_back_end_window(run->jobs, run->status.job.back_end);
+  const uint32_t all = blocks_per_candidate(run) * (run->n_scored > 0 ? run->n_scored : 1);
+  *scoring = (struct scoring){.run = run, .window = window < all ? window : all, .begin_us = mo_jobs_clock_us()};
   pthread_mutex_init(&scoring->mutex, NULL);
   pthread_cond_init(&scoring->news, NULL);
   scoring->flights = calloc(scoring->window, sizeof(*scoring->flights));

@@ -137,6 +137,8 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   error = check_request(request, message);
+  if (error == MO_OK)
+    error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error != MO_OK)
     return error;
   if (submission.controller == NULL && request->record.settings.mode != MO_SIMULTANEOUS)

@@ -154,7 +154,8 @@ static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_stat
   free(bytes);
   mo_sha256_to_hex(&record->controller_sha256, digits);
   if (error == MO_OK)
-    error = mo_training_export(training, record->has_controller ? digits : NULL, jobs->code_version, NULL, controller);
+    error = mo_training_export(training, record->has_controller ? digits : NULL,
+                               jobs->code_versions[status->job.back_end], NULL, controller);
   mo_training_free(training);
   return error;
 }

@@ -19,6 +19,7 @@ struct mo_campaign_request {
   const struct mo_environment *environments; /* (record.n_environments) when there is no set */
   const struct mo_bits *genotypes; /* (record.n_listed) as asked for: valid; placed here; of the default workspace */
   int priority;                    /* MO_BATCH */
+  int back_end;                    /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;                   /* 0.001 … 1000 */
   const char *label, *idempotency_key;
   struct mo_sha256 body_sha256;

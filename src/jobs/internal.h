@@ -22,6 +22,9 @@
 #define MO_ROLLOUT_BUCKETS 4096
 #define MO_DELAYED_MAX     64
 
+/* Jobs that wait for the same: workers at once, workers, devices. Each lane has a window and a virtual time of its own. */
+enum mo_lane { MO_LANE_BATCH = 0, MO_LANE_INTERACTIVE = 1, MO_LANE_DEVICE = 2, MO_LANES };
+
 enum mo_cell { MO_CELL_TO_DO = 0, MO_CELL_UNDER_WAY = 1, MO_CELL_DONE = 2 };
 
 /* A controller loaded into the back end. */
@@ -38,6 +41,7 @@ struct mo_active {
   struct mo_work *work; /* NULL: could not be loaded */
   int64_t id;
   enum mo_urgency priority;
+  enum mo_back_end back_end;
   double weight;
   struct mo_loaded *controller;
   uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
@@ -89,8 +93,8 @@ struct mo_flight {
   struct mo_body *body;
   struct mo_recording recordings[MO_BLOCK_LANES];
   uint32_t frames;
-  struct mo_flight *next;       /* among all flights */
-  struct mo_flight *next_inbox; /* among the finished */
+  struct mo_flight *next, *previous; /* among all flights */
+  struct mo_flight *next_inbox;      /* among the finished */
 };
 
 /* Growing arrays of one save. */
@@ -189,7 +193,8 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   struct mo_compute *compute;
   struct mo_jobs_config config;
   struct mo_lattice *lattice;
-  int64_t fingerprints[2]; /* by precision */
+  int64_t fingerprints[2];    /* by precision */
+  int64_t device_fingerprint; /* 0: there are no devices */
   int listener;
 
   /* Admission. */
@@ -218,25 +223,26 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   pthread_mutex_t shares_mutex; /* for moments */
   struct mo_job_share *shares;
   double ended_s[MO_JOB_KINDS];         /* worker seconds of shares that are gone */
+  double ended_device_s[MO_JOB_KINDS];  /* of devices */
   struct mo_compute_share *evaluations; /* of all evaluations together */
   double evaluations_weight;            /* the scheduler's */
 
   struct mo_runners trainings, campaigns;
   pthread_mutex_t exclusions_mutex;
   struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns (campaign_excluded.c) */
-  char *code_version;
+  char *code_versions[2];          /* by back end */
 
   /* The scheduler's own. */
   pthread_t thread;
   bool thread_started;
   struct mo_active *actives;
   struct mo_flight *flights;
-  uint32_t flights_batch, flights_interactive;
+  uint32_t n_flights[MO_LANES];
   uint64_t serial, use_clock;
   struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
   struct mo_loaded *controllers;
   struct mo_pending pending, saving;
-  double pass[2]; /* virtual time of each priority */
+  double pass[MO_LANES]; /* virtual time */
   bool save_under_way;
   int64_t retry_save_us; /* when to try again after want of space */
   bool broken;           /* the store is lost: nothing more is done */
@@ -309,18 +315,19 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind, struc
 void mo_share_close(struct mo_jobs *jobs,
                     int64_t id); /* when none of its blocks is queued or running; no share: nothing */
 void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* the weight in the store has changed */
-void mo_shares_worker_s(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS]);
+void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS], double device_s[MO_JOB_KINDS]);
 
 /* ---- learner.c ---- */
 /* A training with what the back end needs for its gradients. */
 struct mo_learner {
   struct mo_training *training;
   struct mo_gradient_state *gradients;
+  enum mo_back_end back_end; /* set by mo_learner_prepare */
   double *d_parameters;
   struct mo_outcome *outcomes;
 };
 /* Everything but the training, for it. MO_ERR_NO_MEMORY. */
-int mo_learner_prepare(struct mo_jobs *jobs, struct mo_learner *learner);
+int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
 /* The gradient of the robots that were drawn, and a step with it. seconds: its wall time. */
 int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
                     struct mo_compute_share *share, const volatile int *cancel, struct mo_training_report *report,
@@ -337,16 +344,29 @@ extern const struct mo_runner_kind mo_training_runners;
 int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status, struct mo_held_out *held_out);
 /* Scores it with weights as they are. MO_ERR_CANCELLED; MO_ERR_NO_MEMORY and other errors of blocks. */
 int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
-                      const struct mo_physics *physics, int64_t tag, struct mo_compute_share *share,
-                      const volatile int *cancel, struct mo_training_validation_row *row);
+                      const struct mo_physics *physics, enum mo_back_end back_end, int64_t tag,
+                      struct mo_compute_share *share, const volatile int *cancel,
+                      struct mo_training_validation_row *row);
+
+/* ---- back_end.c ---- */
+/* Where a job is computed: what was asked for, or chosen. suits: devices can do it; is_large: they are worth it. MO_ERR_DEVICE. */
+int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large, enum mo_back_end *back_end,
+                       struct mo_message *message);
+/* Why a job that devices compute is paused, and what to do. */
+void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size);
+/* The row of what computes scores of a job in float32. */
+int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end);
+/* Blocks to be kept submitted by one job. */
+uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end);
 
 /* ---- scheduler.c ---- */
+enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end);
 void *mo_scheduler_loop(void *jobs);
 void mo_jobs_wake(struct mo_jobs *jobs);
 void mo_jobs_closed(struct mo_jobs *jobs, uint64_t rollouts); /* a job is no longer open */
 int mo_jobs_recount(struct mo_jobs *jobs);                    /* open jobs and rollouts, from the store */
 void mo_active_release(struct mo_jobs *jobs, struct mo_active *active);
-/* The job goes back to the queue, with one attempt more. */
+/* The job goes back to the queue, with one attempt more; with MO_ERR_DEVICE it is paused. */
 void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, const char *text);
 void mo_actives_free_all(struct mo_jobs *jobs);
 struct mo_active *mo_active_find(struct mo_jobs *jobs, int64_t id);

@@ -12,7 +12,7 @@
 
 #define MARKER_BYTES_MAX 4096
 
-static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
+static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers, uint32_t window_device)
 {
   if (config->max_open_jobs == 0)
     config->max_open_jobs = 10000;
@@ -36,6 +36,8 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers)
     config->window_batch = 2 * n_workers;
   if (config->window_interactive == 0)
     config->window_interactive = 4 * n_workers;
+  if (config->window_device == 0)
+    config->window_device = window_device;
   if (config->controllers_kept == 0)
     config->controllers_kept = 8;
   if (config->max_attempts == 0)
@@ -126,12 +128,16 @@ int mo_jobs_recount(struct mo_jobs *jobs)
 /* What the bits of a trained controller depend on besides its settings. */
 static int name_code(struct mo_jobs *jobs, const char *version)
 {
-  const char *fingerprint = mo_compute_gradient_fingerprint(jobs->compute);
-  size_t size = strlen(version) + strlen(fingerprint) + 2;
-  jobs->code_version = malloc(size);
-  if (jobs->code_version == NULL)
-    return MO_ERR_NO_MEMORY;
-  snprintf(jobs->code_version, size, "%s%s%s", version, version[0] != '\0' ? " " : "", fingerprint);
+  const char *const fingerprints[] = {mo_compute_gradient_fingerprint(jobs->compute),
+                                      mo_compute_device_gradient_fingerprint(jobs->compute)};
+  for (int back_end = MO_ON_CPU; back_end <= MO_ON_DEVICE; back_end++) {
+    const char *fingerprint = fingerprints[back_end] != NULL ? fingerprints[back_end] : "no device";
+    size_t size = strlen(version) + strlen(fingerprint) + 2;
+    jobs->code_versions[back_end] = malloc(size);
+    if (jobs->code_versions[back_end] == NULL)
+      return MO_ERR_NO_MEMORY;
+    snprintf(jobs->code_versions[back_end], size, "%s%s%s", version, version[0] != '\0' ? " " : "", fingerprint);
+  }
   return MO_OK;
 }
 
@@ -143,6 +149,8 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
   for (int precision = 0; precision < 2 && error == MO_OK; precision++)
     error = mo_store_fingerprint(jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
                                  &jobs->fingerprints[precision]);
+  if (error == MO_OK && mo_compute_device_fingerprint(jobs->compute) != NULL)
+    error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute), &jobs->device_fingerprint);
   if (error == MO_OK)
     error = mo_compute_share_create(jobs->compute, 1, &jobs->evaluations);
   if (error == MO_OK)
@@ -197,7 +205,8 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_actives_free_all(jobs);
   mo_loaded_free_all(jobs);
   mo_lattice_free(jobs->lattice);
-  free(jobs->code_version);
+  free(jobs->code_versions[MO_ON_CPU]);
+  free(jobs->code_versions[MO_ON_DEVICE]);
   mo_runners_destroy(&jobs->trainings);
   mo_runners_destroy(&jobs->campaigns);
   pthread_mutex_destroy(&jobs->exclusions_mutex);
@@ -234,7 +243,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const str
   jobs->compute = compute;
   jobs->config = *config;
   mo_compute_get_stats(compute, &stats);
-  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1);
+  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1, mo_back_end_window(jobs, MO_ON_DEVICE));
   init_locks(jobs);
   jobs->look = true;
   atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
@@ -493,5 +502,5 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),
   };
-  mo_shares_worker_s(jobs, stats->worker_s);
+  mo_shares_seconds(jobs, stats->worker_s, stats->device_s);
 }

@@ -28,6 +28,7 @@ struct mo_jobs_config {
   uint32_t max_active_campaigns;   /* campaigns that run side by side, ≤ 64; 0: 4 */
   uint32_t window_batch;           /* blocks in flight; 0: 2 per worker */
   uint32_t window_interactive;     /* 0: 4 per worker */
+  uint32_t window_device;          /* of evaluations that devices compute; 0: 8192 per device */
   uint32_t controllers_kept;       /* controllers kept ready for the back end, least recently used go; 0: 8 */
   uint32_t max_attempts;           /* crashes or errors until a job is parked as failed; 0: 3 */
   uint32_t retry_ms;               /* between an error, or want of room, and the next try; 0: 1000 */
@@ -53,6 +54,11 @@ void mo_jobs_free(struct mo_jobs *jobs); /* stops first when that was not done; 
 
 /* ---- submission ---- */
 
+/* Where a job is to be computed: enum mo_back_end, or this: on devices if one works and they suit it. Of an evaluation that is a batch
+ * in float32 of at least MO_DEVICE_ROLLOUTS_MIN rollouts that neither records nor verifies. */
+#define MO_BACK_END_AUTO       (-1)
+#define MO_DEVICE_ROLLOUTS_MIN 1000
+
 struct mo_evaluation_request {
   const struct mo_bits *genotypes;           /* (n_designs) as asked for: valid; placed here */
   uint32_t n_designs;                        /* 1 … MO_DESIGNS_MAX */
@@ -62,7 +68,8 @@ struct mo_evaluation_request {
   const char *controller;                    /* name or "sha256:<64 hex>"; NULL: "default" */
   struct mo_physics physics;                 /* checked */
   enum mo_precision precision;
-  int priority;      /* enum mo_urgency, or −1: interactive up to 64 rollouts */
+  int priority;      /* enum mo_urgency, or −1: interactive up to 64 rollouts that are not for devices */
+  int back_end;      /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
   const char *label; /* nullable */
   bool verify, record_com, record_masses;
@@ -75,6 +82,7 @@ struct mo_evaluation_request {
  *   MO_ERR_BUSY       the queue is full: try again later   MO_ERR_LIMIT     would record more than max_recorded_bytes
  *   MO_ERR_NO_SPACE   the disk is full: try again later    MO_ERR_CANCELLED stopping
  *   MO_ERR_UNSUPPORTED the controller is for another workspace
+ *   MO_ERR_DEVICE     no device works, or devices do not do this (float64, recordings, interactive)
  * MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract; `message` says which. */
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request, int64_t *id,
                               bool *replayed, struct mo_message *message);
@@ -83,7 +91,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
  * state that the job is in already (pause of a paused job, cancel of a cancelled one excepted) is a conflict. ---- */
 int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
 int mo_jobs_pause(struct mo_jobs *jobs, int64_t id); /* pausing a paused job: MO_OK, nothing changes */
-/* Resuming a queued or running job: MO_OK, nothing changes. A training or campaign that has failed goes on from what it has saved, with
+/* A job whose devices are lost is paused, with MO_ERR_DEVICE and the reason; so it is again when it is resumed and none works.
+ * Resuming a queued or running job: MO_OK, nothing changes. A training or campaign that has failed goes on from what it has saved, with
  * its attempts counted anew; MO_ERR_BUSY: too many jobs are open. */
 int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
 
@@ -114,6 +123,7 @@ struct mo_jobs_stats {
       training_checkpoints;      /* since the start */
   double training_step_s;        /* sum of the wall time of these steps */
   double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
+  double device_s[MO_JOB_KINDS]; /* seconds of devices, likewise */
   int64_t heartbeat_us;          /* monotonic clock: when the scheduler last came round (at least once per s) */
   bool no_space;                 /* running jobs wait for room on the disk; they go on by themselves */
   bool stopping;

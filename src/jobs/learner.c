@@ -3,9 +3,10 @@
 
 #include "jobs/internal.h"
 
-int mo_learner_prepare(struct mo_jobs *jobs, struct mo_learner *learner)
+int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner)
 {
   const size_t batch = mo_training_settings_of(learner->training)->batch;
+  learner->back_end = back_end;
   learner->d_parameters = calloc(mo_training_controller(learner->training)->n_parameters, sizeof(double));
   learner->outcomes = calloc(batch, sizeof(*learner->outcomes));
   return learner->d_parameters == NULL || learner->outcomes == NULL
@@ -28,6 +29,7 @@ int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, e
                                     .cancel = cancel,
                                     .tag = tag,
                                     .share = share,
+                                    .back_end = learner->back_end,
                                     .d_parameters = learner->d_parameters,
                                     .outcomes = learner->outcomes};
   int error = mo_compute_gradient(learner->gradients, &batch);

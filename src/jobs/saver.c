@@ -271,6 +271,7 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const 
       delay(jobs, active->id);
     }
     break;
+  case MO_STEP_HALT: active->failing = false; break;
   case MO_STEP_PARK: break;
   }
 }
@@ -291,9 +292,9 @@ static void settle(struct mo_jobs *jobs, int status)
     struct mo_active *active = saving->owners[i];
     if (status == MO_OK) {
       settle_update(jobs, active, &saving->save.updates[i]);
-    } else if (saving->save.updates[i].step == MO_STEP_RETRY) { /* again, without what could not be saved */
-      const struct mo_job_update *lost = &saving->save.updates[i];
-      active->failing = mo_pending_update(jobs, active, MO_STEP_RETRY, lost->error, lost->error_text) == MO_OK;
+    } else if (saving->save.updates[i].step == MO_STEP_RETRY || saving->save.updates[i].step == MO_STEP_HALT) {
+      const struct mo_job_update *lost = &saving->save.updates[i]; /* again, without what could not be saved */
+      active->failing = mo_pending_update(jobs, active, lost->step, lost->error, lost->error_text) == MO_OK;
     }
     mo_active_release(jobs, active);
   }

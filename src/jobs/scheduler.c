@@ -98,10 +98,26 @@ void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, c
   if (active->detached)
     return;
   active->detached = true;
+  char loss[256];
+  if (error == MO_ERR_DEVICE) {
+    mo_back_end_describe_loss(jobs, loss, sizeof(loss));
+    text = loss;
+  }
   if (jobs->config.warn != NULL)
     jobs->config.warn(jobs->config.warn_context, active->id, error, text);
-  active->failing = mo_pending_update(jobs, active, MO_STEP_RETRY, error, text) == MO_OK;
+  active->failing =
+      mo_pending_update(jobs, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error, text) == MO_OK;
   mo_flights_cancel(jobs, false);
+}
+
+enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end)
+{
+  return back_end == MO_ON_DEVICE ? MO_LANE_DEVICE : priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE : MO_LANE_BATCH;
+}
+
+static enum mo_lane lane_of(const struct mo_active *active)
+{
+  return mo_lane_of(active->priority, active->back_end);
 }
 
 static uint32_t count_active(const struct mo_jobs *jobs, enum mo_urgency priority)
@@ -168,6 +184,7 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
     return MO_ERR_NO_MEMORY;
   }
   active->weight = active->work->job.weight;
+  active->back_end = active->work->job.back_end;
   mark_finished(active);
   error = mo_loaded_acquire(jobs, &active->work->job.controller_sha256, &active->controller);
   if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT) {
@@ -192,9 +209,9 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
   active->id = id;
   active->priority = priority;
   active->weight = 1;
-  active->pass = jobs->pass[priority];
   active->last_event_us = mo_jobs_clock_us();
   error = load_active(jobs, active, text);
+  active->pass = jobs->pass[lane_of(active)];
   active->next = jobs->actives;
   jobs->actives = active;
   if (mo_pending_update(jobs, active, MO_STEP_START, MO_OK, NULL) != MO_OK) {
@@ -250,25 +267,25 @@ static int64_t release_delayed(struct mo_jobs *jobs)
 
 /* ---- filling the window ---- */
 
-static struct mo_active *pick(struct mo_jobs *jobs, enum mo_urgency priority)
+static struct mo_active *pick(struct mo_jobs *jobs, enum mo_lane lane)
 {
   struct mo_active *best = NULL;
   for (struct mo_active *active = jobs->actives; active != NULL; active = active->next)
-    if (!active->detached && !active->finishing && active->priority == priority &&
+    if (!active->detached && !active->finishing && lane_of(active) == lane &&
         active->cursor < active->work->n_designs && (best == NULL || active->pass < best->pass))
       best = active;
   return best;
 }
 
 /* true: the round's budget of designs is used up, there is more. */
-static bool fill(struct mo_jobs *jobs, enum mo_urgency priority, const uint32_t *in_flight, uint32_t window)
+static bool fill(struct mo_jobs *jobs, enum mo_lane lane, uint32_t window)
 {
   unsigned budget = DESIGNS_A_ROUND;
-  while (*in_flight < window) {
-    struct mo_active *active = pick(jobs, priority);
+  while (jobs->n_flights[lane] < window) {
+    struct mo_active *active = pick(jobs, lane);
     if (active == NULL)
       return false;
-    jobs->pass[priority] = active->pass;
+    jobs->pass[lane] = active->pass;
     (void)mo_active_advance(jobs, active, &budget);
     if (budget == 0)
       return true;
@@ -326,9 +343,9 @@ static void reweigh(struct mo_jobs *jobs, int64_t id)
   double lead;
   if (active == NULL || mo_store_job(jobs->store, id, &job) != MO_OK)
     return;
-  lead = (active->pass - jobs->pass[active->priority]) * active->weight;
+  lead = (active->pass - jobs->pass[lane_of(active)]) * active->weight;
   active->weight = job.weight;
-  active->pass = jobs->pass[active->priority] + lead / active->weight;
+  active->pass = jobs->pass[lane_of(active)] + lead / active->weight;
 }
 
 static void take_in(struct mo_jobs *jobs, struct inbox *inbox)
@@ -375,8 +392,9 @@ static bool go_on(struct mo_jobs *jobs, bool look)
   weigh_evaluations(jobs);
   if (mo_saver_is_behind(jobs))
     return false;
-  more = fill(jobs, MO_INTERACTIVE, &jobs->flights_interactive, jobs->config.window_interactive);
-  return fill(jobs, MO_BATCH, &jobs->flights_batch, jobs->config.window_batch) || more;
+  more = fill(jobs, MO_LANE_INTERACTIVE, jobs->config.window_interactive);
+  more = fill(jobs, MO_LANE_DEVICE, jobs->config.window_device) || more;
+  return fill(jobs, MO_LANE_BATCH, jobs->config.window_batch) || more;
 }
 
 /* One round of stopping. true: nothing is left. */

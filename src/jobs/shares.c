@@ -13,6 +13,14 @@ static double busy_s(const struct mo_compute_share *share)
   return stats.busy_s;
 }
 
+static void add(const struct mo_compute_share *share, double *worker_s, double *device_s)
+{
+  struct mo_compute_share_stats stats;
+  mo_compute_share_get_stats(share, &stats);
+  *worker_s += stats.busy_s;
+  *device_s += stats.device_s;
+}
+
 /* Under shares_mutex. */
 static struct mo_job_share *find(const struct mo_jobs *jobs, int64_t id)
 {
@@ -68,7 +76,7 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
   entry = *link;
   if (entry != NULL) {
     *link = entry->next;
-    jobs->ended_s[entry->kind] += busy_s(entry->share);
+    add(entry->share, &jobs->ended_s[entry->kind], &jobs->ended_device_s[entry->kind]);
     mo_compute_share_free(entry->share);
   }
   pthread_mutex_unlock(&jobs->shares_mutex);
@@ -92,13 +100,15 @@ double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
   return seconds;
 }
 
-void mo_shares_worker_s(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS])
+void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS], double device_s[MO_JOB_KINDS])
 {
   pthread_mutex_lock(&jobs->shares_mutex);
-  for (int kind = 0; kind < MO_JOB_KINDS; kind++)
+  for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
     worker_s[kind] = jobs->ended_s[kind];
+    device_s[kind] = jobs->ended_device_s[kind];
+  }
   for (const struct mo_job_share *entry = jobs->shares; entry != NULL; entry = entry->next)
-    worker_s[entry->kind] += busy_s(entry->share);
+    add(entry->share, &worker_s[entry->kind], &device_s[entry->kind]);
   pthread_mutex_unlock(&jobs->shares_mutex);
-  worker_s[MO_JOB_EVALUATION] += busy_s(jobs->evaluations);
+  add(jobs->evaluations, &worker_s[MO_JOB_EVALUATION], &device_s[MO_JOB_EVALUATION]);
 }

@@ -162,6 +162,20 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *sub
   return MO_OK;
 }
 
+static int choose(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                  struct mo_submission *submission, struct mo_message *message)
+{
+  const uint64_t n = (uint64_t)request->n_designs * submission->n_environments;
+  const bool is_small = n <= INTERACTIVE_ROLLOUTS && request->back_end != MO_ON_DEVICE;
+  submission->priority = request->priority >= 0 ? (enum mo_urgency)request->priority
+                         : is_small             ? MO_INTERACTIVE
+                                                : MO_BATCH;
+  return mo_back_end_choose(jobs, request->back_end,
+                            submission->priority == MO_BATCH && request->precision == MO_FLOAT32 &&
+                                !request->record_com && !request->record_masses,
+                            n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end, message);
+}
+
 int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request, int64_t *id,
                               bool *replayed, struct mo_message *message)
 {
@@ -201,10 +215,9 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   }
   if (request->record_com || request->record_masses)
     submission.record_stride = request->record_stride;
-  submission.priority = request->priority >= 0 ? (enum mo_urgency)request->priority
-                        : (uint64_t)request->n_designs * submission.n_environments <= INTERACTIVE_ROLLOUTS
-                            ? MO_INTERACTIVE
-                            : MO_BATCH;
+  error = choose(jobs, request, &submission, message);
+  if (error != MO_OK)
+    return error;
   forms = calloc(request->n_designs, sizeof(*forms));
   genotypes = calloc(request->n_designs, sizeof(*genotypes));
   if (forms == NULL || genotypes == NULL) {

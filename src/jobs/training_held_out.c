@@ -8,7 +8,8 @@
 
 #include "jobs/internal.h"
 
-#define BLOCKS_AT_ONCE 64
+#define BLOCKS_AT_ONCE        64
+#define DEVICE_BLOCKS_AT_ONCE 4096
 
 void mo_held_out_free(struct mo_held_out *held_out)
 {
@@ -91,18 +92,20 @@ static void take(struct tally *tally, const struct mo_block *block, struct mo_tr
 }
 
 int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
-                      const struct mo_physics *physics, int64_t tag, struct mo_compute_share *share,
-                      const volatile int *cancel, struct mo_training_validation_row *row)
+                      const struct mo_physics *physics, enum mo_back_end back_end, int64_t tag,
+                      struct mo_compute_share *share, const volatile int *cancel,
+                      struct mo_training_validation_row *row)
 {
   uint32_t per_design = (held_out->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   size_t total = (size_t)per_design * held_out->n_designs;
+  size_t at_once = back_end == MO_ON_DEVICE ? DEVICE_BLOCKS_AT_ONCE : BLOCKS_AT_ONCE;
   struct mo_compute_controller *ready = NULL;
-  struct mo_block *blocks = calloc(BLOCKS_AT_ONCE, sizeof(*blocks));
+  struct mo_block *blocks = calloc(at_once, sizeof(*blocks));
   struct tally tally = {0};
   int error = blocks == NULL ? MO_ERR_NO_MEMORY : mo_compute_controller_create(jobs->compute, controller, &ready);
   row->rollouts = row->diverged = 0;
-  for (size_t first = 0; first < total && error == MO_OK; first += BLOCKS_AT_ONCE) {
-    size_t n = total - first < BLOCKS_AT_ONCE ? total - first : BLOCKS_AT_ONCE;
+  for (size_t first = 0; first < total && error == MO_OK; first += at_once) {
+    size_t n = total - first < at_once ? total - first : at_once;
     for (size_t b = 0; b < n; b++) {
       uint32_t from = (uint32_t)((first + b) % per_design) * MO_BLOCK_LANES;
       uint32_t left = held_out->n_environments - from;
@@ -113,6 +116,7 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, 
                                     .physics = *physics,
                                     .precision = MO_FLOAT32,
                                     .urgency = MO_BATCH,
+                                    .back_end = back_end,
                                     .cancel = cancel,
                                     .tag = tag,
                                     .share = share};

@@ -197,7 +197,7 @@ static int prepare(struct run *run)
   if (error != MO_OK)
     return error;
   run->checkpoint_us = mo_jobs_clock_us();
-  error = mo_learner_prepare(run->jobs, &run->learner);
+  error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   if (error == MO_OK)
     error = mo_share_open(run->jobs, run->id, MO_JOB_TRAINING, &run->share);
   if (error == MO_OK && run->status.record.validate_every_steps > 0)
@@ -259,8 +259,13 @@ static int draw(struct run *run, const struct mo_robot **robots)
 static int write_code(void *context)
 {
   struct run *run = context;
-  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training),
-                                mo_compute_gradient_fingerprint(run->jobs->compute), &run->status.code);
+  const struct mo_compute *compute = run->jobs->compute;
+  const char *fingerprint = run->status.job.back_end == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(compute)
+                                                                     : mo_compute_gradient_fingerprint(compute);
+  if (fingerprint == NULL)
+    return MO_ERR_DEVICE;
+  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training), fingerprint,
+                                &run->status.code);
 }
 
 /* Other code gives other bits: it goes on, but says so. */
@@ -314,8 +319,8 @@ static int validate(struct run *run)
   (void)enter(run, MO_TRAINING_VALIDATE);
   run->status.validation.step = here;
   error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->learner.training),
-                            &run->status.record.settings.physics, run->id, run->share, &run->attempt.runner->interrupt,
-                            &run->status.validation);
+                            &run->status.record.settings.physics, run->status.job.back_end, run->id, run->share,
+                            &run->attempt.runner->interrupt, &run->status.validation);
   if (error == MO_OK)
     error = mo_attempt_persist(&run->attempt, write_validation, run, "a validation");
   (void)enter(run, MO_TRAINING_LEARN);
@@ -353,8 +358,8 @@ static int write_result(void *context)
     snprintf(name, sizeof(name), "%s", record->name);
   else
     snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
-  error = mo_training_export(run->learner.training, record->has_parent ? digits : NULL, run->jobs->code_version,
-                             &run->status.code, &controller);
+  error = mo_training_export(run->learner.training, record->has_parent ? digits : NULL,
+                             run->jobs->code_versions[run->status.job.back_end], &run->status.code, &controller);
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)

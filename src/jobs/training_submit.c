@@ -99,6 +99,8 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   error = check_request(request, message);
+  if (error == MO_OK)
+    error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error != MO_OK)
     return error;
   if (submission.parent == NULL && request->record.settings.kind == MO_TRAINING_FINETUNE)

@@ -25,7 +25,7 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
   return MO_OK;
 }
 
-const char *mo_jobs_code_version(const struct mo_jobs *jobs)
+const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end)
 {
-  return jobs->code_version;
+  return jobs->code_versions[back_end];
 }

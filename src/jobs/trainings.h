@@ -20,6 +20,7 @@ struct mo_training_request {
   int64_t population;       /* finetune: a succeeded evaluation, or a campaign: its newest population; 0: genotypes */
   uint32_t population_best; /* 0: all of them */
   int priority;             /* MO_BATCH */
+  int back_end;             /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;            /* as in mo_evaluation_request */
   const char *label;        /* nullable */
   const char *idempotency_key; /* nullable */
@@ -57,7 +58,7 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id,
 
 /* What trained controllers say of the code that made them ("morphod.version"): as given in the configuration, with the fingerprint of
  * the gradients. Lives as long as `jobs`. */
-const char *mo_jobs_code_version(const struct mo_jobs *jobs);
+const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end);
 
 /* What validation scores: every design in every environment, with the settings' physics, in float32. A pretraining: bodies of the
  * held-out stream of its seed; a finetuning: the first of its designs, which it learns on, too, but in other environments. Both arrays

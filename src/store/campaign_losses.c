@@ -151,7 +151,7 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
 
 struct known_keys {
   struct mo_campaign_head head;
-  int64_t environments[MO_ENVIRONMENTS_MAX], lowest, highest;
+  int64_t fingerprint, environments[MO_ENVIRONMENTS_MAX], lowest, highest;
 };
 
 /* 1: all of its losses are known. */
@@ -160,7 +160,7 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
+                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5 AND fingerprint=?6";
   uint8_t bits[MO_BITS_BYTES];
   uint64_t found = 0;
   int64_t row = 0;
@@ -183,6 +183,7 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
   sqlite3_bind_int64(statement, 3, keys->head.physics);
   sqlite3_bind_int64(statement, 4, keys->lowest);
   sqlite3_bind_int64(statement, 5, keys->highest);
+  sqlite3_bind_int64(statement, 6, keys->fingerprint);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     int64_t environment = sqlite3_column_int64(statement, 0);
     for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++)
@@ -214,11 +215,11 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys
   return error;
 }
 
-int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, const struct mo_bits *genotypes, uint32_t n,
-                                struct mo_campaign_loss *losses)
+int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
+                                const struct mo_bits *genotypes, uint32_t n, struct mo_campaign_loss *losses)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct known_keys keys = {.lowest = INT64_MAX};
+  struct known_keys keys = {.fingerprint = fingerprint};
   int64_t n_known = 0;
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)

@@ -195,8 +195,8 @@ static int submit_replicate(struct mo_store *store, const struct mo_campaign_sub
 {
   char data[192];
   int64_t id = 0;
-  int error = mo_job_insert(&store->writer, MO_JOB_CAMPAIGN, submission->priority, submission->weight,
-                            submission->label, now_us, &id);
+  int error = mo_job_insert(&store->writer, MO_JOB_CAMPAIGN, submission->priority, submission->back_end,
+                            submission->weight, submission->label, now_us, &id);
   if (replicate == 0)
     *group = id;
   else if (error == MO_OK && id != *group + replicate)

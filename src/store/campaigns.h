@@ -93,6 +93,7 @@ struct mo_campaign_submission {
   const struct mo_bits *forms, *genotypes;   /* (record.n_listed) */
   /* initial_campaign: its population is copied as the listed designs are: the store reads it in the same transaction. */
   enum mo_urgency priority;
+  enum mo_back_end back_end;
   double weight;
   const char *label;           /* nullable */
   const char *idempotency_key; /* nullable */
@@ -208,10 +209,10 @@ int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t g
 /* Those that are saved, by place (malloc). */
 int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation, struct mo_campaign_loss **losses,
                              size_t *n);
-/* What `scores` holds of each genotype under the campaign's controller, physics and environments (zero-shot): rows in which every
- * environment is known; place: in `genotypes`. losses: room for n. Returns their number. */
-int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, const struct mo_bits *genotypes, uint32_t n,
-                                struct mo_campaign_loss *losses);
+/* What `scores` holds of each genotype under the campaign's controller, physics and environments (zero-shot), computed by code of this
+ * fingerprint: rows in which every environment is known; place: in `genotypes`. losses: room for n. Returns their number. */
+int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
+                                const struct mo_bits *genotypes, uint32_t n, struct mo_campaign_loss *losses);
 
 /* Checkpoints of the learning: files campaigns/<job>/<generation>-<step>.checkpoint, written before their row. step: learning steps done of
  * `generation`; the last one of a generation is the state that the next starts from (simultaneous). A new one inside a generation replaces the

@@ -92,6 +92,7 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   job->weight = sqlite3_column_double(row, 28);
   if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
     return MO_ERR_CORRUPT;
+  job->back_end = sqlite3_column_int(row, 34) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
   job->has_label = sqlite3_column_type(row, 5) != SQLITE_NULL;
   mo_column_text(row, 5, job->label, sizeof(job->label));
   job->created_us = sqlite3_column_int64(row, 6);

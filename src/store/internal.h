@@ -148,13 +148,13 @@ bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
   "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
   "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \
   "e.record_stride,e.done,e.cached,e.diverged,t.parent_name,t.n_designs,t.settings,t.step,j.weight,"                   \
-  "m.controller_name,m.settings,m.generations,m.generation,m.n_environments"
+  "m.controller_name,m.settings,m.generations,m.generation,m.n_environments,j.back_end"
 #define MO_JOB_TABLES                                                                                                  \
   " FROM jobs j LEFT JOIN evaluations e ON e.job=j.id LEFT JOIN trainings t ON t.job=j.id"                             \
   " LEFT JOIN campaigns m ON m.job=j.id LEFT JOIN controllers c ON c.id=coalesce(e.controller,t.parent,m.controller)"  \
   " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s"                                                \
   " ON s.id=coalesce(e.environment_set,m.environment_set) "
-#define MO_JOB_N_COLUMNS 34
+#define MO_JOB_N_COLUMNS 35
 int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
@@ -166,8 +166,8 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, co
 int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
                       const struct mo_bits *genotypes, uint32_t n, int64_t now_us);
 /* What submissions name or give: found, or made. */
-int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority, double weight,
-                  const char *label, int64_t now_us, int64_t *id);
+int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority,
+                  enum mo_back_end back_end, double weight, const char *label, int64_t now_us, int64_t *id);
 /* Environments of a job: those of a set (copy_sql: ?1 job, ?2 set), or without one (0) these (sql: ?1 job, ?2 position, ?3 environment). */
 int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql, int64_t id, int64_t set,
                            const struct mo_environment *environments, uint32_t n);
@@ -208,7 +208,8 @@ int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
                     enum mo_job_state state, const char *more);
 /* MO_ERR_CONFLICT when the statement changed nothing. */
 int mo_run_changed(struct mo_connection *writer, sqlite3_stmt *statement);
-/* Of their own: what mo_store_queued_trainings, mo_store_training_start and _park are, for any such kind. */
+/* Of their own: what mo_store_queued_trainings, mo_store_training_start and _park are, for any such kind. Parked with MO_ERR_DEVICE it is
+ * paused, which is no attempt. */
 int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *ids, size_t limit);
 int mo_run_start(struct mo_store *store, int64_t id, enum mo_job_kind kind);
 int mo_run_park(struct mo_store *store, int64_t id, enum mo_job_kind kind, int error, const char *error_text,

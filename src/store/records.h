@@ -59,12 +59,13 @@ struct mo_job {
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;
-  double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
+  double weight;             /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
+  enum mo_back_end back_end; /* chosen at submission, for good */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
   bool has_label;
   int64_t created_us, started_us, finished_us;
   uint32_t attempts; /* crashes and runner errors so far */
-  int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt */
+  int error; /* MO_OK or a code; set when failed, or by the last unsuccessful attempt; MO_ERR_DEVICE: paused for want of a device */
   char error_text[256];
   /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights), sensor, physics, n_designs. Of a
    * campaign: controller likewise, environments, sensor, physics, n_designs: its population. */

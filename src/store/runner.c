@@ -52,7 +52,9 @@ static int check_change(const struct change_arguments *call, enum mo_job_kind ki
 
 static int change_job(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3 WHERE id=?1";
+  static const char sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3,"
+                            "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
+                            "error_text=CASE error WHEN ?4 THEN NULL ELSE error_text END WHERE id=?1";
   static const char retry_sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3,attempts=0,error=0,"
                                   "error_text=NULL WHERE id=?1";
   static const char *const types[] = {"job.finished", "job.paused", "job.resumed", "job.resumed"};
@@ -75,6 +77,8 @@ static int change_job(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, target);
   sqlite3_bind_int64(statement, 3, target == MO_JOB_CANCELLED ? mo_store_now_us() : 0);
+  if (call->change != MO_CHANGE_RETRY) /* that no device was there is said while the job waits for one */
+    sqlite3_bind_int64(statement, 4, MO_ERR_DEVICE);
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;

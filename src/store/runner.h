@@ -20,6 +20,7 @@ struct mo_submission {
   struct mo_physics physics;
   enum mo_precision precision;
   enum mo_urgency priority;
+  enum mo_back_end back_end;
   double weight;     /* 0: 1 */
   const char *label; /* nullable */
   bool verify, record_com, record_masses;
@@ -107,7 +108,8 @@ enum mo_job_step {
   MO_STEP_PROGRESS, /* counts */
   MO_STEP_SUCCEED,  /* running → succeeded, with counts */
   MO_STEP_RETRY, /* running (or queued: its start was lost) → queued, one attempt more; at max_attempts → failed */
-  MO_STEP_PARK   /* running → queued */
+  MO_STEP_PARK,  /* running → queued */
+  MO_STEP_HALT   /* running (or queued) → paused, with an error: no device is there to compute it */
 };
 struct mo_job_update {
   int64_t job;

@@ -93,21 +93,26 @@ static int park(struct mo_store *store, void *arguments)
                                   "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
                                   "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
                                   " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
+  static const char halt_sql[] = "UPDATE jobs SET state=2,version=version+1,error=?4,error_text=?5"
+                                 " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
   struct park_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
+  const bool halts = call->error == MO_ERR_DEVICE;
   enum mo_job_kind kind;
   int error = MO_OK;
   bool applied;
-  sqlite3_stmt *statement = mo_sql(writer, call->error == MO_OK ? park_sql : retry_sql, &error);
+  sqlite3_stmt *statement = mo_sql(writer, call->error == MO_OK ? park_sql : halts ? halt_sql : retry_sql, &error);
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, store->epoch);
   sqlite3_bind_int64(statement, 7, call->kind);
   if (call->error != MO_OK) {
-    sqlite3_bind_int64(statement, 3, mo_store_now_us());
     sqlite3_bind_int64(statement, 4, call->error);
     sqlite3_bind_text(statement, 5, call->text, -1, SQLITE_STATIC);
+  }
+  if (call->error != MO_OK && !halts) {
+    sqlite3_bind_int64(statement, 3, mo_store_now_us());
     sqlite3_bind_int64(statement, 6, call->max_attempts);
   }
   error = mo_sql_run(writer, statement);
@@ -117,7 +122,10 @@ static int park(struct mo_store *store, void *arguments)
     error = mo_job_state_get(writer, call->id, &call->after, &kind);
   if (error != MO_OK || !applied)
     return error;
-  return mo_run_announce(store, call->id, call->kind, call->after == MO_JOB_FAILED ? "job.finished" : "job.requeued",
+  return mo_run_announce(store, call->id, call->kind,
+                         call->after == MO_JOB_FAILED   ? "job.finished"
+                         : call->after == MO_JOB_PAUSED ? "job.paused"
+                                                        : "job.requeued",
                          call->after, "");
 }
 

@@ -205,6 +205,9 @@ static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=ver
                                 " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
 static const char park_sql[] = "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND state=1 AND epoch=?2";
 
+static const char halt_sql[] = "UPDATE jobs SET state=2,version=version+1,error=?4,error_text=?5"
+                               " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
+
 static int apply_counts(struct mo_connection *writer, const struct mo_job_update *update)
 {
   static const char sql[] = "UPDATE evaluations SET done=?2,cached=?3,diverged=?4 WHERE job=?1";
@@ -240,6 +243,7 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
 {
   const char *type = update->step == MO_STEP_START          ? "job.started"
                      : update->step == MO_STEP_PROGRESS     ? "job.progress"
+                     : update->step == MO_STEP_HALT         ? "job.paused"
                      : mo_job_state_is_final(update->state) ? "job.finished"
                                                             : "job.requeued";
   char data[320];
@@ -269,7 +273,7 @@ static int apply_late_counts(struct mo_connection *writer, const struct mo_job_u
 
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
-  static const char *const sql[] = {start_sql, progress_sql, succeed_sql, retry_sql, park_sql};
+  static const char *const sql[] = {start_sql, progress_sql, succeed_sql, retry_sql, park_sql, halt_sql};
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql[update->step], &error);
@@ -282,11 +286,12 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
     sqlite3_bind_int64(statement, 3, update->started_us != 0 ? update->started_us : mo_store_now_us());
   if (update->step == MO_STEP_SUCCEED || update->step == MO_STEP_RETRY)
     sqlite3_bind_int64(statement, 3, mo_store_now_us());
-  if (update->step == MO_STEP_RETRY) {
+  if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT) {
     sqlite3_bind_int64(statement, 4, update->error);
     sqlite3_bind_text(statement, 5, update->error_text, -1, SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 6, update->max_attempts);
   }
+  if (update->step == MO_STEP_RETRY)
+    sqlite3_bind_int64(statement, 6, update->max_attempts);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   if (error != MO_OK)

@@ -261,11 +261,11 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
   return error;
 }
 
-int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority, double weight,
-                  const char *label, int64_t now_us, int64_t *id)
+int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority,
+                  enum mo_back_end back_end, double weight, const char *label, int64_t now_us, int64_t *id)
 {
   static const char sql[] = "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-                            "finished_us,error,weight) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5)";
+                            "finished_us,error,weight,back_end) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -275,6 +275,7 @@ int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_u
   sqlite3_bind_text(statement, 3, label, -1, SQLITE_STATIC);
   sqlite3_bind_int64(statement, 4, now_us);
   sqlite3_bind_double(statement, 5, weight > 0 ? weight : 1);
+  sqlite3_bind_int64(statement, 6, back_end);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   *id = sqlite3_last_insert_rowid(writer->db);
@@ -289,8 +290,8 @@ static int insert_job(struct mo_connection *writer, const struct mo_submission *
       "record,record_stride,done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
   const char *name = strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
   sqlite3_stmt *statement;
-  int error =
-      mo_job_insert(writer, MO_JOB_EVALUATION, submission->priority, submission->weight, submission->label, now_us, id);
+  int error = mo_job_insert(writer, MO_JOB_EVALUATION, submission->priority, submission->back_end, submission->weight,
+                            submission->label, now_us, id);
   statement = error == MO_OK ? mo_sql(writer, evaluation_sql, &error) : NULL;
   if (statement == NULL)
     return error;

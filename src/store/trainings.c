@@ -75,8 +75,8 @@ static int submit(struct mo_store *store, void *arguments)
       error = mo_controller_sensor(writer, parent, &settings.sensor);
   }
   if (error == MO_OK)
-    error = mo_job_insert(writer, MO_JOB_TRAINING, submission->priority, submission->weight, submission->label, now_us,
-                          &call->id);
+    error = mo_job_insert(writer, MO_JOB_TRAINING, submission->priority, submission->back_end, submission->weight,
+                          submission->label, now_us, &call->id);
   if (error == MO_OK)
     error = insert_training(writer, submission, parent, &settings, call->id);
   if (error == MO_OK)

@@ -69,6 +69,7 @@ struct mo_training_submission {
   const struct mo_bits *forms;      /* (record.n_designs) canonical; finetune */
   const struct mo_bits *genotypes;  /* (record.n_designs) placed */
   enum mo_urgency priority;
+  enum mo_back_end back_end;
   double weight;               /* 0: 1 */
   const char *label;           /* nullable */
   const char *idempotency_key; /* nullable */

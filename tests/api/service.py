@@ -45,7 +45,7 @@ class UnixConnection(http.client.HTTPConnection):
 class Service:
     """Starts the daemon on a free port (or as `listen` says) with its state in a temporary folder."""
 
-    def __init__(self, *flags, listen=("127.0.0.1:0",), state=None, token=None, wait=True):
+    def __init__(self, *flags, listen=("127.0.0.1:0",), state=None, token=None, wait=True, environment=None):
         self.folder = tempfile.TemporaryDirectory(prefix="morphod-test-")
         base = pathlib.Path(self.folder.name)
         self.state = pathlib.Path(state) if state else base / "state"
@@ -56,7 +56,9 @@ class Service:
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        environment = {key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}
+        if not any(flag.startswith("--devices") for flag in flags):  # tests are of processors but where they say otherwise
+            command.append("--devices=none")
+        environment = {**{key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}, **(environment or {})}
         self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log, env=environment)
         deadline = time.monotonic() + 30
         while wait and not (port_file.exists() and port_file.read_text().count("\n") >= len(listen)):

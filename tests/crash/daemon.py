@@ -40,7 +40,7 @@ class Daemon:
         self.state = self.folder / "state"
         self.log = self.folder / "log"
         self.port_file = self.folder / "address"
-        self.settings = {"worker_nice": 0, "log_level": "info", **settings}
+        self.settings = {"worker_nice": 0, "log_level": "info", "devices": "none", **settings}
         self.process = None
         self.address = None
         self.session = requests.Session()

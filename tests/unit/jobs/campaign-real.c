@@ -97,7 +97,7 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   mo_sha256_to_hex(&record.sha256, digits);
   REQUIRE(mo_compute_create_cpu(&compute_config, &compute) == MO_OK);
   REQUIRE(mo_jobs_create(fixture.store, compute, &config, &jobs, &fixture.message) == MO_OK);
-  plain.code_version = mo_jobs_code_version(jobs);
+  plain.code_version = mo_jobs_code_version(jobs, MO_ON_CPU);
   REQUIRE(mo_jobs_submit_campaign(jobs, &request, &id, &replayed, NULL, &fixture.message) == MO_OK);
   REQUIRE(mo_jobs_wait(jobs, id, 60000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);

@@ -384,3 +384,37 @@ const char *mo_compute_fingerprint(const struct mo_compute *compute, enum mo_pre
   (void)compute;
   return precision == MO_FLOAT64 ? "fake float64" : "fake float32";
 }
+
+/* ---- devices: there are none ---- */
+
+uint32_t mo_compute_devices(const struct mo_compute *compute)
+{
+  (void)compute;
+  return 0;
+}
+
+uint32_t mo_compute_devices_working(const struct mo_compute *compute)
+{
+  (void)compute;
+  return 0;
+}
+
+int mo_compute_device(struct mo_compute *compute, uint32_t position, struct mo_device_status *status)
+{
+  (void)compute;
+  (void)position;
+  (void)status;
+  return MO_ERR_RANGE;
+}
+
+const char *mo_compute_device_fingerprint(const struct mo_compute *compute)
+{
+  (void)compute;
+  return NULL;
+}
+
+const char *mo_compute_device_gradient_fingerprint(const struct mo_compute *compute)
+{
+  (void)compute;
+  return NULL;
+}

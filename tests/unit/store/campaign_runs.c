@@ -243,15 +243,18 @@ static void shares_scores(void)
   struct mo_controller_record controller;
   double first_loss;
   int64_t n;
-  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), second;
+  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), second, fingerprint = made.fingerprint;
   REQUIRE(id > 0 && made_next(&made) == MO_OK);
-  CHECK_INT(mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known), 0);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION, known), 0);
   REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
   memcpy(asked, made.children, sizeof(*asked) * MADE_POPULATION);
   asked[MADE_POPULATION] = asked[2];
   memset(&asked[MADE_POPULATION + 1], 0, sizeof(*asked));
   asked[MADE_POPULATION + 1].words[0] = 1;
-  CHECK_INT(mo_store_campaign_known(fixture.store, id, asked, MADE_POPULATION + 2, known), MADE_POPULATION + 1);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint + 1, asked, MADE_POPULATION + 2, known),
+            0); /* other code */
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, asked, MADE_POPULATION + 2, known),
+            MADE_POPULATION + 1);
   for (uint32_t i = 0; i < MADE_POPULATION + 1; i++) {
     const struct mo_campaign_loss *loss = &made.losses[i < MADE_POPULATION ? i : 2];
     CHECK_INT(known[i].place, i);
@@ -281,28 +284,30 @@ static void shares_scores(void)
   other.state++;
   CHECK_INT(made_generation(&other), MO_OK);
   CHECK(!same_bits(other.losses[1].losses[0], first_loss));
-  CHECK_INT(mo_store_campaign_known(fixture.store, second, other.children, MADE_POPULATION, known), MADE_POPULATION);
+  CHECK_INT(mo_store_campaign_known(fixture.store, second, fingerprint, other.children, MADE_POPULATION, known),
+            MADE_POPULATION);
   CHECK(same_bits(known[1].losses[0], first_loss));
   CHECK_INT(mo_store_designs(fixture.store, &query, rows, 2 * MADE_POPULATION), MADE_POPULATION);
   made_free(&other);
   /* In part: what is missing is not known. */
   CHECK_INT(made_generation(&made), MO_OK);
-  CHECK_INT(mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known), MADE_POPULATION);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION, known),
+            MADE_POPULATION);
   mo_store_close(fixture.store);
   fixture.store = NULL;
   REQUIRE(outside(&fixture, "DELETE FROM scores WHERE genotype=(SELECT max(genotype) FROM scores) AND environment=3") ==
           SQLITE_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  n = mo_store_campaign_known(fixture.store, id, made.children, MADE_POPULATION, known);
+  n = mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION, known);
   CHECK_INT(n, MADE_POPULATION - 1);
-  CHECK_INT(mo_store_campaign_known(fixture.store, 99, made.children, 1, known), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_known(fixture.store, 99, fingerprint, made.children, 1, known), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   made_free(&made);
   fixture_end(&fixture);
   /* A campaign that learns has no scores to share. */
   id = begin(&fixture, &other, MO_FEW_SHOT);
   REQUIRE(id > 0 && made_generation(&other) == MO_OK);
-  CHECK_INT(mo_store_campaign_known(fixture.store, id, other.children, MADE_POPULATION, known), 0);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, other.children, MADE_POPULATION, known), 0);
   made_free(&other);
   fixture_end(&fixture);
 }

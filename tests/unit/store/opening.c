@@ -18,7 +18,7 @@ static void opens_and_locks(void)
   mo_store_close(fixture.store);
   fixture.store = NULL;
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 5);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 6);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
   CHECK_INT(outside_integer(&fixture,
                             "SELECT count(*) FROM sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'"
@@ -41,7 +41,7 @@ static void refuses_what_is_not_ours(void)
   REQUIRE(outside(&fixture, "PRAGMA user_version=99") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
   CHECK(strstr(fixture.message.text, "99") != NULL);
-  REQUIRE(outside(&fixture, "PRAGMA user_version=5; PRAGMA application_id=7") == SQLITE_OK);
+  REQUIRE(outside(&fixture, "PRAGMA user_version=6; PRAGMA application_id=7") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
   REQUIRE(outside(&fixture, "PRAGMA application_id=1836216424") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);

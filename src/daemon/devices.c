@@ -1,0 +1,75 @@
+/* devices.c: see devices.h. */
+#include "daemon/devices.h"
+
+#include <inttypes.h>
+#include <limits.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "daemon/log.h"
+
+/* Told by the back end, on a thread of its own. */
+static void device_is_lost(void *context, const struct mo_device_status *status)
+{
+  (void)context;
+  log_error("a device is lost", LOG_INT("device", status->index), LOG_TEXT("name", status->name),
+            LOG_TEXT("id", status->id), LOG_TEXT("detail", status->error));
+}
+
+/* The module of the build tree, beside this program, or that of the installation. */
+static void find_module(char path[PATH_MAX])
+{
+  static const char *const places[] = {"morphod-cuda.so", "../compute/cuda/morphod-cuda.so"};
+  char program[PATH_MAX], *slash;
+  ssize_t size = readlink("/proc/self/exe", program, sizeof(program) - 1);
+  program[size > 0 ? size : 0] = '\0';
+  slash = strrchr(program, '/');
+  for (size_t i = 0; slash != NULL && i < sizeof(places) / sizeof(places[0]); i++) {
+    int length = snprintf(path, PATH_MAX, "%.*s/%s", (int)(slash - program), program, places[i]);
+    if (length > 0 && length < PATH_MAX && access(path, R_OK) == 0)
+      return;
+  }
+  snprintf(path, PATH_MAX, "%s/morphod-cuda.so", MORPHOD_LIBDIR);
+}
+
+static void log_devices(struct mo_compute *compute)
+{
+  struct mo_device_status status;
+  for (uint32_t i = 0; mo_compute_device(compute, i, &status) == MO_OK; i++)
+    log_info("device", LOG_INT("device", status.index), LOG_TEXT("name", status.name), LOG_TEXT("id", status.id),
+             LOG_INT("memory_mib", status.memory_bytes >> 20), LOG_INT("multiprocessors", status.multiprocessors));
+  log_info("devices compute", LOG_TEXT("scores", mo_compute_device_fingerprint(compute)),
+           LOG_TEXT("gradients", mo_compute_device_gradient_fingerprint(compute)));
+}
+
+int devices_open(struct mo_compute *compute, const struct settings *settings, struct mo_message *message)
+{
+  struct device_choice choice;
+  struct mo_message words = {""};
+  char found[PATH_MAX];
+  int status = settings_parse_devices(&settings->devices, &choice, message);
+  if (status != MO_OK)
+    return status;
+  if (!choice.all && choice.n == 0) {
+    log_info("no devices are asked for: the processors compute");
+    return MO_OK;
+  }
+  if (settings->compute_module == NULL)
+    find_module(found);
+  const struct mo_devices_config config = {.module =
+                                               settings->compute_module != NULL ? settings->compute_module : found,
+                                           .devices = choice.all ? NULL : choice.indices,
+                                           .n = choice.n,
+                                           .lost = device_is_lost};
+  status = mo_compute_add_devices(compute, &config, &words);
+  const bool is_named = settings->compute_module != NULL || !choice.all;
+  if (status == MO_OK)
+    log_devices(compute);
+  else if ((status == MO_ERR_NOT_FOUND && !is_named) || (status == MO_ERR_EXHAUSTED && choice.all)) {
+    log_info("no devices: the processors compute", LOG_TEXT("detail", words.text));
+    status = MO_OK;
+  } else
+    (void)mo_fail(message, status, "devices: %.230s", words.text);
+  return status;
+}

@@ -1,0 +1,54 @@
+/* back_end.c: which jobs devices compute.
+ *
+ * It is chosen at submission and never changes: bits differ between devices and workers, and a training or a campaign that went on elsewhere would
+ * not be a function of its settings any more. So a job whose devices are gone waits for them, paused. */
+#include "jobs/internal.h"
+
+#define BLOCKS_A_DEVICE 8192 /* two calls and more, at ten environments a block */
+#define BLOCKS_A_WORKER 2
+
+int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large, enum mo_back_end *back_end,
+                       struct mo_message *message)
+{
+  const bool is_there = mo_compute_devices_working(jobs->compute) > 0;
+  if (asked != MO_BACK_END_AUTO && asked != MO_ON_CPU && asked != MO_ON_DEVICE)
+    return mo_fail(message, MO_ERR_INVALID, "no such device");
+  *back_end =
+      asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large) ? MO_ON_DEVICE : MO_ON_CPU;
+  if (*back_end == MO_ON_DEVICE && !suits)
+    return mo_fail(message, MO_ERR_DEVICE,
+                   "devices compute batches in float32 that record nothing: this evaluation is one for the processor");
+  if (*back_end == MO_ON_DEVICE && !is_there)
+    return mo_fail(message, MO_ERR_DEVICE, "no device works here that could compute this");
+  return MO_OK;
+}
+
+void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
+{
+  struct mo_device_status status;
+  const uint32_t n = mo_compute_devices(jobs->compute);
+  uint32_t i = 0;
+  while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK && status.state == MO_DEVICE_WORKS)
+    i++;
+  if (i == n)
+    snprintf(text, size,
+             "devices compute this job, and there are none: start the service with devices, then resume the job");
+  else
+    snprintf(text, size, "no device works any more (%.40s: %.100s): restart the service, then resume the job",
+             status.name, status.error);
+}
+
+int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  return back_end == MO_ON_DEVICE ? jobs->device_fingerprint : jobs->fingerprints[MO_FLOAT32];
+}
+
+uint32_t mo_back_end_window(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  struct mo_compute_stats stats;
+  const uint32_t n_devices = mo_compute_devices(jobs->compute);
+  if (back_end == MO_ON_DEVICE)
+    return BLOCKS_A_DEVICE * (n_devices > 0 ? n_devices : 1);
+  mo_compute_get_stats(jobs->compute, &stats);
+  return BLOCKS_A_WORKER * (stats.n_workers > 0 ? stats.n_workers : 1);
+}

@@ -1,0 +1,242 @@
+"""Devices, with a module that computes on the processor (tests/device/fake.c): what jobs take and show, the same results with any number of
+devices and whatever happens to them."""
+
+import os
+import pathlib
+import random
+import re
+import signal
+import subprocess
+import time
+
+import pytest
+
+from service import BINARY, SOURCE, Service
+
+MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
+MORPHOCTL = pathlib.Path(os.environ.get("MORPHOCTL", SOURCE / "build" / "clients" / "morphoctl" / "morphoctl"))
+FLAGS = (f"--compute-module={MODULE}", "--devices=auto")
+SHORT = {"n_steps": 20}
+CAMPAIGN = {"mode": "zero-shot", "population": 24, "generations": 4, "seed": 7, "physics": SHORT}
+TRAINING = {"kind": "pretrain", "steps": 3, "batch": 40, "physics": {"n_steps": 4}, "validation": {"every_steps": 3, "designs": 4, "environments": 2}}
+
+
+def grow(generator, size):
+    cells = {(2, 2, 0)}
+    while len(cells) < size:
+        x, y, z = generator.choice(sorted(cells))
+        dx, dy, dz = generator.choice(((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)))
+        if 0 <= x + dx < 6 and 0 <= y + dy < 6 and 0 <= z + dz < 4:
+            cells.add((x + dx, y + dy, z + dz))
+    return {"cells": [list(cell) for cell in sorted(cells)]}
+
+
+GENERATOR = random.Random(3)
+DESIGNS = [grow(GENERATOR, 5 + i % 12) for i in range(100)]
+LARGE = {"designs": DESIGNS, "physics": SHORT}
+
+
+def fake(**what):
+    return {f"MORPHO_FAKE_{name.upper()}": str(value) for name, value in what.items()}
+
+
+def await_state(service, path, *states, seconds=60):
+    deadline = time.monotonic() + seconds
+    while True:
+        reply = service.request("GET", path).json()
+        if reply["state"] in states:
+            return reply
+        assert time.monotonic() < deadline, reply
+        time.sleep(0.05)
+
+
+def run(service, kind, request):
+    reply = service.request("POST", f"/v1/{kind}", request)
+    assert reply.status == 202, reply.body
+    return await_state(service, f"/v1/{kind}/{reply.json()['id']}", "succeeded", "failed", "paused")
+
+
+def population(service, campaign):
+    items = service.request("GET", f"/v1/campaigns/{campaign['id']}/population?limit=1000").json()["items"]
+    return [(item["number"], item["genotype"], item["score"]) for item in items]
+
+
+def devices(service):
+    return service.request("GET", "/v1/devices").json()
+
+
+def test_without_devices(service):
+    assert devices(service) == {"devices": [], "fingerprints": {"scores": None, "gradients": None}}
+    for kind, request in (("evaluations", LARGE), ("trainings", TRAINING), ("campaigns", CAMPAIGN)):
+        refused = service.request("POST", f"/v1/{kind}", {**request, "device": "cuda"})
+        assert refused.status == 422 and refused.pointers() == ["/device"]
+        refused = service.request("POST", f"/v1/{kind}", {**request, "device": "abacus"})
+        assert refused.status == 422 and refused.pointers() == ["/device"]
+    taken = service.request("POST", "/v1/evaluations", {**LARGE, "device": "auto"}).json()
+    assert taken["device"] == "cpu"
+    assert service.request("DELETE", f"/v1/jobs/{taken['id']}").status == 200
+    assert "morphod_device_load" not in service.request("GET", "/metrics").body.decode()
+
+
+def test_evaluations(start):
+    plain = start()
+    expected = run(plain, "evaluations", LARGE)["results"]
+    service = start(*FLAGS, environment=fake(devices=2))
+    taken = run(service, "evaluations", LARGE)
+    assert taken["device"] == "cuda" and taken["results"] == expected
+    score = service.request("GET", f"/v1/designs/{expected[0]['id']}").json()["orientations"][0]["scores"][0]
+    assert score["fingerprint"] == "fake float32 score-1"
+    known = run(service, "evaluations", {**LARGE, "device": "cpu"})  # what is stored is not computed again, whatever computed it
+    assert known["device"] == "cpu" and known["rollouts_cached"] == 1000 and known["results"] == expected
+    small = run(service, "evaluations", {"designs": DESIGNS[:3], "physics": {"n_steps": 21}})
+    assert small["device"] == "cpu" and small["priority"] == "interactive"
+    small = run(service, "evaluations", {"designs": DESIGNS[:3], "physics": {"n_steps": 22}, "device": "cuda"})
+    assert small["device"] == "cuda" and small["priority"] == "batch"
+    for more in ({"record": ["com"]}, {"precision": "float64"}, {"priority": "interactive"}):
+        refused = service.request("POST", "/v1/evaluations", {**LARGE, "device": "cuda", **more})
+        assert refused.status == 422 and refused.pointers() == ["/device"]
+        if more != {"priority": "interactive"}:
+            assert run(service, "evaluations", {"designs": DESIGNS[:9], **more, "physics": SHORT, "priority": "batch"})["device"] == "cpu"
+    shown = devices(service)
+    assert shown["fingerprints"] == {"scores": "fake float32 score-1", "gradients": "fake float32 gradient-1"}
+    assert [device["id"] for device in shown["devices"]] == ["FAKE-0", "FAKE-1"]
+    computed = 10 * len({result["genotype"] for result in expected}) + 30  # each body once
+    assert sum(device["rollouts_done"] for device in shown["devices"]) == computed
+    assert all(device["state"] == "working" and device["error"] is None and device["capability"] == "9.0" for device in shown["devices"])
+    metrics = service.request("GET", "/metrics").body.decode()
+    counts = re.findall(r'^morphod_device_rollouts_total\{device="(\d)"\} (\d+)$', metrics, re.M)
+    assert [index for index, _ in counts] == ["0", "1"] and sum(int(n) for _, n in counts) == computed
+    assert float(re.search(r'^morphod_job_device_seconds_total\{kind="evaluation"\} (\S+)$', metrics, re.M).group(1)) > 0
+
+
+@pytest.fixture(scope="module")
+def undisturbed():
+    """What becomes of the jobs on one device."""
+    service = Service(*FLAGS, environment=fake())
+    campaign = run(service, "campaigns", CAMPAIGN)
+    training = run(service, "trainings", TRAINING)
+    result = {"population": population(service, campaign), "controller": training["controller"]["sha256"]}
+    assert campaign["device"] == "cuda" and training["device"] == "cuda" and len(result["population"]) == 24
+    assert service.close() == 0
+    return result
+
+
+@pytest.mark.parametrize("more", [{"devices": 2}, {"devices": 4}, {"devices": 2, "rows": 17}, {"devices": 2, "lose": "1:3"}])
+def test_same_results(start, undisturbed, more):
+    service = start(*FLAGS, environment=fake(**more))
+    assert population(service, run(service, "campaigns", CAMPAIGN)) == undisturbed["population"]
+    assert run(service, "trainings", TRAINING)["controller"]["sha256"] == undisturbed["controller"]
+    states = [device["state"] for device in devices(service)["devices"]]
+    assert states == (["working", "lost"] if "lose" in more else ["working"] * more["devices"])
+    assert ("a device is lost" in service.log_text()) == ("lose" in more)
+
+
+def test_the_last_device_is_lost(start, undisturbed, tmp_path):
+    state, trigger = tmp_path / "state", tmp_path / "lose"
+    service = start(*FLAGS, state=state, environment=fake(delay_ms=20, lose_if=trigger))
+    jobs = [("campaigns", service.request("POST", "/v1/campaigns", {**CAMPAIGN, "generations": 4}).json()["id"]),
+            ("trainings", service.request("POST", "/v1/trainings", TRAINING).json()["id"]),
+            ("evaluations", service.request("POST", "/v1/evaluations", {**LARGE, "physics": {"n_steps": 100}}).json()["id"])]
+    deadline = time.monotonic() + 30
+    while not any(device["calls"] > 1 for device in devices(service)["devices"]):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    trigger.touch()
+    for kind, job in jobs:
+        paused = await_state(service, f"/v1/{kind}/{job}", "paused", "succeeded")
+        if paused["state"] == "paused":
+            assert paused["error"]["code"] == "device" and "fallen off its bus" in paused["error"]["detail"]
+            assert kind == "evaluations" or "fallen off its bus" in paused["reason"]
+            assert paused["attempts"] == 0
+    assert await_state(service, f"/v1/campaigns/{jobs[0][1]}", "paused")["device"] == "cuda"
+    assert devices(service)["devices"][0]["state"] == "lost"
+    assert run(service, "evaluations", {"designs": DESIGNS[:2], "physics": SHORT})["state"] == "succeeded"
+    assert run(service, "evaluations", {**LARGE, "physics": {"n_steps": 3}})["device"] == "cpu"
+    refused = service.request("POST", "/v1/campaigns", {**CAMPAIGN, "device": "cuda"})
+    assert refused.status == 422 and refused.pointers() == ["/device"]
+    shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"], capture_output=True, text=True, timeout=30)
+    assert shown.returncode == 3 and "lost" in shown.stdout and "fallen off its bus" in shown.stderr
+    assert service.request("POST", f"/v1/campaigns/{jobs[0][1]}/resume").status == 200  # too early
+    await_state(service, f"/v1/campaigns/{jobs[0][1]}", "paused")
+    assert service.stop() == 0
+    without = start(state=state)  # the jobs wait for devices
+    assert without.request("POST", f"/v1/campaigns/{jobs[0][1]}/resume").status == 200
+    paused = await_state(without, f"/v1/campaigns/{jobs[0][1]}", "paused")
+    assert "there are none" in paused["reason"]
+    assert without.stop() == 0
+    trigger.unlink()
+    service = start(*FLAGS, state=state, environment=fake(devices=2))
+    for kind, job in jobs:
+        if service.request("GET", f"/v1/{kind}/{job}").json()["state"] == "paused":
+            assert service.request("POST", f"/v1/jobs/{job}/resume").status == 200
+    ended = [await_state(service, f"/v1/{kind}/{job}", "succeeded") for kind, job in jobs]
+    assert all(job["error"] is None for job in ended)
+    assert population(service, ended[0]) == undisturbed["population"]
+    assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
+
+
+def test_kill(start, undisturbed, tmp_path):
+    """kill -9 again and again, with another number of devices each time."""
+    state = tmp_path / "state"
+    campaign = training = None
+    for attempt in range(5):
+        service = start(*FLAGS, state=state, environment=fake(devices=1 + attempt % 3, delay_ms=15))
+        if campaign is None:
+            campaign = service.request("POST", "/v1/campaigns", CAMPAIGN).json()["id"]
+            training = service.request("POST", "/v1/trainings", TRAINING).json()["id"]
+        time.sleep(0.1 + 0.07 * attempt)
+        service.stop(signal.SIGKILL)
+    service = start(*FLAGS, state=state, environment=fake(devices=2))
+    assert population(service, await_state(service, f"/v1/campaigns/{campaign}", "succeeded")) == undisturbed["population"]
+    assert await_state(service, f"/v1/trainings/{training}", "succeeded")["controller"]["sha256"] == undisturbed["controller"]
+
+
+def test_cancel(start):
+    service = start(*FLAGS, environment=fake())
+    job = service.request("POST", "/v1/campaigns", {**CAMPAIGN, "physics": {"n_steps": 1000000}}).json()["id"]
+    deadline = time.monotonic() + 30
+    while not devices(service)["devices"][0]["busy"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert service.request("POST", f"/v1/campaigns/{job}/cancel").status == 200
+    deadline = time.monotonic() + 10
+    while devices(service)["devices"][0]["busy"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_another_code_is_told(start, tmp_path):
+    """A training that goes on under another version of the module says so."""
+    state = tmp_path / "state"
+    service = start(*FLAGS, state=state, environment=fake(delay_ms=300))
+    job = service.request("POST", "/v1/trainings", {**TRAINING, "checkpoint": {"every_steps": 1}}).json()["id"]
+    deadline = time.monotonic() + 60
+    while service.request("GET", f"/v1/trainings/{job}").json()["progress"]["step"] < 1:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert service.stop() == 0
+    service = start(*FLAGS, state=state, environment=fake(code="version-2"))
+    ended = await_state(service, f"/v1/trainings/{job}", "succeeded")
+    assert [code["fingerprint"] for code in ended["code"]] == ["fake float32 gradient-1", "fake float32 version-2"]
+
+
+@pytest.mark.parametrize("flags, environment, words", [
+    (FLAGS, {"abi": 7}, "another version of this program"),
+    ((f"--compute-module={MODULE}", "--devices=0,3"), {"devices": 2}, "there is no device 3"),
+    ((f"--compute-module={MODULE}", "--devices=1"), {"devices": 2, "shut": 1}, "device 1 cannot be opened"),
+    (("--compute-module=/no/such/module.so", "--devices=auto"), {}, "/no/such/module.so"),
+    (("--devices=many",), {}, "is not auto, none or the number of a device")])
+def test_refused_at_the_start(flags, environment, words):
+    with pytest.raises(RuntimeError) as failure:
+        Service(*flags, environment=fake(**environment))
+    assert words in str(failure.value)
+
+
+def test_without_what_auto_looks_for(start):
+    service = start(f"--compute-module={MODULE}", "--devices=auto", environment=fake(devices=0))
+    assert service.log_text().count("no devices: the processors compute") == 1
+    assert devices(service)["devices"] == []
+    service = start(f"--compute-module={MODULE}", "--devices=1", environment=fake(devices=2))
+    assert [device["index"] for device in devices(service)["devices"]] == [1]
+    shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"], capture_output=True, text=True, timeout=30)
+    assert shown.returncode == 0 and "Fake device" in shown.stdout and "FAKE-1" in shown.stdout
