@@ -1,8 +1,9 @@
 /* learning.c: trainings from random weights, step by step, and what their losses were; `morpho-bench learning`.
  *
- * Every combination of sensor, schedule, clipping and seed asked for is one training. They run one after the other: the first recipe
- * with all its seeds, then all others with the first seed, and so on. Each step is a row of the CSV file; every ten steps a checkpoint is written beside it. So the program may be
- * stopped at any time: it goes on where it was, and gives the same numbers. */
+ * Every combination of sensor, schedule, clipping and seed asked for is one training; inverse_square has one recipe more. They run one
+ * after the other: the first recipe with all its seeds, then all others with the first seed, and so on. Each step is a row of the CSV
+ * file; every ten steps a checkpoint is written beside it. So the program may be stopped at any time: it goes on where it was, and
+ * gives the same numbers. */
 #include "learning.h"
 
 #include <errno.h>
@@ -12,7 +13,12 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { SEEDS_MAX = 16, RUNS_MAX = 2 * 2 * 2 * SEEDS_MAX, SAVE_EVERY = 10 };
+enum { SEEDS_MAX = 16, GROUPS_MAX = 2 * 2 * 2 + 1, RUNS_MAX = GROUPS_MAX * SEEDS_MAX, SAVE_EVERY = 10 };
+
+/* What inverse_square learns fastest by. */
+#define TIGHT_PEAK         4e-3
+#define TIGHT_WARMUP_STEPS 5
+#define TIGHT_BOUND        0.5
 
 static const char usage[] =
     "Usage: morpho-bench learning [OPTION…]\n"
@@ -26,6 +32,8 @@ static const char usage[] =
     "  --peak X           highest rate (default: 2e-3 for one cosine, 1e-3 for the restarts)\n"
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
+    "                     With none of these three, inverse_square with one cosine and clipping is trained twice:\n"
+    "                     once more with --peak 4e-3 --warmup 5 --bound 0.5.\n"
     "  --workers N        threads (default: one per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --csv PATH         rows of the steps, read at the start and appended to (default learning.csv)\n"
@@ -47,7 +55,8 @@ struct plan {
   uint64_t seeds[SEEDS_MAX];
   size_t n_seeds;
   uint32_t batch, steps, warmup, designs, environments;
-  double peak, bound;
+  double peak, bound; /* peak 0: the schedule's own */
+  bool own_recipe;    /* peak, warmup or bound was given */
   bool report, finetune;
   const char *folder;
 };
@@ -231,24 +240,42 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   return run;
 }
 
-/* Recipe by recipe, each with all its seeds. */
-static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_MAX], struct curves_group groups[8])
+static struct curves_group *make_group(const struct plan *plan, int sensor, int restarts, int off,
+                                       struct learning_run *runs, struct curves_group *group)
 {
-  size_t n = 0, n_groups = 0;
+  *group = (struct curves_group){.runs = runs, .n_runs = plan->n_seeds};
+  for (size_t s = 0; s < plan->n_seeds; s++)
+    runs[s] = make_run(plan, sensor, restarts, off, plan->seeds[s]);
+  return group;
+}
+
+/* Recipe by recipe, each with all its seeds. */
+static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_MAX],
+                        struct curves_group groups[GROUPS_MAX])
+{
+  size_t n_groups = 0;
   for (int sensor = 0; sensor < 2; sensor++)
     for (int off = 0; off < 2; off++)
       for (int restarts = 0; restarts < 2; restarts++) {
         if (!plan->sensors[sensor] || !plan->clips[off] || !plan->schedules[restarts])
           continue;
-        struct curves_group *group = &groups[n_groups++];
-        group->runs = runs + n;
-        group->n_runs = plan->n_seeds;
-        for (size_t s = 0; s < plan->n_seeds; s++)
-          runs[n++] = make_run(plan, sensor, restarts, off, plan->seeds[s]);
+        struct curves_group *group =
+            make_group(plan, sensor, restarts, off, runs + n_groups * plan->n_seeds, &groups[n_groups]);
         snprintf(group->name, sizeof(group->name), "%s, adjoint %s", restarts ? "the paper's restarts" : "one cosine",
                  off ? "not clipped" : "clipped");
+        n_groups++;
       }
-  return n;
+  if (plan->sensors[MO_SENSOR_INVERSE_SQUARE] && plan->schedules[0] && plan->clips[0] && !plan->own_recipe) {
+    struct plan tight = *plan;
+    tight.peak = TIGHT_PEAK;
+    tight.warmup = TIGHT_WARMUP_STEPS;
+    tight.bound = TIGHT_BOUND;
+    struct curves_group *group =
+        make_group(&tight, MO_SENSOR_INVERSE_SQUARE, 0, 0, runs + n_groups * plan->n_seeds, &groups[n_groups]);
+    snprintf(group->name, sizeof(group->name), "one cosine, peak %g, clipped at %g", TIGHT_PEAK, TIGHT_BOUND);
+    n_groups++;
+  }
+  return n_groups;
 }
 
 /* ---- what came of it ---- */
@@ -412,9 +439,18 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     case SEEDS: read_seeds(optarg, plan); break;
     case BATCH: plan->batch = (uint32_t)whole(name, optarg, MO_TRAINING_BATCH_MAX); break;
     case STEPS: plan->steps = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX); break;
-    case PEAK: plan->peak = real(name, optarg); break;
-    case WARMUP: plan->warmup = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX); break;
-    case BOUND: plan->bound = real(name, optarg); break;
+    case PEAK:
+      plan->peak = real(name, optarg);
+      plan->own_recipe = true;
+      break;
+    case WARMUP:
+      plan->warmup = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX);
+      plan->own_recipe = true;
+      break;
+    case BOUND:
+      plan->bound = real(name, optarg);
+      plan->own_recipe = true;
+      break;
     case WORKERS: options->workers = (uint32_t)whole(name, optarg, 1024); break;
     case ISA:
       if (mo_isa_from_name(optarg, &options->isa) != MO_OK)
@@ -441,8 +477,8 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
 static int learn(const struct plan *plan, const struct bench_options *options)
 {
   static struct learning_run runs[RUNS_MAX];
-  static struct curves_group groups[8];
-  const size_t n_runs = make_runs(plan, runs, groups), n_groups = n_runs / plan->n_seeds;
+  static struct curves_group groups[GROUPS_MAX];
+  const size_t n_groups = make_runs(plan, runs, groups), n_runs = n_groups * plan->n_seeds;
   const char *csv = options->csv != NULL ? options->csv : "learning.csv";
   char folder[900] = ".";
   const char *slash = strrchr(csv, '/');

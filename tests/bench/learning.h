@@ -37,7 +37,7 @@ struct curves_group {
 };
 struct curves_panel {
   const char *title;
-  const struct curves_group *groups[4];
+  const struct curves_group *groups[5];
   size_t n_groups;
 };
 int bench_draw_curves(const char *path, uint32_t n_steps, const struct curves_panel *panels, size_t n_panels);
