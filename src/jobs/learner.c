@@ -1,12 +1,49 @@
-/* learner.c: one step of learning on the back end, for trainings and for campaigns that learn. */
+/* learner.c: one step of learning on the back end, for trainings and for campaigns that learn.
+ *
+ * A device computes the gradient of a thousand robots in the time that a processor needs to draw them. So while it does, a thread of this
+ * step draws the robots of the next one. On the workers, where a gradient takes a hundred times as long, that would gain nothing. */
+#include <pthread.h>
+#include <signal.h>
 #include <stdlib.h>
 
 #include "jobs/internal.h"
 
+#define DRAW_THREADS_MAX 8
+
+struct ahead {
+  struct mo_training *training;
+  const volatile int *cancel;
+  pthread_t thread;
+  bool runs;
+};
+
+/* What fails here fails again, and is told, when the step is due. */
+static void *draw_ahead(void *context)
+{
+  const struct ahead *ahead = context;
+  (void)mo_training_draw_ahead(ahead->training, ahead->cancel);
+  return NULL;
+}
+
+static void begin_ahead(struct mo_learner *learner, struct ahead *ahead)
+{
+  sigset_t all, before;
+  if (learner->back_end != MO_ON_DEVICE)
+    return;
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
+  ahead->runs = pthread_create(&ahead->thread, NULL, draw_ahead, ahead) == 0;
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+}
+
 int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner)
 {
   const size_t batch = mo_training_settings_of(learner->training)->batch;
+  struct mo_compute_stats stats;
+  mo_compute_get_stats(jobs->compute, &stats);
   learner->back_end = back_end;
+  if (back_end == MO_ON_DEVICE)
+    mo_training_set_threads(learner->training, stats.n_workers < DRAW_THREADS_MAX ? stats.n_workers : DRAW_THREADS_MAX);
   learner->d_parameters = calloc(mo_training_controller(learner->training)->n_parameters, sizeof(double));
   learner->outcomes = calloc(batch, sizeof(*learner->outcomes));
   return learner->d_parameters == NULL || learner->outcomes == NULL
@@ -32,7 +69,12 @@ int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, e
                                     .back_end = learner->back_end,
                                     .d_parameters = learner->d_parameters,
                                     .outcomes = learner->outcomes};
-  int error = mo_compute_gradient(learner->gradients, &batch);
+  struct ahead ahead = {.training = learner->training, .cancel = cancel};
+  int error;
+  begin_ahead(learner, &ahead);
+  error = mo_compute_gradient(learner->gradients, &batch);
+  if (ahead.runs)
+    pthread_join(ahead.thread, NULL);
   if (error == MO_OK)
     error = mo_training_apply(learner->training, learner->d_parameters, learner->outcomes, &batch.counts, report);
   *seconds = (double)(mo_jobs_clock_us() - start_us) * 1e-6;
