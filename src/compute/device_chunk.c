@@ -10,7 +10,7 @@
 
 int mo_chunk_create(struct mo_chunk *chunk)
 {
-  chunk->blocks = calloc(MO_CHUNK_ROWS, sizeof(*chunk->blocks));
+  chunk->blocks = calloc(MO_CHUNK_ROWS, sizeof(struct mo_block *));
   chunk->status = calloc(MO_CHUNK_ROWS, sizeof(*chunk->status));
   chunk->first_row = calloc(MO_CHUNK_ROWS, sizeof(*chunk->first_row));
   chunk->bodies = calloc(MO_CHUNK_ROWS, sizeof(struct mo_body *));
@@ -39,11 +39,19 @@ struct room {
   uint32_t rows; /* left */
 };
 
+static bool same_physics(const struct mo_physics *a, const struct mo_physics *b)
+{
+  return a->dt_s == b->dt_s && a->n_steps == b->n_steps && a->stiffness_n_per_m == b->stiffness_n_per_m &&
+         a->mass_kg == b->mass_kg && a->drag_per_s == b->drag_per_s && a->gravity_m_per_s2 == b->gravity_m_per_s2 &&
+         a->actuation == b->actuation && a->friction == b->friction && a->friction_cap == b->friction_cap &&
+         a->drop_height_m == b->drop_height_m && a->impact == b->impact && a->bisections == b->bisections;
+}
+
 static bool fits(const struct mo_block *block, void *context)
 {
   const struct room *room = context;
   return block->shards == NULL && block->controller == room->like->controller && block->n_environments <= room->rows &&
-         memcmp(&block->physics, &room->like->physics, sizeof(block->physics)) == 0;
+         same_physics(&block->physics, &room->like->physics);
 }
 
 /* Rows of each of the calls that are needed for all that a share has waiting. */
@@ -167,13 +175,14 @@ void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
   pthread_cond_broadcast(&devices->wake);
 }
 
+/* outcomes: of a scoring block that has rows; else NULL. */
 static void end_block(struct mo_devices *devices, struct mo_block *block, int status, const struct mo_outcome *outcomes)
 {
   if (status == MO_CHUNK_TO_WORKERS) {
     status = mo_compute_submit_to_workers(devices->compute, block);
     if (status == MO_OK)
       return;
-  } else if (status == MO_OK && block->shards == NULL) {
+  } else if (status == MO_OK && outcomes != NULL) {
     memcpy(block->outcomes, outcomes, block->n_environments * sizeof(*outcomes));
   }
   block->status = status;
