@@ -209,8 +209,10 @@ static int step(struct mo_campaign_run *run)
   const struct mo_robot *robots = NULL;
   int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
   if (error == MO_OK)
-    error = mo_learner_step(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                            &run->attempt.runner->interrupt, &row->report, &row->seconds);
+    error = mo_learner_gradient(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                                &run->attempt.runner->interrupt);
+  if (error == MO_OK)
+    error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
     return error;
   row->generation = run->generation;

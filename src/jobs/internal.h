@@ -323,15 +323,19 @@ struct mo_learner {
   struct mo_training *training;
   struct mo_gradient_state *gradients;
   enum mo_back_end back_end; /* set by mo_learner_prepare */
+  /* Of the gradient that is to be applied. */
+  enum mo_back_end computed_on;
+  struct mo_gradient_counts counts;
+  int64_t start_us;
   double *d_parameters;
   struct mo_outcome *outcomes;
 };
 /* Everything but the training, for it. MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
-/* The gradient of the robots that were drawn, and a step with it. seconds: its wall time. */
-int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
-                    struct mo_compute_share *share, const volatile int *cancel, struct mo_training_report *report,
-                    double *seconds);
+/* A step: the gradient of the robots that were drawn, then their application. computed_on says who computed it. seconds: of both. */
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
+                        struct mo_compute_share *share, const volatile int *cancel);
+int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds);
 void mo_learner_free(struct mo_learner *learner); /* the training, too */
 
 /* ---- campaign_run.c ---- */

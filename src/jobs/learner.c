@@ -51,12 +51,10 @@ int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct m
              : mo_gradient_state_create(jobs->compute, &learner->gradients);
 }
 
-int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
-                    struct mo_compute_share *share, const volatile int *cancel, struct mo_training_report *report,
-                    double *seconds)
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
+                        struct mo_compute_share *share, const volatile int *cancel)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
-  int64_t start_us = mo_jobs_clock_us();
   struct mo_gradient_batch batch = {.controller = mo_training_controller(learner->training),
                                     .robots = robots,
                                     .n = settings->batch,
@@ -71,13 +69,20 @@ int mo_learner_step(struct mo_learner *learner, const struct mo_robot *robots, e
                                     .outcomes = learner->outcomes};
   struct ahead ahead = {.training = learner->training, .cancel = cancel};
   int error;
+  learner->start_us = mo_jobs_clock_us();
   begin_ahead(learner, &ahead);
   error = mo_compute_gradient(learner->gradients, &batch);
   if (ahead.runs)
     pthread_join(ahead.thread, NULL);
-  if (error == MO_OK)
-    error = mo_training_apply(learner->training, learner->d_parameters, learner->outcomes, &batch.counts, report);
-  *seconds = (double)(mo_jobs_clock_us() - start_us) * 1e-6;
+  learner->counts = batch.counts;
+  learner->computed_on = batch.computed_on;
+  return error;
+}
+
+int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds)
+{
+  int error = mo_training_apply(learner->training, learner->d_parameters, learner->outcomes, &learner->counts, report);
+  *seconds = (double)(mo_jobs_clock_us() - learner->start_us) * 1e-6;
   return error;
 }
 

@@ -34,7 +34,8 @@ struct run {
     int64_t end_us;
   } rates[RATES];
   uint64_t n_rates;
-  bool code_noted; /* this run's code is in the lineage */
+  bool code_noted; /* this run's code is in the lineage: */
+  enum mo_back_end noted;
 };
 
 static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
@@ -260,19 +261,22 @@ static int write_code(void *context)
 {
   struct run *run = context;
   const struct mo_compute *compute = run->jobs->compute;
-  const char *fingerprint = run->status.job.back_end == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(compute)
+  const char *fingerprint = run->learner.computed_on == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(compute)
                                                                      : mo_compute_gradient_fingerprint(compute);
-  if (fingerprint == NULL)
-    return MO_ERR_DEVICE;
   return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training), fingerprint,
                                 &run->status.code);
 }
 
-/* Other code gives other bits: it goes on, but says so. */
+/* Other code gives other bits: it goes on, but says so, before the step is applied. Also when workers compute what a device does not
+ * support. */
 static int note_code(struct run *run)
 {
-  int error = run->code_noted ? MO_OK : mo_attempt_persist(&run->attempt, write_code, run, "the lineage");
+  int error;
+  if (run->code_noted && run->noted == run->learner.computed_on)
+    return MO_OK;
+  error = mo_attempt_persist(&run->attempt, write_code, run, "the lineage");
   run->code_noted = error == MO_OK;
+  run->noted = run->learner.computed_on;
   return error;
 }
 
@@ -283,10 +287,12 @@ static int step(struct run *run)
   struct mo_training_step_row *row = &run->rows[run->n_rows];
   int error = draw(run, &robots);
   if (error == MO_OK)
+    error = mo_learner_gradient(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                                &run->attempt.runner->interrupt);
+  if (error == MO_OK)
     error = note_code(run);
   if (error == MO_OK)
-    error = mo_learner_step(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                            &run->attempt.runner->interrupt, &row->report, &row->seconds);
+    error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
     return error;
   run->n_rows++;

@@ -220,6 +220,18 @@ def test_another_code_is_told(start, tmp_path):
     assert [code["fingerprint"] for code in ended["code"]] == ["fake float32 gradient-1", "fake float32 version-2"]
 
 
+def test_a_gradient_that_devices_do_not_support(start):
+    """The processors compute all of it, and the training says so."""
+    plain = start()
+    expected = run(plain, "trainings", {**TRAINING, "validation": {"every_steps": 0}})
+    service = start(*FLAGS, environment=fake(springs=30))
+    training = run(service, "trainings", {**TRAINING, "validation": {"every_steps": 0}, "name": "other"})
+    assert training["device"] == "cuda" and training["code"] == expected["code"]
+    assert training["code"][0]["fingerprint"].startswith("cpu ")
+    steps = [service.request("GET", f"/v1/trainings/{job['id']}/steps").json()["items"] for service, job in ((plain, expected), (service, training))]
+    assert [step["mean_loss"] for step in steps[0]] == [step["mean_loss"] for step in steps[1]]
+
+
 @pytest.mark.parametrize("flags, environment, words", [
     (FLAGS, {"abi": 7}, "another version of this program"),
     ((f"--compute-module={MODULE}", "--devices=0,3"), {"devices": 2}, "there is no device 3"),
