@@ -1,0 +1,317 @@
+/* Rows laid out for a device: everything that the rows have is there once, where the device looks for it. */
+#include "../check.h"
+
+#include "compute/cuda/plan.h"
+
+enum { BODIES = 60, PLACES = 7, N = BODIES * PLACES };
+
+static struct mo_lattice *lattice;
+static struct mo_body *bodies[BODIES];
+static struct mo_environment environments[PLACES];
+static struct mo_robot robots[N];
+
+/* Random bodies, from 1 voxel to 144; rows of a body stand together but for some. */
+static int setup(void)
+{
+  struct mo_body_stream *stream = NULL;
+  if (lattice != NULL)
+    return 1;
+  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) < 0 ||
+      mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream) < 0)
+    return 0;
+  for (int b = 0; b < BODIES; b++) {
+    uint64_t bits[MO_DEFAULT_WORDS] = {1};
+    if (b == 1)
+      bits[0] = bits[1] = UINT64_MAX, bits[2] = 0xffff;
+    if ((b > 1 && mo_body_stream_next(stream, bits) < 0) || mo_body_create(lattice, bits, &bodies[b]) < 0)
+      return 0;
+  }
+  mo_body_stream_free(stream);
+  for (uint32_t e = 0; e < PLACES; e++)
+    mo_environment_training(4, 0, e, environments + e);
+  for (int r = 0; r < N; r++)
+    robots[r] = (struct mo_robot){bodies[r / PLACES], environments + r % PLACES};
+  const struct mo_robot first = robots[0];
+  robots[0] = robots[N / 2];
+  robots[N / 2] = first;
+  return 1;
+}
+
+struct filled {
+  struct mo_plan plan;
+  char *block;
+  const struct mo_plan_body *bodies;
+  const uint32_t *links, *masses;
+  const uint8_t *ranks, *inputs, *columns;
+  const struct mo_plan_group *groups;
+  const struct mo_plan_part *parts;
+  const struct mo_plan_row *rows;
+  const struct mo_plan_tile *tiles;
+};
+
+static const struct mo_plan_options options = {
+    .rows = 40, .group_bytes = 100000, .column_bytes = 8192, .place_bytes = 12};
+
+static int fill(struct filled *filled, const struct mo_robot *rows, uint32_t n, uint32_t shares)
+{
+  if (mo_plan_create(&filled->plan, rows, n, &options) < 0)
+    return 0;
+  const struct mo_plan_block *block = &filled->plan.block;
+  char *base = filled->block = aligned_alloc(256, block->bytes);
+  if (base == NULL)
+    return 0;
+  memset(base, 0x5a, block->bytes);
+  for (uint32_t share = 0; share < shares; share++)
+    mo_plan_fill(&filled->plan, base, share, shares);
+  filled->bodies = (const void *)(base + block->bodies);
+  filled->links = (const void *)(base + block->links);
+  filled->masses = (const void *)(base + block->masses);
+  filled->ranks = (const void *)(base + block->ranks);
+  filled->inputs = (const void *)(base + block->inputs);
+  filled->columns = (const void *)(base + block->columns);
+  filled->groups = (const void *)(base + block->groups);
+  filled->parts = (const void *)(base + block->parts);
+  filled->rows = (const void *)(base + block->rows);
+  filled->tiles = (const void *)(base + block->tiles);
+  return 1;
+}
+
+static void release(struct filled *filled)
+{
+  mo_plan_free(&filled->plan);
+  free(filled->block);
+}
+
+static void rows_once(void)
+{
+  struct filled f;
+  REQUIRE(setup() && fill(&f, robots, N, 3));
+  CHECK_INT(f.plan.n_bodies, BODIES);
+  CHECK_INT(f.plan.n_environments, PLACES);
+  static int seen[N];
+  memset(seen, 0, sizeof(seen));
+  uint32_t rows = 0, parts = 0;
+  for (uint32_t g = 0; g < f.plan.n_groups; g++) {
+    const struct mo_plan_group *group = f.groups + g;
+    CHECK_INT(group->first_row, rows);
+    CHECK_INT(group->first_part, parts);
+    CHECK(group->n_rows >= 1 && group->n_rows <= MO_PLAN_ROWS_MAX);
+    CHECK((group->n_rows + 7) / 8 * options.column_bytes + group->n_places * options.place_bytes <=
+          options.group_bytes);
+    uint32_t row = 0, place = 0;
+    for (uint32_t p = 0; p < group->n_parts; p++) {
+      const struct mo_plan_part *part = f.parts + group->first_part + p;
+      CHECK_INT(part->first_row, row);
+      CHECK_INT(part->first_place, place);
+      for (uint32_t r = 0; r < part->n_rows; r++) {
+        const struct mo_plan_row *plan_row = f.rows + group->first_row + row + r;
+        REQUIRE(plan_row->row < N);
+        seen[plan_row->row]++;
+        CHECK(f.plan.bodies[part->body] == robots[plan_row->row].body);
+        CHECK(f.plan.environments[plan_row->environment] == robots[plan_row->row].environment);
+      }
+      row += part->n_rows;
+      place += part->n_rows * f.bodies[part->body].n_masses;
+    }
+    CHECK_INT(row, group->n_rows);
+    CHECK_INT(place, group->n_places);
+    rows += group->n_rows;
+    parts += group->n_parts;
+  }
+  for (int r = 0; r < N; r++)
+    CHECK_INT(seen[r], 1);
+  const double *heights = (const double *)(const void *)(f.block + f.plan.block.environments);
+  for (uint32_t e = 0; e < PLACES; e++) {
+    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES, f.plan.environments[e]->light_xy_m, 16) == 0);
+    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES + 2, f.plan.environments[e]->terrain_heights_m, 512) == 0);
+  }
+  release(&f);
+}
+
+/* Every spring is a link of both of its ends, in the order of the body's springs; what fills the last quad has no length. */
+static void links(void)
+{
+  struct filled f;
+  REQUIRE(setup() && fill(&f, robots, N, 1));
+  for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
+    const struct mo_plan_body *header = f.bodies + b;
+    const struct mo_body *body = f.plan.bodies[b];
+    const uint8_t *ranks = f.ranks + header->first_mass;
+    const uint32_t *masses = f.masses + header->first_mass;
+    const uint32_t *list = f.links + (size_t)MO_PLAN_LINKS * header->first_quad;
+    uint32_t next[MO_DEFAULT_MASSES] = {0}, slot_of_first[MO_DEFAULT_MASSES] = {0};
+    CHECK_INT(header->n_masses, body->n_masses);
+    for (uint32_t s = 0; s < body->n_springs; s++)
+      for (int end = 0; end < 2; end++) {
+        const uint32_t mass = end == 0 ? body->spring_a[s] : body->spring_b[s];
+        const uint32_t other = end == 0 ? body->spring_b[s] : body->spring_a[s];
+        const uint32_t slot = f.plan.slots[body->spring_lattice[s]];
+        if (next[mass] == 0)
+          slot_of_first[mass] = slot;
+        const uint32_t link = list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(masses[ranks[mass]]) + next[mass]++];
+        CHECK_INT(MO_PLAN_LINK_MASS(link), ranks[other]);
+        CHECK_INT(MO_PLAN_LINK_SLOT(link), slot);
+      }
+    for (uint32_t m = 0; m < body->n_masses; m++) {
+      const uint32_t mass = masses[ranks[m]], end = MO_PLAN_LINKS * MO_PLAN_MASS_QUADS(mass);
+      CHECK_INT(end, (next[m] + MO_PLAN_LINKS - 1) / MO_PLAN_LINKS * MO_PLAN_LINKS);
+      for (uint32_t e = next[m]; e < end; e++)
+        CHECK_INT(list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(mass) + e], MO_PLAN_LINK(slot_of_first[m], ranks[m]));
+      CHECK_INT(MO_PLAN_MASS_X(mass), body->mass_xyz[3 * m]);
+      CHECK_INT(MO_PLAN_MASS_Y(mass), body->mass_xyz[3 * m + 1]);
+      CHECK_INT(MO_PLAN_MASS_Z(mass), body->mass_xyz[3 * m + 2]);
+      CHECK(ranks[m] == 0 || MO_PLAN_MASS_QUADS(masses[ranks[m] - 1]) >= MO_PLAN_MASS_QUADS(mass));
+    }
+  }
+  release(&f);
+}
+
+/* Every mass's sensor is listed once, at the place where the first layer's weights expect it. */
+static void inputs(void)
+{
+  struct filled f;
+  int used[MO_PLAN_INPUTS] = {0};
+  for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++)
+    used[MO_PLAN_INPUT_PLACE(k)]++;
+  for (uint32_t i = 0; i < MO_PLAN_INPUTS; i++)
+    CHECK_INT(used[i], 1);
+  REQUIRE(setup() && fill(&f, robots, N, 1));
+  for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
+    const struct mo_body *body = f.plan.bodies[b];
+    const uint8_t *ranks = f.ranks + f.bodies[b].first_mass, *list = f.inputs + (size_t)b * MO_PLAN_INPUTS;
+    uint32_t listed = 0;
+    for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++) {
+      if (list[k] == MO_PLAN_NONE)
+        continue;
+      uint32_t m = 0;
+      while (m < body->n_masses && ranks[m] != list[k])
+        m++;
+      REQUIRE(m < body->n_masses);
+      CHECK_INT(mo_plan_input_mass(MO_PLAN_INPUT_PLACE(k)), body->mass_lattice[m]);
+      listed++;
+    }
+    CHECK_INT(listed, body->n_masses);
+  }
+  release(&f);
+}
+
+/* Every spring has a slot of its own: edges first, and the two diagonals of a face side by side. */
+static void slots(void)
+{
+  static uint16_t slots[MO_DEFAULT_SPRINGS];
+  static uint32_t spring_at[MO_DEFAULT_SPRINGS];
+  REQUIRE(setup());
+  REQUIRE(mo_plan_slots(slots) == MO_OK);
+  memset(spring_at, 0xff, sizeof(spring_at));
+  for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++) {
+    REQUIRE(slots[s] < MO_DEFAULT_SPRINGS);
+    CHECK_INT(spring_at[slots[s]], UINT32_MAX);
+    spring_at[slots[s]] = s;
+    CHECK_INT(slots[s] >= MO_PLAN_EDGES, lattice->spring_diagonal[s] != 0);
+  }
+  for (uint32_t slot = MO_PLAN_EDGES; slot < MO_DEFAULT_SPRINGS; slot += 2) {
+    uint32_t middle[2][3];
+    for (uint32_t i = 0; i < 2; i++) {
+      const uint32_t a = lattice->spring_a[spring_at[slot + i]], b = lattice->spring_b[spring_at[slot + i]];
+      middle[i][0] = a / 35 + b / 35;
+      middle[i][1] = a / 5 % 7 + b / 5 % 7;
+      middle[i][2] = a % 5 + b % 5;
+    }
+    CHECK(memcmp(middle[0], middle[1], sizeof(middle[0])) == 0);
+  }
+}
+
+/* The pair of a spring that a column's bodies have is in one tile, whose bit for that column is set. */
+static void tiles(void)
+{
+  struct filled f;
+  REQUIRE(setup() && fill(&f, robots, N, 2));
+  for (uint32_t g = 0; g < f.plan.n_groups; g++) {
+    const struct mo_plan_group *group = f.groups + g;
+    int tile_of[MO_PLAN_PAIRS];
+    memset(tile_of, 0xff, sizeof(tile_of));
+    REQUIRE(group->n_tiles <= MO_PLAN_TILES_MAX);
+    uint32_t listed = 0, needed = 0;
+    for (uint32_t t = 0; t < group->n_tiles * MO_PLAN_TILE; t++) {
+      const uint16_t pair = f.tiles[group->first_tile + t / MO_PLAN_TILE].pair[t % MO_PLAN_TILE];
+      if (pair == MO_PLAN_NO_PAIR)
+        continue;
+      REQUIRE(pair < MO_PLAN_PAIRS);
+      CHECK_INT(tile_of[pair], -1);
+      tile_of[pair] = (int)(t / MO_PLAN_TILE);
+      listed++;
+    }
+    uint8_t counted[MO_PLAN_PAIRS] = {0};
+    uint32_t input_tiles = 0;
+    for (uint32_t p = 0; p < group->n_parts; p++) {
+      const struct mo_plan_part *part = f.parts + group->first_part + p;
+      const struct mo_body *body = f.plan.bodies[part->body];
+      for (uint32_t s = 0; s < body->n_springs; s++) {
+        const uint32_t pair = f.plan.slots[body->spring_lattice[s]] / 2;
+        REQUIRE(tile_of[pair] >= 0);
+        needed += counted[pair] == 0;
+        counted[pair] = 1;
+        for (uint32_t r = part->first_row; r < part->first_row + (uint32_t)part->n_rows; r++)
+          CHECK(f.columns[group->first_tile + (uint32_t)tile_of[pair]] >> r / MO_PLAN_COLUMN & 1);
+      }
+      for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++)
+        if (f.inputs[part->body * MO_PLAN_INPUTS + k] != MO_PLAN_NONE)
+          input_tiles |= UINT32_C(1) << MO_PLAN_INPUT_PLACE(k) / 16;
+    }
+    CHECK_INT(listed, needed);
+    CHECK_INT(group->input_tiles, input_tiles);
+    for (uint32_t t = 0; t < group->n_tiles; t++)
+      CHECK(f.columns[group->first_tile + t] != 0 &&
+            f.columns[group->first_tile + t] >> (group->n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN == 0);
+  }
+  release(&f);
+}
+
+static void shares_do_not_matter(void)
+{
+  struct filled one, many;
+  REQUIRE(setup() && fill(&one, robots, N, 1) && fill(&many, robots, N, 5));
+  CHECK_INT(one.plan.block.bytes, many.plan.block.bytes);
+  CHECK(memcmp(one.block, many.block, one.plan.block.bytes) == 0);
+  release(&many);
+  release(&one);
+}
+
+static void refusals(void)
+{
+  struct mo_plan plan;
+  struct mo_plan_options bad = options;
+  REQUIRE(setup());
+  CHECK_INT(mo_plan_create(&plan, robots, 0, &options), MO_ERR_INVALID);
+  mo_plan_free(&plan);
+  bad.rows = MO_PLAN_ROWS_MAX + 1;
+  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_ERR_INVALID);
+  mo_plan_free(&plan);
+  bad = options;
+  bad.group_bytes = options.column_bytes + 244 * options.place_bytes; /* 245 masses in one row need more */
+  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_ERR_UNSUPPORTED);
+  mo_plan_free(&plan);
+  bad.group_bytes += options.place_bytes;
+  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_OK);
+  mo_plan_free(&plan);
+
+  struct mo_lattice *small = NULL;
+  struct mo_body *body = NULL;
+  const uint64_t bits[1] = {1};
+  REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &small) == MO_OK);
+  REQUIRE(mo_body_create(small, bits, &body) == MO_OK);
+  const struct mo_robot robot = {body, environments};
+  CHECK_INT(mo_plan_create(&plan, &robot, 1, &options), MO_ERR_UNSUPPORTED);
+  mo_plan_free(&plan);
+  mo_body_free(body);
+  mo_lattice_free(small);
+}
+
+static const struct check_case cases[] = {{"every row once", rows_once},
+                                          {"links", links},
+                                          {"inputs", inputs},
+                                          {"slots", slots},
+                                          {"tiles", tiles},
+                                          {"any number of shares", shares_do_not_matter},
+                                          {"refusals", refusals}};
+CHECK_MAIN(cases)
