@@ -1,0 +1,205 @@
+/* module.cu: the table of functions that the service loads: devices and controllers. */
+#include "compute/cuda/device.cuh"
+#include "compute/cuda/score.cuh"
+
+#include <new>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+namespace {
+
+constexpr int kMajor = 8; /* compute capability 8.0 and newer, those with enough shared memory */
+
+/* Devices that the kernels run on, by number among them. */
+int find(uint32_t index, int *ordinal, uint32_t *n)
+{
+  int count = 0;
+  *n = 0;
+  if (cudaGetDeviceCount(&count) != cudaSuccess) {
+    cudaGetLastError(); /* no driver, or no device */
+    return MO_OK;
+  }
+  for (int i = 0; i < count; i++) {
+    int major = 0, shared_bytes = 0;
+    if (cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, i) != cudaSuccess ||
+        cudaDeviceGetAttribute(&shared_bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, i) != cudaSuccess) {
+      cudaGetLastError();
+      continue;
+    }
+    if (major < kMajor || shared_bytes < MO_CUDA_SCORE_SHARED_BYTES)
+      continue;
+    if (*n == index)
+      *ordinal = i;
+    (*n)++;
+  }
+  return MO_OK;
+}
+
+int count(uint32_t *n)
+{
+  int ordinal;
+  return find(UINT32_MAX, &ordinal, n);
+}
+
+void close(mo_device *device)
+{
+  if (device == nullptr)
+    return;
+  cudaSetDevice(device->index);
+  mo_cuda_buffer *const buffers[] = {&device->plan,     &device->environments, &device->wanted, &device->velocities,
+                                     &device->outcomes, &device->generators,   &device->counter};
+  mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
+  for (mo_cuda_buffer *buffer : buffers)
+    mo_cuda_release(buffer);
+  for (mo_cuda_buffer *buffer : pinned)
+    mo_cuda_release_pinned(buffer);
+  if (device->cancel != nullptr)
+    cudaFreeHost(device->cancel);
+  if (device->begin != nullptr)
+    cudaEventDestroy(device->begin);
+  if (device->end != nullptr)
+    cudaEventDestroy(device->end);
+  if (device->stream != nullptr)
+    cudaStreamDestroy(device->stream);
+  cudaGetLastError();
+  delete device;
+}
+
+cudaError_t set_up(mo_device *device)
+{
+  cudaError_t status = cudaSetDevice(device->index);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&device->multiprocessors, cudaDevAttrMultiProcessorCount, device->index);
+  if (status == cudaSuccess)
+    status = cudaStreamCreateWithFlags(&device->stream, cudaStreamNonBlocking);
+  if (status == cudaSuccess)
+    status = cudaEventCreate(&device->begin);
+  if (status == cudaSuccess)
+    status = cudaEventCreate(&device->end);
+  if (status == cudaSuccess)
+    status = cudaHostAlloc((void **)&device->cancel, sizeof(int), cudaHostAllocMapped);
+  if (status == cudaSuccess) {
+    *device->cancel = 0;
+    status = cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
+  }
+  if (status == cudaSuccess)
+    status = mo_cuda_score_prepare();
+  return status;
+}
+
+int open(uint32_t index, mo_device **ret)
+{
+  uint32_t n = 0;
+  int ordinal = 0;
+  find(index, &ordinal, &n);
+  if (index >= n)
+    return MO_ERR_NOT_FOUND;
+  mo_device *device = new (std::nothrow) mo_device();
+  if (device == nullptr)
+    return MO_ERR_NO_MEMORY;
+  device->index = ordinal;
+  const int status = mo_cuda_check(device, set_up(device), "opening");
+  if (status != MO_OK)
+    close(device);
+  else
+    *ret = device;
+  return status;
+}
+
+int info(mo_device *device, mo_device_info *info)
+{
+  cudaDeviceProp properties;
+  size_t free_bytes = 0, total_bytes = 0;
+  cudaError_t error = cudaSetDevice(device->index);
+  if (error == cudaSuccess)
+    error = cudaGetDeviceProperties(&properties, device->index);
+  if (error == cudaSuccess)
+    error = cudaMemGetInfo(&free_bytes, &total_bytes);
+  const int status = mo_cuda_check(device, error, "properties");
+  if (status != MO_OK)
+    return status;
+  *info = mo_device_info{};
+  snprintf(info->name, sizeof(info->name), "%s", properties.name);
+  char *out = info->id + snprintf(info->id, sizeof(info->id), "GPU");
+  for (int i = 0; i < 16; i++)
+    out += snprintf(out, sizeof(info->id) - (size_t)(out - info->id), "%s%02x",
+                    i == 0 || i == 4 || i == 6 || i == 8 || i == 10 ? "-" : "",
+                    (unsigned)(unsigned char)properties.uuid.bytes[i]);
+  info->memory_bytes = total_bytes;
+  info->free_bytes = free_bytes;
+  info->multiprocessors = (uint32_t)properties.multiProcessorCount;
+  info->capability = (uint32_t)(10 * properties.major + properties.minor);
+  return MO_OK;
+}
+
+void controller_free(mo_device *device, mo_device_controller *controller)
+{
+  if (controller == nullptr)
+    return;
+  cudaSetDevice(device->index);
+  for (char *weights : controller->weights)
+    cudaFree(weights);
+  cudaGetLastError();
+  delete controller;
+}
+
+int upload(mo_device *device, const mo_controller *controller, int precision, char **weights)
+{
+  const bool exact = precision == MO_DEVICE_EXACT;
+  const size_t bytes = mo_weights_layout(exact).bytes;
+  void *packed = aligned_alloc(256, (bytes + 255) / 256 * 256);
+  if (packed == nullptr)
+    return MO_ERR_NO_MEMORY;
+  int status = mo_weights_pack(controller, exact, packed);
+  if (status == MO_OK)
+    status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
+  if (status == MO_OK)
+    status = mo_cuda_check(device, cudaMemcpy(*weights, packed, bytes, cudaMemcpyHostToDevice), "upload of weights");
+  free(packed);
+  return status;
+}
+
+int controller_create(mo_device *device, const mo_controller *controller, mo_device_controller **ret)
+{
+  int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
+  mo_device_controller *made = new (std::nothrow) mo_device_controller();
+  if (made == nullptr)
+    return MO_ERR_NO_MEMORY;
+  for (int precision = 0; status == MO_OK && precision < 2; precision++)
+    status = upload(device, controller, precision, &made->weights[precision]);
+  if (status != MO_OK)
+    controller_free(device, made);
+  else
+    *ret = made;
+  return status;
+}
+
+int score(mo_device *device, mo_device_score *score)
+{
+  if (device->lost)
+    return MO_ERR_DEVICE;
+  const int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
+  return status == MO_OK ? mo_cuda_score_rows(device, score) : status;
+}
+
+int gradient(mo_device *, mo_device_gradient *)
+{
+  return MO_ERR_UNSUPPORTED;
+}
+
+const char *error(const mo_device *device)
+{
+  return device->error;
+}
+
+} // namespace
+
+extern "C" const struct mo_device_module *mo_device_module(void)
+{
+  static const struct mo_device_module module = {
+      MO_DEVICE_ABI, "cuda",         "score 1", "fast 1", "none",   count, open, close, info, controller_create,
+      controller_free, score, gradient, error,
+  };
+  return &module;
+}

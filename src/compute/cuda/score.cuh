@@ -1,0 +1,60 @@
+/* score.cuh: what the kernel of whole rollouts is given, and how it is launched. */
+#ifndef MORPHO_COMPUTE_CUDA_SCORE_CUH
+#define MORPHO_COMPUTE_CUDA_SCORE_CUH
+
+#include "compute/cuda/physics.cuh"
+#include "compute/cuda/plan.h"
+#include "compute/cuda/weights.h"
+
+#include <cuda_runtime.h>
+
+/* An environment as rollouts read it, made on the device from its heights. */
+struct mo_cuda_environment {
+  float light[3]; /* x, y from the world's centre */
+  float highest;
+  mo_cuda_cell cells[MO_CUDA_CELLS];
+};
+
+/* What a row's life came to; the host makes the loss of it. */
+struct mo_cuda_outcome {
+  double com_start_m[3], com_end_m[3];
+  int32_t diverged_step, unused;
+};
+
+/* Everything a launch reads and writes; all pointers are the device's. */
+struct mo_cuda_score {
+  const double *heights; /* (n_environments, MO_PLAN_ENVIRONMENT_DOUBLES) */
+  mo_cuda_environment *environments;
+  const mo_plan_body *bodies;
+  const uint32_t *links, *masses;
+  const uint8_t *ranks, *inputs;
+  const mo_plan_group *groups;
+  const mo_plan_part *parts;
+  const mo_plan_row *rows;
+  const mo_plan_tile *tiles;
+  const uint8_t *columns;
+  const char *weights;      /* NULL: passive bodies */
+  const float *generators;  /* (n_steps, MO_CPG_INPUTS) */
+  float *wanted;             /* (blocks, 1648, MO_PLAN_ROWS_MAX): lengths that springs want to have, by slot */
+  float *velocities;        /* (blocks, max_places, 3) */
+  mo_cuda_outcome *outcomes; /* by the caller's row */
+  uint32_t *next_group;     /* 0 before the launch */
+  const volatile int *cancel;
+  struct mo_weights_layout layout;
+  mo_cuda_constants constants;
+  double dt_s, drop_height_m;
+  uint32_t n_environments, n_groups, n_steps, max_places;
+};
+
+/* Dynamic shared memory of a block; of it, what a plan may give to columns and places. */
+#define MO_CUDA_SCORE_SHARED_BYTES (113 * 1024)
+size_t mo_cuda_score_group_bytes();
+size_t mo_cuda_score_column_bytes(bool exact);
+#define MO_CUDA_SCORE_PLACE_BYTES 12
+#define MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR 2
+
+/* Once per device. */
+cudaError_t mo_cuda_score_prepare();
+cudaError_t mo_cuda_score_launch(const mo_cuda_score &score, bool exact, uint32_t blocks, cudaStream_t stream);
+
+#endif

@@ -1,0 +1,223 @@
+/* score_rows.cu: from rows to outcomes: plan, upload, launch, losses. */
+#include "compute/cuda/device.cuh"
+#include "compute/cuda/score.cuh"
+
+extern "C" {
+#include "rollout/scene.h"
+}
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <thread>
+#include <time.h>
+#include <unistd.h>
+#include <vector>
+
+namespace {
+
+constexpr uint32_t kThreadsMax = 8, kBodiesPerThread = 256;
+
+double now_s()
+{
+  timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+/* Rows of a group: few enough that all blocks have work, and that the last of several rounds of groups is a full one. */
+uint32_t rows_wanted(uint32_t n, uint32_t blocks)
+{
+  const uint64_t round = (uint64_t)blocks * MO_PLAN_ROWS_MAX, rounds = (n + round - 1) / round;
+  const uint64_t rows = (n + blocks * rounds - 1) / (blocks * rounds);
+  return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
+}
+
+void fill(const mo_plan &plan, void *block)
+{
+  const long processors = sysconf(_SC_NPROCESSORS_ONLN);
+  const uint32_t most = processors < 1 ? 1 : processors > (long)kThreadsMax ? kThreadsMax : (uint32_t)processors;
+  const uint32_t useful = (plan.n_bodies + kBodiesPerThread - 1) / kBodiesPerThread;
+  const uint32_t n = useful < most ? useful : most;
+  std::vector<std::thread> threads;
+  uint32_t share = 1;
+  try {
+    for (threads.reserve(n); share < n; share++)
+      threads.emplace_back(mo_plan_fill, &plan, block, share, n);
+  } catch (...) { /* no further thread: this one fills what is left */
+  }
+  mo_plan_fill(&plan, block, 0, n);
+  for (; share < n; share++)
+    mo_plan_fill(&plan, block, share, n);
+  for (std::thread &thread : threads)
+    thread.join();
+}
+
+mo_cuda_constants constants_of(const mo_physics &physics)
+{
+  mo_cuda_constants k = {};
+  k.dt = (float)physics.dt_s;
+  k.keep = (float)exp(-physics.drag_per_s * physics.dt_s);
+  k.fall = (float)(physics.gravity_m_per_s2 * physics.dt_s);
+  k.pull = (float)(physics.dt_s * physics.stiffness_n_per_m / physics.mass_kg);
+  k.actuation = (float)physics.actuation;
+  k.friction = (float)physics.friction;
+  k.friction_cap = (float)physics.friction_cap;
+  k.fastest_squared = (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
+  k.bisections = physics.impact == MO_IMPACT_EXACT ? 0 : physics.bisections;
+  return k;
+}
+
+uint32_t most_places(const mo_plan &plan)
+{
+  uint32_t most = 0;
+  for (uint32_t g = 0; g < plan.n_groups; g++)
+    most = plan.groups[g].n_places > most ? plan.groups[g].n_places : most;
+  return (most + 31) / 32 * 32;
+}
+
+int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t places)
+{
+  const struct {
+    mo_cuda_buffer *buffer;
+    size_t bytes;
+  } wanted[] = {
+      {&device->plan, plan.block.bytes},
+      {&device->environments, plan.n_environments * sizeof(mo_cuda_environment)},
+      {&device->wanted, (size_t)blocks * MO_DEFAULT_SPRINGS * MO_PLAN_ROWS_MAX * sizeof(float)},
+      {&device->velocities, (size_t)blocks * 3 * places * sizeof(float)},
+      {&device->outcomes, plan.n * sizeof(mo_cuda_outcome)},
+      {&device->counter, sizeof(uint32_t)},
+  };
+  int status = MO_OK;
+  for (size_t i = 0; status == MO_OK && i < sizeof(wanted) / sizeof(wanted[0]); i++)
+    status = mo_cuda_reserve(device, wanted[i].buffer, wanted[i].bytes);
+  if (status == MO_OK)
+    status = mo_cuda_reserve_pinned(device, &device->staged_plan, plan.block.bytes);
+  if (status == MO_OK)
+    status = mo_cuda_reserve_pinned(device, &device->staged_outcomes, plan.n * sizeof(mo_cuda_outcome));
+  return status;
+}
+
+mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t places)
+{
+  const char *base = (const char *)device->plan.memory;
+  const mo_plan_block &block = plan.block;
+  const bool exact = score->precision == MO_DEVICE_EXACT;
+  mo_cuda_score s = {};
+  s.heights = (const double *)(base + block.environments);
+  s.environments = (mo_cuda_environment *)device->environments.memory;
+  s.bodies = (const mo_plan_body *)(base + block.bodies);
+  s.links = (const uint32_t *)(base + block.links);
+  s.masses = (const uint32_t *)(base + block.masses);
+  s.ranks = (const uint8_t *)(base + block.ranks);
+  s.inputs = (const uint8_t *)(base + block.inputs);
+  s.groups = (const mo_plan_group *)(base + block.groups);
+  s.parts = (const mo_plan_part *)(base + block.parts);
+  s.rows = (const mo_plan_row *)(base + block.rows);
+  s.tiles = (const mo_plan_tile *)(base + block.tiles);
+  s.columns = (const uint8_t *)(base + block.columns);
+  s.weights = score->controller == nullptr ? nullptr : score->controller->weights[score->precision];
+  s.generators = (const float *)device->generators.memory;
+  s.wanted = (float *)device->wanted.memory;
+  s.velocities = (float *)device->velocities.memory;
+  s.outcomes = (mo_cuda_outcome *)device->outcomes.memory;
+  s.next_group = (uint32_t *)device->counter.memory;
+  s.cancel = device->cancel_on_device;
+  s.layout = mo_weights_layout(exact);
+  s.constants = constants_of(score->physics);
+  s.dt_s = score->physics.dt_s;
+  s.drop_height_m = score->physics.drop_height_m;
+  s.n_environments = plan.n_environments;
+  s.n_groups = plan.n_groups;
+  s.n_steps = score->physics.n_steps;
+  s.max_places = places;
+  return s;
+}
+
+void hand_over(const mo_cuda_outcome *from, const mo_device_score *score)
+{
+  for (uint32_t r = 0; r < score->n; r++) {
+    mo_outcome *to = score->outcomes + r;
+    memcpy(to->com_start_m, from[r].com_start_m, sizeof(to->com_start_m));
+    memcpy(to->com_end_m, from[r].com_end_m, sizeof(to->com_end_m));
+    to->diverged_step = from[r].diverged_step;
+    to->loss = to->diverged_step != 0
+                   ? (double)INFINITY
+                   : mo_scene_loss(to->com_start_m, to->com_end_m, score->robots[r].environment->light_xy_m);
+  }
+}
+
+/* From the plan to outcomes in pinned memory. */
+int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, uint32_t blocks, float *device_ms)
+{
+  const uint32_t places = most_places(plan);
+  if (plan.n_groups < blocks)
+    blocks = plan.n_groups;
+  int status = reserve(device, plan, blocks, places);
+  if (status == MO_OK)
+    status = mo_cuda_generators(device, &score->physics);
+  if (status != MO_OK)
+    return status;
+  fill(plan, device->staged_plan.memory);
+  if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
+    return MO_ERR_CANCELLED;
+  cudaError_t error = cudaEventRecord(device->begin, device->stream);
+  if (error == cudaSuccess)
+    error = cudaMemcpyAsync(device->plan.memory, device->staged_plan.memory, plan.block.bytes, cudaMemcpyHostToDevice,
+                            device->stream);
+  if (error == cudaSuccess)
+    error = cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), device->stream);
+  if (error == cudaSuccess)
+    error = mo_cuda_score_launch(arguments(device, plan, score, places), score->precision == MO_DEVICE_EXACT, blocks,
+                                 device->stream);
+  if (error == cudaSuccess)
+    error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
+                            plan.n * sizeof(mo_cuda_outcome), cudaMemcpyDeviceToHost, device->stream);
+  if (error == cudaSuccess)
+    error = cudaEventRecord(device->end, device->stream);
+  const int launched = mo_cuda_check(device, error, "launch");
+  /* Whatever was launched must have ended before its buffers are used again. */
+  status = mo_cuda_wait(device, score->cancel);
+  if (launched != MO_OK || status != MO_OK)
+    return launched != MO_OK ? launched : status;
+  return mo_cuda_check(device, cudaEventElapsedTime(device_ms, device->begin, device->end), "timing");
+}
+
+bool is_valid(const mo_device_score *score)
+{
+  if (score->n == 0 || score->robots == nullptr || score->outcomes == nullptr ||
+      (score->precision != MO_DEVICE_EXACT && score->precision != MO_DEVICE_FAST))
+    return false;
+  for (uint32_t r = 0; r < score->n; r++)
+    if (score->robots[r].body == nullptr || score->robots[r].environment == nullptr)
+      return false;
+  return mo_physics_check(&score->physics, nullptr) == MO_OK;
+}
+
+} // namespace
+
+int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
+{
+  const double start_s = now_s();
+  if (!is_valid(score))
+    return MO_ERR_INVALID;
+  const uint32_t blocks = (uint32_t)device->multiprocessors * MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR;
+  mo_plan_options options = {};
+  options.rows = rows_wanted(score->n, blocks);
+  options.group_bytes = mo_cuda_score_group_bytes();
+  options.column_bytes = mo_cuda_score_column_bytes(score->precision == MO_DEVICE_EXACT);
+  options.place_bytes = MO_CUDA_SCORE_PLACE_BYTES;
+  mo_plan plan;
+  float device_ms = 0;
+  int status = mo_plan_create(&plan, score->robots, score->n, &options);
+  if (status == MO_OK)
+    status = run(device, plan, score, blocks, &device_ms);
+  if (status == MO_OK) {
+    hand_over((const mo_cuda_outcome *)device->staged_outcomes.memory, score);
+    score->device_s = 1e-3 * device_ms;
+    score->host_s = fmax(0.0, now_s() - start_s - score->device_s);
+  }
+  mo_plan_free(&plan);
+  return status;
+}
