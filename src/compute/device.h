@@ -8,7 +8,7 @@
  * the call, nor on the device's number; two runs give the same bits.
  *
  * Errors: MO_ERR_NO_MEMORY   of the device or the host: the caller tries again with fewer rows
- *         MO_ERR_DEVICE      the device is lost or has failed: nothing more is asked of it but `error` and `close`
+ *         MO_ERR_DEVICE      the device is lost or has failed: nothing more is asked of it but `error`, `controller_free` and `close`
  *         MO_ERR_CANCELLED   the flag `cancel` was seen
  *         MO_ERR_UNSUPPORTED a workspace, sensor or option that the kernels do not do: the caller takes the CPU
  *         MO_ERR_INVALID     something missing or not finite
@@ -82,8 +82,7 @@ struct mo_device_module {
       *gradient_code;        /* versions of the code, for fingerprints: exact, fast, gradient */
   int (*count)(uint32_t *n); /* devices of this machine that the module can use; 0 without a driver */
   int (*open)(uint32_t index, struct mo_device **device);
-  void (*close)(
-      struct mo_device *device); /* its controllers were freed before, but those of a lost device; NULL-safe */
+  void (*close)(struct mo_device *device); /* its controllers were freed before; NULL-safe */
   int (*info)(struct mo_device *device, struct mo_device_info *info);
   /* Keeps no reference to `controller`. */
   int (*controller_create)(struct mo_device *device, const struct mo_controller *controller,

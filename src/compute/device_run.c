@@ -157,7 +157,7 @@ static void drop_copies(struct mo_unit *unit)
   pthread_mutex_unlock(&devices->mutex);
   while (gone != NULL) {
     struct mo_device_copy *next = gone->next;
-    if (gone->controller != NULL && unit->status.state == MO_DEVICE_WORKS)
+    if (gone->controller != NULL)
       devices->module->controller_free(unit->device, gone->controller);
     free(gone);
     gone = next;

@@ -80,7 +80,7 @@ static void fake_close(struct mo_device *device)
 {
   if (device == NULL)
     return;
-  if (device->n_controllers > 0 && !device->is_lost)
+  if (device->n_controllers > 0)
     abort(); /* they were to be freed before */
   mo_pack_free(device->passive);
   mo_workspace_memory_free(device->memory);
