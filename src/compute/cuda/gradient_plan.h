@@ -1,0 +1,192 @@
+/* gradient_plan.h: a batch of robots laid out for the device that differentiates them. Plain C, no CUDA.
+ *
+ * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a row is a robot in its environment), larger
+ * bodies first. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
+ * Its springs go 32 at a time: a *chunk*, in which no mass has two springs, so that all lanes of a warp add to their masses at once.
+ *
+ * The first and the last layer are multiplied for those *tiles* of sixteen inputs or springs that some row of the group has. How a shard is
+ * laid out depends on its robots alone. */
+#ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
+#define MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/gradient.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum {
+  MO_GP_WARPS = 16,
+  MO_GP_LANES = 32,
+  MO_GP_ROWS_MAX = 32,
+  MO_GP_TILE = 16,
+  MO_GP_INPUT_TILES = 16,   /* 245 masses, 5 generators, 6 places that stay empty */
+  MO_GP_OUTPUT_TILES = 103, /* 1648 springs */
+  MO_GP_NONE = 0xff
+};
+#define MO_GP_NO_ROBOT UINT32_MAX
+
+/* One spring of a pair: masses a and b of the pair, place among the group's outputs, which row, whether it is a diagonal; 0: none. */
+#define MO_GP_SPRING(a, b, output, row, diagonal)                                                                      \
+  (UINT32_C(1) << 31 | (uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 |                 \
+   (uint32_t)(b) << 9 | (uint32_t)(a))
+#define MO_GP_SPRING_A(s)        ((s)&0x1ffu)
+#define MO_GP_SPRING_B(s)        ((s) >> 9 & 0x1ffu)
+#define MO_GP_SPRING_OUTPUT(s)   ((s) >> 18 & 0x7ffu)
+#define MO_GP_SPRING_ROW(s)      ((s) >> 29 & 1u)
+#define MO_GP_SPRING_DIAGONAL(s) ((s) >> 30 & 1u)
+
+struct mo_gp_pair {
+  uint32_t first_mass;            /* of the group's masses */
+  uint32_t n_masses[2];           /* of row w and of row w + 16 */
+  uint32_t first_chunk, n_chunks; /* of the group's chunks */
+};
+
+struct mo_gp_group {
+  uint32_t n_rows;    /* 32 or 16 */
+  uint32_t first_row; /* of all rows */
+  uint32_t shard;
+  uint32_t n_masses, n_chunks;
+  uint32_t n_inputs, n_outputs;     /* tiles */
+  uint64_t first_mass, first_chunk; /* of those of all groups */
+  uint64_t tape_at, delta_at,
+      sum_at; /* bytes from the start of the tape, of the deltas; floats from the start of the sums */
+  uint8_t input_tile[MO_GP_INPUT_TILES], input_place[MO_GP_INPUT_TILES];
+  uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
+  struct mo_gp_pair pair[MO_GP_WARPS];
+};
+
+struct mo_gp_row {
+  double light_m[2]; /* from the world's centre */
+  double start_m;    /* distance to it at the start + 1e-8 */
+  float light[3];    /* the same light; z is absolute */
+  float highest;     /* of the terrain */
+  float heights[MO_TERRAIN_HEIGHTS];
+  uint32_t robot; /* of the batch; MO_GP_NO_ROBOT: an empty row */
+  uint32_t n_masses;
+};
+
+/* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
+struct mo_gp_tape {
+  uint64_t position;                 /* float (n_masses, 3) */
+  uint64_t velocity;                 /* float (3, n_masses) before contact */
+  uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
+  uint64_t input;                    /* bfloat16 (n_rows, 16 n_inputs) */
+  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256) */
+  uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
+  uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
+  uint64_t bytes;
+};
+/* The same for ∂loss/∂ what each layer sums, for the steps of one launch. */
+struct mo_gp_delta {
+  uint64_t dense[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
+  uint64_t output;                  /* bfloat16 (n_rows, 16 n_outputs) */
+  uint64_t bytes;
+};
+/* And in a group's sums, in floats. */
+struct mo_gp_sum {
+  uint64_t output;                                                                  /* (16 n_outputs, 256) */
+  uint64_t hidden[2];                                                               /* (256, 256) */
+  uint64_t input;                                                                   /* (256, 16 n_inputs) */
+  uint64_t bias[MO_HIDDEN_LAYERS], gain[MO_HIDDEN_LAYERS], shift[MO_HIDDEN_LAYERS]; /* (256) */
+  uint64_t output_bias;                                                             /* (16 n_outputs) */
+  uint64_t floats;
+};
+
+#define MO_GP_ALIGN(bytes) (((uint64_t)(bytes) + 255) / 256 * 256)
+
+#ifdef __CUDACC__
+#define MO_GP_BOTH static __host__ __device__ inline
+#else
+#define MO_GP_BOTH static inline
+#endif
+
+MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, uint32_t n_steps)
+{
+  struct mo_gp_tape t;
+  const uint64_t n = n_steps, rows = g->n_rows;
+  uint64_t at = 0;
+  t.position = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
+  t.velocity = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
+  t.activation = at, at += MO_GP_ALIGN(n * g->n_chunks * MO_GP_LANES * 2);
+  t.input = at, at += MO_GP_ALIGN(n * rows * g->n_inputs * MO_GP_TILE * 2);
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    t.normal[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
+    t.hidden[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
+  }
+  t.scale = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN_LAYERS * 4);
+  t.bytes = at;
+  return t;
+}
+
+MO_GP_BOTH struct mo_gp_delta mo_gp_delta_of(const struct mo_gp_group *g, uint32_t n_steps)
+{
+  struct mo_gp_delta d;
+  const uint64_t n = n_steps, rows = g->n_rows;
+  uint64_t at = 0;
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
+    d.dense[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
+  d.output = at, at += MO_GP_ALIGN(n * rows * g->n_outputs * MO_GP_TILE * 2);
+  d.bytes = at;
+  return d;
+}
+
+MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)
+{
+  struct mo_gp_sum s;
+  uint64_t at = 0;
+  s.output = at, at += (uint64_t)g->n_outputs * MO_GP_TILE * MO_HIDDEN;
+  for (int l = 0; l < 2; l++)
+    s.hidden[l] = at, at += MO_HIDDEN * MO_HIDDEN;
+  s.input = at, at += (uint64_t)g->n_inputs * MO_GP_TILE * MO_HIDDEN;
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    s.bias[l] = at, at += MO_HIDDEN;
+    s.gain[l] = at, at += MO_HIDDEN;
+    s.shift[l] = at, at += MO_HIDDEN;
+  }
+  s.output_bias = at, at += (uint64_t)g->n_outputs * MO_GP_TILE;
+  s.floats = at;
+  return s;
+}
+
+/* Shared memory of a group, in bytes, on the way forward and back. */
+MO_GP_BOTH uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
+{
+  const uint32_t rows = n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
+                                  + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
+                                  + 8 * (MO_GP_WARPS + 2)          /* partial sums */
+                                  + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
+                                  + 4 + 32);                       /* flags; what is counted */
+  return rows + n_masses * 36 + 12 * MO_HIDDEN * 3 + 1024;
+}
+
+struct mo_gp_options {
+  uint32_t shard;        /* robots of a shard */
+  uint32_t shared_bytes; /* of one thread block */
+  uint32_t workers;      /* threads to use, 1 … 64 */
+};
+
+struct mo_gradient_plan {
+  uint32_t n, n_shards, n_groups, n_rows;
+  uint64_t n_masses, n_chunks;
+  struct mo_gp_group *groups; /* (n_groups) those of one shard adjacent */
+  struct mo_gp_row *rows;     /* (n_rows) */
+  float *position;            /* (n_masses, 3) at the start; x, y from the world's centre */
+  uint8_t *input;             /* (n_masses) the mass's place among its group's inputs */
+  uint32_t *springs;          /* (n_chunks, 32) */
+  struct mo_outcome *starts;  /* (n) com_start_m alone */
+};
+
+/* `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the default; MO_ERR_NO_MEMORY. After an error
+ * there is nothing to free. */
+int mo_gradient_plan_create(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
+                            const struct mo_gp_options *options, struct mo_gradient_plan *plan);
+void mo_gradient_plan_free(struct mo_gradient_plan *plan);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,380 @@
+/* cuda-gradient.c: what the device's gradient is made of, without a device: its float32 arithmetic against the float64 reference, and the layout
+ * of batches. */
+#include "../check.h"
+
+#include "compute/cuda/adjoint.cuh"
+#include "compute/cuda/gradient_plan.h"
+#include "rollout/contact.h"
+
+#include <morpho/random.h>
+
+#include <stdbool.h>
+
+static struct mo_random random_numbers;
+
+static double uniform(double low, double high)
+{
+  return low + (high - low) * mo_random_uniform(&random_numbers);
+}
+
+static int ascending(const void *a, const void *b)
+{
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+static struct mo_lane_physics lane_physics(const struct mo_physics *p)
+{
+  return (struct mo_lane_physics){.dt = (float)p->dt_s,
+                                  .friction = (float)p->friction,
+                                  .friction_cap = (float)p->friction_cap,
+                                  .bisections = p->impact == MO_IMPACT_BISECTION ? (int)p->bisections : 0,
+                                  .keep = (float)exp(-p->drag_per_s * p->dt_s),
+                                  .fall = (float)(p->gravity_m_per_s2 * p->dt_s),
+                                  .pull = (float)(p->dt_s * p->stiffness_n_per_m / p->mass_kg),
+                                  .actuation = (float)p->actuation};
+}
+
+/* ---- contact ---- */
+
+enum { STRIKES = 20000 };
+
+/* Masses that meet the ground: near it and above it, some across borders of cells and beyond the map. */
+static void contact(enum mo_impact impact)
+{
+  static double moved[STRIKES], differ[STRIKES];
+  struct mo_physics physics = mo_default_physics();
+  physics.impact = impact;
+  const struct mo_lane_physics lane = lane_physics(&physics);
+  int n = 0, crossing = 0;
+  mo_random_init(&random_numbers, 11, MO_PURPOSE_CHECK, 0, impact);
+  while (n < STRIKES) {
+    double heights[MO_TERRAIN_HEIGHTS];
+    float heights32[MO_TERRAIN_HEIGHTS];
+    for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+      heights[k] = heights32[k] = (float)uniform(0, n % 2 == 0 ? 0.1 : 0.5);
+    const double reach = n % 8 == 0 ? 60 : 2;
+    const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
+    const float z = (float)(mo_terrain_height(heights, x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M) +
+                            uniform(1e-4, 0.004) * reach / 2);
+    const float v[3] = {(float)uniform(-reach, reach), (float)uniform(-reach, reach), (float)uniform(-reach, 0)};
+    float p[3] = {x, y, z}, w[3] = {v[0], v[1], v[2]}, dp[3], dv[3];
+    double position[3] = {x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M, z}, speed[3] = {v[0], v[1], v[2]},
+           d_position[3], d_velocity[3];
+    const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
+    if (!mo_move(&lane, heights32, 1e9f, p, w))
+      continue;
+    mo_contact_move(&physics, heights, INFINITY, position, speed);
+    for (int k = 0; k < 3; k++) {
+      d_position[k] = dp[k] = (float)uniform(-1, 1);
+      d_velocity[k] = dv[k] = (float)uniform(-0.05, 0.05);
+    }
+    const float start[3] = {x, y, z};
+    mo_move_back(&lane, heights32, 1e9f, start, v, dp, dv);
+    mo_contact_move_adjoint(&physics, heights, INFINITY, from, with, d_position, d_velocity);
+    double distance = 0, error = 0, size = 0;
+    for (int k = 0; k < 3; k++) {
+      const double centre = k < 2 ? MO_WORLD_CENTRE_M : 0;
+      distance = fmax(distance, fmax(fabs(p[k] + centre - position[k]), 0.004 * fabs(w[k] - speed[k])));
+      error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);
+      size += pow(d_position[k], 2) + pow(15 * d_velocity[k], 2);
+    }
+    crossing += floor(from[0] * 1.4) != floor((from[0] + 0.004 * v[0]) * 1.4);
+    moved[n] = distance;
+    differ[n++] = sqrt(error / size);
+  }
+  qsort(moved, STRIKES, sizeof(*moved), ascending);
+  qsort(differ, STRIKES, sizeof(*differ), ascending);
+  printf("# %d strikes, %d across a border: moved apart median %.1e m, 99 %% %.1e; derivative differs by median %.1e, "
+         "99 %% %.1e\n",
+         STRIKES, crossing, moved[STRIKES / 2], moved[STRIKES * 99 / 100], differ[STRIKES / 2],
+         differ[STRIKES * 99 / 100]);
+  CHECK(crossing > 500);
+  CHECK(moved[STRIKES / 2] < 1e-6 && moved[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-5 : 1e-2));
+  CHECK(differ[STRIKES / 2] < 1e-5 && differ[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-2 : 1e-1));
+}
+
+static void exact_contact(void)
+{
+  contact(MO_IMPACT_EXACT);
+}
+
+static void halved_contact(void)
+{
+  contact(MO_IMPACT_BISECTION);
+}
+
+/* A mass in the air only flies; what strikes at the next step lies on the ground, for float32 as for float64. */
+static void lying(void)
+{
+  const struct mo_physics physics = mo_default_physics();
+  const struct mo_lane_physics lane = lane_physics(&physics);
+  float heights[MO_TERRAIN_HEIGHTS];
+  mo_random_init(&random_numbers, 12, MO_PURPOSE_CHECK, 0, 0);
+  int below = 0;
+  for (int n = 0; n < 2000; n++) {
+    for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
+      heights[k] = (float)uniform(0, 0.3);
+    float p[3] = {(float)uniform(-2, 2), (float)uniform(-2, 2), 0.31f},
+          v[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), 0};
+    for (int step = 0; step < 60; step++) {
+      struct mo_ground g;
+      v[2] -= 0.04f;
+      mo_move(&lane, heights, 0.3f, p, v);
+      below += p[2] < mo_ground_find(heights, p[0], p[1], &g);
+    }
+  }
+  CHECK(below == 0);
+  float p[3] = {0, 0, 2}, v[3] = {1, 2, 3}, dp[3] = {1, 2, 3}, dv[3] = {0.5f, 0, 0};
+  mo_move_back(&lane, heights, 0.3f, p, v, dp, dv);
+  CHECK_NEAR(dv[0], 0.504, 1e-6);
+  CHECK_NEAR(dv[2], 0.012, 1e-6);
+  CHECK(dp[0] == 1 && dp[1] == 2 && dp[2] == 3);
+}
+
+/* ---- springs and sensors, against differences in float64 ---- */
+
+static double pull64(const struct mo_physics *p, double rest, double a, const double *d)
+{
+  const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+  return p->dt_s * p->stiffness_n_per_m / p->mass_kg * (length - rest * (1 + p->actuation * a)) / (length + 1e-8);
+}
+
+/* ∂loss/∂ what the spring gives the velocity of the end that d points from is −across, in effect: loss = across · pull · d. */
+static double loss64(const struct mo_physics *p, double rest, double a, const double *d, const double *across)
+{
+  return pull64(p, rest, a, d) * (across[0] * d[0] + across[1] * d[1] + across[2] * d[2]);
+}
+
+static void springs(void)
+{
+  const struct mo_physics physics = mo_default_physics();
+  const struct mo_lane_physics lane = lane_physics(&physics);
+  double worst = 0;
+  mo_random_init(&random_numbers, 13, MO_PURPOSE_CHECK, 0, 0);
+  for (int n = 0; n < 3000; n++) {
+    const float rest = n % 2 == 0 ? 0.1f : 0.14142136f, a = (float)uniform(-1, 1);
+    const float d[3] = {(float)uniform(-0.1, 0.1), (float)uniform(-0.1, 0.1), (float)uniform(0.02, 0.1)};
+    const float across[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), (float)uniform(-1, 1)};
+    double d64[3] = {d[0], d[1], d[2]};
+    const double across64[3] = {across[0], across[1], across[2]}, h = 1e-6;
+    float dd[3];
+    const float da = mo_spring_pull_back(&lane, rest, a, d, across, dd);
+    CHECK_NEAR(mo_spring_pull(&lane, rest, a, d), pull64(&physics, rest, a, d64), 1e-3);
+    double size = 0, error = 0;
+    for (int k = 0; k < 3; k++) {
+      const double at = d64[k];
+      d64[k] = at + h;
+      const double up = loss64(&physics, rest, a, d64, across64);
+      d64[k] = at - h;
+      const double down = loss64(&physics, rest, a, d64, across64);
+      d64[k] = at;
+      size += pow((up - down) / (2 * h), 2);
+      error += pow((up - down) / (2 * h) - dd[k], 2);
+    }
+    const double slope =
+        (loss64(&physics, rest, a + h, d64, across64) - loss64(&physics, rest, a - h, d64, across64)) / (2 * h);
+    worst = fmax(worst, sqrt(error / size));
+    CHECK_NEAR(da, slope, 1e-5);
+  }
+  CHECK(worst < 1e-4);
+}
+
+static void sensors(void)
+{
+  struct mo_lane_physics lane = {0};
+  mo_random_init(&random_numbers, 14, MO_PURPOSE_CHECK, 0, 0);
+  for (int n = 0; n < 2000; n++) {
+    lane.inverse_square = n % 2;
+    const float d[3] = {(float)uniform(0.1, 2), (float)uniform(-2, 2), (float)uniform(-0.3, 0.3)};
+    const double squared = (double)d[0] * d[0] + (double)d[1] * d[1] + (double)d[2] * d[2];
+    const double light = lane.inverse_square ? 1 / (squared + 1e-4) : 1 / (sqrt(sqrt(squared) + 1e-8) + 1e-8);
+    const double h = 1e-4 * sqrt(squared);
+    const double near_m = sqrt(squared) - h, far_m = sqrt(squared) + h;
+    const double up = lane.inverse_square ? 1 / (far_m * far_m + 1e-4) : 1 / (sqrt(far_m + 1e-8) + 1e-8);
+    const double down = lane.inverse_square ? 1 / (near_m * near_m + 1e-4) : 1 / (sqrt(near_m + 1e-8) + 1e-8);
+    const double slope = (up - down) / (2 * h) / sqrt(squared);
+    CHECK_NEAR(mo_light(&lane, d) / light, 1, 1e-6);
+    CHECK_NEAR(mo_light_slope(&lane, d) / slope, 1, 1e-5);
+  }
+  const float nowhere[3] = {0, 0, 0};
+  lane.inverse_square = 0;
+  CHECK(mo_light_slope(&lane, nowhere) == 0);
+}
+
+/* ---- layouts ---- */
+
+enum { ROBOTS = 150, SHARD = 64 };
+
+struct batch {
+  struct mo_lattice *lattice;
+  struct mo_body *bodies[ROBOTS];
+  struct mo_environment environments[ROBOTS];
+  struct mo_robot robots[ROBOTS];
+};
+
+static int make_batch(struct batch *b)
+{
+  struct mo_body_stream *stream = NULL;
+  memset(b, 0, sizeof(*b));
+  int status = mo_lattice_create(MO_DEFAULT_WORKSPACE, &b->lattice);
+  if (status == MO_OK)
+    status = mo_body_stream_create(MO_DEFAULT_WORKSPACE, 3, &stream);
+  for (uint32_t i = 0; i < ROBOTS && status == MO_OK; i++) {
+    uint64_t bits[MO_DEFAULT_WORDS] = {UINT64_MAX, UINT64_MAX, 0xffff}; /* one of all voxels */
+    if (i != 70)
+      status = mo_body_stream_next(stream, bits);
+    if (status == MO_OK)
+      status = mo_body_create(b->lattice, bits, &b->bodies[i]);
+    mo_environment_training(5, 0, i, &b->environments[i]);
+    b->robots[i] = (struct mo_robot){b->bodies[i], &b->environments[i]};
+  }
+  mo_body_stream_free(stream);
+  return status;
+}
+
+static void drop_batch(struct batch *b)
+{
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    mo_body_free(b->bodies[i]);
+  mo_lattice_free(b->lattice);
+}
+
+static const struct mo_gp_options options = {.shard = SHARD, .shared_bytes = 227 << 10, .workers = 1};
+
+/* Which of the body's springs has these two masses. */
+static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t b)
+{
+  for (uint32_t i = 0; i < body->n_springs; i++)
+    if (body->spring_a[i] == a && body->spring_b[i] == b)
+      return i;
+  return UINT32_MAX;
+}
+
+static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan, const struct mo_gp_group *g,
+                       uint32_t w, uint8_t *seen)
+{
+  const struct mo_gp_pair *pair = &g->pair[w];
+  const struct mo_gp_row *rows = plan->rows + g->first_row + w;
+  const uint32_t *springs = plan->springs + (g->first_chunk + pair->first_chunk) * MO_GP_LANES;
+  uint32_t found[2] = {0, 0};
+  for (uint32_t c = 0; c < pair->n_chunks; c++) {
+    bool used[512] = {false};
+    for (uint32_t l = 0; l < MO_GP_LANES; l++) {
+      const uint32_t s = springs[c * MO_GP_LANES + l], row = MO_GP_SPRING_ROW(s);
+      if (s == 0)
+        continue;
+      const uint32_t from = row == 0 ? 0 : pair->n_masses[0], a = MO_GP_SPRING_A(s), z = MO_GP_SPRING_B(s);
+      CHECK(!used[a] && !used[z] && a != z);
+      used[a] = used[z] = true;
+      const struct mo_body *body = b->robots[rows[row * 16].robot].body;
+      const uint32_t spring = spring_between(body, a - from, z - from);
+      REQUIRE(spring != UINT32_MAX);
+      const uint32_t output = MO_GP_SPRING_OUTPUT(s);
+      CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE == body->spring_lattice[spring]);
+      CHECK(MO_GP_SPRING_DIAGONAL(s) == body->spring_diagonal[spring]);
+      found[row]++;
+    }
+  }
+  uint64_t mass = g->first_mass + pair->first_mass;
+  for (uint32_t k = 0; k < 2 && w + 16 * k < g->n_rows; k++) {
+    const struct mo_gp_row *row = rows + (size_t)16 * k;
+    if (row->robot == MO_GP_NO_ROBOT) {
+      CHECK(pair->n_masses[k] == 0);
+      continue;
+    }
+    const struct mo_body *body = b->robots[row->robot].body;
+    CHECK(!seen[row->robot] && row->robot / SHARD == g->shard);
+    seen[row->robot] = 1;
+    CHECK(found[k] == body->n_springs && pair->n_masses[k] == body->n_masses);
+    for (uint32_t m = 0; m < body->n_masses; m++, mass++)
+      CHECK((uint32_t)g->input_tile[plan->input[mass] / MO_GP_TILE] * MO_GP_TILE + plan->input[mass] % MO_GP_TILE ==
+            body->mass_lattice[m]);
+  }
+}
+
+static void everything_is_there_once(void)
+{
+  static struct batch b;
+  struct mo_gradient_plan plan;
+  uint8_t seen[ROBOTS] = {0};
+  const struct mo_physics physics = mo_default_physics();
+  REQUIRE(make_batch(&b) == MO_OK);
+  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &options, &plan) == MO_OK);
+  CHECK(plan.n_shards == 3);
+  uint32_t wide = 0;
+  for (uint32_t i = 0; i < plan.n_groups; i++) {
+    const struct mo_gp_group *g = plan.groups + i;
+    CHECK(mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= options.shared_bytes);
+    wide += g->n_rows == MO_GP_ROWS_MAX;
+    for (uint32_t w = 0; w < MO_GP_WARPS; w++)
+      check_pair(&b, &plan, g, w, seen);
+  }
+  CHECK(wide > 0 && wide < plan.n_groups);
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    CHECK(seen[i]);
+  mo_gradient_plan_free(&plan);
+  drop_batch(&b);
+}
+
+/* A shard's tables do not depend on the other shards, nor any on the number of threads. */
+static void a_shard_is_its_own(void)
+{
+  static struct batch b;
+  struct mo_gradient_plan all, threads, second;
+  struct mo_gp_options several = options;
+  const struct mo_physics physics = mo_default_physics();
+  several.workers = 3;
+  REQUIRE(make_batch(&b) == MO_OK);
+  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &options, &all) == MO_OK);
+  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &several, &threads) == MO_OK);
+  REQUIRE(mo_gradient_plan_create(b.robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
+  CHECK(all.n_groups == threads.n_groups && all.n_chunks == threads.n_chunks);
+  CHECK(memcmp(all.springs, threads.springs, all.n_chunks * MO_GP_LANES * sizeof(*all.springs)) == 0);
+  CHECK(memcmp(all.position, threads.position, all.n_masses * 3 * sizeof(*all.position)) == 0);
+  CHECK(memcmp(all.input, threads.input, all.n_masses) == 0);
+  uint32_t at = 0;
+  while (all.groups[at].shard == 0)
+    at++;
+  for (uint32_t i = 0; i < second.n_groups; i++) {
+    const struct mo_gp_group *x = all.groups + at + i, *y = second.groups + i;
+    CHECK(x->shard == 1 && x->n_rows == y->n_rows && x->n_masses == y->n_masses && x->n_chunks == y->n_chunks);
+    CHECK(memcmp(x->output_tile, y->output_tile, y->n_outputs) == 0);
+    CHECK(memcmp(all.springs + x->first_chunk * MO_GP_LANES, second.springs + y->first_chunk * MO_GP_LANES,
+                 (size_t)y->n_chunks * MO_GP_LANES * sizeof(*all.springs)) == 0);
+    CHECK(memcmp(all.position + 3 * x->first_mass, second.position + 3 * y->first_mass,
+                 (size_t)y->n_masses * 3 * sizeof(float)) == 0);
+  }
+  mo_gradient_plan_free(&all);
+  mo_gradient_plan_free(&threads);
+  mo_gradient_plan_free(&second);
+  drop_batch(&b);
+}
+
+static void another_workspace(void)
+{
+  struct mo_lattice *lattice = NULL;
+  struct mo_body *body = NULL;
+  const uint64_t bits[1] = {1};
+  struct mo_environment environment;
+  struct mo_gradient_plan plan;
+  const struct mo_physics physics = mo_default_physics();
+  mo_environment_training(1, 0, 0, &environment);
+  REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &lattice) == MO_OK);
+  REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
+  const struct mo_robot robot = {body, &environment};
+  CHECK(mo_gradient_plan_create(&robot, 1, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
+  mo_body_free(body);
+  mo_lattice_free(lattice);
+}
+
+static const struct check_case cases[] = {
+    {"contact, closed form", exact_contact},
+    {"contact, halvings", halved_contact},
+    {"masses that lie on the ground", lying},
+    {"springs", springs},
+    {"sensors", sensors},
+    {"every robot, mass and spring is there once", everything_is_there_once},
+    {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
+    {"another workspace is left to the processor", another_workspace}};
+CHECK_MAIN(cases)
