@@ -1,5 +1,6 @@
 /* module.cu: the table of functions that the service loads: devices and controllers. */
 #include "compute/cuda/device.cuh"
+#include "compute/cuda/gradient.h"
 #include "compute/cuda/score.cuh"
 
 #include <new>
@@ -47,6 +48,7 @@ void close(mo_device *device)
   if (device == nullptr)
     return;
   cudaSetDevice(device->index);
+  mo_cuda_gradient_free(device->gradient);
   mo_cuda_buffer *const buffers[] = {&device->plan,     &device->environments, &device->wanted, &device->velocities,
                                      &device->outcomes, &device->generators,   &device->counter};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
@@ -179,13 +181,29 @@ int score(mo_device *device, mo_device_score *score)
 {
   if (device->lost)
     return MO_ERR_DEVICE;
-  const int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
-  return status == MO_OK ? mo_cuda_score_rows(device, score) : status;
+  int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
+  if (status == MO_OK)
+    status = mo_cuda_score_rows(device, score);
+  if (status != MO_ERR_NO_MEMORY || device->gradient == nullptr || device->lost)
+    return status;
+  mo_cuda_gradient_trim(device->gradient); /* its tape is most of what is taken */
+  return mo_cuda_score_rows(device, score);
 }
 
-int gradient(mo_device *, mo_device_gradient *)
+int gradient(mo_device *device, mo_device_gradient *gradient)
 {
-  return MO_ERR_UNSUPPORTED;
+  if (device->lost)
+    return MO_ERR_DEVICE;
+  int status = MO_OK;
+  if (device->gradient == nullptr)
+    status = mo_cuda_gradient_create(device->index, &device->gradient);
+  if (status == MO_OK)
+    status = mo_cuda_gradient_run(device->gradient, gradient, 0);
+  if (status < 0)
+    snprintf(device->error, sizeof(device->error), "%s",
+             device->gradient != nullptr ? mo_cuda_gradient_error(device->gradient) : "gradient: no stream");
+  device->lost = status == MO_ERR_DEVICE;
+  return status;
 }
 
 const char *error(const mo_device *device)
@@ -198,8 +216,8 @@ const char *error(const mo_device *device)
 extern "C" const struct mo_device_module *mo_device_module(void)
 {
   static const struct mo_device_module module = {
-      MO_DEVICE_ABI, "cuda",         "score 1", "fast 1", "none",   count, open, close, info, controller_create,
-      controller_free, score, gradient, error,
+      MO_DEVICE_ABI,   "cuda", "score 1", "fast 1", MO_CUDA_GRADIENT_CODE, count, open, close, info, controller_create,
+      controller_free, score,  gradient,  error,
   };
   return &module;
 }

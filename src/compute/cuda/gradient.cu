@@ -1,0 +1,626 @@
+/* gradient.cu: a call for gradients, from rows to shards' sums.
+ *
+ * The call is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, a chunk
+ * of steps per launch, and back again, each chunk followed by its products. A row whose adjoint turns out not to be finite was added
+ * until then: the way back is walked again without it. That is rare. */
+#include "compute/cuda/gradient.h"
+#include "compute/cuda/gradient_kernels.cuh"
+extern "C" {
+#include "rollout/scene.h"
+}
+
+#include <cuda_runtime.h>
+
+#include <chrono>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <algorithm>
+#include <thread>
+#include <vector>
+
+namespace {
+
+enum { CHUNK_STEPS = 250, RESERVE_BYTES = 768 << 20 };
+
+struct buffer {
+  void *at = nullptr;
+  uint64_t bytes = 0;
+};
+
+enum place {
+  GROUPS,
+  ROWS,
+  ORDER,
+  INPUT,
+  SPRINGS,
+  GENERATORS,
+  TAPE,
+  DELTA,
+  SUMS,
+  POSITION,
+  VELOCITY,
+  RESULTS,
+  JOBS,
+  SHARDS,
+  PARAMETERS,
+  D_PARAMETERS,
+  PLACES
+};
+
+double now_s()
+{
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+} // namespace
+
+struct mo_cuda_gradient_state {
+  int device;
+  cudaStream_t stream;
+  cudaEvent_t event[8];
+  buffer buffers[PLACES], weights, pinned;
+  mo_gk_weights tiles;
+  uint32_t shared_bytes;
+  char error[256];
+  mo_cuda_gradient_profile profile;
+
+  int fail(cudaError_t status, const char *what)
+  {
+    snprintf(error, sizeof(error), "%s: %s", what, cudaGetErrorString(status));
+    if (status == cudaErrorMemoryAllocation) {
+      (void)cudaGetLastError();
+      return MO_ERR_NO_MEMORY;
+    }
+    return MO_ERR_DEVICE;
+  }
+
+  int reserve(place p, uint64_t bytes)
+  {
+    buffer &b = buffers[p];
+    if (b.bytes >= bytes)
+      return MO_OK;
+    cudaFree(b.at);
+    b = buffer();
+    const uint64_t wanted =
+        bytes + bytes / 64 + 4096; /* bodies differ from step to step: so that the next batch fits, too */
+    const cudaError_t status = cudaMalloc(&b.at, wanted);
+    if (status != cudaSuccess) {
+      b.at = nullptr;
+      return fail(status, "device memory");
+    }
+    b.bytes = wanted;
+    return MO_OK;
+  }
+
+  int upload(place p, const void *from, uint64_t bytes)
+  {
+    const int r = reserve(p, bytes);
+    if (r < 0)
+      return r;
+    const cudaError_t status = cudaMemcpyAsync(buffers[p].at, from, bytes, cudaMemcpyHostToDevice, stream);
+    return status == cudaSuccess ? MO_OK : fail(status, "copy to the device");
+  }
+
+  template <class T> T *of(place p) const
+  {
+    return (T *)buffers[p].at;
+  }
+
+  uint64_t held() const
+  {
+    uint64_t sum = weights.bytes;
+    for (const buffer &b : buffers)
+      sum += b.bytes;
+    return sum;
+  }
+};
+
+namespace {
+
+int place_weights(mo_cuda_gradient_state *s)
+{
+  const size_t tile = 32 * sizeof(uint4), tiles = 3 * 256 + (size_t)MO_GP_OUTPUT_TILES * 16;
+  const size_t floats = 3 * 3 * MO_HIDDEN + MO_GP_OUTPUT_TILES * MO_GP_TILE;
+  s->weights.bytes = 2 * tiles * tile + floats * sizeof(float);
+  const cudaError_t status = cudaMalloc(&s->weights.at, s->weights.bytes);
+  if (status != cudaSuccess) {
+    s->weights = buffer();
+    return s->fail(status, "device memory");
+  }
+  uint4 *at = (uint4 *)s->weights.at;
+  for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
+    const size_t n = (l < MO_HIDDEN_LAYERS ? 256 : (size_t)MO_GP_OUTPUT_TILES * 16) * 32;
+    s->tiles.forward[l] = at;
+    s->tiles.back[l] = at + n;
+    at += 2 * n;
+  }
+  float *f = (float *)at;
+  for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
+    s->tiles.bias[l] = f;
+    f += l < MO_HIDDEN_LAYERS ? MO_HIDDEN : MO_GP_OUTPUT_TILES * MO_GP_TILE;
+    if (l < MO_HIDDEN_LAYERS) {
+      s->tiles.gain[l] = f;
+      s->tiles.shift[l] = f + MO_HIDDEN;
+      f += 2 * MO_HIDDEN;
+    }
+  }
+  return MO_OK;
+}
+
+/* One pass: groups first … end − 1 of the plan. */
+struct pass {
+  uint32_t first, end, first_shard, end_shard;
+  uint64_t tape, delta, sums;
+  uint32_t shared;
+};
+
+uint64_t pass_bytes(const mo_gradient_plan &plan, const pass &p)
+{
+  return p.tape + p.delta + 4 * p.sums + (uint64_t)(p.end_shard - p.first_shard) * 620912 * 4 + plan.n_masses * 25 +
+         plan.n_chunks * 128 + ((uint64_t)16 << 20);
+}
+
+/* As many shards from `first_shard` on as fit; places their groups' parts of the tape, the deltas and the sums. */
+int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint32_t n_steps, uint32_t chunk,
+              uint64_t budget, pass *ret)
+{
+  pass p = {first, first, first_shard, first_shard, 0, 0, 0, 0};
+  *ret = p;
+  while (p.end < plan.n_groups) {
+    const uint32_t shard = plan.groups[p.end].shard;
+    for (; p.end < plan.n_groups && plan.groups[p.end].shard == shard; p.end++) {
+      mo_gp_group &g = plan.groups[p.end];
+      g.tape_at = p.tape;
+      g.delta_at = p.delta;
+      g.sum_at = p.sums;
+      const uint64_t bytes = mo_gp_tape_of(&g, n_steps).bytes;
+      if (bytes > UINT32_MAX) /* the kernels' offsets */
+        return MO_ERR_UNSUPPORTED;
+      p.tape += bytes;
+      p.delta += mo_gp_delta_of(&g, chunk).bytes;
+      p.sums += (mo_gp_sum_of(&g).floats + 63) / 64 * 64;
+      p.shared = std::max(p.shared, mo_gp_shared_bytes(g.n_rows, g.n_masses, g.n_outputs));
+    }
+    p.end_shard = shard + 1;
+    if (pass_bytes(plan, p) > budget)
+      break;
+    *ret = p;
+  }
+  return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+uint64_t cost(const mo_gp_group &g)
+{
+  return 16 * (g.n_inputs + g.n_outputs + 32) + 10 * g.n_chunks / 4;
+}
+
+struct work {
+  mo_cuda_gradient_state *s;
+  mo_device_gradient *call;
+  const mo_gradient_plan *plan;
+  pass p;
+  mo_gk k;
+  uint32_t n_jobs, chunk;
+  std::vector<mo_gk_result> results;
+};
+
+int upload_pass(work &w, const std::vector<float> &generators)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const mo_gradient_plan &plan = *w.plan;
+  const uint32_t n = w.p.end - w.p.first;
+  std::vector<uint32_t> order(n), jobs, shards;
+  for (uint32_t i = 0; i < n; i++) {
+    const mo_gp_group &g = plan.groups[w.p.first + i];
+    order[i] = w.p.first + i;
+    while (shards.size() <= g.shard - w.p.first_shard)
+      shards.push_back(w.p.first + i);
+  }
+  shards.push_back(w.p.end);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](uint32_t a, uint32_t b) { return cost(plan.groups[a]) > cost(plan.groups[b]); });
+  for (uint32_t i : order) {
+    const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
+    for (uint32_t b = 0; b < blocks; b++)
+      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_OUTPUT, b));
+    for (uint32_t b = 0; b < MO_HIDDEN / MO_GK_JOB_COLUMNS; b++) {
+      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_HIDDEN_2, b));
+      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_HIDDEN_1, b));
+      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_INPUT, b));
+    }
+  }
+  w.n_jobs = (uint32_t)jobs.size();
+  w.results.assign(plan.n_rows, mo_gk_result());
+  int r = MO_OK;
+  const struct {
+    place p;
+    const void *from;
+    uint64_t bytes;
+  } parts[] = {{GROUPS, plan.groups, plan.n_groups * sizeof(*plan.groups)},
+               {ROWS, plan.rows, plan.n_rows * sizeof(*plan.rows)},
+               {POSITION, plan.position, plan.n_masses * 12},
+               {INPUT, plan.input, plan.n_masses},
+               {SPRINGS, plan.springs, plan.n_chunks * 128},
+               {ORDER, order.data(), order.size() * 4},
+               {JOBS, jobs.data(), jobs.size() * 4},
+               {SHARDS, shards.data(), shards.size() * 4},
+               {GENERATORS, generators.data(), generators.size() * 4},
+               {RESULTS, w.results.data(), plan.n_rows * sizeof(mo_gk_result)},
+               {PARAMETERS, w.call->controller->parameters, w.call->controller->n_parameters * 4}};
+  for (const auto &part : parts)
+    if (r == MO_OK)
+      r = s->upload(part.p, part.from, part.bytes);
+  if (r == MO_OK)
+    r = s->reserve(VELOCITY, plan.n_masses * 12);
+  if (r == MO_OK)
+    r = s->reserve(TAPE, w.p.tape);
+  if (r == MO_OK)
+    r = s->reserve(DELTA, w.p.delta);
+  if (r == MO_OK)
+    r = s->reserve(SUMS, 4 * w.p.sums);
+  if (r == MO_OK)
+    r = s->reserve(D_PARAMETERS, (uint64_t)(w.p.end_shard - w.p.first_shard) * w.call->controller->n_parameters * 4);
+  if (r < 0)
+    return r;
+  w.k.groups = s->of<mo_gp_group>(GROUPS);
+  w.k.rows = s->of<mo_gp_row>(ROWS);
+  w.k.order = s->of<uint32_t>(ORDER);
+  w.k.input = s->of<uint8_t>(INPUT);
+  w.k.springs = s->of<uint32_t>(SPRINGS);
+  w.k.generators = s->of<float>(GENERATORS);
+  w.k.tape = s->of<unsigned char>(TAPE);
+  w.k.delta = s->of<unsigned char>(DELTA);
+  w.k.sums = s->of<float>(SUMS);
+  w.k.position = s->of<float>(POSITION);
+  w.k.velocity = s->of<float>(VELOCITY);
+  w.k.results = s->of<mo_gk_result>(RESULTS);
+  w.k.weights = s->tiles;
+  w.k.chunk = w.chunk;
+  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. */
+  const int status = mo_gk_pack(s->of<float>(PARAMETERS), &s->tiles, s->stream);
+  return status == 0 ? MO_OK : s->fail((cudaError_t)status, "weights");
+}
+
+bool cancelled(const work &w)
+{
+  return w.call->cancel != nullptr && *w.call->cancel != 0;
+}
+
+/* At most two launches are under way, so that the flag is seen in time. */
+int pace(work &w, int &slot)
+{
+  mo_cuda_gradient_state *s = w.s;
+  cudaError_t status = cudaEventRecord(s->event[slot], s->stream);
+  slot ^= 1;
+  if (status == cudaSuccess)
+    status = cudaEventSynchronize(s->event[slot]);
+  if (status != cudaSuccess)
+    return s->fail(status, "kernel");
+  return cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
+}
+
+int finish(work &w, double &sum_s, double since)
+{
+  const cudaError_t status = cudaStreamSynchronize(w.s->stream);
+  sum_s += now_s() - since;
+  return status == cudaSuccess ? MO_OK : w.s->fail(status, "kernel");
+}
+
+int forward(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const double since = now_s();
+  int slot = 0;
+  for (uint32_t first = 0; first < w.k.n_steps; first += w.chunk) {
+    w.k.first = first;
+    w.k.end = std::min(first + w.chunk, w.k.n_steps);
+    const int status = mo_gk_forward(&w.k, w.p.end - w.p.first, w.p.shared, s->stream);
+    if (status != 0)
+      return s->fail((cudaError_t)status, "rollouts");
+    const int r = pace(w, slot);
+    if (r < 0)
+      return r;
+  }
+  return finish(w, s->profile.forward_s, since);
+}
+
+int walk_back(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const double since = now_s();
+  int slot = 0;
+  s->profile.walks++;
+  for (uint32_t n = (w.k.n_steps + w.chunk - 1) / w.chunk; n-- > 0;) {
+    w.k.first = n * w.chunk;
+    w.k.end = std::min(w.k.first + w.chunk, w.k.n_steps);
+    int status = mo_gk_back(&w.k, w.p.end - w.p.first, w.p.shared, s->stream);
+    if (status == 0)
+      status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, s->stream);
+    if (status != 0)
+      return s->fail((cudaError_t)status, "way back");
+    const int r = pace(w, slot);
+    if (r < 0)
+      return r;
+  }
+  return finish(w, s->profile.back_s, since);
+}
+
+int fetch_results(work &w)
+{
+  const cudaError_t status = cudaMemcpy(w.results.data(), w.s->buffers[RESULTS].at,
+                                        w.results.size() * sizeof(mo_gk_result), cudaMemcpyDeviceToHost);
+  return status == cudaSuccess ? MO_OK : w.s->fail(status, "copy from the device");
+}
+
+/* Back until no more rows turn out to be left out. */
+int walk_until_finite(work &w)
+{
+  std::vector<mo_gk_result> before;
+  for (;;) {
+    int r = walk_back(w);
+    if (r == MO_OK)
+      r = fetch_results(w);
+    if (r < 0)
+      return r;
+    bool more = false;
+    for (size_t i = 0; i < w.results.size(); i++) {
+      const bool known = !before.empty() && before[i].zeroed;
+      if (known)
+        w.results[i] = before[i]; /* counted when it was found */
+      more |= w.results[i].zeroed && !known;
+    }
+    if (!more)
+      return MO_OK;
+    before = w.results;
+    std::vector<mo_gk_result> again = w.results;
+    for (mo_gk_result &x : again) {
+      x.steps = x.clipped = 0;
+      x.largest = 0;
+    }
+    r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
+    if (r < 0)
+      return r;
+  }
+}
+
+int collect(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const uint32_t n = w.p.end_shard - w.p.first_shard;
+  const uint64_t n_parameters = w.call->controller->n_parameters;
+  const double since = now_s();
+  const int status =
+      mo_gk_collect(&w.k, s->of<uint32_t>(SHARDS), n, w.call->weight, s->of<float>(D_PARAMETERS), s->stream);
+  if (status != 0)
+    return s->fail((cudaError_t)status, "sums");
+  const uint64_t bytes = n * n_parameters * 4;
+  cudaError_t copied = cudaSuccess;
+  if (s->pinned.bytes < bytes) {
+    cudaFreeHost(s->pinned.at);
+    s->pinned = buffer();
+    copied = cudaMallocHost(&s->pinned.at, bytes);
+    if (copied != cudaSuccess)
+      return s->fail(copied, "pinned memory");
+    s->pinned.bytes = bytes;
+  }
+  copied = cudaMemcpyAsync(s->pinned.at, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream);
+  if (copied != cudaSuccess)
+    return s->fail(copied, "copy from the device");
+  const int r = finish(w, s->profile.collect_s, since);
+  if (r == MO_OK)
+    memcpy(w.call->d_parameters + w.p.first_shard * n_parameters, s->pinned.at, bytes);
+  return r;
+}
+
+void report(work &w)
+{
+  mo_gradient_counts counts = {};
+  for (uint32_t i = w.p.first; i < w.p.end; i++) {
+    const mo_gp_group &g = w.plan->groups[i];
+    for (uint32_t j = g.first_row; j < g.first_row + g.n_rows; j++) {
+      const mo_gp_row &row = w.plan->rows[j];
+      const mo_gk_result &result = w.results[j];
+      if (row.robot == MO_GP_NO_ROBOT)
+        continue;
+      mo_outcome &o = w.call->outcomes[row.robot];
+      o = w.plan->starts[row.robot];
+      o.diverged_step = result.diverged;
+      for (int axis = 0; axis < 3; axis++)
+        o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0);
+      o.loss = result.diverged
+                   ? (double)INFINITY
+                   : mo_scene_loss(o.com_start_m, o.com_end_m, w.call->robots[row.robot].environment->light_xy_m);
+      counts.robots++;
+      counts.steps += result.steps;
+      counts.clipped_steps += result.clipped;
+      counts.clipped_robots += result.clipped > 0;
+      counts.diverged_robots += result.diverged != 0;
+      counts.zeroed_robots += result.zeroed != 0;
+      counts.largest = fmax(counts.largest, result.largest);
+    }
+  }
+  mo_gradient_counts_add(&w.call->counts, &counts);
+}
+
+/* float16 holds the weights, and what the hidden layers can come to. */
+bool fits_half(const mo_controller *c)
+{
+  const float limit = 6e4f;
+  for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
+    const size_t n = (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : (size_t)c->n_springs) * (l == 0 ? c->n_inputs : MO_HIDDEN);
+    for (size_t i = 0; i < n; i++)
+      if (!(fabsf(c->weight[l][i]) <= limit))
+        return false;
+    for (int i = 0; l < MO_HIDDEN_LAYERS && i < MO_HIDDEN; i++)
+      if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit))
+        return false;
+  }
+  return true;
+}
+
+mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
+{
+  mo_lane_physics l = {};
+  l.dt = (float)p.dt_s;
+  l.friction = (float)p.friction;
+  l.friction_cap = (float)p.friction_cap;
+  l.bisections = p.impact == MO_IMPACT_BISECTION ? (int)p.bisections : 0;
+  l.keep = (float)exp(-p.drag_per_s * p.dt_s);
+  l.fall = (float)(p.gravity_m_per_s2 * p.dt_s);
+  l.pull = (float)(p.dt_s * p.stiffness_n_per_m / p.mass_kg);
+  l.actuation = (float)p.actuation;
+  l.inverse_square = sensor == MO_SENSOR_INVERSE_SQUARE;
+  return l;
+}
+
+int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
+{
+  const uint32_t n_steps = call->physics.n_steps;
+  const uint32_t chunk = std::min<uint32_t>(n_steps, CHUNK_STEPS);
+  size_t free_bytes = 0, total = 0;
+  cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
+  if (status != cudaSuccess)
+    return s->fail(status, "device");
+  uint64_t budget = free_bytes + s->held();
+  budget = budget > RESERVE_BYTES ? (budget - RESERVE_BYTES) / 65 * 64 : 0;
+  if (memory_bytes > 0)
+    budget = std::min(budget, memory_bytes);
+  std::vector<float> generators((size_t)n_steps * MO_CPG_INPUTS);
+  for (uint32_t step = 0; step < n_steps; step++)
+    for (int i = 0; i < MO_CPG_INPUTS; i++)
+      generators[(size_t)step * MO_CPG_INPUTS + i] =
+          (float)sin(MO_CPG_RAD_PER_S * (step * call->physics.dt_s) + 2.0 * M_PI * i / MO_CPG_INPUTS);
+  for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
+    work w = {};
+    w.s = s;
+    w.call = call;
+    w.plan = &plan;
+    w.chunk = chunk;
+    int r = plan_pass(plan, shard, group, n_steps, chunk, budget, &w.p);
+    if (r < 0)
+      return r;
+    w.k.physics = lane_physics(call->physics, call->controller->sensor);
+    w.k.bound = call->adjoint_bound;
+    w.k.n_steps = n_steps;
+    const double since = now_s();
+    r = upload_pass(w, generators);
+    s->profile.upload_s += now_s() - since;
+    if (r == MO_OK)
+      r = forward(w);
+    if (r == MO_OK)
+      r = walk_until_finite(w);
+    if (r == MO_OK)
+      r = collect(w);
+    if (r < 0) {
+      cudaStreamSynchronize(s->stream);
+      return r;
+    }
+    report(w);
+    s->profile.passes++;
+    s->profile.groups += w.p.end - w.p.first;
+    group = w.p.end;
+    shard = w.p.end_shard;
+  }
+  return MO_OK;
+}
+
+} // namespace
+
+int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
+{
+  mo_cuda_gradient_state *s = (mo_cuda_gradient_state *)calloc(1, sizeof(*s));
+  if (s == nullptr)
+    return MO_ERR_NO_MEMORY;
+  s->device = device;
+  int shared = 0;
+  cudaError_t status = cudaSetDevice(device);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
+  if (status == cudaSuccess)
+    status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
+  for (cudaEvent_t &event : s->event)
+    if (status == cudaSuccess)
+      status = cudaEventCreateWithFlags(&event, cudaEventDisableTiming);
+  if (status != cudaSuccess) {
+    mo_cuda_gradient_free(s);
+    return MO_ERR_DEVICE;
+  }
+  s->shared_bytes = (uint32_t)shared;
+  *ret = s;
+  return MO_OK;
+}
+
+void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *s)
+{
+  cudaSetDevice(s->device);
+  for (buffer &b : s->buffers) {
+    cudaFree(b.at);
+    b = buffer();
+  }
+}
+
+void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
+{
+  if (s == nullptr)
+    return;
+  mo_cuda_gradient_trim(s);
+  cudaFree(s->weights.at);
+  cudaFreeHost(s->pinned.at);
+  for (cudaEvent_t event : s->event)
+    if (event != nullptr)
+      cudaEventDestroy(event);
+  if (s->stream != nullptr)
+    cudaStreamDestroy(s->stream);
+  free(s);
+}
+
+int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_gradient *call, uint64_t memory_bytes)
+{
+  const double since = now_s();
+  s->profile = mo_cuda_gradient_profile();
+  s->error[0] = 0;
+  call->counts = mo_gradient_counts();
+  call->host_s = call->device_s = 0;
+  if (call->controller == nullptr || call->n == 0 || !isfinite(call->adjoint_bound) || call->adjoint_bound < 0 ||
+      !isfinite(call->weight))
+    return MO_ERR_INVALID;
+  if (call->controller->n_masses != MO_DEFAULT_MASSES || call->controller->n_springs != MO_DEFAULT_SPRINGS ||
+      call->physics.n_steps == 0 || !fits_half(call->controller)) {
+    snprintf(s->error, sizeof(s->error), "not a controller or a physics that these kernels do");
+    return MO_ERR_UNSUPPORTED;
+  }
+  const cudaError_t status = cudaSetDevice(s->device);
+  if (status != cudaSuccess)
+    return s->fail(status, "device");
+  if (s->weights.at == nullptr) {
+    const int r = place_weights(s);
+    if (r < 0)
+      return r;
+  }
+  mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
+                           std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
+  mo_gradient_plan plan;
+  int r = mo_gradient_plan_create(call->robots, call->n, &call->physics, &options, &plan);
+  if (r < 0)
+    return r;
+  s->profile.plan_s = now_s() - since;
+  r = run(s, call, plan, memory_bytes);
+  mo_gradient_plan_free(&plan);
+  s->profile.device_bytes = s->held();
+  call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.collect_s;
+  call->host_s = now_s() - since - call->device_s;
+  return r;
+}
+
+const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *s)
+{
+  return s->error;
+}
+
+const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *s)
+{
+  return &s->profile;
+}

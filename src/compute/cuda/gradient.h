@@ -1,0 +1,37 @@
+/* gradient.h: gradients on one device, for module.cu. */
+#ifndef MORPHO_COMPUTE_CUDA_GRADIENT_H
+#define MORPHO_COMPUTE_CUDA_GRADIENT_H
+
+#include "compute/device.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Version of the code, for fingerprints: changes with every change of a bit. */
+#define MO_CUDA_GRADIENT_CODE "gradient-1"
+
+/* What lasts from one call to the next on one device: its buffers, which grow to what the calls need. */
+struct mo_cuda_gradient_state;
+int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret); /* MO_ERR_NO_MEMORY, MO_ERR_DEVICE */
+void mo_cuda_gradient_free(struct mo_cuda_gradient_state *state);             /* NULL-safe */
+/* Gives device memory back: others need it. It is asked for again by the next call. */
+void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
+
+/* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
+int mo_cuda_gradient_run(struct mo_cuda_gradient_state *state, struct mo_device_gradient *gradient,
+                         uint64_t memory_bytes);
+const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *state); /* text of the last failure */
+
+/* Of the last call. */
+struct mo_cuda_gradient_profile {
+  double plan_s, upload_s, forward_s, back_s, collect_s; /* the last three: of the device; back_s with the products */
+  uint64_t device_bytes;                                 /* held */
+  uint32_t passes, groups, walks;                        /* parts in which the call went; groups; ways back */
+};
+const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *state);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,433 @@
+/* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, keeping on the tape what the way back needs. */
+#include "compute/cuda/gradient_kernels.cuh"
+
+template <int MT> struct forward {
+  enum { ROWS = 16 * MT };
+  const mo_gk &k;
+  const mo_gp_group &g;
+  const int warp, lane;
+  /* Copies of what the group says: a store to the tape might change the original, as far as the compiler knows. */
+  int n_masses, n_chunks, first, n0, n1, own_chunks, generator_place;
+  uint32_t first_row;
+  const uint8_t *input;
+  const uint32_t *list; /* this lane's springs */
+  uint32_t chunk_at;
+  unsigned char *tape;
+  uint32_t position_at, velocity_at, activation_at, input_at, normal_at, hidden_at,
+      scale_at;         /* on the group's tape, in bytes */
+  uint32_t layer_bytes; /* from one layer to the next */
+  uint32_t width;       /* of the outputs in shared memory */
+  float *x, *v;         /* (n_masses, 3); v: as the springs find it, after drag and gravity */
+  int16_t *outputs;
+  __half *left; /* (rows, MO_GK_ROW) */
+  float2 *part;
+  lane_row *rows;
+  uint8_t *input_tile, *output_tile;
+  int n_inputs, n_outputs;
+  bool dead[2]; /* rows of this warp whose rollout has ended */
+
+  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared)
+      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32)
+  {
+    const mo_gp_pair &pair = g.pair[warp];
+    n_masses = (int)g.n_masses;
+    n_chunks = (int)g.n_chunks;
+    first = (int)pair.first_mass;
+    n0 = (int)pair.n_masses[0];
+    n1 = MT > 1 ? (int)pair.n_masses[1] : 0;
+    own_chunks = (int)pair.n_chunks;
+    first_row = g.first_row;
+    generator_place = g.input_place[15] * MO_GP_TILE + MO_DEFAULT_MASSES % MO_GP_TILE;
+    input = k.input + g.first_mass + first;
+    list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
+    chunk_at = pair.first_chunk * 32 + lane;
+    const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
+    tape = k.tape + g.tape_at;
+    position_at = (uint32_t)at.position;
+    velocity_at = (uint32_t)at.velocity;
+    activation_at = (uint32_t)at.activation;
+    input_at = (uint32_t)at.input;
+    normal_at = (uint32_t)at.normal[0];
+    hidden_at = (uint32_t)at.hidden[0];
+    layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
+    scale_at = (uint32_t)at.scale;
+    width = g.n_outputs * MO_GP_TILE + 8;
+    n_inputs = (int)g.n_inputs;
+    n_outputs = (int)g.n_outputs;
+    input_tile = shared;
+    output_tile = shared + 16;
+    if (threadIdx.x < 16)
+      input_tile[threadIdx.x] = g.input_tile[threadIdx.x];
+    if (threadIdx.x < MO_GP_OUTPUT_TILES)
+      output_tile[threadIdx.x] = g.output_tile[threadIdx.x];
+    shared += 128;
+    left = (__half *)shared;
+    shared += ROWS * MO_GK_ROW * 2;
+    part = (float2 *)shared;
+    shared += ROWS * MO_GK_PART * 8;
+    rows = (lane_row *)shared;
+    shared += ROWS * sizeof(lane_row);
+    load_rows(rows, k.rows + g.first_row, ROWS);
+    outputs = (int16_t *)shared;
+    shared += (ROWS * width * 2 + 15) / 16 * 16;
+    x = (float *)shared;
+    v = x + 3 * n_masses;
+  }
+
+  __device__ __forceinline__ int own_masses(int r) const
+  {
+    return r == 0 ? n0 : n1;
+  }
+
+  __device__ __forceinline__ void sense(uint32_t step)
+  {
+    int from = 0;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int row = warp + 16 * r, n = own_masses(r);
+      __half *to = left + row * MO_GK_ROW;
+      for (int i = lane; i < n_inputs * 2; i += 32)
+        ((uint4 *)to)[i] = make_uint4(0, 0, 0, 0);
+      __syncwarp();
+      if (n > 0 && !dead[r]) {
+        const lane_row &own = rows[row];
+        const float lx = own.light[0], ly = own.light[1], lz = own.light[2];
+        float light[8], sum = 0;
+#pragma unroll
+        for (int j = 0; j < 8; j++) {
+          light[j] = 0;
+          const int m = lane + 32 * j;
+          if (m < n) {
+            const float *p = x + 3 * (first + from + m);
+            const float d[3] = {p[0] - lx, p[1] - ly, p[2] - lz};
+            light[j] = mo_light(&k.physics, d);
+          }
+          sum += light[j];
+        }
+        const float mean = sum_lanes(sum) / (float)n;
+#pragma unroll
+        for (int j = 0; j < 8; j++) {
+          const int m = lane + 32 * j;
+          if (m < n)
+            to[__ldg(input + from + m)] = __float2half_rn(light[j] - mean);
+        }
+      }
+      if (lane < MO_CPG_INPUTS)
+        to[generator_place + lane] = __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
+      from += n;
+    }
+  }
+
+  __device__ __forceinline__ void keep_inputs(uint32_t step)
+  {
+    const int words = n_inputs * 8;
+    __nv_bfloat162 *to = (__nv_bfloat162 *)(tape + input_at) + (size_t)step * ROWS * words;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int row = warp + 16 * r;
+      for (int at = lane; at < words; at += 32)
+        to[row * words + at] = __float22bfloat162_rn(__half22float2(((const __half2 *)(left + row * MO_GK_ROW))[at]));
+    }
+  }
+
+  __device__ __forceinline__ void norm_relu(int layer, uint32_t step, warp_sums<MT> &sums, const norm_columns &columns,
+                                            const float2 (&biases)[2])
+  {
+    const int column = warp * 16 + 4 * (lane & 3);
+    float2 s[MT][2];
+#pragma unroll
+    for (int j = 0; j < 2; j++) {
+      const float2 bias = biases[j];
+#pragma unroll
+      for (int m = 0; m < MT; m++)
+#pragma unroll
+        for (int h = 0; h < 2; h++) {
+          sums.c[m][j][2 * h] += bias.x;
+          sums.c[m][j][2 * h + 1] += bias.y;
+        }
+    }
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const float a = sums.c[m][0][2 * h], b = sums.c[m][0][2 * h + 1], c = sums.c[m][1][2 * h],
+                    d = sums.c[m][1][2 * h + 1];
+        s[m][h] = make_float2((a + b) + (c + d), fmaf(a, a, b * b) + fmaf(c, c, d * d));
+      }
+    sum_rows<MT>(part, warp, lane, s);
+    uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
+    uint2 *hidden = (uint2 *)(tape + hidden_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
+    float *scale = (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * ROWS;
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const int row = m * 16 + h * 8 + (lane >> 2), at = row * (MO_HIDDEN / 4) + (column >> 2);
+        const float mean = s[m][h].x * (1.0f / MO_HIDDEN);
+        const float variance = fmaxf(fmaf(-mean, mean, s[m][h].y * (1.0f / MO_HIDDEN)), 0.0f);
+        const float factor = rsqrtf(variance + (float)MO_LAYERNORM_EPSILON);
+        float2 n[2], y[2];
+#pragma unroll
+        for (int j = 0; j < 2; j++) {
+          n[j] = make_float2((sums.c[m][j][2 * h] - mean) * factor, (sums.c[m][j][2 * h + 1] - mean) * factor);
+          y[j] = make_float2(fmaxf(fmaf(n[j].x, columns.gain[j].x, columns.shift[j].x), 0.0f),
+                             fmaxf(fmaf(n[j].y, columns.gain[j].y, columns.shift[j].y), 0.0f));
+        }
+        *(uint2 *)(left + row * MO_GK_ROW + column) = four(__float22half2_rn(y[0]), __float22half2_rn(y[1]));
+        normal[at] = four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
+        hidden[at] = four(__float22bfloat162_rn(y[0]), __float22bfloat162_rn(y[1]));
+        if (warp == 0 && (lane & 3) == 0)
+          scale[row] = factor;
+      }
+    __syncthreads();
+  }
+
+  __device__ __forceinline__ const uint4 *first_tile(int i) const
+  {
+    return k.weights.forward[0] + ((uint32_t)warp * 16 + input_tile[i]) * 32 + lane;
+  }
+  __device__ __forceinline__ const uint4 *hidden_tile(int layer, int i) const
+  {
+    return k.weights.forward[layer] + ((uint32_t)warp * 16 + i) * 32 + lane;
+  }
+  /* Of this warp's tiles of springs, one after the other. */
+  __device__ __forceinline__ const uint4 *last_tile(int i) const
+  {
+    return k.weights.forward[3] +
+           ((uint32_t)output_tile[min(warp + (i >> 4) * MO_GP_WARPS, n_outputs - 1)] * 16 + (i & 15)) * 32 + lane;
+  }
+
+  __device__ __forceinline__ void load_layer(int layer, int column, norm_columns &columns, float2 (&biases)[2]) const
+  {
+    columns.load(k.weights, layer, column);
+    const float4 b = __ldg((const float4 *)(k.weights.bias[layer] + column));
+    biases[0] = make_float2(b.x, b.y);
+    biases[1] = make_float2(b.z, b.w);
+  }
+
+  /* `ahead` has the first layer's first weights. */
+  __device__ __forceinline__ void control(uint32_t step, weights_ahead &ahead)
+  {
+    const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
+    const int own = warp < n_outputs ? ((n_outputs - warp - 1) / MO_GP_WARPS + 1) * 16 : 0;
+    const int column = warp * 16 + 4 * (lane & 3);
+    warp_sums<MT> sums;
+    norm_columns columns;
+    float2 biases[2];
+    load_layer(0, column, columns, biases);
+    sums.clear();
+    add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, 0, n_inputs, n_inputs - 1,
+                           [&](int i) { return first_tile(i); });
+    ahead.start(15, [&](int i) { return hidden_tile(1, i); });
+    norm_relu(0, step, sums, columns, biases);
+#pragma unroll 1
+    for (int layer = 1; layer < MO_HIDDEN_LAYERS; layer++) {
+      load_layer(layer, column, columns, biases);
+      sums.clear();
+      add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, 0, 16, 15,
+                             [&](int i) { return hidden_tile(layer, i); });
+      if (layer == 1)
+        ahead.start(15, [&](int i) { return hidden_tile(2, i); });
+      else
+        ahead.start(max(own - 1, 0), [&](int i) { return last_tile(i); });
+      norm_relu(layer, step, sums, columns, biases);
+    }
+#pragma unroll 1
+    for (int i = 0; i < own; i += 16) {
+      const int u = warp + i, tile = output_tile[u];
+      const uint4 *at = last_tile(i), *next = i + 16 < own ? last_tile(i + 16) : at;
+      const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + tile * 16 + 4 * (lane & 3)));
+      sums.clear();
+      add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, i, 16, own - 1,
+                             [&](int j) { return j - i < 16 ? at + (j - i) * 32 : next + (j - i - 16) * 32; });
+#pragma unroll
+      for (int m = 0; m < MT; m++)
+#pragma unroll
+        for (int h = 0; h < 2; h++) {
+          const int row = m * 16 + h * 8 + (lane >> 2);
+          const short2 a =
+              make_short2(activation(sums.c[m][0][2 * h] + bias.x), activation(sums.c[m][0][2 * h + 1] + bias.y));
+          const short2 c =
+              make_short2(activation(sums.c[m][1][2 * h] + bias.z), activation(sums.c[m][1][2 * h + 1] + bias.w));
+          *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = four(a, c);
+        }
+    }
+  }
+
+  /* tanh in units of 1/32767 */
+  static __device__ __forceinline__ short activation(float y)
+  {
+    const float e = __expf(-2.0f * fabsf(y));
+    const float a = __fdividef(1.0f - e, 1.0f + e);
+    return (short)__float2int_rn(copysignf(a * 32767.0f, y));
+  }
+
+  struct pull {
+    float f[3];
+    int16_t a;
+  };
+
+  __device__ __forceinline__ pull pull_of(uint32_t s, const float *own_x)
+  {
+    pull p = {{0, 0, 0}, 0};
+    if (s >> 31) {
+      const float *xa = own_x + 3 * MO_GP_SPRING_A(s), *xb = own_x + 3 * MO_GP_SPRING_B(s);
+      p.a = outputs[(warp + 16 * MO_GP_SPRING_ROW(s)) * width + MO_GP_SPRING_OUTPUT(s)];
+      const float d[3] = {xa[0] - xb[0], xa[1] - xb[1], xa[2] - xb[2]};
+      const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+      const float f = mo_spring_pull(&k.physics, rest, (float)p.a * (1.0f / 32767.0f), d);
+      p.f[0] = f * d[0];
+      p.f[1] = f * d[1];
+      p.f[2] = f * d[2];
+    }
+    return p;
+  }
+
+  /* The next chunk's pulls are computed while this one's are added. */
+  __device__ __forceinline__ void springs(uint32_t step)
+  {
+    int16_t *keep = (int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
+    const float *own_x = x + 3 * first;
+    float *own_v = v + 3 * first;
+    const int n = own_chunks;
+    uint32_t s = n > 0 ? __ldg(list) : 0, next = n > 1 ? __ldg(list + 32) : 0, after = n > 2 ? __ldg(list + 64) : 0;
+    pull p = pull_of(s, own_x);
+    for (int c = 0; c < n; c++) {
+      const uint32_t far = c + 3 < n ? __ldg(list + (c + 3) * 32) : 0;
+      const pull q = pull_of(next, own_x);
+      keep[c * 32] = p.a;
+      if (s >> 31) {
+        float *va = own_v + 3 * MO_GP_SPRING_A(s), *vb = own_v + 3 * MO_GP_SPRING_B(s);
+        const float a0 = va[0], a1 = va[1], a2 = va[2], b0 = vb[0], b1 = vb[1], b2 = vb[2];
+        va[0] = a0 - p.f[0];
+        va[1] = a1 - p.f[1];
+        va[2] = a2 - p.f[2];
+        vb[0] = b0 + p.f[0];
+        vb[1] = b1 + p.f[1];
+        vb[2] = b2 + p.f[2];
+      }
+      __syncwarp();
+      s = next;
+      next = after;
+      after = far;
+      p = q;
+    }
+  }
+
+  __device__ __forceinline__ void move(uint32_t step)
+  {
+    const int n = n0 + n1;
+    float *keep = (float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
+    bool sane[2] = {true, true};
+    for (int m = lane; m < n; m += 32) {
+      const bool second = m >= n0, ended = second ? dead[1] : dead[0];
+      const lane_row &own = rows[warp + (second ? 16 : 0)];
+      float *px = x + 3 * (first + m), *pv = v + 3 * (first + m);
+      float p[3] = {px[0], px[1], px[2]}, u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
+      keep[m] = u[0];
+      keep[n_masses + m] = u[1];
+      keep[2 * n_masses + m] = u[2];
+      if (!ended) {
+        mo_move(&k.physics, own.heights, own.highest, p, u);
+        const float places = (p[0] + p[1] + p[2]) * 0.0f;
+        const bool good = fmaf(u[0], u[0], fmaf(u[1], u[1], fmaf(u[2], u[2], places))) <=
+                          (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
+        sane[0] = sane[0] && (second || good);
+        sane[1] = sane[1] && (!second || good);
+      }
+      for (int axis = 0; axis < 3; axis++) {
+        px[axis] = p[axis];
+        pv[axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
+      }
+    }
+    __syncwarp();
+    int from = 0;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      if (!__all_sync(0xffffffffu, sane[r]) && !dead[r]) {
+        const float *before = (const float *)(tape + position_at) + ((size_t)step * n_masses + first + from) * 3;
+        for (int i = lane; i < 3 * own_masses(r); i += 32)
+          x[3 * (first + from) + i] = before[i];
+        if (lane == 0)
+          k.results[first_row + warp + 16 * r].diverged = (int32_t)step + 1;
+        dead[r] = true;
+      }
+      from += own_masses(r);
+    }
+    __syncwarp();
+  }
+
+  __device__ __forceinline__ void finish()
+  {
+    int from = first;
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      const int n = own_masses(r);
+      double sum[3] = {0, 0, 0};
+      for (int m = lane; m < n; m += 32)
+        for (int axis = 0; axis < 3; axis++)
+          sum[axis] += (double)x[3 * (from + m) + axis];
+#pragma unroll
+      for (int axis = 0; axis < 3; axis++)
+        sum[axis] = sum_lanes(sum[axis]);
+      if (lane < 3 && n > 0)
+        k.results[first_row + warp + 16 * r].com_end[lane] = (lane == 0 ? sum[0] : lane == 1 ? sum[1] : sum[2]) / n;
+      from += n;
+    }
+  }
+
+  __device__ __forceinline__ void run()
+  {
+    const int n = 3 * (n0 + n1);
+    const uint64_t state_at = 3 * (g.first_mass + first);
+    float *state_x = k.position + state_at, *state_v = k.velocity + state_at;
+    float *own_x = x + 3 * first, *own_v = v + 3 * first;
+    for (int i = lane; i < n; i += 32) {
+      own_x[i] = state_x[i];
+      own_v[i] = k.first > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
+    }
+    dead[0] = k.results[first_row + warp].diverged != 0;
+    dead[1] = MT > 1 && k.results[first_row + warp + 16 * (MT - 1)].diverged != 0;
+    __syncthreads();
+    for (uint32_t step = k.first; step < k.end; step++) {
+      weights_ahead ahead;
+      ahead.start(n_inputs - 1, [&](int i) { return first_tile(i); });
+      float *keep = (float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
+      for (int i = lane; i < n; i += 32)
+        keep[i] = own_x[i];
+      sense(step);
+      __syncthreads();
+      keep_inputs(step);
+      control(step, ahead);
+      __syncthreads();
+      springs(step);
+      move(step);
+    }
+    for (int i = lane; i < n; i += 32) {
+      state_x[i] = own_x[i];
+      state_v[i] = own_v[i];
+    }
+    if (k.end == k.n_steps)
+      finish();
+  }
+};
+
+static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
+{
+  extern __shared__ __align__(16) unsigned char shared[];
+  const mo_gp_group &g = k.groups[k.order[blockIdx.x]];
+  if (g.n_rows == 32)
+    forward<2>(k, g, shared).run();
+  else
+    forward<1>(k, g, shared).run();
+}
+
+extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream)
+{
+  const cudaError_t status =
+      cudaFuncSetAttribute(forward_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)shared_bytes);
+  if (status != cudaSuccess)
+    return (int)status;
+  forward_kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  return (int)cudaGetLastError();
+}

@@ -1,0 +1,288 @@
+/* gradient_kernels.cuh: what the kernels of the gradient share: their arguments, matrix instructions, a group's shared memory.
+ *
+ * In every product the sixteen warps of a block take sixteen columns (neurons or springs) each, for all rows. Activations are the left factor,
+ * in shared memory; weights are the right one, straight from global memory in the order in which the lanes' registers want them: 16 bytes per
+ * lane for a tile of 16 × 16. */
+#ifndef MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
+#define MORPHO_COMPUTE_CUDA_GRADIENT_KERNELS_CUH
+
+#include "compute/cuda/adjoint.cuh"
+#include "compute/cuda/gradient_plan.h"
+
+#include <cuda_bf16.h>
+#include <cuda_fp16.h>
+#include <stdint.h>
+
+enum {
+  MO_GK_THREADS = MO_GP_WARPS * MO_GP_LANES,
+  MO_GK_ROW = MO_HIDDEN + 8,   /* of activations in shared memory: rows start in different banks */
+  MO_GK_PART = MO_GP_WARPS + 2 /* of a row's partial sums: likewise */
+};
+#define MO_GK_LARGE 1e30f /* a larger ∂loss/∂ something counts as not finite: sums of smaller ones stay finite */
+
+/* Weights as tiles; the first index is the one that a warp owns. */
+struct mo_gk_weights {
+  uint4 *forward[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3, (103, 16): [out tile][in tile], float16 */
+  uint4
+      *back[MO_HIDDEN_LAYERS + 1]; /* (16, 16) × 3: [in tile][out tile]; (16, 103): [in tile][spring tile], bfloat16 */
+  float *bias[MO_HIDDEN_LAYERS + 1], *gain[MO_HIDDEN_LAYERS], *shift[MO_HIDDEN_LAYERS];
+};
+
+struct mo_gk_result {
+  double com_end[3]; /* x, y from the world's centre */
+  double largest;
+  int32_t diverged;
+  int32_t excluded; /* by the host: contributes nothing */
+  int32_t zeroed;   /* found on this way back */
+  uint32_t steps, clipped;
+};
+
+struct mo_gk {
+  const struct mo_gp_group *groups;
+  const struct mo_gp_row *rows;
+  const uint32_t *order; /* (blocks) groups, those that take longest first */
+  const uint8_t *input;
+  const uint32_t *springs;
+  const float *generators; /* (n_steps, 5) */
+  unsigned char *tape, *delta;
+  float *sums;
+  float *position, *velocity;   /* (n_masses, 3) between launches: the state, or ∂loss/∂ it */
+  struct mo_gk_result *results; /* (n_rows) */
+  struct mo_gk_weights weights;
+  struct mo_lane_physics physics;
+  double bound;
+  uint32_t n_steps, first, end, chunk; /* this launch: steps first … end − 1; a launch has at most `chunk` */
+};
+
+#ifdef __CUDACC__
+
+static __device__ __forceinline__ uint32_t shared_address(const void *p)
+{
+  return (uint32_t)__cvta_generic_to_shared(p);
+}
+
+static __device__ __forceinline__ void load_matrices(uint32_t r[4], uint32_t address)
+{
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3}, [%4];"
+               : "=r"(r[0]), "=r"(r[1]), "=r"(r[2]), "=r"(r[3])
+               : "r"(address));
+}
+
+static __device__ __forceinline__ void load_matrices_transposed(uint32_t r[4], uint32_t address)
+{
+  asm volatile("ldmatrix.sync.aligned.m8n8.x4.trans.shared.b16 {%0,%1,%2,%3}, [%4];"
+               : "=r"(r[0]), "=r"(r[1]), "=r"(r[2]), "=r"(r[3])
+               : "r"(address));
+}
+
+template <bool BF>
+static __device__ __forceinline__ void multiply(float c[4], const uint32_t a[4], uint32_t b0, uint32_t b1)
+{
+  if (BF)
+    asm volatile(
+        "mma.sync.aligned.m16n8k16.row.col.f32.bf16.bf16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
+        : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+        : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
+  else
+    asm volatile(
+        "mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
+        : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+        : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
+}
+
+/* Weights are read by every block at every step: they stay in the second-level cache and leave the first to others. */
+static __device__ __forceinline__ uint4 load_weights(const uint4 *p)
+{
+  uint4 w;
+  asm volatile("ld.global.nc.L1::no_allocate.v4.u32 {%0,%1,%2,%3}, [%4];"
+               : "=r"(w.x), "=r"(w.y), "=r"(w.z), "=r"(w.w)
+               : "l"(p));
+  return w;
+}
+
+/* A warp's sums: c[m][j][2 h + e] is row 16 m + 8 h + lane/4, column 4 (lane % 4) + 2 j + e of its sixteen: the columns of the instruction are
+ * dealt out so that a lane has four that follow one another (pack_kernel). */
+template <int MT> struct warp_sums {
+  float c[MT][2][4];
+  __device__ __forceinline__ void clear()
+  {
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int j = 0; j < 2; j++)
+#pragma unroll
+        for (int k = 0; k < 4; k++)
+          c[m][j][k] = 0;
+  }
+};
+
+/* Four 16-bit numbers. */
+template <class T> static __device__ __forceinline__ uint2 four(const T &a, const T &b)
+{
+  return make_uint2(*(const uint32_t *)&a, *(const uint32_t *)&b);
+}
+
+/* Weights on their way: a ring of tiles, asked for before they are needed, also before what they are multiplied with is there. */
+struct weights_ahead {
+  enum { N = 4 };
+  uint4 w[N];
+  /* tile(k): this lane's part of the k-th tile; `last`: of the last one. */
+  template <class Tile> __device__ __forceinline__ void start(int last, Tile tile)
+  {
+#pragma unroll
+    for (int i = 0; i < N; i++)
+      w[i] = load_weights(tile(min(i, last)));
+  }
+};
+
+/* One tile: `left` is this lane's address of its activations (see left_address), `row_bytes` the length of a row of them. */
+template <int MT, bool BF>
+static __device__ __forceinline__ void add_tile(warp_sums<MT> &sums, uint32_t left, uint32_t row_bytes, const uint4 &w)
+{
+  uint32_t a[MT][4];
+#pragma unroll
+  for (int m = 0; m < MT; m++)
+    load_matrices(a[m], left + (uint32_t)m * 16 * row_bytes);
+#pragma unroll
+  for (int m = 0; m < MT; m++) {
+    multiply<BF>(sums.c[m][0], a[m], w.x, w.y);
+    multiply<BF>(sums.c[m][1], a[m], w.z, w.w);
+  }
+}
+
+/* Adds tiles first … first + n − 1 to the sums; first is a multiple of the ring's length, and `last` the last tile of all that the ring is to
+ * bring. No condition stands between a load and its place in the ring: the compiler would copy the value there, and copying waits for it. */
+template <int MT, bool BF, class Tile>
+static __device__ __forceinline__ void add_product(warp_sums<MT> &sums, weights_ahead &ahead, uint32_t left,
+                                                   uint32_t row_bytes, int first, int n, int last, Tile tile)
+{
+  enum { N = weights_ahead::N };
+  int k = 0;
+#pragma unroll 1
+  for (; k + N <= n; k += N) {
+    const uint4 *next[N];
+#pragma unroll
+    for (int i = 0; i < N; i++)
+      next[i] = tile(min(first + k + i + N, last));
+#pragma unroll
+    for (int i = 0; i < N; i++) {
+      add_tile<MT, BF>(sums, left + (uint32_t)(k + i) * 32, row_bytes, ahead.w[i]);
+      ahead.w[i] = load_weights(next[i]);
+    }
+  }
+#pragma unroll
+  for (int i = 0; i < N - 1; i++)
+    if (k + i < n)
+      add_tile<MT, BF>(sums, left + (uint32_t)(k + i) * 32, row_bytes, ahead.w[i]);
+}
+
+static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes, int lane)
+{
+  return shared_address(activations) + (uint32_t)(lane & 15) * row_bytes + (uint32_t)(lane >> 4) * 16;
+}
+
+static __device__ __forceinline__ float sum_lanes(float x)
+{
+#pragma unroll
+  for (int k = 16; k > 0; k >>= 1)
+    x += __shfl_xor_sync(0xffffffffu, x, k);
+  return x;
+}
+
+static __device__ __forceinline__ double sum_lanes(double x)
+{
+#pragma unroll
+  for (int k = 16; k > 0; k >>= 1)
+    x += __shfl_xor_sync(0xffffffffu, x, k);
+  return x;
+}
+
+/* A row's light and terrain in shared memory. */
+struct lane_row {
+  float light[3], highest, heights[MO_TERRAIN_HEIGHTS];
+};
+
+static __device__ __forceinline__ void load_rows(lane_row *to, const mo_gp_row *rows, int n)
+{
+  enum { WORDS = sizeof(lane_row) / 4 };
+  for (int i = threadIdx.x; i < n * WORDS; i += MO_GK_THREADS)
+    ((float *)to)[i] = rows[i / WORDS].light[i % WORDS];
+}
+
+/* What a lane's four columns of a normalised layer are given: columns 2 j, 2 j + 1 in [j]. */
+struct norm_columns {
+  float2 gain[2], shift[2];
+  __device__ __forceinline__ void load(const mo_gk_weights &w, int layer, int column)
+  {
+    const float4 g = __ldg((const float4 *)(w.gain[layer] + column)),
+                 s = __ldg((const float4 *)(w.shift[layer] + column));
+    gain[0] = make_float2(g.x, g.y);
+    gain[1] = make_float2(g.z, g.w);
+    shift[0] = make_float2(s.x, s.y);
+    shift[1] = make_float2(s.z, s.w);
+  }
+};
+
+/* Two sums over each row's 256 columns, from what each lane has of them: part is (rows, MO_GK_PART) in shared memory. Synchronises the block. */
+template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, int warp, int lane, float2 (&s)[MT][2])
+{
+#pragma unroll
+  for (int m = 0; m < MT; m++)
+#pragma unroll
+    for (int h = 0; h < 2; h++) {
+      float2 x = s[m][h];
+      x.x += __shfl_xor_sync(0xffffffffu, x.x, 1);
+      x.y += __shfl_xor_sync(0xffffffffu, x.y, 1);
+      x.x += __shfl_xor_sync(0xffffffffu, x.x, 2);
+      x.y += __shfl_xor_sync(0xffffffffu, x.y, 2);
+      if ((lane & 3) == 0)
+        part[(m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART + warp] = x;
+    }
+  __syncthreads();
+#pragma unroll
+  for (int m = 0; m < MT; m++)
+#pragma unroll
+    for (int h = 0; h < 2; h++) {
+      const float4 *row = (const float4 *)(part + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART);
+      float2 x = {0, 0};
+#pragma unroll
+      for (int k = 0; k < MO_GP_WARPS / 2; k++) {
+        const float4 two = row[k];
+        x.x += two.x;
+        x.y += two.y;
+        x.x += two.z;
+        x.y += two.w;
+      }
+      s[m][h] = x;
+    }
+}
+
+#endif
+
+/* ---- launches; all return a cudaError_t as int ---- */
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, void *stream);
+int mo_gk_forward(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream);
+int mo_gk_back(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream);
+/* jobs: (n) group, kind and block of each product. */
+int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, void *stream);
+/* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters). */
+int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
+                  float *d_parameters, void *stream);
+#ifdef __cplusplus
+}
+#endif
+
+#define MO_GK_JOB(group, kind, block) ((uint32_t)(group) << 8 | (uint32_t)(kind) << 4 | (uint32_t)(block))
+enum {
+  MO_GK_JOB_OUTPUT = 0,
+  MO_GK_JOB_HIDDEN_2 = 1,
+  MO_GK_JOB_HIDDEN_1 = 2,
+  MO_GK_JOB_INPUT = 3,
+  MO_GK_JOB_COLUMNS = 128
+};
+
+#endif

@@ -1,0 +1,278 @@
+/* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a shard's groups, and weights as tiles.
+ *
+ * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
+ * group and all steps of the launch in order; the launches are added in order too, and the groups in collect. So no sum depends on which other
+ * groups there are, nor on the device. */
+#include "compute/cuda/gradient_kernels.cuh"
+
+enum {
+  DEPTH = 32, /* rows × steps at a time */
+  M = MO_GK_JOB_COLUMNS,
+  N = MO_HIDDEN,
+  M_ROW = M + 8,
+  N_ROW = N + 8,
+  STAGES = 4,
+  STAGE_BYTES = DEPTH * (M_ROW + N_ROW) * 2,
+  THREADS = 256
+};
+
+static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from, bool there)
+{
+  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(to), "l"(from), "r"(there ? 16 : 0));
+}
+
+struct operands {
+  const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, right_row) */
+  int left_row, right_row, left_columns, depth;
+};
+
+static __device__ __forceinline__ void fetch(const operands &o, uint32_t stage, int from)
+{
+#pragma unroll
+  for (int i = 0; i < DEPTH * M / 8 / THREADS; i++) {
+    const int at = (int)threadIdx.x + i * THREADS, row = at / (M / 8), column = at % (M / 8) * 8;
+    const bool there = from + row < o.depth && column < o.left_columns;
+    copy_ahead(stage + (uint32_t)(row * M_ROW + column) * 2,
+               o.left + (there ? (size_t)(from + row) * o.left_row + column : 0), there);
+  }
+#pragma unroll
+  for (int i = 0; i < DEPTH * N / 8 / THREADS; i++) {
+    const int at = (int)threadIdx.x + i * THREADS, row = at / (N / 8), column = at % (N / 8) * 8;
+    const bool there = from + row < o.depth && column < o.right_row;
+    copy_ahead(stage + (uint32_t)(DEPTH * M_ROW + row * N_ROW + column) * 2,
+               o.right + (there ? (size_t)(from + row) * o.right_row + column : 0), there);
+  }
+}
+
+static __global__ void __launch_bounds__(THREADS, 1)
+    products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs)
+{
+  extern __shared__ __align__(16) unsigned char shared[];
+  const uint32_t job = jobs[blockIdx.x];
+  const mo_gp_group &g = k.groups[job >> 8];
+  const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
+  const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps);
+  const mo_gp_delta delta = mo_gp_delta_of(&g, k.chunk);
+  const mo_gp_sum sum = mo_gp_sum_of(&g);
+  const unsigned char *tape_base = k.tape + g.tape_at, *delta_base = k.delta + g.delta_at;
+  float *to = k.sums + g.sum_at;
+  operands o;
+  int m_all = MO_HIDDEN;
+  uint64_t right;
+  o.depth = (int)((k.end - k.first) * g.n_rows);
+  o.right_row = MO_HIDDEN;
+  if (kind == MO_GK_JOB_OUTPUT) {
+    m_all = (int)g.n_outputs * MO_GP_TILE;
+    o.left = (const __nv_bfloat16 *)(delta_base + delta.output);
+    right = tape.hidden[2];
+    to += sum.output;
+  } else if (kind == MO_GK_JOB_INPUT) {
+    o.left = (const __nv_bfloat16 *)(delta_base + delta.dense[0]);
+    o.right_row = (int)g.n_inputs * MO_GP_TILE;
+    right = tape.input;
+    to += sum.input;
+  } else {
+    const int layer = kind == MO_GK_JOB_HIDDEN_2 ? 2 : 1;
+    o.left = (const __nv_bfloat16 *)(delta_base + delta.dense[layer]);
+    right = tape.hidden[layer - 1];
+    to += sum.hidden[layer - 1];
+  }
+  o.right = (const __nv_bfloat16 *)(tape_base + right) + (size_t)k.first * g.n_rows * o.right_row;
+  o.left_row = m_all;
+  o.left += block * M;
+  o.left_columns = m_all - block * M;
+  to += (size_t)block * M * o.right_row;
+
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 1) * 64, n0 = (warp >> 1) * 64;
+  const bool idle = m0 >= o.left_columns || n0 >= o.right_row;
+  const uint32_t base = shared_address(shared);
+  const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * M_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
+  const uint32_t right_at =
+      (uint32_t)(DEPTH * M_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * N_ROW + n0 + (lane >> 4) * 8) * 2;
+  float c[4][8][4];
+#pragma unroll
+  for (int i = 0; i < 4; i++)
+#pragma unroll
+    for (int j = 0; j < 8; j++)
+#pragma unroll
+      for (int l = 0; l < 4; l++)
+        c[i][j][l] = 0;
+  const int n = (o.depth + DEPTH - 1) / DEPTH;
+#pragma unroll
+  for (int i = 0; i < STAGES - 1; i++) {
+    if (i < n)
+      fetch(o, base + i * STAGE_BYTES, i * DEPTH);
+    asm volatile("cp.async.commit_group;");
+  }
+  for (int i = 0; i < n; i++) {
+    asm volatile("cp.async.wait_group %0;" ::"n"(STAGES - 2));
+    __syncthreads();
+    if (i + STAGES - 1 < n)
+      fetch(o, base + (uint32_t)((i + STAGES - 1) % STAGES) * STAGE_BYTES, (i + STAGES - 1) * DEPTH);
+    asm volatile("cp.async.commit_group;");
+    if (idle)
+      continue;
+    const uint32_t stage = base + (uint32_t)(i % STAGES) * STAGE_BYTES;
+#pragma unroll
+    for (int d = 0; d < DEPTH; d += 16) {
+      uint32_t a[4][4], b[4][4];
+#pragma unroll
+      for (int m = 0; m < 4; m++)
+        load_matrices_transposed(a[m], stage + left_at + (uint32_t)(d * M_ROW + m * 16) * 2);
+#pragma unroll
+      for (int j = 0; j < 4; j++)
+        load_matrices_transposed(b[j], stage + right_at + (uint32_t)(d * N_ROW + j * 16) * 2);
+#pragma unroll
+      for (int m = 0; m < 4; m++)
+#pragma unroll
+        for (int j = 0; j < 4; j++) {
+          multiply<true>(c[m][2 * j], a[m], b[j][0], b[j][1]);
+          multiply<true>(c[m][2 * j + 1], a[m], b[j][2], b[j][3]);
+        }
+    }
+  }
+  if (idle)
+    return;
+  const bool first = k.end == k.n_steps;
+#pragma unroll
+  for (int m = 0; m < 4; m++)
+#pragma unroll
+    for (int j = 0; j < 8; j++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const int row = m0 + m * 16 + h * 8 + (lane >> 2), column = n0 + j * 8 + 2 * (lane & 3);
+        if (row >= o.left_columns || column >= o.right_row)
+          continue;
+        float2 *at = (float2 *)(to + (size_t)row * o.right_row + column);
+        const float2 before = first ? make_float2(0, 0) : *at;
+        *at = make_float2(before.x + c[m][j][2 * h], before.y + c[m][j][2 * h + 1]);
+      }
+}
+
+/* ---- over a shard's groups ---- */
+
+static __device__ double of_group(const mo_gp_group &g, const float *sums, uint32_t i)
+{
+  const mo_gp_sum sum = mo_gp_sum_of(&g);
+  const float *from = sums + g.sum_at;
+  enum { INPUTS = MO_DEFAULT_MASSES + MO_CPG_INPUTS, SQUARE = MO_HIDDEN * MO_HIDDEN };
+  if (i < MO_HIDDEN * INPUTS) {
+    const uint32_t row = i / INPUTS, column = i % INPUTS, place = g.input_place[column / MO_GP_TILE];
+    return place == MO_GP_NONE ? 0.0 : from[sum.input + (row * g.n_inputs + place) * MO_GP_TILE + column % MO_GP_TILE];
+  }
+  i -= MO_HIDDEN * INPUTS;
+  for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++) {
+    if (layer > 0) {
+      if (i < SQUARE)
+        return from[sum.hidden[layer - 1] + i];
+      i -= SQUARE;
+    }
+    if (i < 3 * MO_HIDDEN)
+      return from[sum.bias[layer] + i];
+    i -= 3 * MO_HIDDEN;
+  }
+  const bool is_bias = i >= MO_DEFAULT_SPRINGS * MO_HIDDEN;
+  const uint32_t spring = is_bias ? i - MO_DEFAULT_SPRINGS * MO_HIDDEN : i / MO_HIDDEN, column = i % MO_HIDDEN;
+  const uint32_t place = g.output_place[spring / MO_GP_TILE];
+  if (place == MO_GP_NONE)
+    return 0;
+  const uint32_t at = place * MO_GP_TILE + spring % MO_GP_TILE;
+  return is_bias ? from[sum.output_bias + at] : from[sum.output + at * MO_HIDDEN + column];
+}
+
+static __global__ void collect_kernel(const mo_gp_group *groups, const float *sums, const uint32_t *shard_groups,
+                                      double weight, uint32_t n_parameters, float *d_parameters)
+{
+  const uint32_t i = blockIdx.x * blockDim.x + threadIdx.x;
+  if (i >= n_parameters)
+    return;
+  double sum = 0;
+  for (uint32_t g = shard_groups[blockIdx.y]; g < shard_groups[blockIdx.y + 1]; g++)
+    sum += of_group(groups[g], sums, i);
+  d_parameters[(size_t)blockIdx.y * n_parameters + i] = (float)(sum * weight);
+}
+
+/* ---- weights ---- */
+
+/* Value of a matrix (n_out, n_in), 0 beyond it. */
+static __device__ __forceinline__ float at(const float *w, uint32_t n_out, uint32_t n_in, uint32_t out, uint32_t in)
+{
+  return out < n_out && in < n_in ? w[out * n_in + in] : 0.0f;
+}
+
+static __device__ __forceinline__ uint32_t pair_half(float a, float b)
+{
+  const __half2 h = __floats2half2_rn(a, b);
+  return *(const uint32_t *)&h;
+}
+
+static __device__ __forceinline__ uint32_t pair_bfloat(float a, float b)
+{
+  const __nv_bfloat162 h = __floats2bfloat162_rn(a, b);
+  return *(const uint32_t *)&h;
+}
+
+/* One thread per lane of a tile, forward and back. */
+static __global__ void pack_kernel(const float *w, uint32_t n_out, uint32_t n_in, uint32_t out_tiles, uint32_t in_tiles,
+                                   uint4 *forward, uint4 *back)
+{
+  const uint32_t i = blockIdx.x * blockDim.x + threadIdx.x, lane = i % 32, tile = i / 32;
+  if (tile >= out_tiles * in_tiles)
+    return;
+  const uint32_t out = tile / in_tiles * 16, in = tile % in_tiles * 16, g = lane / 4, t = lane % 4 * 2;
+  uint32_t f[4], b[4];
+  for (uint32_t k = 0; k < 4; k++) {
+    const uint32_t n = g / 2 * 4 + k / 2 * 2 + g % 2, m = k % 2 * 8 + t; /* warp_sums says why */
+    f[k] = pair_half(at(w, n_out, n_in, out + n, in + m), at(w, n_out, n_in, out + n, in + m + 1));
+    b[k] = pair_bfloat(at(w, n_out, n_in, out + m, in + n), at(w, n_out, n_in, out + m + 1, in + n));
+  }
+  forward[i] = make_uint4(f[0], f[1], f[2], f[3]);
+  back[((in / 16) * out_tiles + out / 16) * 32 + lane] = make_uint4(b[0], b[1], b[2], b[3]);
+}
+
+static __global__ void copy_kernel(const float *from, float *to, uint32_t n)
+{
+  for (uint32_t i = threadIdx.x; i < n; i += blockDim.x)
+    to[i] = from[i];
+}
+
+extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w, void *stream)
+{
+  const cudaStream_t s = (cudaStream_t)stream;
+  const float *from = parameters;
+  for (int layer = 0; layer <= MO_HIDDEN_LAYERS; layer++) {
+    const uint32_t n_in = layer == 0 ? MO_DEFAULT_MASSES + MO_CPG_INPUTS : MO_HIDDEN;
+    const uint32_t n_out = layer < MO_HIDDEN_LAYERS ? MO_HIDDEN : MO_DEFAULT_SPRINGS, out_tiles = (n_out + 15) / 16;
+    pack_kernel<<<(out_tiles * 16 * 32 + 255) / 256, 256, 0, s>>>(from, n_out, n_in, out_tiles, 16, w->forward[layer],
+                                                                  w->back[layer]);
+    from += n_out * n_in;
+    copy_kernel<<<1, 256, 0, s>>>(from, w->bias[layer], n_out);
+    from += n_out;
+    if (layer < MO_HIDDEN_LAYERS) {
+      copy_kernel<<<1, 256, 0, s>>>(from, w->gain[layer], MO_HIDDEN);
+      copy_kernel<<<1, 256, 0, s>>>(from + MO_HIDDEN, w->shift[layer], MO_HIDDEN);
+      from += 2 * MO_HIDDEN;
+    }
+  }
+  return (int)cudaGetLastError();
+}
+
+extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, void *stream)
+{
+  const cudaError_t status =
+      cudaFuncSetAttribute(products_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, STAGES * STAGE_BYTES);
+  if (status != cudaSuccess)
+    return (int)status;
+  products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs);
+  return (int)cudaGetLastError();
+}
+
+extern "C" int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
+                             float *d_parameters, void *stream)
+{
+  const uint32_t n = MO_HIDDEN * (MO_DEFAULT_MASSES + MO_CPG_INPUTS) + 2 * MO_HIDDEN * MO_HIDDEN + 9 * MO_HIDDEN +
+                     MO_DEFAULT_SPRINGS * (MO_HIDDEN + 1);
+  collect_kernel<<<dim3((n + 255) / 256, n_shards), 256, 0, (cudaStream_t)stream>>>(k->groups, k->sums, shard_groups,
+                                                                                    weight, n, d_parameters);
+  return (int)cudaGetLastError();
+}

@@ -1,0 +1,340 @@
+/* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run; built with the module (src/compute/cuda/meson.build).
+ *
+ *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
+ *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory
+ *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
+ *   cuda-gradient short                              a few steps of everything, for compute-sanitizer
+ *
+ * WEIGHTS: the seed of random ones, or a controller's file. Robots are distinct random bodies, each in a training environment; 1000 steps,
+ * clipping at 2. One line per measurement; exit status 1 if a bound is missed, 77 without a device. */
+#include "compute/cuda/gradient.h"
+
+#include <math.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+enum { LIKE = 256, REPEATS = 5, BLOCKS = 16, WORKERS_MAX = 64 };
+#define COSINE_BOUND 0.99
+#define STEP_BOUND_S 0.25
+
+static int missed;
+static struct mo_cuda_gradient_state *state;
+
+static double now_s(void)
+{
+  struct timespec time;
+  clock_gettime(CLOCK_MONOTONIC, &time);
+  return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
+}
+
+static void must(int status, const char *what)
+{
+  if (status >= 0)
+    return;
+  fprintf(stderr, "cuda-gradient: %s: %s %s\n", what, mo_error_text(status),
+          state != NULL ? mo_cuda_gradient_error(state) : "");
+  exit(1);
+}
+
+static void *must_have(void *memory)
+{
+  must(memory != NULL ? MO_OK : MO_ERR_NO_MEMORY, "memory");
+  return memory;
+}
+
+static void expect(int held, const char *what)
+{
+  printf("%s: %s\n", held ? "ok" : "MISSED", what);
+  missed |= !held;
+}
+
+static int ascending(const void *a, const void *b)
+{
+  const double x = *(const double *)a, y = *(const double *)b;
+  return (x > y) - (x < y);
+}
+
+/* ---- scenes ---- */
+
+struct scene {
+  struct mo_lattice *lattice;
+  uint32_t n;
+  struct mo_body **bodies;
+  struct mo_environment *environments;
+  struct mo_robot *robots;
+};
+
+static void make_scene(struct scene *s, uint32_t n)
+{
+  struct mo_body_stream *stream = NULL;
+  *s = (struct scene){.n = n,
+                      .bodies = must_have(calloc(n, sizeof(*s->bodies))),
+                      .environments = must_have(calloc(n, sizeof(*s->environments))),
+                      .robots = must_have(calloc(n, sizeof(*s->robots)))};
+  must(mo_lattice_create(MO_DEFAULT_WORKSPACE, &s->lattice), "lattice");
+  must(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 1, &stream), "bodies");
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t bits[MO_DEFAULT_WORDS];
+    must(mo_body_stream_next(stream, bits), "bodies");
+    must(mo_body_create(s->lattice, bits, &s->bodies[i]), "body");
+    mo_environment_training(1, 0, i, &s->environments[i]);
+    s->robots[i] = (struct mo_robot){s->bodies[i], &s->environments[i]};
+  }
+  mo_body_stream_free(stream);
+}
+
+static void drop_scene(struct scene *s)
+{
+  for (uint32_t i = 0; i < s->n; i++)
+    mo_body_free(s->bodies[i]);
+  free(s->bodies);
+  free(s->environments);
+  free(s->robots);
+  mo_lattice_free(s->lattice);
+}
+
+static struct mo_controller *weights_of(const char *name)
+{
+  struct mo_controller *controller = NULL;
+  struct mo_message message = {""};
+  char *end;
+  const unsigned long long seed = strtoull(name, &end, 10);
+  if (*end != 0) {
+    must(mo_controller_read(name, &controller, &message), name);
+    return controller;
+  }
+  must(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller), "controller");
+  mo_controller_randomize(controller, seed);
+  return controller;
+}
+
+/* ---- the reference ---- */
+
+/* Robots i, i + 16, … make one sum; the sums are added in their order. */
+struct reference {
+  struct scene scene;
+  const struct mo_controller *controller;
+  struct mo_gradient_counts counts[BLOCKS];
+  double *sums[BLOCKS];
+  struct mo_outcome outcomes[LIKE];
+  pthread_mutex_t lock;
+  uint32_t next;
+};
+
+static void *reference_work(void *context)
+{
+  struct reference *r = context;
+  const struct mo_physics physics = mo_default_physics();
+  const struct mo_gradient_options options = {MO_ADJOINT_BOUND, 1.0 / LIKE};
+  for (;;) {
+    pthread_mutex_lock(&r->lock);
+    const uint32_t block = r->next++;
+    pthread_mutex_unlock(&r->lock);
+    if (block >= BLOCKS)
+      return NULL;
+    for (uint32_t i = block; i < LIKE; i += BLOCKS)
+      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i], &physics, &options,
+                                 &r->outcomes[i], r->sums[block], &r->counts[block]),
+           "reference");
+  }
+}
+
+static int make_reference(const char *path, const char *weights, uint32_t workers)
+{
+  static struct reference r = {.lock = PTHREAD_MUTEX_INITIALIZER};
+  struct mo_controller *controller = weights_of(weights);
+  pthread_t threads[WORKERS_MAX];
+  make_scene(&r.scene, LIKE);
+  r.controller = controller;
+  for (int i = 0; i < BLOCKS; i++)
+    r.sums[i] = must_have(calloc(controller->n_parameters, sizeof(double)));
+  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
+  for (uint32_t i = 0; i < workers; i++)
+    must(pthread_create(&threads[i], NULL, reference_work, &r) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+  for (uint32_t i = 0; i < workers; i++)
+    pthread_join(threads[i], NULL);
+  for (int i = 1; i < BLOCKS; i++) {
+    mo_gradient_counts_add(&r.counts[0], &r.counts[i]);
+    for (size_t k = 0; k < controller->n_parameters; k++)
+      r.sums[0][k] += r.sums[i][k];
+  }
+  FILE *file = fopen(path, "wb");
+  int written = file != NULL && fwrite(&r.counts[0], sizeof(r.counts[0]), 1, file) == 1 &&
+                fwrite(r.outcomes, sizeof(r.outcomes), 1, file) == 1 &&
+                fwrite(r.sums[0], sizeof(double), controller->n_parameters, file) == controller->n_parameters;
+  written = file != NULL && fclose(file) == 0 && written;
+  for (int i = 0; i < BLOCKS; i++)
+    free(r.sums[i]);
+  drop_scene(&r.scene);
+  mo_controller_free(controller);
+  return written ? 0 : 1;
+}
+
+/* ---- the device ---- */
+
+struct result {
+  struct mo_device_gradient call;
+  double total_s;
+};
+
+static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
+                uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
+{
+  const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
+  *r = (struct result){.call = {.controller = controller,
+                                .robots = s->robots + first,
+                                .n = n,
+                                .physics = mo_default_physics(),
+                                .adjoint_bound = MO_ADJOINT_BOUND,
+                                .weight = 1.0 / n,
+                                .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
+                                .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
+  r->call.physics.n_steps = n_steps;
+  const double start = now_s();
+  must(mo_cuda_gradient_run(state, &r->call, memory_bytes), "gradient");
+  r->total_s = now_s() - start;
+  const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
+  printf("%u robots, %u steps: %.3f s, device %.3f (forward %.3f, back %.3f, sums %.3f), host %.3f (layout %.3f, "
+         "upload %.3f); "
+         "%.1f GB, %u groups, %u passes, %u ways back\n",
+         n, n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->collect_s, r->call.host_s, p->plan_s,
+         p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->passes, p->walks);
+}
+
+static void drop(struct result *r)
+{
+  free(r->call.d_parameters);
+  free(r->call.outcomes);
+}
+
+static void print_counts(const char *name, const struct mo_gradient_counts *c)
+{
+  printf("  %s: %llu steps, clipped %llu in %llu robots, zeroed %llu, diverged %llu, largest m %.3g\n", name,
+         (unsigned long long)c->steps, (unsigned long long)c->clipped_steps, (unsigned long long)c->clipped_robots,
+         (unsigned long long)c->zeroed_robots, (unsigned long long)c->diverged_robots, c->largest);
+}
+
+static void check_likeness(const char *weights, const char *path, const struct scene *s)
+{
+  static struct mo_outcome outcomes[LIKE];
+  struct mo_controller *controller = weights_of(weights);
+  double *reference = must_have(malloc(controller->n_parameters * sizeof(double))), differ[LIKE];
+  struct mo_gradient_counts counts;
+  FILE *file = fopen(path, "rb");
+  const int read = file != NULL && fread(&counts, sizeof(counts), 1, file) == 1 &&
+                   fread(outcomes, sizeof(outcomes), 1, file) == 1 &&
+                   fread(reference, sizeof(double), controller->n_parameters, file) == controller->n_parameters;
+  must(read ? MO_OK : MO_ERR_FORMAT, path);
+  fclose(file);
+  struct result r;
+  run(&r, controller, s, 0, LIKE, 1000, 0);
+  for (int i = 0; i < LIKE; i++)
+    differ[i] = fabs(r.call.outcomes[i].loss - outcomes[i].loss);
+  qsort(differ, LIKE, sizeof(*differ), ascending);
+  double product = 0, own = 0, other = 0, apart = 0;
+  for (size_t k = 0; k < controller->n_parameters; k++) {
+    const double x = r.call.d_parameters[k], y = reference[k];
+    product += x * y;
+    own += x * x;
+    other += y * y;
+    apart += (x - y) * (x - y);
+  }
+  const double cosine = product / sqrt(own * other);
+  printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| median %.1e, p90 "
+         "%.1e, most %.1e\n",
+         weights, cosine, sqrt(apart / other), sqrt(own), sqrt(other), differ[LIKE / 2], differ[LIKE * 9 / 10],
+         differ[LIKE - 1]);
+  print_counts("device", &r.call.counts);
+  print_counts("float64", &counts);
+  char *end;
+  (void)strtoull(weights, &end, 10);
+  if (*end == 0) /* what a trained controller makes of 1000 steps is chaos for part of the robots: docs/numerics.md */
+    expect(cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
+  drop(&r);
+  free(reference);
+  mo_controller_free(controller);
+}
+
+static void check_bits(const struct scene *s, uint32_t n_steps)
+{
+  const uint32_t n = MO_DEVICE_SHARD, all = 2 * n;
+  struct mo_controller *controller = weights_of("1");
+  const size_t bytes = controller->n_parameters * sizeof(float);
+  struct result a, b;
+  run(&a, controller, s, 0, all, n_steps, 0);
+  run(&b, controller, s, 0, all, n_steps, 0);
+  expect(memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0 &&
+             memcmp(a.call.outcomes, b.call.outcomes, all * sizeof(*a.call.outcomes)) == 0,
+         "two runs give the same bits");
+  drop(&b);
+  run(&b, controller, s, n, n, n_steps, 0);
+  const float *with = a.call.d_parameters + controller->n_parameters;
+  int same = 1;
+  for (size_t k = 0; k < controller->n_parameters; k++)
+    same &= b.call.d_parameters[k] == 2 * with[k]; /* its weight is 1/1024, not 1/2048 */
+  expect(same, "a shard has the same bits alone");
+  drop(&b);
+  mo_cuda_gradient_trim(state);
+  run(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
+  expect(mo_cuda_gradient_times(state)->passes == 2 && memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0,
+         "with memory for one shard, one after the other, the same bits");
+  drop(&b);
+  drop(&a);
+  mo_controller_free(controller);
+}
+
+static void time_steps(const struct scene *s, uint32_t n, double bound_s)
+{
+  struct mo_controller *controller = weights_of("1");
+  double total[REPEATS], device[REPEATS];
+  for (int i = -1; i < REPEATS; i++) {
+    struct result r;
+    run(&r, controller, s, 0, n, 1000, 0);
+    if (i >= 0) {
+      total[i] = r.total_s;
+      device[i] = r.call.device_s;
+    }
+    drop(&r);
+  }
+  qsort(total, REPEATS, sizeof(*total), ascending);
+  qsort(device, REPEATS, sizeof(*device), ascending);
+  printf("%u robots: median %.3f s, of the device %.3f s\n", n, total[REPEATS / 2], device[REPEATS / 2]);
+  if (bound_s > 0)
+    expect(device[REPEATS / 2] <= bound_s, "a learning step of 8192 within 0.25 s of the device");
+  mo_controller_free(controller);
+}
+
+int main(int argc, char **argv)
+{
+  const char *what = argc > 1 ? argv[1] : "check";
+  if (strcmp(what, "reference") == 0 && argc > 3)
+    return make_reference(argv[2], argv[3], argc > 4 ? (uint32_t)atoi(argv[4]) : 1);
+  if (mo_cuda_gradient_create(0, &state) < 0) {
+    printf("no device\n");
+    return 77;
+  }
+  struct scene s;
+  if (strcmp(what, "time") == 0) {
+    make_scene(&s, 8192);
+    time_steps(&s, 1024, 0);
+    time_steps(&s, 8192, STEP_BOUND_S);
+  } else if (strcmp(what, "short") == 0) {
+    make_scene(&s, 40);
+    struct mo_controller *controller = weights_of("1");
+    struct result r;
+    run(&r, controller, &s, 0, 40, 2, 0);
+    drop(&r);
+    mo_controller_free(controller);
+  } else {
+    make_scene(&s, 2 * MO_DEVICE_SHARD);
+    for (int i = 2; i + 1 < argc; i += 2)
+      check_likeness(argv[i], argv[i + 1], &s);
+    check_bits(&s, 250);
+  }
+  drop_scene(&s);
+  mo_cuda_gradient_free(state);
+  return missed;
+}
