@@ -128,14 +128,14 @@ static int fill_springs(struct shard *s, const struct mo_gp_group *g, const stru
   }
   uint32_t *chunks = s->springs + s->n_chunks * MO_GP_LANES;
   memset(chunks, 0, most * MO_GP_LANES * sizeof(*chunks));
-  for (int class = 0; class < CLASSES; class ++) {
+  for (int kind = 0; kind < CLASSES; kind++) {
     uint32_t from = 0;
     for (uint32_t k = 0; k < 2; from += pair->n_masses[k++]) {
       if (pair->n_masses[k] == 0)
         continue;
       const struct mo_body *body = s->robots[rows[k * HALF].robot].body;
       const uint16_t *list = s->by_class[k];
-      for (uint32_t i = s->class_at[k][class]; i < s->class_at[k][class + 1]; i++) {
+      for (uint32_t i = s->class_at[k][kind]; i < s->class_at[k][kind + 1]; i++) {
         const uint32_t spring = list[i], at = body->spring_lattice[spring];
         const uint32_t a = from + body->spring_a[spring], b = from + body->spring_b[spring];
         uint32_t chunk = 0;
@@ -229,11 +229,11 @@ static int lay_out(struct shard *s)
   size_t most_masses = 0;
   for (uint32_t i = 0; i < s->n; i++)
     most_masses += s->robots[s->first + i].body->n_masses;
-  s->order = malloc(s->n * sizeof(*s->order));
+  s->order = malloc((s->n + (size_t)1) * sizeof(*s->order));
   s->groups = calloc(most_groups, sizeof(*s->groups));
   s->rows = calloc(most_groups * MO_GP_ROWS_MAX, sizeof(*s->rows));
-  s->position = malloc(3 * most_masses * sizeof(*s->position));
-  s->input = malloc(most_masses);
+  s->position = malloc(3 * (most_masses + 1) * sizeof(*s->position));
+  s->input = malloc(most_masses + 1);
   s->scratch = malloc(3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
   if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL || s->input == NULL ||
       s->scratch == NULL)
@@ -320,11 +320,11 @@ static int join(struct mo_gradient_plan *plan, const struct shard *shards)
     plan->n_masses += shards[i].n_masses;
     plan->n_chunks += shards[i].n_chunks;
   }
-  plan->groups = malloc(plan->n_groups * sizeof(*plan->groups));
-  plan->rows = malloc(plan->n_rows * sizeof(*plan->rows));
-  plan->position = malloc(plan->n_masses * 3 * sizeof(*plan->position));
-  plan->input = malloc(plan->n_masses);
-  plan->springs = malloc(plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+  plan->groups = malloc((plan->n_groups + (size_t)1) * sizeof(*plan->groups));
+  plan->rows = malloc((plan->n_rows + (size_t)1) * sizeof(*plan->rows));
+  plan->position = malloc((plan->n_masses + 1) * 3 * sizeof(*plan->position));
+  plan->input = malloc(plan->n_masses + 1);
+  plan->springs = malloc((plan->n_chunks + 1) * MO_GP_LANES * sizeof(*plan->springs));
   if (plan->groups == NULL || plan->rows == NULL || plan->position == NULL || plan->input == NULL ||
       plan->springs == NULL)
     return MO_ERR_NO_MEMORY;
@@ -342,7 +342,8 @@ static int join(struct mo_gradient_plan *plan, const struct shard *shards)
     memcpy(plan->rows + row, s->rows, s->n_rows * sizeof(*s->rows));
     memcpy(plan->position + 3 * mass, s->position, s->n_masses * 3 * sizeof(*s->position));
     memcpy(plan->input + mass, s->input, s->n_masses);
-    memcpy(plan->springs + chunk * MO_GP_LANES, s->springs, s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
+    if (s->springs != NULL)
+      memcpy(plan->springs + chunk * MO_GP_LANES, s->springs, s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
     group += s->n_groups;
     row += s->n_rows;
     mass += s->n_masses;
@@ -364,8 +365,8 @@ int mo_gradient_plan_create(const struct mo_robot *robots, uint32_t n, const str
     if (!is_default(robots[i].body->workspace))
       return MO_ERR_UNSUPPORTED;
   *plan = (struct mo_gradient_plan){.n = n, .n_shards = (n + options->shard - 1) / options->shard};
-  plan->starts = calloc(n, sizeof(*plan->starts));
-  struct shard *shards = calloc(plan->n_shards, sizeof(*shards));
+  plan->starts = calloc(n + (size_t)1, sizeof(*plan->starts));
+  struct shard *shards = calloc(plan->n_shards + (size_t)1, sizeof(*shards));
   int status = plan->starts != NULL && shards != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (status == MO_OK) {
     struct team team = {shards, plan->n_shards, options->workers};
