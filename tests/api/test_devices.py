@@ -248,6 +248,8 @@ def test_without_what_auto_looks_for(start):
     service = start(f"--compute-module={MODULE}", "--devices=auto", environment=fake(devices=0))
     assert service.log_text().count("no devices: the processors compute") == 1
     assert devices(service)["devices"] == []
+    service = start(*FLAGS, environment=fake(devices=2, full=0))  # others use all of its memory
+    assert [device["index"] for device in devices(service)["devices"]] == [1] and "a device is lost" in service.log_text()
     service = start(f"--compute-module={MODULE}", "--devices=1", environment=fake(devices=2))
     assert [device["index"] for device in devices(service)["devices"]] == [1]
     shown = subprocess.run([MORPHOCTL, "-s", f"http://{service.host}:{service.port}", "devices"], capture_output=True, text=True, timeout=30)

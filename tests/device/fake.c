@@ -6,7 +6,7 @@
  *   MORPHO_FAKE_DELAY_MS      what every call takes longer
  *   MORPHO_FAKE_LOSE          "1:5": device 1 is lost in its fifth call
  *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
- *   MORPHO_FAKE_SHUT          this device cannot be opened
+ *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory to be opened
  *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
@@ -54,6 +54,8 @@ static int fake_open(uint32_t index, struct mo_device **ret)
   int status;
   if (number("MORPHO_FAKE_SHUT", NO_LIMIT) == index)
     return MO_ERR_DEVICE;
+  if (number("MORPHO_FAKE_FULL", NO_LIMIT) == index)
+    return MO_ERR_NO_MEMORY;
   device = calloc(1, sizeof(*device));
   if (device == NULL)
     return MO_ERR_NO_MEMORY;

@@ -21,7 +21,8 @@ static struct mo_block blocks[DESIGNS];
 
 static int setup(void)
 {
-  static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS", "LOSE", "SHUT", "ABI"};
+  static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS",
+                                      "LOSE",    "SHUT", "FULL",   "ABI"};
   struct mo_body_stream *stream = NULL;
   for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
     char name[64];
@@ -188,12 +189,13 @@ static void passes_over_what_cannot_be_opened(void)
   struct mo_compute *compute = NULL;
   struct mo_device_status status;
   REQUIRE(setup());
-  set("MORPHO_FAKE_DEVICES", "3");
+  set("MORPHO_FAKE_DEVICES", "4");
   set("MORPHO_FAKE_SHUT", "1");
+  set("MORPHO_FAKE_FULL", "3");
   atomic_store(&n_lost, 0);
   REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK);
   CHECK_INT(mo_compute_add_devices(compute, &devices, NULL), MO_OK);
-  CHECK_INT(atomic_load(&n_lost), 1);
+  CHECK_INT(atomic_load(&n_lost), 2);
   CHECK_INT(mo_compute_devices(compute), 2);
   CHECK_INT(mo_compute_device(compute, 1, &status), MO_OK);
   CHECK_INT(status.index, 2);
