@@ -69,7 +69,9 @@ static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_sh
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
 {
   struct mo_fair *fair = &unit->devices->fair;
-  struct mo_block *block = mo_fair_take(fair, &chunk->charge);
+  struct mo_block *block = mo_fair_take_from(fair, &unit->devices->urgent, &chunk->charge);
+  if (block == NULL)
+    block = mo_fair_take(fair, &chunk->charge);
   if (block == NULL)
     return false;
   struct room room = {.like = block};

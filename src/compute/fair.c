@@ -101,12 +101,17 @@ struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charg
   for (struct mo_compute_share *share = fair->shares; share != NULL; share = share->next)
     if (share->first != NULL && (next == NULL || share->virtual_s < next->virtual_s))
       next = share;
-  if (next == NULL)
+  return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
+}
+
+struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share, struct mo_fair_charge *charge)
+{
+  if (share->first == NULL)
     return NULL;
-  if (fair->virtual_s < next->virtual_s)
-    fair->virtual_s = next->virtual_s;
-  const bool is_gradient = next->first->gradient != NULL || next->first->shards != NULL;
-  *charge = (struct mo_fair_charge){.share = next, .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
+  if (fair->virtual_s < share->virtual_s)
+    fair->virtual_s = share->virtual_s;
+  const bool is_gradient = share->first->gradient != NULL || share->first->shards != NULL;
+  *charge = (struct mo_fair_charge){.share = share, .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
   return take_first(fair, charge);
 }
 

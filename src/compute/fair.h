@@ -54,6 +54,8 @@ void mo_fair_remove(struct mo_fair *fair, struct mo_compute_share *share);
 void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, double weight);
 void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct mo_block *block);
 struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charge); /* NULL: none waits */
+/* The next block of this share, whosever turn it is; NULL: it has none waiting. */
+struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share, struct mo_fair_charge *charge);
 /* The next block of the charge's share, which is to run together with those taken before; NULL: none waits, or it does not fit. */
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
                                    bool (*fits)(const struct mo_block *block, void *context), void *context);

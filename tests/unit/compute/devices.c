@@ -500,6 +500,59 @@ static void devices_are_shared_by_weight(void)
   mo_compute_free(compute);
 }
 
+struct order {
+  atomic_int next, place[DESIGNS];
+};
+
+static void note_order(struct mo_block *block, void *context)
+{
+  struct order *order = context;
+  atomic_store(&order->place[block - blocks], 1 + atomic_fetch_add(&order->next, 1));
+}
+
+/* Before all that waits, also before a share that has rested and is behind. */
+static void urgent_blocks_go_first(void)
+{
+  static struct order order;
+  struct mo_compute_share *busy = NULL, *rested = NULL;
+  struct mo_compute_controller *brain = NULL;
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DELAY_MS", "80");
+  struct mo_compute *compute = open_devices("1");
+  REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(mo_compute_share_create(compute, 1, &busy) == MO_OK);
+  REQUIRE(mo_compute_share_create(compute, 0.01, &rested) == MO_OK);
+  for (int k = 0; k < 5; k++) {
+    blocks[0] = block_of(0, brain, 2);
+    blocks[0].share = busy;
+    CHECK_INT(mo_compute_run(compute, blocks, 1), MO_OK);
+  }
+  for (uint32_t d = 0; d < 4; d++) {
+    blocks[d] = block_of(d, brain, 2);
+    blocks[d].share = d == 0 ? busy : rested;
+    blocks[d].urgency = d == 3 ? MO_INTERACTIVE : MO_BATCH;
+    blocks[d].done = note_order;
+    blocks[d].context = &order;
+  }
+  const double start_s = now_s();
+  struct mo_device_status status = {.is_busy = false};
+  for (uint32_t d = 0; d < 4; d++) {
+    CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
+    while (d == 0 && !status.is_busy && now_s() - start_s < 60) {
+      sleep_ms(1);
+      CHECK_INT(mo_compute_device(compute, 0, &status), MO_OK);
+    }
+  }
+  while (atomic_load(&order.next) < 4 && now_s() - start_s < 60)
+    sleep_ms(1);
+  CHECK_INT(atomic_load(&order.place[0]), 1);
+  CHECK_INT(atomic_load(&order.place[3]), 2);
+  mo_compute_share_free(busy);
+  mo_compute_share_free(rested);
+  mo_compute_controller_free(brain);
+  mo_compute_free(compute);
+}
+
 /* ---- gradients ---- */
 
 struct gradient {
@@ -638,6 +691,7 @@ static const struct check_case cases[] = {
     {"what is cancelled ends soon", cancels},
     {"the end hands everything back", hands_everything_back_at_the_end},
     {"devices are shared by weight", devices_are_shared_by_weight},
+    {"urgent blocks go first", urgent_blocks_go_first},
     {"gradients do not depend on devices", gradients_do_not_depend_on_devices},
     {"gradients say what failed", gradients_say_what_failed},
 };
