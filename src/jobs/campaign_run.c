@@ -485,6 +485,7 @@ static int commit(struct mo_campaign_run *run)
                                             .losses = is_zero_shot ? run->losses : NULL,
                                             .n_losses = is_zero_shot ? run->n_scored : 0,
                                             .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+                                            .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
                                             .event_data = generation_data};
   error = describe_generation(run, &run->commit.row);
   if (error == MO_OK && !is_zero_shot) {

@@ -239,6 +239,8 @@ static int land(struct scoring *scoring, struct flight *flight)
     error = mo_block_check(&flight->block, i);
     loss->losses[flight->first + i] = flight->block.outcomes[i].loss;
     loss->diverged_steps[flight->first + i] = flight->block.outcomes[i].diverged_step;
+    if (flight->block.computed_on != flight->block.back_end)
+      loss->by_workers |= UINT64_C(1) << (flight->first + i);
   }
   if (error == MO_OK) {
     scoring->computed += n;

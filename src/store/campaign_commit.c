@@ -213,10 +213,8 @@ static int insert_child_scores(struct mo_connection *writer, const struct commit
                                const struct mo_campaign_loss *loss, const int64_t *environments, int64_t now_us)
 {
   const struct mo_campaign_head *head = &call->head;
-  struct mo_saved_score score = {.genotype = call->genotypes[loss->place],
-                                 .controller = head->controller,
-                                 .physics = head->physics,
-                                 .fingerprint = call->commit->fingerprint};
+  struct mo_saved_score score = {
+      .genotype = call->genotypes[loss->place], .controller = head->controller, .physics = head->physics};
   struct mo_saved_design design = {score.genotype, head->controller, head->physics, head->environment_set};
   uint32_t n_new = 0;
   double sum = 0;
@@ -225,6 +223,7 @@ static int insert_child_scores(struct mo_connection *writer, const struct commit
     score.environment = environments[k];
     score.loss = loss->losses[k];
     score.diverged_step = loss->diverged_steps[k];
+    score.fingerprint = loss->by_workers >> k & 1 ? call->commit->workers_fingerprint : call->commit->fingerprint;
     error = mo_score_insert(writer, &score, now_us);
     n_new += sqlite3_changes(writer->db) > 0;
     sum += score.loss;

@@ -14,6 +14,9 @@ struct losses_arguments {
   const char *event_data;
 };
 
+/* In the column `diverged`, beside the step: the workers computed it for a campaign of devices. */
+#define BY_WORKERS (UINT32_C(1) << 31)
+
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
 {
   static const char sql[] = "DELETE FROM campaign_losses WHERE job=?1";
@@ -36,7 +39,8 @@ static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_c
     return error;
   mo_encode_doubles(loss->losses, n, losses);
   for (uint32_t k = 0; k < n; k++)
-    mo_encode_u32((uint32_t)loss->diverged_steps[k], diverged + (size_t)4 * k);
+    mo_encode_u32((uint32_t)loss->diverged_steps[k] | (loss->by_workers >> k & 1 ? BY_WORKERS : 0),
+                  diverged + (size_t)4 * k);
   sqlite3_bind_int64(statement, 1, id);
   sqlite3_bind_int64(statement, 2, loss->place);
   sqlite3_bind_blob(statement, 3, losses, (int)(8 * n), SQLITE_STATIC);
@@ -95,8 +99,12 @@ static int loss_from_row(sqlite3_stmt *row, uint32_t n, struct mo_campaign_loss 
     return MO_ERR_CORRUPT;
   loss->place = (uint32_t)sqlite3_column_int64(row, 0);
   mo_decode_doubles(losses, n, loss->losses);
-  for (uint32_t k = 0; k < n; k++)
-    loss->diverged_steps[k] = (int32_t)mo_decode_u32((const uint8_t *)diverged + (size_t)4 * k);
+  loss->by_workers = 0;
+  for (uint32_t k = 0; k < n; k++) {
+    const uint32_t step = mo_decode_u32((const uint8_t *)diverged + (size_t)4 * k);
+    loss->diverged_steps[k] = (int32_t)(step & ~BY_WORKERS);
+    loss->by_workers |= (uint64_t)(step >> 31) << k;
+  }
   return MO_OK;
 }
 
@@ -184,6 +192,7 @@ static int find_known(struct mo_connection *reader, const struct known_keys *key
   sqlite3_bind_int64(statement, 4, keys->lowest);
   sqlite3_bind_int64(statement, 5, keys->highest);
   sqlite3_bind_int64(statement, 6, keys->fingerprint);
+  loss->by_workers = 0;
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     int64_t environment = sqlite3_column_int64(statement, 0);
     for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++)

@@ -198,8 +198,9 @@ int mo_store_campaign_each(struct mo_store *store, int64_t id,
 /* Losses of the generation under way. place: among its candidates to be scored (zero-shot: children; else parents, then children). */
 struct mo_campaign_loss {
   uint32_t place;
-  double losses[MO_ENVIRONMENTS_MAX]; /* (n_environments); +infinity: diverged */
-  int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
+  double losses[MO_ENVIRONMENTS_MAX];          /* (n_environments); +infinity: diverged */
+  int32_t diverged_steps[MO_ENVIRONMENTS_MAX]; /* ≥ 0 */
+  uint64_t by_workers;                         /* bit k: devices compute the campaign, but not its environment k */
 };
 /* Returns after the commit. `generation` must be the one after the newest committed; older rows of another generation go; what is saved of
  * a place stays as it was saved first. event_data: JSON of "campaign.progress"; nullable: quiet. MO_ERR_CONFLICT as for trainings;
@@ -264,8 +265,8 @@ struct mo_campaign_commit {
   const struct mo_campaign_loss
       *losses; /* (n_losses) zero-shot: of the children, which go into `scores` as evaluations' do; else NULL */
   uint32_t n_losses;
-  int64_t fingerprint;                  /* mo_store_fingerprint */
-  const struct mo_campaign_step *steps; /* (n_steps) rows of the learning curve that are not written yet */
+  int64_t fingerprint, workers_fingerprint; /* mo_store_fingerprint; of the losses that by_workers names */
+  const struct mo_campaign_step *steps;     /* (n_steps) rows of the learning curve that are not written yet */
   uint32_t n_steps;
   const uint8_t *
       checkpoint; /* simultaneous, few-shot: the learning state at the end; else NULL. File first, then the transaction */

@@ -232,6 +232,21 @@ def test_a_gradient_that_devices_do_not_support(start):
     assert [step["mean_loss"] for step in steps[0]] == [step["mean_loss"] for step in steps[1]]
 
 
+def test_stored_scores_say_who_computed_them(start):
+    """Also those of a campaign's bodies that its devices do not support."""
+    service = start(*FLAGS, environment=fake(springs=300))
+    campaign = run(service, "campaigns", {**CAMPAIGN, "generations": 2})
+    assert campaign["device"] == "cuda" and campaign["state"] == "succeeded"
+    sizes = set()
+    for item in service.request("GET", f"/v1/campaigns/{campaign['id']}/population?limit=1000").json()["items"]:
+        shown = service.request("GET", f"/v1/designs/{item['id']}").json()
+        body = next(body for body in shown["orientations"] if body["genotype"] == item["genotype"])
+        is_large = item["springs"] > 300
+        assert body["scores"][0]["fingerprint"].startswith("cpu " if is_large else "fake ")
+        sizes.add(is_large)
+    assert sizes == {False, True}
+
+
 @pytest.mark.parametrize("flags, environment, words", [
     (FLAGS, {"abi": 7}, "another version of this program"),
     ((f"--compute-module={MODULE}", "--devices=0,3"), {"devices": 2}, "there is no device 3"),

@@ -229,6 +229,41 @@ static void keeps_losses_of_a_generation(void)
   fixture_end(&fixture);
 }
 
+/* What the workers computed for a campaign of devices goes into `scores` as theirs, also after a restart. */
+static void tells_who_computed(void)
+{
+  static const char sql[] =
+      "SELECT count(*) FROM scores WHERE fingerprint=(SELECT id FROM fingerprints WHERE text='workers')";
+  struct fixture fixture;
+  struct made made = {0};
+  struct mo_campaign_loss known[MADE_POPULATION], *losses = NULL;
+  size_t n = 0;
+  int64_t id = begin(&fixture, &made, MO_ZERO_SHOT), fingerprint = made.fingerprint;
+  REQUIRE(id > 0 && made_next(&made) == MO_OK);
+  made.losses[1].by_workers = UINT64_C(1) << 3;
+  made.losses[2].by_workers = ~(UINT64_MAX << MO_PAPER_TEST_COUNT);
+  CHECK_INT(mo_store_campaign_save_losses(fixture.store, id, 0, made.losses, 3, NULL), MO_OK);
+  REQUIRE(live_again(&fixture, &made) == MO_OK);
+  REQUIRE(mo_store_campaign_losses(fixture.store, id, 0, &losses, &n) == MO_OK && n == 3);
+  for (uint32_t i = 0; i < 3; i++) {
+    CHECK(losses[i].by_workers == made.losses[i].by_workers);
+    CHECK(memcmp(losses[i].diverged_steps, made.losses[i].diverged_steps, 4 * MO_PAPER_TEST_COUNT) == 0);
+  }
+  free(losses);
+  CHECK_INT(mo_store_fingerprint(fixture.store, "workers", &made.commit.workers_fingerprint), MO_OK);
+  REQUIRE(mo_store_campaign_commit(fixture.store, id, &made.commit) == MO_OK);
+  CHECK_INT(outside_integer(&fixture, sql), 1 + MO_PAPER_TEST_COUNT);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, fingerprint, made.children, MADE_POPULATION, known),
+            MADE_POPULATION - 2);
+  CHECK_INT(mo_store_campaign_known(fixture.store, id, made.commit.workers_fingerprint, made.children, MADE_POPULATION,
+                                    known),
+            1);
+  CHECK_INT(known[0].place, 2);
+  made_apply(&made);
+  made_free(&made);
+  fixture_end(&fixture);
+}
+
 /* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once, whoever was first. */
 static void shares_scores(void)
 {
@@ -481,6 +516,7 @@ static const struct check_case cases[] = {
     {"commits in every mode", commits_in_every_mode},
     {"refuses what is wrong", refuses_what_is_wrong},
     {"keeps losses of a generation", keeps_losses_of_a_generation},
+    {"tells who computed a score", tells_who_computed},
     {"shares scores", shares_scores},
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},
