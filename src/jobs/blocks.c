@@ -3,7 +3,8 @@
  * A cell that is to do is looked up in this order: among the rollouts that are being computed or wait for their commit (the cell
  * waits with them), in the store (the cell is done), else it becomes part of a new block. Only the scheduler adds and removes
  * rollouts, and removes one only after its commit, so a score is in one of the two places at any time and is never
- * computed twice. Verify and recording jobs run every cell in blocks of their own. */
+ * computed twice, but for an interactive job that would have to wait for a device. Verify and recording jobs run every cell in blocks of
+ * their own. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,6 +31,14 @@ static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_wor
                              rollout->controller != work->controller || rollout->physics != work->physics))
     rollout = rollout->next;
   return rollout;
+}
+
+/* Who waits for an answer does not wait for a device, whose queue may be seconds long: it is computed once more, and the store keeps
+ * the one that is saved first. */
+static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active *active)
+{
+  return active->priority != MO_INTERACTIVE || rollout->flight == NULL ||
+         rollout->flight->block.back_end != MO_ON_DEVICE;
 }
 
 static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work, int64_t genotype,
@@ -281,6 +290,8 @@ static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32
       continue;
     }
     rollout = find_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
+    if (rollout != NULL && !may_wait_at(rollout, active))
+      rollout = NULL;
     if (rollout != NULL && rollout->flight == NULL)
       finish_cell(jobs, active, cell, rollout->diverged_step, SHARED);
     else if (rollout != NULL)

@@ -205,6 +205,20 @@ def test_cancel(start):
         time.sleep(0.02)
 
 
+def test_interactive_evaluations_do_not_wait_for_devices(start):
+    """Not even for a rollout that a device is to compute already."""
+    service = start(*FLAGS, environment=fake(delay_ms=60000))
+    large = service.request("POST", "/v1/evaluations", {**LARGE, "device": "cuda"}).json()["id"]
+    deadline = time.monotonic() + 30
+    while not devices(service)["devices"][0]["busy"]:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    small = service.evaluate({"designs": DESIGNS[:3], "physics": SHORT}).json()
+    assert small["state"] == "succeeded" and small["device"] == "cpu" and small["rollouts_cached"] == 0
+    assert service.request("GET", f"/v1/jobs/{large}").json()["rollouts_done"] == 0
+    assert service.request("DELETE", f"/v1/jobs/{large}").status == 200
+
+
 def test_another_code_is_told(start, tmp_path):
     """A training that goes on under another version of the module says so."""
     state = tmp_path / "state"
