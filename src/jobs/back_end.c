@@ -16,10 +16,13 @@ int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool i
   *back_end =
       asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large) ? MO_ON_DEVICE : MO_ON_CPU;
   if (*back_end == MO_ON_DEVICE && !suits)
-    return mo_fail(message, MO_ERR_DEVICE,
-                   "devices compute batches in float32 that record nothing: this evaluation is one for the processor");
+    return mo_fail(
+        message, MO_ERR_DEVICE,
+        "devices compute batches in float32 that record nothing: ask for \"cpu\" or \"auto\", or for such a batch");
   if (*back_end == MO_ON_DEVICE && !is_there)
-    return mo_fail(message, MO_ERR_DEVICE, "no device works here that could compute this");
+    return mo_fail(message, MO_ERR_DEVICE,
+                   "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
+                   mo_compute_devices(jobs->compute) > 0 ? "no device works any more" : "the service has no devices");
   return MO_OK;
 }
 

@@ -137,22 +137,23 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   error = check_request(request, message);
-  if (error == MO_OK)
-    error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error != MO_OK)
     return error;
   if (submission.controller == NULL && request->record.settings.mode != MO_SIMULTANEOUS)
     submission.controller = "default";
   if (submission.record.replicates == 0)
     submission.record.replicates = 1;
-  if (request->idempotency_key != NULL) { /* known keys are answered even when the queue is full */
+  if (request->idempotency_key !=
+      NULL) { /* known keys are answered even when the queue is full, or no device works any more */
     error = mo_store_replay(jobs->store, request->idempotency_key, &request->body_sha256, id);
     if (error == MO_OK)
       *replayed = true;
     if (error != MO_ERR_NOT_FOUND)
       return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.controller, message);
   }
-  error = check_references(jobs, &request->record, message);
+  error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
+  if (error == MO_OK)
+    error = check_references(jobs, &request->record, message);
   if (error != MO_OK)
     return error;
   forms = calloc((size_t)n + 1, sizeof(*forms));

@@ -99,19 +99,21 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   if (atomic_load(&jobs->is_stopping))
     return mo_fail(message, MO_ERR_CANCELLED, "the service is stopping");
   error = check_request(request, message);
-  if (error == MO_OK)
-    error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error != MO_OK)
     return error;
   if (submission.parent == NULL && request->record.settings.kind == MO_TRAINING_FINETUNE)
     submission.parent = "default";
-  if (request->idempotency_key != NULL) { /* known keys are answered even when the queue is full */
+  if (request->idempotency_key !=
+      NULL) { /* known keys are answered even when the queue is full, or no device works any more */
     error = mo_store_replay(jobs->store, request->idempotency_key, &request->body_sha256, id);
     if (error == MO_OK)
       *replayed = true;
     if (error != MO_ERR_NOT_FOUND)
       return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.parent, message);
   }
+  error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
+  if (error != MO_OK)
+    return error;
   if (request->population != 0) {
     error = load_population(jobs, request, &population, &n, message);
     if (error != MO_OK)

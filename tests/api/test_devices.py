@@ -219,6 +219,21 @@ def test_interactive_evaluations_do_not_wait_for_devices(start):
     assert service.request("DELETE", f"/v1/jobs/{large}").status == 200
 
 
+def test_known_keys_are_answered_without_devices(start, tmp_path):
+    state = tmp_path / "state"
+    requests = [(kind, {**request, "device": "cuda"}, {"Idempotency-Key": kind})
+                for kind, request in (("evaluations", LARGE), ("trainings", TRAINING), ("campaigns", CAMPAIGN))]
+    service = start(*FLAGS, state=state, environment=fake())
+    ids = [service.request("POST", f"/v1/{kind}", request, headers=key).json()["id"] for kind, request, key in requests]
+    assert service.stop() == 0
+    service = start(state=state)
+    for known, (kind, request, key) in zip(ids, requests):
+        again = service.request("POST", f"/v1/{kind}", request, headers=key)
+        assert again.status == 202 and again.json()["id"] == known, again.body
+        refused = service.request("POST", f"/v1/{kind}", request)
+        assert refused.status == 422 and "the service has no devices: ask for" in refused.body.decode()
+
+
 def test_another_code_is_told(start, tmp_path):
     """A training that goes on under another version of the module says so."""
     state = tmp_path / "state"
