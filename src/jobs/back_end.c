@@ -26,11 +26,27 @@ int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool i
   return MO_OK;
 }
 
+int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end)
+{
+  return back_end == MO_ON_DEVICE && mo_compute_devices_working(jobs->compute) == 0 ? MO_ERR_DEVICE : MO_OK;
+}
+
+int mo_back_end_error(enum mo_back_end back_end, int error)
+{
+  return back_end == MO_ON_DEVICE && error == MO_ERR_NO_MEMORY ? MO_ERR_DEVICE : error;
+}
+
 void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
 {
   struct mo_device_status status;
   const uint32_t n = mo_compute_devices(jobs->compute);
   uint32_t i = 0;
+  if (mo_compute_devices_working(jobs->compute) > 0) {
+    snprintf(text, size,
+             "there is no memory left for even the smallest part of this job: end what else uses the devices, then "
+             "resume the job");
+    return;
+  }
   while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK && status.state == MO_DEVICE_WORKS)
     i++;
   if (i == n)

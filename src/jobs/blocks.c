@@ -404,7 +404,7 @@ static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
                                    .fingerprint = fingerprint_of(jobs, &flight->block),
                                    .loss = outcome->loss,
                                    .diverged_step = outcome->diverged_step};
-    int status = mo_block_check(&flight->block, i);
+    int status = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
     if (status == MO_OK)
       status = mo_pending_score(jobs, &score);
     if (status == MO_OK) {
@@ -471,7 +471,7 @@ static void land_private(struct mo_jobs *jobs, struct mo_flight *flight)
   struct mo_active *active = flight->owner;
   char text[128];
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    int status = mo_block_check(&flight->block, i);
+    int status = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
     if (status == MO_OK)
       status = land_private_cell(jobs, flight, i);
     if (status == MO_OK || active->detached)

@@ -222,7 +222,9 @@ static int prepare(struct mo_campaign_run *run)
     return mo_attempt_fail(&run->attempt, error, "the campaign cannot be read");
   run->generation = (uint32_t)(run->status.generation + 1);
   (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, 0);
-  error = load_controller(run);
+  error = mo_back_end_check(run->jobs, run->status.job.back_end);
+  if (error == MO_OK)
+    error = load_controller(run);
   if (error == MO_OK)
     error = allocate(run);
   if (error == MO_OK)

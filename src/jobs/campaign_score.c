@@ -236,7 +236,7 @@ static int land(struct scoring *scoring, struct flight *flight)
   int error = MO_OK;
   scoring->n_in_flight--;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    error = mo_block_check(&flight->block, i);
+    error = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
     loss->losses[flight->first + i] = flight->block.outcomes[i].loss;
     loss->diverged_steps[flight->first + i] = flight->block.outcomes[i].diverged_step;
     if (flight->block.computed_on != flight->block.back_end)

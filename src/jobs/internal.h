@@ -356,7 +356,11 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, 
 /* Where a job is computed: what was asked for, or chosen. suits: devices can do it; is_large: they are worth it. MO_ERR_DEVICE. */
 int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large, enum mo_back_end *back_end,
                        struct mo_message *message);
-/* Why a job that devices compute is paused, and what to do. */
+/* MO_ERR_DEVICE: devices are to compute it, and none works. Asked before a job is taken up: what it draws again may take minutes. */
+int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end);
+/* What an error of a block or a gradient means for its job: want of memory of devices pauses it as their loss does, for it may last. */
+int mo_back_end_error(enum mo_back_end back_end, int error);
+/* Why a job that devices compute is paused, lost or without memory, and what to do. */
 void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size);
 /* The row of what computes scores of a job in float32. */
 int64_t mo_back_end_fingerprint(const struct mo_jobs *jobs, enum mo_back_end back_end);

@@ -71,7 +71,7 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
   int error;
   learner->start_us = mo_jobs_clock_us();
   begin_ahead(learner, &ahead);
-  error = mo_compute_gradient(learner->gradients, &batch);
+  error = mo_back_end_error(learner->back_end, mo_compute_gradient(learner->gradients, &batch));
   if (ahead.runs)
     pthread_join(ahead.thread, NULL);
   learner->counts = batch.counts;

@@ -123,7 +123,7 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, 
       for (uint32_t i = 0; i < blocks[b].n_environments; i++)
         blocks[b].environments[i] = &held_out->environments[from + i];
     }
-    error = mo_compute_run(jobs->compute, blocks, n);
+    error = mo_back_end_error(back_end, mo_compute_run(jobs->compute, blocks, n));
     for (size_t b = 0; b < n && error == MO_OK; b++) {
       take(&tally, &blocks[b], row);
       if ((first + b) % per_design == per_design - 1)

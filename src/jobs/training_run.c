@@ -192,6 +192,9 @@ static int prepare(struct run *run)
   if (error != MO_OK)
     return mo_attempt_fail(&run->attempt, error, "the training cannot be read");
   run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
+  error = mo_back_end_check(run->jobs, run->status.job.back_end);
+  if (error != MO_OK)
+    return error;
   error = load_checkpoint(run);
   if (error == MO_ERR_NOT_FOUND)
     error = begin_anew(run);

@@ -175,6 +175,23 @@ def test_the_last_device_is_lost(start, undisturbed, tmp_path):
     assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
 
 
+def test_want_of_memory(start, undisturbed, tmp_path):
+    """Not enough for the smallest part: jobs wait, paused, and go on when there is more."""
+    state = tmp_path / "state"
+    service = start(*FLAGS, state=state, environment=fake(rows=9, shards=0))
+    jobs = [(kind, run(service, kind, {**request, "device": "cuda"}))
+            for kind, request in (("campaigns", CAMPAIGN), ("trainings", TRAINING), ("evaluations", {**LARGE, "physics": {"n_steps": 9}}))]
+    for _, job in jobs:
+        assert job["state"] == "paused" and job["error"]["code"] == "device" and job["attempts"] == 0
+        assert "no memory" in job["error"]["detail"] and "resume" in job["error"]["detail"]
+    assert service.stop() == 0
+    service = start(*FLAGS, state=state, environment=fake(devices=2))
+    assert all(service.request("POST", f"/v1/jobs/{job['id']}/resume").status == 200 for _, job in jobs)
+    ended = [await_state(service, f"/v1/{kind}/{job['id']}", "succeeded") for kind, job in jobs]
+    assert population(service, ended[0]) == undisturbed["population"]
+    assert ended[1]["controller"]["sha256"] == undisturbed["controller"]
+
+
 def test_kill(start, undisturbed, tmp_path):
     """kill -9 again and again, with another number of devices each time."""
     state = tmp_path / "state"
