@@ -65,7 +65,7 @@ static inline struct mo_jobs_stats settled(struct service *service)
   do {
     mo_jobs_get_stats(service->jobs, &stats);
     usleep(1000);
-  } while (stats.open_jobs > 0 && now_s() < end);
+  } while ((stats.open_jobs > 0 || stats.active_campaigns > 0) && now_s() < end); /* a runner ends after its job */
   return stats;
 }
 
