@@ -198,7 +198,8 @@ static void fill_row(struct shard *s, const struct mo_gp_group *g, struct mo_gp_
   s->n_masses += body->n_masses;
 }
 
-static int fill_group(struct shard *s, struct mo_gp_group *g)
+/* The next `n` robots; rows beyond them stay empty. */
+static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
 {
   struct mo_gp_row *rows = s->rows + g->first_row;
   g->first_mass = s->n_masses;
@@ -209,8 +210,7 @@ static int fill_group(struct shard *s, struct mo_gp_group *g)
                                 .first_chunk = (uint32_t)(s->n_chunks - g->first_chunk)};
     for (uint32_t k = 0; k < 2 && w + k * HALF < g->n_rows; k++) {
       struct mo_gp_row *row = rows + w + (size_t)k * HALF;
-      const uint32_t at = s->at + w + k * HALF;
-      row->robot = at < s->n ? s->first + s->order[at] : MO_GP_NO_ROBOT;
+      row->robot = w + k * HALF < n ? s->first + s->order[s->at + w + k * HALF] : MO_GP_NO_ROBOT;
       if (row->robot != MO_GP_NO_ROBOT)
         fill_row(s, g, row);
       pair->n_masses[k] = row->n_masses;
@@ -223,9 +223,41 @@ static int fill_group(struct shard *s, struct mo_gp_group *g)
   return MO_OK;
 }
 
+static bool fits(const struct shard *s, const struct mo_gp_group *g)
+{
+  return mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= s->options->shared_bytes;
+}
+
+/* How many of the next robots form a group, which is measured: as many as 32 rows hold, else 16; where the shared memory is too small for sixteen
+ * large bodies, fewer in sixteen rows. 0: not even one fits. */
+static uint32_t next_group(const struct shard *s, struct mo_gp_group *g)
+{
+  const uint32_t left = s->n - s->at;
+  uint32_t n = left < MO_GP_ROWS_MAX ? left : MO_GP_ROWS_MAX;
+  g->n_rows = n > HALF ? MO_GP_ROWS_MAX : HALF;
+  measure(s, n, g);
+  if (n > HALF && !fits(s, g)) {
+    g->n_rows = n = HALF;
+    measure(s, n, g);
+  }
+  while (n > 0 && !fits(s, g))
+    measure(s, --n, g);
+  return n;
+}
+
+/* Of n robots: every group but the last has as many as of the largest bodies fit in sixteen rows. */
+static size_t groups_at_most(const struct shard *s)
+{
+  uint32_t fewest = HALF;
+  while (fewest > 1 &&
+         mo_gp_shared_bytes(HALF, fewest * MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES) > s->options->shared_bytes)
+    fewest--;
+  return s->n / fewest + (size_t)2;
+}
+
 static int lay_out(struct shard *s)
 {
-  const size_t most_groups = s->n / HALF + 2;
+  const size_t most_groups = groups_at_most(s);
   size_t most_masses = 0;
   for (uint32_t i = 0; i < s->n; i++)
     most_masses += s->robots[s->first + i].body->n_masses;
@@ -241,18 +273,14 @@ static int lay_out(struct shard *s)
   int status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
   while (status == MO_OK && s->at < s->n) {
     struct mo_gp_group *g = s->groups + s->n_groups;
-    *g = (struct mo_gp_group){.n_rows = MO_GP_ROWS_MAX, .first_row = s->n_rows, .shard = s->number};
-    measure(s, g->n_rows, g);
-    if (s->n - s->at <= HALF || mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) > s->options->shared_bytes) {
-      g->n_rows = HALF;
-      measure(s, g->n_rows, g);
-      if (mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) > s->options->shared_bytes)
-        return MO_ERR_UNSUPPORTED;
-    }
-    status = fill_group(s, g);
+    *g = (struct mo_gp_group){.first_row = s->n_rows, .shard = s->number};
+    const uint32_t n = next_group(s, g);
+    if (n == 0)
+      return MO_ERR_UNSUPPORTED;
+    status = fill_group(s, g, n);
     s->n_groups++;
     s->n_rows += g->n_rows;
-    s->at += g->n_rows;
+    s->at += n;
   }
   return status;
 }

@@ -1,7 +1,7 @@
 /* gradient_plan.h: a batch of robots laid out for the device that differentiates them. Plain C, no CUDA.
  *
  * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a row is a robot in its environment), larger
- * bodies first. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
+ * bodies first; where sixteen large ones exceed a block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
  * Its springs go 32 at a time: a *chunk*, in which no mass has two springs, so that all lanes of a warp add to their masses at once.
  *
  * The first and the last layer are multiplied for those *tiles* of sixteen inputs or springs that some row of the group has. How a shard is
@@ -180,7 +180,8 @@ struct mo_gradient_plan {
   struct mo_outcome *starts;  /* (n) com_start_m alone */
 };
 
-/* `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the default; MO_ERR_NO_MEMORY. After an error
+/* `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the default, or a body that shared_bytes do
+ * not hold by itself; MO_ERR_NO_MEMORY. After an error
  * there is nothing to free. */
 int mo_gradient_plan_create(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                             const struct mo_gp_options *options, struct mo_gradient_plan *plan);

@@ -293,27 +293,60 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
   }
 }
 
-static void everything_is_there_once(void)
+/* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
+static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wide, uint32_t *short_ones)
 {
-  static struct batch b;
   struct mo_gradient_plan plan;
+  struct mo_gp_options own = options;
   uint8_t seen[ROBOTS] = {0};
   const struct mo_physics physics = mo_default_physics();
-  REQUIRE(make_batch(&b) == MO_OK);
-  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &options, &plan) == MO_OK);
+  own.shared_bytes = shared_bytes;
+  *wide = *short_ones = 0;
+  REQUIRE(mo_gradient_plan_create(b->robots, ROBOTS, &physics, &own, &plan) == MO_OK);
   CHECK(plan.n_shards == 3);
-  uint32_t wide = 0;
   for (uint32_t i = 0; i < plan.n_groups; i++) {
     const struct mo_gp_group *g = plan.groups + i;
-    CHECK(mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= options.shared_bytes);
-    wide += g->n_rows == MO_GP_ROWS_MAX;
+    CHECK(mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= shared_bytes);
+    *wide += g->n_rows == MO_GP_ROWS_MAX;
+    *short_ones += plan.rows[g->first_row + g->n_rows - 1].robot == MO_GP_NO_ROBOT && i + 1 < plan.n_groups &&
+                   g[1].shard == g->shard;
     for (uint32_t w = 0; w < MO_GP_WARPS; w++)
-      check_pair(&b, &plan, g, w, seen);
+      check_pair(b, &plan, g, w, seen);
   }
-  CHECK(wide > 0 && wide < plan.n_groups);
+  CHECK(*wide < plan.n_groups);
   for (uint32_t i = 0; i < ROBOTS; i++)
     CHECK(seen[i]);
   mo_gradient_plan_free(&plan);
+}
+
+static void everything_is_there_once(void)
+{
+  static struct batch b;
+  uint32_t wide, short_ones;
+  REQUIRE(make_batch(&b) == MO_OK);
+  check_all(&b, options.shared_bytes, &wide, &short_ones);
+  CHECK(wide > 0 && short_ones == 0);
+  drop_batch(&b);
+}
+
+/* Where the shared memory is too small for sixteen of the largest bodies, a group has fewer; with next to none there is no layout. */
+static void small_shared_memory(void)
+{
+  static struct batch b;
+  struct mo_gradient_plan plan;
+  uint32_t wide, short_ones;
+  struct mo_gp_options least = options;
+  const struct mo_physics physics = mo_default_physics();
+  REQUIRE(make_batch(&b) == MO_OK);
+  for (int i = 64; i < 90; i++)
+    b.robots[i].body = b.bodies[70];
+  check_all(&b, 163 << 10, &wide, &short_ones);
+  CHECK(short_ones > 1);
+  least.shared_bytes = mo_gp_shared_bytes(16, MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES);
+  check_all(&b, least.shared_bytes, &wide, &short_ones);
+  CHECK(short_ones > 26);
+  least.shared_bytes--;
+  CHECK(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
   drop_batch(&b);
 }
 
@@ -375,6 +408,7 @@ static const struct check_case cases[] = {
     {"springs", springs},
     {"sensors", sensors},
     {"every robot, mass and spring is there once", everything_is_there_once},
+    {"little shared memory: fewer robots in a group", small_shared_memory},
     {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
     {"another workspace is left to the processor", another_workspace}};
 CHECK_MAIN(cases)
