@@ -8,7 +8,9 @@
 
 enum { TILE = 16, PAIR_HALVES = MO_WEIGHTS_PAIR_BYTES / 2, LARGEST_EXPONENT = 12 /* scaled values lie below 2^12 */ };
 
-#define HIDDEN_LIMIT 60000.0f /* float16 ends at 65504 */
+#define HIDDEN_LIMIT   60000.0f /* float16 ends at 65504 */
+#define EXPONENT_LIMIT 50       /* LayerNorm's epsilon, scaled, stays a normal float32 */
+#define BIAS_LIMIT     1e15f    /* scaled; its square is summed in float32 */
 
 static uint32_t bits_of(float value)
 {
@@ -146,6 +148,11 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
     const size_t n_inputs = l == 0 ? controller->n_inputs : MO_HIDDEN;
     const int exponent = scale_exponent(controller->weight[l], MO_HIDDEN * n_inputs);
     const float scale = ldexpf(1.0f, exponent);
+    if (exponent < -EXPONENT_LIMIT)
+      return MO_ERR_UNSUPPORTED;
+    for (uint32_t o = 0; o < MO_HIDDEN; o++)
+      if (!(fabsf(controller->bias[l][o] * scale) <= BIAS_LIMIT))
+        return MO_ERR_UNSUPPORTED;
     uint16_t *out = (uint16_t *)(void *)(base + layout.hidden[l]);
     for (uint32_t tile = 0; tile < MO_WEIGHTS_TILES; tile++)
       for (uint32_t g = 0; g < 8; g++) {

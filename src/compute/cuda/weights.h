@@ -57,8 +57,9 @@ struct mo_weights_scalars {
 /* exact: non-zero for MO_DEVICE_EXACT. */
 struct mo_weights_layout mo_weights_layout(int exact);
 
-/* Writes the layout, 16-byte aligned. MO_ERR_UNSUPPORTED: another workspace than the default, or LayerNorm gains and shifts so large that
- * hidden values might leave float16's range. MO_ERR_NO_MEMORY. */
+/* Writes the layout, 16-byte aligned. MO_ERR_UNSUPPORTED: another workspace than the default; LayerNorm gains and shifts so large that
+ * hidden values might leave float16's range; hidden weights or biases so large that LayerNorm's sums or epsilon might leave float32's.
+ * MO_ERR_NO_MEMORY. */
 int mo_weights_pack(const struct mo_controller *controller, int exact, void *memory);
 
 /* float32 to float16 and back, to the nearest, ties to even; above 65504 infinity. */

@@ -141,6 +141,18 @@ static void refusals(void)
   controller->norm_gain[1][7] = -3000.0f;
   CHECK_INT(mo_weights_pack(controller, 1, packed), MO_OK);
   controller->norm_gain[1][7] = gain;
+  /* What LayerNorm squares, and its epsilon beside that, must be float32 numbers. */
+  const float bias = controller->bias[1][7], weight = controller->weight[2][9];
+  controller->bias[1][7] = 1e20f;
+  CHECK_INT(mo_weights_pack(controller, 0, packed), MO_ERR_UNSUPPORTED);
+  controller->bias[1][7] = 1e4f;
+  CHECK_INT(mo_weights_pack(controller, 0, packed), MO_OK);
+  controller->bias[1][7] = bias;
+  controller->weight[2][9] = 1e30f;
+  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_ERR_UNSUPPORTED);
+  controller->weight[2][9] = 1e10f;
+  CHECK_INT(mo_weights_pack(controller, 1, packed), MO_OK);
+  controller->weight[2][9] = weight;
   free(packed);
 }
 
