@@ -18,6 +18,7 @@ extern "C" {
 #include <string.h>
 
 #include <algorithm>
+#include <new>
 #include <thread>
 #include <vector>
 
@@ -163,6 +164,29 @@ uint64_t pass_bytes(const mo_gradient_plan &plan, const pass &p)
          plan.n_chunks * 128 + ((uint64_t)16 << 20);
 }
 
+void add_group(pass &p, const mo_gp_group &g, uint32_t n_steps, uint32_t chunk)
+{
+  p.tape += mo_gp_tape_of(&g, n_steps).bytes;
+  p.delta += mo_gp_delta_of(&g, chunk).bytes;
+  p.sums += (mo_gp_sum_of(&g).floats + 63) / 64 * 64;
+  p.shared = std::max(p.shared, mo_gp_shared_bytes(g.n_rows, g.n_masses, g.n_outputs));
+}
+
+/* Before any work: whether the kernels' offsets reach over each group's part of the tape, and `most` bytes hold any shard by itself. */
+bool can_be_held(const mo_gradient_plan &plan, uint32_t n_steps, uint32_t chunk, uint64_t most)
+{
+  pass p = {};
+  for (uint32_t i = 0; i < plan.n_groups; i++) {
+    const mo_gp_group &g = plan.groups[i];
+    if (i == 0 || g.shard != plan.groups[i - 1].shard)
+      p = pass{i, i, g.shard, g.shard + 1, 0, 0, 0, 0};
+    add_group(p, g, n_steps, chunk);
+    if (mo_gp_tape_of(&g, n_steps).bytes > UINT32_MAX || p.tape + p.delta + 4 * p.sums > most)
+      return false;
+  }
+  return plan.n_shards > 1 || pass_bytes(plan, p) <= most;
+}
+
 /* As many shards from `first_shard` on as fit; places their groups' parts of the tape, the deltas and the sums. */
 int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint32_t n_steps, uint32_t chunk,
               uint64_t budget, pass *ret)
@@ -176,13 +200,7 @@ int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint
       g.tape_at = p.tape;
       g.delta_at = p.delta;
       g.sum_at = p.sums;
-      const uint64_t bytes = mo_gp_tape_of(&g, n_steps).bytes;
-      if (bytes > UINT32_MAX) /* the kernels' offsets */
-        return MO_ERR_UNSUPPORTED;
-      p.tape += bytes;
-      p.delta += mo_gp_delta_of(&g, chunk).bytes;
-      p.sums += (mo_gp_sum_of(&g).floats + 63) / 64 * 64;
-      p.shared = std::max(p.shared, mo_gp_shared_bytes(g.n_rows, g.n_masses, g.n_outputs));
+      add_group(p, g, n_steps, chunk);
     }
     p.end_shard = shard + 1;
     if (pass_bytes(plan, p) > budget)
@@ -445,7 +463,7 @@ void report(work &w)
   mo_gradient_counts_add(&w.call->counts, &counts);
 }
 
-/* float16 holds the weights, and what the hidden layers can come to. */
+/* float16 holds the weights, and what the hidden layers can come to; no bias is so large that LayerNorm's squares leave float32. */
 bool fits_half(const mo_controller *c)
 {
   const float limit = 6e4f;
@@ -455,10 +473,26 @@ bool fits_half(const mo_controller *c)
       if (!(fabsf(c->weight[l][i]) <= limit))
         return false;
     for (int i = 0; l < MO_HIDDEN_LAYERS && i < MO_HIDDEN; i++)
-      if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit))
+      if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit) || !(fabsf(c->bias[l][i]) <= limit))
         return false;
   }
   return true;
+}
+
+bool is_valid(const mo_device_gradient *call)
+{
+  if (call->controller == nullptr || call->robots == nullptr || call->n == 0 || call->d_parameters == nullptr ||
+      call->outcomes == nullptr || !isfinite(call->adjoint_bound) || call->adjoint_bound < 0 || !isfinite(call->weight))
+    return false;
+  for (uint32_t i = 0; i < call->n; i++)
+    if (call->robots[i].body == nullptr || call->robots[i].environment == nullptr)
+      return false;
+  return mo_physics_check(&call->physics, nullptr) == MO_OK;
+}
+
+bool is_default(mo_workspace w)
+{
+  return w.nx == 6 && w.ny == 6 && w.nz == 4;
 }
 
 mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
@@ -476,6 +510,12 @@ mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
   return l;
 }
 
+/* What of `bytes` the buffers may take, each a little larger than it is asked to be. */
+uint64_t share_of(uint64_t bytes)
+{
+  return bytes > RESERVE_BYTES ? (bytes - RESERVE_BYTES) / 65 * 64 : 0;
+}
+
 int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
 {
   const uint32_t n_steps = call->physics.n_steps;
@@ -484,8 +524,11 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
   cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
   if (status != cudaSuccess)
     return s->fail(status, "device");
-  uint64_t budget = free_bytes + s->held();
-  budget = budget > RESERVE_BYTES ? (budget - RESERVE_BYTES) / 65 * 64 : 0;
+  if (!can_be_held(plan, n_steps, chunk, share_of(total))) {
+    snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
+    return MO_ERR_UNSUPPORTED;
+  }
+  uint64_t budget = share_of(free_bytes + s->held());
   if (memory_bytes > 0)
     budget = std::min(budget, memory_bytes);
   std::vector<float> generators((size_t)n_steps * MO_CPG_INPUTS);
@@ -507,6 +550,11 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
     w.k.n_steps = n_steps;
     const double since = now_s();
     r = upload_pass(w, generators);
+    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
+      cudaStreamSynchronize(s->stream);
+      mo_cuda_gradient_trim(s);
+      r = upload_pass(w, generators);
+    }
     s->profile.upload_s += now_s() - since;
     if (r == MO_OK)
       r = forward(w);
@@ -546,7 +594,8 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
       status = cudaEventCreateWithFlags(&event, cudaEventDisableTiming);
   if (status != cudaSuccess) {
     mo_cuda_gradient_free(s);
-    return MO_ERR_DEVICE;
+    (void)cudaGetLastError();
+    return status == cudaErrorMemoryAllocation ? MO_ERR_NO_MEMORY : MO_ERR_DEVICE;
   }
   s->shared_bytes = (uint32_t)shared;
   *ret = s;
@@ -584,12 +633,10 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
   s->error[0] = 0;
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
-  if (call->controller == nullptr || call->n == 0 || !isfinite(call->adjoint_bound) || call->adjoint_bound < 0 ||
-      !isfinite(call->weight))
+  if (!is_valid(call))
     return MO_ERR_INVALID;
-  if (call->controller->n_masses != MO_DEFAULT_MASSES || call->controller->n_springs != MO_DEFAULT_SPRINGS ||
-      call->physics.n_steps == 0 || !fits_half(call->controller)) {
-    snprintf(s->error, sizeof(s->error), "not a controller or a physics that these kernels do");
+  if (!is_default(call->controller->workspace) || !fits_half(call->controller)) {
+    snprintf(s->error, sizeof(s->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }
   const cudaError_t status = cudaSetDevice(s->device);
@@ -607,7 +654,12 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
   if (r < 0)
     return r;
   s->profile.plan_s = now_s() - since;
-  r = run(s, call, plan, memory_bytes);
+  try {
+    r = run(s, call, plan, memory_bytes);
+  } catch (const std::bad_alloc &) { /* of the host */
+    cudaStreamSynchronize(s->stream);
+    r = MO_ERR_NO_MEMORY;
+  }
   mo_gradient_plan_free(&plan);
   s->profile.device_bytes = s->held();
   call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.collect_s;
