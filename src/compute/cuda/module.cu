@@ -154,10 +154,18 @@ int upload(mo_device *device, const mo_controller *controller, int precision, ch
   if (packed == nullptr)
     return MO_ERR_NO_MEMORY;
   int status = mo_weights_pack(controller, exact, packed);
-  if (status == MO_OK)
+  if (status == MO_OK) {
     status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
+    if (status == MO_ERR_NO_MEMORY && device->gradient != nullptr) {
+      mo_cuda_gradient_trim(device->gradient);
+      status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
+    }
+  }
+  if (status == MO_OK) /* in the stream of the kernels that read them: they wait for no other */
+    status = mo_cuda_check(device, cudaMemcpyAsync(*weights, packed, bytes, cudaMemcpyHostToDevice, device->stream),
+                           "upload of weights");
   if (status == MO_OK)
-    status = mo_cuda_check(device, cudaMemcpy(*weights, packed, bytes, cudaMemcpyHostToDevice), "upload of weights");
+    status = mo_cuda_wait(device, nullptr);
   free(packed);
   return status;
 }

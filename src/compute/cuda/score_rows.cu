@@ -155,13 +155,14 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   if (plan.n_groups < blocks)
     blocks = plan.n_groups;
   int status = reserve(device, plan, blocks, places);
-  if (status == MO_OK)
-    status = mo_cuda_generators(device, &score->physics);
   if (status != MO_OK)
     return status;
   fill(plan, device->staged_plan.memory);
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
+  status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */
+  if (status != MO_OK)
+    return status;
   cudaError_t error = cudaEventRecord(device->begin, device->stream);
   if (error == cudaSuccess)
     error = cudaMemcpyAsync(device->plan.memory, device->staged_plan.memory, plan.block.bytes, cudaMemcpyHostToDevice,
