@@ -423,6 +423,9 @@ static void check_cancel(struct mo_device_controller *controller)
   char name[96];
   snprintf(name, sizeof(name), "a flag raised after 20 ms ends a call after %.0f ms", 1e3 * took);
   expect(status == MO_ERR_CANCELLED && took < 0.2, name);
+  flag = 0;
+  score.physics.n_steps = 10;
+  expect(module->score(device, &score) == MO_OK && isfinite(outcome.loss), "the next call works");
 }
 
 /* ---- time ---- */
