@@ -47,7 +47,7 @@ size_t life_checkpoint(uint64_t seed, uint32_t step, uint8_t **bytes)
 double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *diverged_step)
 {
   const uint64_t own = life_hash(seed, 100 + (uint64_t)design * MO_ENVIRONMENTS_MAX + environment);
-  *diverged_step = own % 16 == 0 ? 1 + (int32_t)(own >> 32) % 100 : 0;
+  *diverged_step = own % 16 == 0 ? 1 + (int32_t)((own >> 32) % 100) : 0;
   return *diverged_step != 0 ? (double)INFINITY : (double)(own >> 11) * 0x1p-53 - 0.5;
 }
 
