@@ -132,7 +132,7 @@ int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
 /* The same, with the body's canonical form. */
 int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
 /* Threads that draw ahead from now on (1 at first: none does), each for some 10 µs per body; they live inside a call. The bodies
- * are the same. MO_ERR_NO_MEMORY: as before. */
+ * are the same. The number that it has already: nothing happens. MO_ERR_NO_MEMORY: as before. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
 uint64_t mo_body_stream_draws(const struct mo_body_stream *stream); /* draws so far, skipped ones included */
 size_t mo_body_stream_bytes(const struct mo_body_stream *stream);   /* memory held */

@@ -161,7 +161,7 @@ static int prepare_training(struct mo_campaign_run *run)
   }
   if (error == MO_OK && settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
     error = mo_training_set_steps(run->learner.training, mo_campaign_training(settings_of(run), 0).n_steps);
-  if (error == MO_OK && run->learner.gradients == NULL)
+  if (error == MO_OK)
     error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   return error;
 }

@@ -330,7 +330,8 @@ struct mo_learner {
   double *d_parameters;
   struct mo_outcome *outcomes;
 };
-/* Everything but the training, for it. MO_ERR_NO_MEMORY. */
+/* Everything but the training, for it; to be called again when another of the same controller and batch takes its place.
+ * MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
 /* A step: the gradient of the robots that were drawn, then their application. computed_on says who computed it. seconds: of both. */
 int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,

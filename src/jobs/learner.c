@@ -44,6 +44,8 @@ int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct m
   learner->back_end = back_end;
   if (back_end == MO_ON_DEVICE)
     mo_training_set_threads(learner->training, stats.n_workers < DRAW_THREADS_MAX ? stats.n_workers : DRAW_THREADS_MAX);
+  if (learner->gradients != NULL)
+    return MO_OK;
   learner->d_parameters = calloc(mo_training_controller(learner->training)->n_parameters, sizeof(double));
   learner->outcomes = calloc(batch, sizeof(*learner->outcomes));
   return learner->d_parameters == NULL || learner->outcomes == NULL

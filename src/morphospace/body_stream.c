@@ -81,6 +81,9 @@ void mo_body_stream_free(struct mo_body_stream *stream)
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads)
 {
   n_threads = n_threads < 1 ? 1 : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
+  if (n_threads == stream->n_threads) { /* what was made ahead stays */
+    return MO_OK;
+  }
   const int code = make_room(stream, n_threads == 1 ? 1 : (size_t)n_threads * AHEAD_PER_THREAD);
   if (code == MO_OK) {
     stream->n_threads = n_threads;
