@@ -21,6 +21,7 @@
 enum {
   LINGER_IDLE_MS = 2,  /* without a new block, before a device that has nothing to do gets what waits */
   LINGER_BUSY_MS = 10, /* … and one that has */
+  LINGER_MAX_MS = 50,  /* however steadily they come */
   WATCH_MS = 20,
   GROW_AFTER = 8 /* chunks without want of memory */
 };
@@ -66,8 +67,9 @@ static void linger(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
   const uint64_t enough = (uint64_t)MO_CHUNK_ROWS / 8 * devices->n;
+  const uint64_t end_ns = mo_clock_ns() + UINT64_C(1000000) * LINGER_MAX_MS;
   uint64_t before = 0, waiting = atomic_load(&devices->fair.waiting), since_ns = mo_clock_ns();
-  while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit)) {
+  while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit) && mo_clock_ns() < end_ns) {
     const uint64_t patience_ns = UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
     if (waiting > before)
       since_ns = mo_clock_ns();
