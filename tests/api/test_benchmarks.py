@@ -1,0 +1,119 @@
+"""Benchmarks that drive a daemon of their own (tests/bench/*.py), at tiny sizes and on a module that computes on the processor: what they write,
+and that one that was stopped and called again gives the same as one that ran through."""
+
+import csv
+import json
+import os
+import pathlib
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+from service import BINARY, BOOTSTRAP, SOURCE
+
+MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
+CUT_OFF = 3
+ON_DEVICE = (f"--morphod={BINARY}", f"--module={MODULE}", "--device=cuda", "--workers=1")
+NO_DAEMON = ("--morphod=/nowhere/morphod",)
+PRETRAINING = ("--steps=6", "--batch=8", "--rollout-steps=30", "--validation-every=3", "--validation-designs=4", "--validation-environments=2")
+REPRODUCTION = ("--population=16", "--generations-zero-shot=3", "--generations-few-shot=1", "--generations-simultaneous=3", "--few-shot-steps=2",
+                "--rollout-steps=30", "--champions=5", "--seeds=1,2")
+
+
+def bench(name, *arguments, status=0, **environment):
+    done = subprocess.run([sys.executable, SOURCE / "tests" / "bench" / f"{name}.py", *map(str, arguments)], capture_output=True, text=True,
+                          timeout=120, env={**os.environ, **environment}, check=False)
+    assert done.returncode == status, done.stdout + done.stderr
+    return done
+
+
+def rows(path):
+    with open(path, encoding="utf-8", newline="") as file:
+        return [{key: value for key, value in row.items() if key != "seconds"} for row in csv.DictReader(file)]
+
+
+def is_svg(path):
+    return ElementTree.parse(path).getroot().tag == "{http://www.w3.org/2000/svg}svg"
+
+
+def pretraining_in(folder):
+    return (f"--state={folder / 'state'}", f"--csv={folder / 'p.csv'}", f"--svg={folder / 'p.svg'}", f"--folder={folder / 'controllers'}")
+
+
+def test_pretraining(tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(whole))
+    cut = bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(parts), "--limit-s=1", status=CUT_OFF, MORPHO_FAKE_DELAY_MS="300")
+    assert "time is up" in cut.stderr
+    assert 0 < len(rows(parts / "p.csv")) < len(rows(whole / "p.csv"))
+    printed = bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(parts)).stdout
+    assert rows(parts / "p.csv") == rows(whole / "p.csv") and printed.count("one cosine") == 2
+    steps = [row for row in rows(whole / "p.csv") if row["row"] == "step"]
+    assert [int(row["step"]) for row in steps] == 2 * [*range(1, 7)] and {(row["device"], row["machine"][:2]) for row in steps} == {("cuda", "1 ")}
+    assert [row["step"] for row in rows(whole / "p.csv") if row["row"] == "validation"] == 2 * ["0", "3", "6"]
+    files = sorted(file.name for file in (whole / "controllers").iterdir())
+    assert len(files) == 2 and all((whole / "controllers" / name).read_bytes() == (parts / "controllers" / name).read_bytes() for name in files)
+    assert is_svg(parts / "p.svg")
+    # What is whole in the CSV file needs neither state nor daemon; another recipe gathers beside it.
+    assert bench("pretraining", *PRETRAINING, "--seeds=1,2", "--device=cuda", *NO_DAEMON, *pretraining_in(parts)).stdout == printed
+    bench("pretraining", *PRETRAINING, "--seeds=1", "--schedule=paper-pretrain", "--bound=0", *ON_DEVICE, *pretraining_in(parts))
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- pretraining: begin -->\nold\n<!-- pretraining: end -->\nbehind\n")
+    report = bench("pretraining", "--report", *pretraining_in(parts), f"--markdown={page}").stdout
+    assert report.count("one cosine 0.002..1e-05 bound 2 ") == 2 and report.count("restarts 0.001..1e-05 bound 0 ") == 1
+    assert page.read_text().startswith("before\n") and page.read_text().endswith("behind\n") and report.strip() in page.read_text()
+    assert "old" not in page.read_text()
+    refused = bench("pretraining", "--peak=2", *ON_DEVICE, *pretraining_in(tmp_path / "refused"), status=1)
+    assert "/schedule/peak" in refused.stderr
+    assert "does not belong" in bench("pretraining", "--cycle=5", *NO_DAEMON, *pretraining_in(tmp_path / "refused"), status=1).stderr
+
+
+def test_reproduction(tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'one'}", f"--folder={whole}")
+    bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'two'}", f"--folder={parts}", "--modes", "simultaneous", "--limit-s=1",
+          status=CUT_OFF, MORPHO_FAKE_DELAY_MS="300")
+    assert len(rows(parts / "generations.csv")) < 4
+    # In another order: what was cut off is set aside meanwhile.
+    for modes in (("zero-shot",), ("zero-shot", "few-shot", "simultaneous")):
+        printed = bench("reproduction", *REPRODUCTION, *ON_DEVICE, f"--state={tmp_path / 'two'}", f"--folder={parts}", "--modes", *modes).stdout
+    assert sorted(map(str, rows(parts / "generations.csv"))) == sorted(map(str, rows(whole / "generations.csv")))
+    assert json.loads((parts / "campaigns.json").read_text()) == json.loads((whole / "campaigns.json").read_text())
+    assert len(rows(whole / "generations.csv")) == 2 * (4 + 2 + 4)
+    for entry in json.loads((whole / "campaigns.json").read_text())["campaigns"]:
+        assert entry["device"] == "cuda" and entry["machine"]["gpus"] and entry["controller" if entry["mode"] != "simultaneous" else "mode"]
+        assert [len(losses) for losses in entry["learning"]] == {"zero-shot": [], "few-shot": [1, 2], "simultaneous": [1, 2, 2, 2]}[entry["mode"]]
+        for population in entry["populations"]:
+            assert population["size"] == 16 and all(abs(sum(population[name]) - 1) < 1e-4 for name in ("score", "footprint", "masses", "distinctiveness"))
+        for champions in entry["champions"]:
+            assert len(champions["designs"]) == 5 and all(design["genotype"].count("1") == design["voxels"] for design in champions["designs"])
+    for name in ("performance", "operators", "bodies", "populations", "champions"):
+        assert is_svg(whole / f"{name}.svg")
+    for text in ("| zero-shot | paper | near optimal | 100 generations | 17 min | 8 H100 | 136 |", "| simultaneous | paper |", "| few-shot | paper |",
+                 "Population 16, generations 0 to 3."):
+        assert text in printed
+    page = tmp_path / "page.md"
+    drawn = (whole / "champions.svg").read_bytes()
+    (whole / "champions.svg").unlink()
+    report = bench("reproduction", "--report", f"--folder={whole}", f"--markdown={page}")
+    assert (whole / "champions.svg").read_bytes() == drawn and report.stdout.strip() in page.read_text()
+
+
+def test_model_card(tmp_path):
+    page = tmp_path / "walker.md"
+    arguments = (f"--controller={BOOTSTRAP}", "--bodies=20", "--environments=1", "--rollout-steps=20", f"--morphod={BINARY}", "--devices=none",
+                 f"--state={tmp_path / 'state'}", f"--markdown={page}", "--name=walker")
+    bench("model_card", *arguments)
+    first = page.read_text()
+    assert first.startswith("# walker.safetensors\n") and "`inverse_sqrt`" in first and "| all | 20 |" in first
+    assert first.count("(beyond the training)") == 2 + 4 and re.search(r"\| 0\.1 m \| 20 \| \d\.\d{4} \| \d\.\d{4} to \d\.\d{4} \|", first)
+    page.write_text(first.replace("## Known limits\n", "## Known limits\nIt cannot fly.\n").replace("| all | 20 |", "| all | 21 |"))
+    bench("model_card", *arguments)
+    assert page.read_text() == first.replace("## Known limits\n", "## Known limits\nIt cannot fly.\n")
+
+
+def test_campaigns_report(tmp_path):
+    printed = bench("campaigns", "--report", f"--csv={SOURCE / 'docs' / 'campaigns.csv'}", f"--svg={tmp_path / 'c.svg'}").stdout
+    assert (tmp_path / "c.svg").read_bytes() == (SOURCE / "docs" / "campaigns.svg").read_bytes()
+    assert printed.split("\n\n")[0] in (SOURCE / "docs" / "evolution.md").read_text(encoding="utf-8")
