@@ -12,6 +12,7 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
+from datetime import datetime
 from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[2]
@@ -57,7 +58,7 @@ class Deadline:
 
     def wait_s(self, most=5):
         """Whole seconds that one look may wait."""
-        return max(1, math.ceil(min(most, self.end - time.monotonic())))
+        return math.ceil(min(most, max(1, self.end - time.monotonic())))
 
 
 class Daemon:
@@ -71,16 +72,18 @@ class Daemon:
         self.process = subprocess.Popen([program, f"--state-dir={state / 'state'}", "--listen=127.0.0.1:0", f"--port-file={address}",
                                          f"--default-controller={BOOTSTRAP}", *flags],
                                         stdout=subprocess.DEVNULL, stderr=self.log, process_group=0)
+        self.address = None
         for _ in range(600):
             if address.exists() and address.read_text().strip():
-                break
+                self.address = address.read_text().split()[0]
+                if json.loads(self.fetch("/readyz", refused=503)).get("status") == "ready":
+                    break
             if self.process.poll() is not None:
                 sys.exit(f"morphod did not start: see {state / 'log'}")
             time.sleep(0.1)
         else:
             self.stop()
             sys.exit(f"morphod was not ready in a minute: see {state / 'log'}")
-        self.address = address.read_text().split()[0]
 
     @classmethod
     def of(cls, arguments, *flags):
@@ -132,6 +135,14 @@ class Daemon:
 
     def look(self, kind, job, wait_s):
         return self.call(f"/v1/{kind}/{job['id']}", headers={"Prefer": f"wait={wait_s}"})
+
+    @staticmethod
+    def elapsed_s(job):
+        """From the first start of a job to its end, stops included."""
+        if job["started_at"] is None or job["finished_at"] is None:
+            return None
+        started, finished = (datetime.fromisoformat(job[key].replace("Z", "+00:00")) for key in ("started_at", "finished_at"))
+        return (finished - started).total_seconds()
 
     def rows(self, path, after=None):
         """All rows of a curve."""

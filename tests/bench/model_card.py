@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import bench_daemon
-from bench_daemon import ENDED, Daemon
+from bench_daemon import ENDED, Daemon, Deadline
 import records
 
 CENTRE_M = 2.5
@@ -58,12 +58,14 @@ def sweeps(count):
 
 
 def evaluate(daemon, arguments, controller, designs, environments):
-    """Losses: a list for each design, None where it diverged."""
+    """Losses: a list for each design, None where it diverged. What the daemon has scored before is not computed again."""
     body = {"designs": designs, "environments": environments, "controller": controller, "device": arguments.device, "priority": "batch",
             "physics": {"n_steps": arguments.rollout_steps}}
     job = daemon.submit("evaluations", body)
     while job["state"] not in ENDED:
-        job = daemon.look("evaluations", job, 20)
+        if arguments.deadline.is_over():
+            sys.exit(bench_daemon.cut_off())
+        job = daemon.look("evaluations", job, arguments.deadline.wait_s())
         print(f"{job['rollouts_done']} of {job['rollouts_total']} rollouts", file=sys.stderr, flush=True)
     if job["state"] != "succeeded":
         sys.exit(f"evaluation {job['id']} {job['state']}: {job['error']}")
@@ -170,12 +172,14 @@ def main():
     parser.add_argument("--seed", type=int, default=1, help="of the held-out set; each further thousand bodies takes the next (default 1)")
     parser.add_argument("--environments", type=int, default=8, help="for each roughness and distance, 1 to 8; twice as many for the sizes (default 8)")
     parser.add_argument("--rollout-steps", type=int, default=1000, help="steps of a life, for trials (default 1000)")
+    bench_daemon.add_limit(parser)
     bench_daemon.add_options(parser, ".morphod/bench-model-card")
     parser.add_argument("--markdown", type=Path, help="page (default data/controllers/NAME.md)")
     arguments = parser.parse_args()
     if not 1 <= arguments.environments <= 8 or not 1 <= arguments.bodies <= 10000:
         sys.exit("--environments takes 1 to 8, --bodies 1 to 10000")
     arguments.name = arguments.name or re.sub(r"[^a-z0-9._-]+", "-", arguments.controller.stem.lower())[:64].strip("-._")
+    arguments.deadline = Deadline(arguments.limit_s)
     page = arguments.markdown or bench_daemon.SOURCE / "data" / "controllers" / f"{arguments.name}.md"
     file, scores = card(arguments)
     records.put_between(page, "model-card-file", file, PAGE.format(name=arguments.name))

@@ -24,7 +24,7 @@ def draw(genotype, left, top, unit, colour):
 
     body = set(cells(genotype))
     floor = " ".join(corner(*point) for point in ((0, 0, 0), (6, 0, 0), (6, 6, 0), (0, 6, 0)))
-    out = [f'<polygon fill="#f6f6f6" stroke="#ccc" stroke-width="0.5" points="{floor}"/>']
+    out = [f'<polygon fill="#f6f6f6" stroke="#ccc" stroke-width="0.5" points="{floor}"/>', '<g stroke="#333" stroke-width="0.4">']
     faces = (((0, 0, 1), 1.45, ((0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))),   # top
              ((1, 0, 0), 1.0, ((1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1))),    # right
              ((0, 1, 0), 0.72, ((0, 1, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1))))   # left
@@ -32,5 +32,5 @@ def draw(genotype, left, top, unit, colour):
         for (dx, dy, dz), factor, corners in faces:
             if (x + dx, y + dy, z + dz) not in body:
                 points = " ".join(corner(x + i, y + j, z + k) for i, j, k in corners)
-                out.append(f'<polygon fill="{shade(colour, factor)}" stroke="#333" stroke-width="0.4" points="{points}"/>')
-    return out
+                out.append(f'<polygon fill="{shade(colour, factor)}" points="{points}"/>')
+    return out + ["</g>"]
