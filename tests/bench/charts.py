@@ -113,14 +113,13 @@ class Panel:
     def dots(self, values, colour, radius=2.2):
         self.chart.out += [f'<circle cx="{self.at_x(x):.1f}" cy="{self.at_y(y):.1f}" r="{radius}" fill="{colour}"/>' for x, y in values if y is not None]
 
-    def histogram(self, edges, shares, colour, filled=True):
-        """An outline over the bins, filled or not."""
+    def histogram(self, edges, shares, colour):
+        """A filled outline over the bins."""
         corners = [(edges[0], 0)]
         for left, right, share in zip(edges, edges[1:], shares):
             corners += [(left, share), (right, share)]
         corners.append((edges[-1], 0))
-        fill = f'fill="{colour}" fill-opacity="0.25"' if filled else 'fill="none"'
-        self.chart.out.append(f'<polygon {fill} stroke="{colour}" stroke-width="1.2" points="{self.points(corners)}"/>')
+        self.chart.out.append(f'<polygon fill="{colour}" fill-opacity="0.25" stroke="{colour}" stroke-width="1.2" points="{self.points(corners)}"/>')
 
 
 def bundle(panel, curves, colour, dash="", dots=False):

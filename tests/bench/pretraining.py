@@ -215,7 +215,8 @@ def draw(rows, path):
         panel.title(title)
         panel.axes("step of learning", "distance to the light, end / start", x_grid=True)
         panel.line([(scales[p].low, PAPER_LOSS), (last, PAPER_LOSS)], GREY, "2 3")
-        chart.text(left + 6, f"{panel.at_y(PAPER_LOSS) - 5:.1f}", f"the paper's end, {PAPER_LOSS}", fill=GREY)
+        chart.text(*((left + 6, f"{panel.at_y(PAPER_LOSS) - 5:.1f}") if p == 0 else (width - right - 130, f"{panel.at_y(PAPER_LOSS) + 14:.1f}")),
+                   f"the paper's end, {PAPER_LOSS}", fill=GREY)
         panels.append(panel)
     for i, ((recipe, device), group) in enumerate(groups.items()):
         colour = PALETTE[i % len(PALETTE)]

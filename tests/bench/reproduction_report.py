@@ -71,7 +71,8 @@ def draw_performance(kept, rows, pretrained, path):
         at.title("pretraining", 6, 13)
         at.axes("step of learning", "distance to the light, end / start")
         by_seed = records.group(pretrained, "seed").values()
-        bundle(at, [dict(pretraining.smooth(pretraining.losses(group), lambda step: min(10, step // 10))) for group in by_seed], GREY)
+        smoothed = [pretraining.smooth(pretraining.losses(group), lambda step: min(10, step // 10)) for group in by_seed]
+        bundle(at, [{step: loss for step, loss in curve if step < 50 or step % 5 == 0} for curve in smoothed], GREY)
         bundle(at, [{row["step"]: row["loss"] for row in group if row["row"] == "validation"} for group in by_seed], PRETRAINING, dots=True)
         chart.text(at.left, at.bottom + 60, "line with dots: score of held-out bodies", fill=PRETRAINING)
         chart.text(at.left, at.bottom + 78, pretrained[0]["recipe"], fill="#444", font_size=10)
@@ -113,18 +114,17 @@ def draw_populations(kept, edges, path):
     quantities = [("score", "score (end / start)"), ("footprint", "footprint (columns of voxels, 0.01 m² each)"), ("masses", "body mass (kg, 1 kg per mass)"),
                   ("distinctiveness", "mean Hamming distance to others / 144")]
     chart, panel = grid(len(quantities), len(modes), "Populations: the first (grey) and the last (coloured); shares, mean over the trials", [])
-    for r, mode in enumerate(modes):
-        entries = [entry for entry in kept if entry["mode"] == mode]
-        for column, (name, title) in enumerate(quantities):
-            bins = edges[name]
-            shares = [[sum(entry["populations"][which][name][i] for entry in entries) / len(entries) for i in range(len(bins) - 1)] for which in (0, -1)]
-            used = [i for i in range(len(bins) - 1) if shares[0][i] or shares[1][i]] or [0]
-            x = Scale(bins[used[0]], bins[used[-1] + 1], log=name == "score")
-            at = panel(r, column, x, Scale(0, max(max(shares[0]), max(shares[1])) * 1.05))
-            at.axes(title, f"{mode}: share of the designs" if column == 0 else "")
-            low, high = used[0], used[-1] + 1
-            at.histogram(bins[low:high + 1], shares[0][low:high], GREY)
-            at.histogram(bins[low:high + 1], shares[1][low:high], COLOURS[mode])
+    for column, (name, title) in enumerate(quantities):
+        bins = edges[name]
+        used = [i for i in range(len(bins) - 1) if any(population[name][i] for entry in kept for population in entry["populations"])] or [0]
+        low, high = used[0], used[-1] + 1
+        for r, mode in enumerate(modes):
+            entries = [entry for entry in kept if entry["mode"] == mode]
+            shares = [[records.mean([entry["populations"][which][name][i] for entry in entries]) for i in range(low, high)] for which in (0, -1)]
+            at = panel(r, column, Scale(bins[low], bins[high], log=name == "score"), Scale(0, max(max(shares[0]), max(shares[1])) * 1.05))
+            at.axes(title if r == len(modes) - 1 else "", f"{mode}: share of the designs" if column == 0 else "")
+            for share, colour in zip(shares, (GREY, COLOURS[mode])):
+                at.histogram(bins[low:high + 1], share, colour)
     chart.save(path)
 
 
