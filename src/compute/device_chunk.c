@@ -8,16 +8,21 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/parallel.h"
+
+enum { BODIES_PER_THREAD = 100 }; /* a millisecond */
+
 int mo_chunk_create(struct mo_chunk *chunk)
 {
   chunk->blocks = calloc(MO_CHUNK_ROWS, sizeof(struct mo_block *));
   chunk->status = calloc(MO_CHUNK_ROWS, sizeof(*chunk->status));
   chunk->first_row = calloc(MO_CHUNK_ROWS, sizeof(*chunk->first_row));
   chunk->bodies = calloc(MO_CHUNK_ROWS, sizeof(struct mo_body *));
+  chunk->needs_body = calloc(MO_CHUNK_ROWS, sizeof(*chunk->needs_body));
   chunk->robots = calloc(MO_CHUNK_ROWS, sizeof(*chunk->robots));
   chunk->outcomes = calloc(MO_CHUNK_ROWS, sizeof(*chunk->outcomes));
   return chunk->blocks == NULL || chunk->status == NULL || chunk->first_row == NULL || chunk->bodies == NULL ||
-                 chunk->robots == NULL || chunk->outcomes == NULL
+                 chunk->needs_body == NULL || chunk->robots == NULL || chunk->outcomes == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -28,6 +33,7 @@ void mo_chunk_destroy(struct mo_chunk *chunk)
   free(chunk->status);
   free(chunk->first_row);
   free(chunk->bodies);
+  free(chunk->needs_body);
   free(chunk->robots);
   free(chunk->outcomes);
 }
@@ -108,45 +114,83 @@ static bool same_body(const struct mo_block *a, const struct mo_block *b)
          memcmp(a->genotype, b->genotype, mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* The block at `place` gets its rows; environments of one body are neighbours, also over several blocks. */
-static int build_block(struct mo_chunk *chunk, uint32_t place)
+/* Says of each block whether it needs a body of its own: not if it brings one, nor if it goes on with the one before that is still wanted. How
+ * many do. */
+static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
-  const struct mo_block *block = chunk->blocks[place];
-  const struct mo_body *body = block->body;
-  chunk->bodies[place] = NULL;
-  chunk->first_row[place] = chunk->n_rows;
-  if (is_cancelled(block))
-    return MO_ERR_CANCELLED;
-  if (body == NULL && place > 0 && same_body(block, chunk->blocks[place - 1])) {
-    body = chunk->robots[chunk->first_row[place - 1]].body;
-  } else if (body == NULL) {
-    const int status = mo_body_create(block->lattice, block->genotype, &chunk->bodies[place]);
-    if (status != MO_OK)
-      return status;
-    body = chunk->bodies[place];
+  const struct mo_block *before = NULL;
+  uint32_t n = 0;
+  for (uint32_t i = 0; i < chunk->n_active; i++) {
+    const struct mo_block *block = chunk->blocks[i];
+    chunk->bodies[i] = NULL;
+    chunk->needs_body[i] = false;
+    if (is_cancelled(block)) {
+      chunk->status[i] = MO_ERR_CANCELLED;
+      continue;
+    }
+    chunk->needs_body[i] = block->body == NULL && (before == NULL || !same_body(block, before));
+    n += chunk->needs_body[i];
+    before = block;
   }
-  for (uint32_t i = 0; i < block->n_environments; i++)
-    chunk->robots[chunk->n_rows++] = (struct mo_robot){.body = body, .environment = block->environments[i]};
-  return MO_OK;
+  return n;
 }
 
-void mo_chunk_build(struct mo_chunk *chunk)
+static void build_bodies(void *context, size_t first, size_t end)
+{
+  struct mo_chunk *chunk = context;
+  for (size_t i = first; i < end; i++)
+    if (chunk->needs_body[i]) {
+      const int status = mo_body_create(chunk->blocks[i]->lattice, chunk->blocks[i]->genotype, &chunk->bodies[i]);
+      if (status != MO_OK)
+        chunk->status[i] = status;
+    }
+}
+
+/* The block at `place` is the next that gets rows; what was there has its end. */
+static void keep(struct mo_chunk *chunk, uint32_t place, const struct mo_body *body)
+{
+  const uint32_t to = chunk->n_active++;
+  struct mo_block *block = chunk->blocks[place], *ended = chunk->blocks[to];
+  struct mo_body *own = chunk->bodies[place];
+  const int status = chunk->status[place];
+  chunk->blocks[place] = ended;
+  chunk->status[place] = chunk->status[to];
+  chunk->bodies[place] = NULL;
+  chunk->blocks[to] = block;
+  chunk->status[to] = status;
+  chunk->bodies[to] = own;
+  chunk->first_row[to] = chunk->n_rows;
+  for (uint32_t i = 0; i < block->n_environments; i++)
+    chunk->robots[chunk->n_rows++] = (struct mo_robot){.body = body, .environment = block->environments[i]};
+}
+
+/* Environments of one body are neighbours, also over several blocks. */
+static void lay_out(struct mo_chunk *chunk)
+{
+  const uint32_t n = chunk->n_active;
+  const struct mo_body *body = NULL;
+  int status = MO_CHUNK_NOT_DONE; /* of the body */
+  chunk->n_active = 0;
+  for (uint32_t i = 0; i < n; i++) {
+    if (chunk->status[i] == MO_ERR_CANCELLED)
+      continue;
+    if (chunk->needs_body[i] || chunk->blocks[i]->body != NULL) {
+      body = chunk->needs_body[i] ? chunk->bodies[i] : chunk->blocks[i]->body;
+      status = chunk->status[i];
+    }
+    chunk->status[i] = status;
+    if (status == MO_CHUNK_NOT_DONE)
+      keep(chunk, i, body);
+  }
+}
+
+void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads)
 {
   if (chunk->task != NULL)
     return;
-  for (uint32_t i = 0; i < chunk->n_active;) {
-    const int status = build_block(chunk, i);
-    if (status == MO_OK) {
-      i++;
-      continue;
-    }
-    struct mo_block *failed = chunk->blocks[i];
-    chunk->n_active--;
-    chunk->blocks[i] = chunk->blocks[chunk->n_active];
-    chunk->blocks[chunk->n_active] = failed;
-    chunk->bodies[chunk->n_active] = NULL;
-    chunk->status[chunk->n_active] = status;
-  }
+  const uint32_t n = plan_bodies(chunk), enough = 1 + n / BODIES_PER_THREAD;
+  mo_parallel(n_threads < enough ? n_threads : enough, chunk->n_active, build_bodies, chunk);
+  lay_out(chunk);
 }
 
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)

@@ -23,6 +23,7 @@ enum {
   LINGER_BUSY_MS = 10, /* … and one that has */
   LINGER_MAX_MS = 50,  /* however steadily they come */
   WATCH_MS = 20,
+  BUILD_THREADS_MAX = 8,
   GROW_AFTER = 8 /* chunks without want of memory */
 };
 
@@ -115,6 +116,7 @@ void *mo_unit_gather(void *context)
 {
   struct mo_unit *unit = context;
   struct mo_devices *devices = unit->devices;
+  const uint32_t n_threads = mo_compute_workers(devices->compute);
   pthread_mutex_lock(&devices->mutex);
   while (gather(unit)) {
     struct mo_chunk *chunk = &unit->chunks[unit->held == &unit->chunks[0]];
@@ -122,7 +124,7 @@ void *mo_unit_gather(void *context)
       continue;
     unit->is_building = true;
     pthread_mutex_unlock(&devices->mutex);
-    mo_chunk_build(chunk);
+    mo_chunk_build(chunk, n_threads < BUILD_THREADS_MAX ? n_threads : BUILD_THREADS_MAX);
     pthread_mutex_lock(&devices->mutex);
     unit->is_building = false;
     unit->ready = chunk;

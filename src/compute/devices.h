@@ -23,6 +23,7 @@ struct mo_chunk {
   int *status;                 /* (n_blocks) a result code, or one of those below */
   uint32_t *first_row;         /* (n_active) */
   struct mo_body **bodies;     /* (n_blocks) built here; NULL: the block's own, or that of the block before */
+  bool *needs_body;            /* (n_blocks) while it is built */
   struct mo_robot *robots;     /* (n_rows) those of a block are consecutive */
   struct mo_outcome *outcomes; /* (n_rows) */
 };
@@ -93,8 +94,8 @@ int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */
 void mo_chunk_destroy(struct mo_chunk *chunk);
 /* Under the mutex: takes what a device is to compute next. False: nothing waits. */
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
-/* Without the mutex: builds the bodies, lays out the rows. */
-void mo_chunk_build(struct mo_chunk *chunk);
+/* Without the mutex: builds the bodies, on so many threads at most, and lays out the rows. */
+void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads);
 /* Whether nobody wants what is in it any more. */
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk);
 /* Under the mutex: what is not done goes back to the queue, or has its end if nobody is left to do it. */
