@@ -96,7 +96,7 @@ class Daemon:
             sys.exit(f"there is no {program}: build it, or name another with --morphod or --build")
         given = [f"--devices={arguments.devices}"] + ([f"--compute-module={module.resolve()}"] if module.exists() else [])
         given += [f"--workers={arguments.workers}"] if arguments.workers else []
-        return cls(program, arguments.state, *given, *flags)
+        return cls(program.resolve(), arguments.state, *given, *flags)
 
     def __enter__(self):
         return self

@@ -80,7 +80,8 @@ def result_of(daemon, campaign, request, count):
             learning.setdefault(row["generation"], []).append(None if row["mean_loss"] is None else float(f"{row['mean_loss']:.6g}"))
     shown = sorted({0, min(PAPER_SHOWS.get(campaign["mode"], last), last), last})
     return {"mode": campaign["mode"], "seed": campaign["settings"]["seed"], "request": request, "device": campaign["device"],
-            "machine": daemon.machine(), "elapsed_s": daemon.elapsed_s(campaign), "end": campaign["end"], "settings": {key: campaign["settings"][key] for key in ("population", "generations", "learning")},
+            "machine": daemon.machine(), "elapsed_s": daemon.elapsed_s(campaign), "end": campaign["end"],
+            "settings": {key: campaign["settings"][key] for key in ("population", "generations", "learning")},
             "controller": (campaign["controller"] or {}).get("sha256"), "learning": list(learning.values()),
             "populations": [population(daemon, campaign, generation) for generation in sorted({0, last})],
             "champions": [champions(daemon, campaign, generation, count) for generation in shown]}
