@@ -14,6 +14,7 @@ struct bench_options {
   enum mo_isa isa;
   bool quick, json;
   const char *controller; /* path */
+  const char *module;     /* path of a module for GPUs; NULL: the processors */
   const char *csv, *svg;  /* NULL: not written */
 };
 

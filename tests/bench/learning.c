@@ -13,12 +13,19 @@
 #include <string.h>
 #include <unistd.h>
 
-enum { SEEDS_MAX = 16, GROUPS_MAX = 2 * 2 * 2 + 1, RUNS_MAX = GROUPS_MAX * SEEDS_MAX, SAVE_EVERY = 10 };
+enum {
+  SEEDS_MAX = 16,
+  GROUPS_MAX = 2 * 2 * 2 + 1,
+  RUNS_MAX = GROUPS_MAX * SEEDS_MAX,
+  SAVE_EVERY = 10,
+  DRAW_THREADS = 8
+};
 
 /* What inverse_square learns fastest by. */
-#define TIGHT_PEAK         4e-3
+#define TIGHT_PEAK         3e-3
 #define TIGHT_WARMUP_STEPS 5
-#define TIGHT_BOUND        0.5
+#define TIGHT_BOUND        0.2
+#define TIGHT_BETA1        0.8
 
 static const char usage[] =
     "Usage: morpho-bench learning [OPTION…]\n"
@@ -32,9 +39,12 @@ static const char usage[] =
     "  --peak X           highest rate (default: 2e-3 for one cosine, 1e-3 for the restarts)\n"
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
-    "                     With none of these three, inverse_square with one cosine and clipping is trained twice:\n"
-    "                     once more with --peak 4e-3 --warmup 5 --bound 0.5.\n"
+    "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
+    "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
+    "                     With none of these six, inverse_square with one cosine and clipping is trained twice:\n"
+    "                     once more with --peak 3e-3 --warmup 5 --bound 0.2 --beta1 0.8.\n"
     "  --workers N        threads (default: one per processor)\n"
+    "  --module PATH      gradients on GPUs, by this morphod-cuda.so: other bits, so give it a CSV file of its own\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --csv PATH         rows of the steps, read at the start and appended to (default learning.csv)\n"
     "  --folder PATH      for checkpoints (default: where the CSV file is)\n"
@@ -47,8 +57,9 @@ static const char usage[] =
     "  --designs N        random bodies to finetune on (default 64)\n"
     "  --environments N   held-out environments to score them in (default 64)\n";
 
-static const char columns[] = "sensor,schedule,peak,warmup_steps,adjoint_bound,batch,steps,seed,step,mean_loss,"
-                              "gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
+static const char columns[] =
+    "sensor,schedule,peak,warmup_steps,adjoint_bound,norm_limit,beta1,beta2,batch,steps,seed,step,mean_loss,"
+    "gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
 
 struct plan {
   bool sensors[2], schedules[2], clips[2]; /* schedules: cosine, restarts; clips: on, off */
@@ -56,7 +67,8 @@ struct plan {
   size_t n_seeds;
   uint32_t batch, steps, warmup, designs, environments;
   double peak, bound; /* peak 0: the schedule's own */
-  bool own_recipe;    /* peak, warmup or bound was given */
+  double norm_limit, beta1, beta2;
+  bool own_recipe; /* one of them, or warmup, was given */
   bool report, finetune;
   const char *folder;
 };
@@ -68,6 +80,16 @@ void learning_machine_create(struct learning_machine *machine, const struct benc
   struct mo_controller *controller = NULL;
   const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
   bench_check(mo_compute_create_cpu(&config, &machine->compute), "compute");
+  machine->back_end = MO_ON_CPU;
+  if (options->module != NULL) {
+    const struct mo_devices_config devices = {.module = options->module};
+    struct mo_message message = {""};
+    if (mo_compute_add_devices(machine->compute, &devices, &message) != MO_OK) {
+      fprintf(stderr, "morpho-bench: %s\n", message.text);
+      exit(1);
+    }
+    machine->back_end = MO_ON_DEVICE;
+  }
   bench_check(mo_gradient_state_create(machine->compute, &machine->gradients), "gradients");
   bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller), "controller");
   machine->d_parameters = calloc(controller->n_parameters, sizeof(double));
@@ -91,6 +113,7 @@ struct mo_training_report learning_step(struct learning_machine *machine, struct
                                     .n = settings->batch,
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
+                                    .back_end = machine->back_end,
                                     .d_parameters = machine->d_parameters,
                                     .outcomes = machine->outcomes};
   struct mo_training_report report;
@@ -183,6 +206,8 @@ static void run_one(struct learning_machine *machine, struct learning_run *run, 
   snprintf(path, sizeof(path), "%s/%s.checkpoint", folder, name);
   struct mo_training *training = open_training(run, path);
   const uint32_t n_steps = run->settings.n_steps;
+  if (machine->back_end == MO_ON_DEVICE) /* else drawing is a small part of a step */
+    mo_training_set_threads(training, DRAW_THREADS);
   printf("%s: from step %u\n", run->key, mo_training_step(training));
   while (mo_training_step(training) < n_steps) {
     const double start = bench_now_s();
@@ -224,9 +249,12 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   if (plan->peak > 0.0)
     s->schedule.peak = plan->peak;
   s->adjoint_bound = off ? 0.0 : plan->bound;
-  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
-           mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound, s->batch,
-           s->n_steps, (unsigned long long)seed);
+  s->norm_limit = plan->norm_limit;
+  s->beta1 = plan->beta1;
+  s->beta2 = plan->beta2;
+  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%g,%g,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
+           mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound,
+           s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps, (unsigned long long)seed);
   struct mo_message message = {""};
   if (mo_training_settings_check(s, &message) != MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
@@ -270,9 +298,11 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
     tight.peak = TIGHT_PEAK;
     tight.warmup = TIGHT_WARMUP_STEPS;
     tight.bound = TIGHT_BOUND;
+    tight.beta1 = TIGHT_BETA1;
     struct curves_group *group =
         make_group(&tight, MO_SENSOR_INVERSE_SQUARE, 0, 0, runs + n_groups * plan->n_seeds, &groups[n_groups]);
-    snprintf(group->name, sizeof(group->name), "one cosine, peak %g, clipped at %g", TIGHT_PEAK, TIGHT_BOUND);
+    snprintf(group->name, sizeof(group->name), "one cosine, peak %g, beta1 %g, clipped at %g", TIGHT_PEAK, TIGHT_BETA1,
+             TIGHT_BOUND);
     n_groups++;
   }
   return n_groups;
@@ -396,7 +426,11 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     PEAK,
     WARMUP,
     BOUND,
+    NORM_LIMIT,
+    BETA1,
+    BETA2,
     WORKERS,
+    MODULE,
     ISA,
     CSV,
     FOLDER,
@@ -416,7 +450,11 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
                                                {"peak", 1, NULL, PEAK},
                                                {"warmup", 1, NULL, WARMUP},
                                                {"bound", 1, NULL, BOUND},
+                                               {"norm-limit", 1, NULL, NORM_LIMIT},
+                                               {"beta1", 1, NULL, BETA1},
+                                               {"beta2", 1, NULL, BETA2},
                                                {"workers", 1, NULL, WORKERS},
+                                               {"module", 1, NULL, MODULE},
                                                {"isa", 1, NULL, ISA},
                                                {"csv", 1, NULL, CSV},
                                                {"folder", 1, NULL, FOLDER},
@@ -451,6 +489,19 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
       plan->bound = real(name, optarg);
       plan->own_recipe = true;
       break;
+    case NORM_LIMIT:
+      plan->norm_limit = real(name, optarg);
+      plan->own_recipe = true;
+      break;
+    case BETA1:
+      plan->beta1 = real(name, optarg);
+      plan->own_recipe = true;
+      break;
+    case BETA2:
+      plan->beta2 = real(name, optarg);
+      plan->own_recipe = true;
+      break;
+    case MODULE: options->module = optarg; break;
     case WORKERS: options->workers = (uint32_t)whole(name, optarg, 1024); break;
     case ISA:
       if (mo_isa_from_name(optarg, &options->isa) != MO_OK)
@@ -490,7 +541,8 @@ static int learn(const struct plan *plan, const struct bench_options *options)
   if (!plan->report) {
     struct learning_machine machine;
     learning_machine_create(&machine, options, plan->batch);
-    printf("%s\n", mo_compute_gradient_fingerprint(machine.compute));
+    printf("%s\n", machine.back_end == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(machine.compute)
+                                                    : mo_compute_gradient_fingerprint(machine.compute));
     FILE *rows = open_rows(csv);
     /* The first recipe with all its seeds, then the others with the first seed, the second, … */
     for (size_t seed = 0; seed < plan->n_seeds; seed++)
@@ -523,6 +575,9 @@ int bench_learning(int argc, char **argv)
                       .batch = 256,
                       .warmup = mo_schedule_one_cosine().warmup_steps,
                       .bound = MO_ADJOINT_BOUND,
+                      .norm_limit = mo_training_defaults(MO_TRAINING_PRETRAIN).norm_limit,
+                      .beta1 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta1,
+                      .beta2 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta2,
                       .designs = 64,
                       .environments = 64};
   read_options(argc, argv, &plan, &options);

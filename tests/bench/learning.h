@@ -19,6 +19,7 @@ struct learning_run {
 
 struct learning_machine {
   struct mo_compute *compute;
+  enum mo_back_end back_end;
   struct mo_gradient_state *gradients;
   double *d_parameters;        /* (n_parameters) */
   struct mo_outcome *outcomes; /* (batch) */
