@@ -213,21 +213,25 @@ static int insert_child_scores(struct mo_connection *writer, const struct commit
                                const struct mo_campaign_loss *loss, const int64_t *environments, int64_t now_us)
 {
   const struct mo_campaign_head *head = &call->head;
-  struct mo_saved_score score = {
-      .genotype = call->genotypes[loss->place], .controller = head->controller, .physics = head->physics};
-  struct mo_saved_design design = {score.genotype, head->controller, head->physics, head->environment_set};
+  const int64_t genotype = call->genotypes[loss->place];
+  const struct mo_saved_design design = {genotype, head->controller, head->physics, head->environment_set};
+  struct mo_saved_score scores[MO_ENVIRONMENTS_MAX];
   uint32_t n_new = 0;
   double sum = 0;
-  int error = MO_OK;
-  for (uint32_t k = 0; k < head->n_environments && error == MO_OK; k++) {
-    score.environment = environments[k];
-    score.loss = loss->losses[k];
-    score.diverged_step = loss->diverged_steps[k];
-    score.fingerprint = loss->by_workers >> k & 1 ? call->commit->workers_fingerprint : call->commit->fingerprint;
-    error = mo_score_insert(writer, &score, now_us);
-    n_new += sqlite3_changes(writer->db) > 0;
-    sum += score.loss;
+  int error;
+  for (uint32_t k = 0; k < head->n_environments; k++) {
+    const bool by_workers = loss->by_workers >> k & 1;
+    scores[k] = (struct mo_saved_score){.genotype = genotype,
+                                        .controller = head->controller,
+                                        .physics = head->physics,
+                                        .environment = environments[k],
+                                        .loss = loss->losses[k],
+                                        .diverged_step = loss->diverged_steps[k],
+                                        .fingerprint =
+                                            by_workers ? call->commit->workers_fingerprint : call->commit->fingerprint};
+    sum += loss->losses[k];
   }
+  error = mo_scores_insert(writer, scores, head->n_environments, now_us, &n_new);
   if (error != MO_OK || head->environment_set == 0)
     return error;
   return n_new == head->n_environments ? mo_set_score_insert_mean(writer, &design, sum / head->n_environments)

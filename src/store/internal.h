@@ -176,8 +176,9 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
                    enum mo_sensor sensor, int64_t *row);
 /* A named set and its size. MO_ERR_NOT_FOUND. */
 int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row, int64_t *n);
-/* A rollout's row, unless it is there; and the mean over a named set, unless it is incomplete or there. */
-int mo_score_insert(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us);
+/* Rollouts' rows, unless they are there, and how many were not; and the mean over a named set, unless it is incomplete or there. */
+int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *scores, size_t n, int64_t now_us,
+                     uint32_t *n_new);
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design);
 /* The same when all losses of the set were new, so that their mean is known. */
 int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design, double mean);

@@ -61,29 +61,67 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   return error;
 }
 
-int mo_score_insert(struct mo_connection *writer, const struct mo_saved_score *score, int64_t now_us)
+static const char score_sql[] = "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
+                                "diverged_step,fingerprint,computed_us) VALUES(?,?,?,?,?,?,?,?)";
+/* Eight rows in one go take two thirds of the time. */
+enum { TOGETHER = 8, COLUMNS = 8 };
+#define ROW "(?,?,?,?,?,?,?,?)"
+static const char scores_sql[] =
+    "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
+    "diverged_step,fingerprint,computed_us) VALUES" ROW "," ROW "," ROW "," ROW "," ROW "," ROW "," ROW "," ROW;
+
+/* TOGETHER of them, or one. */
+static int insert_scores(struct mo_connection *writer, const struct mo_saved_score *scores, int n, int64_t now_us,
+                         uint32_t *n_new)
 {
-  static const char sql[] = "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,diverged_step,"
-                            "fingerprint,computed_us) VALUES(?1,?2,?3,?4,?5,?6,?7,?8)";
-  uint8_t loss[8];
-  sqlite3_stmt *statement;
+  uint8_t losses[TOGETHER][8];
   int error = MO_OK;
-  mo_encode_double(score->loss, loss);
-  if (score->verify_job != 0)
-    error = note_recomputed(writer, score, loss);
-  statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
+  sqlite3_stmt *statement = mo_sql(writer, n == TOGETHER ? scores_sql : score_sql, &error);
   if (statement == NULL)
     return error;
-  sqlite3_bind_int64(statement, 1, score->genotype);
-  sqlite3_bind_int64(statement, 2, score->controller);
-  sqlite3_bind_int64(statement, 3, score->physics);
-  sqlite3_bind_int64(statement, 4, score->environment);
-  sqlite3_bind_blob(statement, 5, loss, 8, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 6, score->diverged_step);
-  sqlite3_bind_int64(statement, 7, score->fingerprint);
-  sqlite3_bind_int64(statement, 8, now_us);
+  for (int i = 0; i < n; i++) {
+    const int column = COLUMNS * i;
+    mo_encode_double(scores[i].loss, losses[i]);
+    sqlite3_bind_int64(statement, column + 1, scores[i].genotype);
+    sqlite3_bind_int64(statement, column + 2, scores[i].controller);
+    sqlite3_bind_int64(statement, column + 3, scores[i].physics);
+    sqlite3_bind_int64(statement, column + 4, scores[i].environment);
+    sqlite3_bind_blob(statement, column + 5, losses[i], 8, SQLITE_STATIC);
+    sqlite3_bind_int64(statement, column + 6, scores[i].diverged_step);
+    sqlite3_bind_int64(statement, column + 7, scores[i].fingerprint);
+    sqlite3_bind_int64(statement, column + 8, now_us);
+  }
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
+  if (error == MO_OK)
+    *n_new += (uint32_t)sqlite3_changes(writer->db);
+  return error;
+}
+
+/* One that is checked against what is stored goes alone, in its turn. */
+static size_t run_of_scores(const struct mo_saved_score *scores, size_t n)
+{
+  size_t i = 0;
+  while (i < n && i < TOGETHER && scores[i].verify_job == 0)
+    i++;
+  return i == TOGETHER ? TOGETHER : 1;
+}
+
+int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *scores, size_t n, int64_t now_us,
+                     uint32_t *n_new)
+{
+  int error = MO_OK;
+  *n_new = 0;
+  for (size_t i = 0, run; i < n && error == MO_OK; i += run) {
+    run = run_of_scores(scores + i, n - i);
+    if (scores[i].verify_job != 0) {
+      uint8_t loss[8];
+      mo_encode_double(scores[i].loss, loss);
+      error = note_recomputed(writer, &scores[i], loss);
+    }
+    if (error == MO_OK)
+      error = insert_scores(writer, scores + i, (int)run, now_us, n_new);
+  }
   return error;
 }
 
@@ -310,10 +348,8 @@ static int save(struct mo_store *store, void *arguments)
 {
   struct mo_save *call = arguments;
   struct mo_connection *writer = &store->writer;
-  int64_t now_us = mo_store_now_us();
-  int error = MO_OK;
-  for (size_t i = 0; i < call->n_scores && error == MO_OK; i++)
-    error = mo_score_insert(writer, &call->scores[i], now_us);
+  uint32_t n_new = 0;
+  int error = mo_scores_insert(writer, call->scores, call->n_scores, mo_store_now_us(), &n_new);
   for (size_t i = 0; i < call->n_trajectories && error == MO_OK; i++)
     error = save_trajectory(writer, &call->trajectories[i]);
   for (size_t i = 0; i < call->n_designs && error == MO_OK; i++)
