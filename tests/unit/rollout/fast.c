@@ -246,41 +246,69 @@ static void lanes_keep_to_themselves(void)
 
 /* ---- results ---- */
 
-static void close_to_reference(void)
+enum { LANES = 3, COM_FRAMES = 5 };
+
+/* One rollout in several lanes. */
+struct lives {
+  struct mo_outcome outcomes[LANES];
+  double com[LANES][COM_FRAMES * 3];
+  struct mo_recording recordings[LANES];
+};
+
+static void prepare_lives(struct lives *lives)
 {
-  REQUIRE(setup());
-  struct mo_physics physics = mo_default_physics();
+  for (int l = 0; l < LANES; l++)
+    lives->recordings[l] = (struct mo_recording){.stride = 25, .com_m = lives->com[l]};
+}
+
+static double worst_difference(const struct lives *a, const struct lives *b)
+{
+  double worst = 0;
+  for (int l = 0; l < LANES; l++) {
+    worst = fmax(worst, fabs(a->outcomes[l].loss - b->outcomes[l].loss));
+    for (int i = 0; i < COM_FRAMES * 3; i++)
+      worst = fmax(worst, fabs(a->com[l][i] - b->com[l][i]));
+  }
+  return worst;
+}
+
+/* Every kernel against the one reference of a body. */
+static void compare_kernels(const struct mo_body *body, const struct mo_physics *physics, int variant)
+{
+  static const int lanes[LANES] = {0, 4, 7};
+  struct lives reference, lives;
+  prepare_lives(&reference);
+  for (int l = 0; l < LANES; l++)
+    REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], physics, &reference.recordings[l],
+                                 &reference.outcomes[l]) == 0);
   EACH_KERNEL(isa, precision)
-  for (int variant = 0; variant < 4; variant++) {
-    physics.impact = variant & 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
-    physics.n_steps = 100;
-    controller->sensor = variant & 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
-    double worst = 0;
-    for (uint64_t number = 0; number < 4; number++) {
-      struct mo_body *body = body_number(number, 1 + 12 * (uint32_t)number);
-      REQUIRE(body != NULL);
-      const int lanes[3] = {0, 4, 7};
-      struct mo_outcome outcomes[3], reference;
-      double com[3][5 * 3], reference_com[5 * 3];
-      struct mo_recording recordings[3];
-      for (int l = 0; l < 3; l++)
-        recordings[l] = (struct mo_recording){.stride = 25, .com_m = com[l]};
-      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, 3, &physics, recordings,
-                        outcomes) == 0);
-      for (int l = 0; l < 3; l++) {
-        const struct mo_recording recording = {.stride = 25, .com_m = reference_com};
-        REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], &physics, &recording, &reference) == 0);
-        worst = fmax(worst, fabs(reference.loss - outcomes[l].loss));
-        for (int i = 0; i < 15; i++)
-          worst = fmax(worst, fabs(com[l][i] - reference_com[i]));
-      }
-      mo_body_free(body);
-    }
-    controller->sensor = MO_SENSOR_INVERSE_SQRT;
+  {
+    prepare_lives(&lives);
+    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, LANES, physics, lives.recordings,
+                      lives.outcomes) == 0);
+    const double worst = worst_difference(&lives, &reference);
     if (!(worst <= (precision == MO_FLOAT64 ? 1e-10 : 1e-3)))
       printf("# %s precision %d variant %d: %g\n", mo_isa_name((enum mo_isa)isa), precision, variant, worst);
     CHECK(worst <= (precision == MO_FLOAT64 ? 1e-10 : 1e-3));
   }
+}
+
+static void close_to_reference(void)
+{
+  REQUIRE(setup());
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = 100;
+  for (int variant = 0; variant < 4; variant++) {
+    physics.impact = variant & 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
+    controller->sensor = variant & 2 ? MO_SENSOR_INVERSE_SQUARE : MO_SENSOR_INVERSE_SQRT;
+    for (uint64_t number = 0; number < 4; number++) {
+      struct mo_body *body = body_number(number, 1 + 12 * (uint32_t)number);
+      REQUIRE(body != NULL);
+      compare_kernels(body, &physics, variant);
+      mo_body_free(body);
+    }
+  }
+  controller->sensor = MO_SENSOR_INVERSE_SQRT;
 }
 
 static void passive_bodies(void)
