@@ -1,7 +1,8 @@
 # setup.sh: sourced by the scripts beside it. Finds the repository, installs Debian packages, builds.
 #
 #   install_packages SECTION…   installs what is missing of those sections of tools/packages (root, or sudo)
-#   build_in FOLDER [ARG…]      configures FOLDER once with the given meson arguments, then builds it, or $targets of it
+#   configure_in FOLDER [ARG…]  configures FOLDER once with the given meson arguments
+#   build_in FOLDER [ARG…]      the same, then builds it, or $targets of it
 
 set -euo pipefail
 repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -41,11 +42,16 @@ install_packages() {
 # Meson must run on Debian's own Python, whatever else is first in PATH.
 export PATH="/usr/sbin:/usr/bin:/sbin:/bin:$PATH"
 
-build_in() {
+configure_in() {
   local folder=$1; shift
   if [ ! -f "$folder/build.ninja" ]; then
     meson setup "$folder" "$@" >"/tmp/morphod-setup.$$" 2>&1 || { cat "/tmp/morphod-setup.$$"; rm -f "/tmp/morphod-setup.$$"; fail "meson could not configure $folder"; }
     rm -f "/tmp/morphod-setup.$$"
   fi
+}
+
+build_in() {
+  local folder=$1
+  configure_in "$@"
   ninja -C "$folder" --quiet ${targets:-} || fail "the build in $folder failed"
 }
