@@ -12,9 +12,11 @@
 
 enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 
-/* Of a gradient's lives. The thread sanitizer slows what comes between two batches, not the kernels: longer lives make up for that. */
+/* Of a gradient's lives. The sanitizers slow what comes between two batches more than the kernels: longer lives make up for that. */
 #ifdef __SANITIZE_THREAD__
 #define GRADIENT_STEPS 200
+#elif defined(__SANITIZE_ADDRESS__)
+#define GRADIENT_STEPS 40
 #else
 #define GRADIENT_STEPS 4
 #endif
