@@ -1,0 +1,198 @@
+/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and end. */
+#ifndef MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
+#define MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
+
+#include "compute/cuda/network.cuh"
+#include "compute/cuda/score.cuh"
+
+namespace {
+
+constexpr uint32_t kRows = MO_PLAN_ROWS_MAX, kSpringSlots = MO_DEFAULT_SPRINGS;
+constexpr uint32_t kChunks = 352; /* of 32 places: more than fit the shared memory */
+constexpr uint32_t kCancelSteps = 16;
+constexpr unsigned kAll = 0xffffffffu;
+
+/* A part of the group, as the physics reads it. */
+struct Part {
+  uint32_t first_place, n_rows, n_masses, first_quad, first_mass, first_row;
+  float per_row; /* 1 / n_rows */
+};
+
+struct Row {
+  uint32_t first_place, stride; /* place of mass m: first_place + m · stride */
+  uint32_t n_masses, body, part;
+};
+
+struct Shared {
+  float first[MO_HIDDEN]; /* what the first layer's sums start from */
+  float2 partial[MO_CUDA_WARPS * kRows];
+  float4 light[kRows];    /* and the terrain's highest point */
+  float com[2][kRows][3]; /* at the start of even and odd steps */
+  Part parts[kRows];
+  Row rows[kRows];
+  const mo_cuda_cell *cells[kRows];
+  uint32_t chunks[kChunks]; /* part << 16 | number */
+  int insane[kRows], diverged[kRows];
+  uint32_t n_chunks, group;
+  uint32_t input_units; /* bits: units of the first layer that may not be 0 */
+  int cancelled;
+  mo_plan_group plan;
+};
+
+constexpr size_t kSharedBytes = (sizeof(Shared) + 127) / 128 * 128;
+
+/* ---- the beginning of a life, in float64 as rollout/scene.c has it ---- */
+
+struct Corner {
+  int cell;
+  double fraction;
+};
+
+__device__ Corner corner_of(double coordinate_m)
+{
+  Corner corner = {0, 0.0};
+  if (coordinate_m > MO_TERRAIN_SIZE_M) {
+    corner.cell = MO_TERRAIN_SIDE - 2;
+    corner.fraction = 1.0;
+  } else if (coordinate_m >= 0.0) {
+    const double cells = coordinate_m * ((MO_TERRAIN_SIDE - 1) / MO_TERRAIN_SIZE_M);
+    corner.cell = cells < MO_TERRAIN_SIDE - 1 ? (int)cells : MO_TERRAIN_SIDE - 2;
+    corner.fraction = cells - corner.cell;
+  }
+  return corner;
+}
+
+__device__ double terrain_height(const double *heights, double x_m, double y_m)
+{
+  const Corner x = corner_of(x_m), y = corner_of(y_m);
+  const double *corner = heights + y.cell * MO_TERRAIN_SIDE + x.cell;
+  const double near = corner[0] + x.fraction * (corner[1] - corner[0]);
+  const double far = corner[MO_TERRAIN_SIDE] + x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
+  return near + y.fraction * (far - near);
+}
+
+/* Where along an axis a mass starts. */
+__device__ double start_of(uint32_t cell, int side)
+{
+  return MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * side + MO_VOXEL_M * cell;
+}
+
+/* A warp places one row. */
+__device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint32_t r, float *position, uint32_t lane)
+{
+  const Row row = shared.rows[r];
+  const Part &part = shared.parts[row.part];
+  const mo_plan_row plan = score.rows[shared.plan.first_row + r];
+  const uint32_t *masses = score.masses + part.first_mass;
+  const double *heights = score.heights + (size_t)plan.environment * MO_PLAN_ENVIRONMENT_DOUBLES + 2;
+  uint32_t lowest = 255;
+  for (uint32_t m = lane; m < row.n_masses; m += 32)
+    lowest = min(lowest, MO_PLAN_MASS_Z(masses[m]));
+  lowest = __reduce_min_sync(kAll, lowest);
+  double lift = -INFINITY;
+  for (uint32_t m = lane; m < row.n_masses; m += 32) {
+    const uint32_t mass = masses[m];
+    if (MO_PLAN_MASS_Z(mass) == lowest)
+      lift = fmax(lift, terrain_height(heights, start_of(MO_PLAN_MASS_X(mass), 6), start_of(MO_PLAN_MASS_Y(mass), 6)));
+  }
+  for (int step = 16; step > 0; step /= 2)
+    lift = fmax(lift, __shfl_xor_sync(kAll, lift, step));
+  lift += score.drop_height_m;
+  for (uint32_t m = lane; m < row.n_masses; m += 32) {
+    const uint32_t mass = masses[m];
+    float *p = position + 3 * (size_t)(row.first_place + m * row.stride);
+    p[0] = (float)(start_of(MO_PLAN_MASS_X(mass), 6) - MO_WORLD_CENTRE_M);
+    p[1] = (float)(start_of(MO_PLAN_MASS_Y(mass), 6) - MO_WORLD_CENTRE_M);
+    p[2] = (float)(MO_VOXEL_M * (MO_PLAN_MASS_Z(mass) - lowest) + lift);
+  }
+  if (lane < 3) {
+    const uint8_t *ranks = score.ranks + part.first_mass;
+    double sum = 0;
+    for (uint32_t i = 0; i < row.n_masses; i++) {
+      const uint32_t mass = masses[ranks[i]];
+      sum += lane == 0   ? start_of(MO_PLAN_MASS_X(mass), 6)
+             : lane == 1 ? start_of(MO_PLAN_MASS_Y(mass), 6)
+                         : MO_VOXEL_M * (MO_PLAN_MASS_Z(mass) - lowest) + lift;
+    }
+    score.outcomes[plan.row].com_start_m[lane] = sum / row.n_masses;
+  }
+}
+
+/* Of an unactuated spring. */
+__device__ __forceinline__ float rest_length(uint32_t slot)
+{
+  return slot < MO_PLAN_EDGES ? (float)MO_VOXEL_M : (float)(MO_VOXEL_M * 1.41421356237309504880);
+}
+
+/* What the group's rows and parts are, once per group. */
+__device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t units, float *position,
+                            float *velocity, float *wanted)
+{
+  const uint32_t thread = threadIdx.x, lane = thread & 31, warp = thread >> 5;
+  const mo_plan_group &plan = shared.plan;
+  if (thread < plan.n_parts) {
+    const mo_plan_part in = score.parts[plan.first_part + thread];
+    const mo_plan_body &body = score.bodies[in.body];
+    Part &part = shared.parts[thread];
+    part.first_place = in.first_place;
+    part.n_rows = in.n_rows;
+    part.n_masses = body.n_masses;
+    part.first_quad = body.first_quad;
+    part.first_mass = body.first_mass;
+    part.first_row = in.first_row;
+    part.per_row = 1.0f / (float)in.n_rows;
+    for (uint32_t r = 0; r < in.n_rows; r++)
+      shared.rows[in.first_row + r] = Row{in.first_place + r, in.n_rows, body.n_masses, in.body, thread};
+  }
+  if (thread < kRows) {
+    shared.insane[thread] = 0;
+    shared.diverged[thread] = 0;
+    if (thread < plan.n_rows) {
+      const mo_cuda_environment *environment = score.environments + score.rows[plan.first_row + thread].environment;
+      shared.light[thread] =
+          make_float4(environment->light[0], environment->light[1], environment->light[2], environment->highest);
+      shared.cells[thread] = environment->cells;
+    }
+  }
+  __syncthreads();
+  if (thread == 0) {
+    uint32_t n = 0;
+    for (uint32_t p = 0; p < plan.n_parts; p++)
+      for (uint32_t c = 0; c * 32 < shared.parts[p].n_masses * shared.parts[p].n_rows; c++)
+        shared.chunks[n++] = p << 16 | c;
+    shared.n_chunks = n;
+    shared.input_units = 0;
+    for (uint32_t tile = 0; tile < MO_WEIGHTS_TILES; tile++)
+      shared.input_units |= (plan.input_tiles >> tile & 1u) << tile * units / MO_WEIGHTS_TILES;
+  }
+  for (uint32_t r = warp; r < plan.n_rows; r += MO_CUDA_WARPS)
+    place_row(score, shared, r, position, lane);
+  for (uint32_t k = thread; k < 3 * plan.n_places; k += MO_CUDA_THREADS)
+    velocity[k] = 0.0f;
+  if (score.weights == nullptr)
+    for (uint32_t k = thread; k < kSpringSlots * kRows; k += MO_CUDA_THREADS)
+      wanted[k] = rest_length(k / kRows);
+  __syncthreads();
+}
+
+__device__ void end_group(const mo_cuda_score &score, const Shared &shared, const float *position)
+{
+  for (uint32_t k = threadIdx.x; k < 3 * shared.plan.n_rows; k += MO_CUDA_THREADS) {
+    const uint32_t r = k / 3, axis = k % 3;
+    const Row row = shared.rows[r];
+    mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + r].row;
+    if (axis == 0)
+      outcome->diverged_step = shared.diverged[r];
+    if (shared.diverged[r] != 0)
+      continue; /* com_end was written then */
+    const uint8_t *ranks = score.ranks + shared.parts[row.part].first_mass;
+    double sum = 0;
+    for (uint32_t i = 0; i < row.n_masses; i++)
+      sum += position[3 * (row.first_place + ranks[i] * row.stride) + axis];
+    outcome->com_end_m[axis] = sum / row.n_masses + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
+  }
+}
+
+} // namespace
+
+#endif
