@@ -3,7 +3,7 @@
  *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
  *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory
  *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
- *   cuda-gradient short                              a few steps of everything, for compute-sanitizer
+ *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
  * WEIGHTS: the seed of random ones, or a controller's file. Robots are distinct random bodies, each in a training environment; 1000 steps,
  * clipping at 2. One line per measurement; exit status 1 if a bound is missed, 77 without a device. */
@@ -197,10 +197,10 @@ static void run(struct result *r, const struct mo_controller *controller, const 
   must(mo_cuda_gradient_run(state, &r->call, memory_bytes), "gradient");
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
-  printf("%u robots, %u steps: %.3f s, device %.3f (forward %.3f, back %.3f, sums %.3f), host %.3f (layout %.3f, "
+  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f (layout %.3f, "
          "upload %.3f); "
          "%.1f GB, %u groups, %u passes, %u ways back\n",
-         n, n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->collect_s, r->call.host_s, p->plan_s,
+         n, n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s, r->call.host_s, p->plan_s,
          p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->passes, p->walks);
 }
 
@@ -322,10 +322,11 @@ int main(int argc, char **argv)
     time_steps(&s, 1024, 0);
     time_steps(&s, 8192, STEP_BOUND_S);
   } else if (strcmp(what, "short") == 0) {
-    make_scene(&s, 40);
+    const uint32_t n = argc > 2 ? (uint32_t)atoi(argv[2]) : 40, n_steps = argc > 3 ? (uint32_t)atoi(argv[3]) : 2;
+    make_scene(&s, n);
     struct mo_controller *controller = weights_of("1");
     struct result r;
-    run(&r, controller, &s, 0, 40, 2, 0);
+    run(&r, controller, &s, 0, n, n_steps, 0);
     drop(&r);
     mo_controller_free(controller);
   } else {

@@ -1,8 +1,8 @@
 /* gradient.cu: a call for gradients, from rows to shards' sums.
  *
- * The call is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, a chunk
- * of steps per launch, and back again, each chunk followed by its products. A row whose adjoint turns out not to be finite was added
- * until then: the way back is walked again without it. That is rare. */
+ * The call is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, back
+ * again, which leaves what the products need where the tape was, and takes the products. A row whose adjoint turns out not to be finite was added
+ * until then: both ways are walked again without it. That is rare. */
 #include "compute/cuda/gradient.h"
 #include "compute/cuda/gradient_kernels.cuh"
 extern "C" {
@@ -24,7 +24,7 @@ extern "C" {
 
 namespace {
 
-enum { CHUNK_STEPS = 250, RESERVE_BYTES = 768 << 20 };
+enum { PART_STEPS = 50, RESERVE_BYTES = 768 << 20 };
 
 struct buffer {
   void *at = nullptr;
@@ -39,11 +39,11 @@ enum place {
   SPRINGS,
   GENERATORS,
   TAPE,
-  DELTA,
   SUMS,
   POSITION,
   VELOCITY,
   RESULTS,
+  TICKETS,
   JOBS,
   SHARDS,
   PARAMETERS,
@@ -61,8 +61,8 @@ double now_s()
 struct mo_cuda_gradient_state {
   int device;
   cudaStream_t stream;
-  cudaEvent_t event[8];
   buffer buffers[PLACES], weights, pinned;
+  volatile int *cancel; /* read by the kernels */
   mo_gk_weights tiles;
   uint32_t shared_bytes;
   char error[256];
@@ -154,53 +154,51 @@ int place_weights(mo_cuda_gradient_state *s)
 /* One pass: groups first … end − 1 of the plan. */
 struct pass {
   uint32_t first, end, first_shard, end_shard;
-  uint64_t tape, delta, sums;
+  uint64_t tape, sums;
   uint32_t shared;
 };
 
 uint64_t pass_bytes(const mo_gradient_plan &plan, const pass &p)
 {
-  return p.tape + p.delta + 4 * p.sums + (uint64_t)(p.end_shard - p.first_shard) * 620912 * 4 + plan.n_masses * 25 +
+  return p.tape + 4 * p.sums + (uint64_t)(p.end_shard - p.first_shard) * 620912 * 4 + plan.n_masses * 25 +
          plan.n_chunks * 128 + ((uint64_t)16 << 20);
 }
 
-void add_group(pass &p, const mo_gp_group &g, uint32_t n_steps, uint32_t chunk)
+void add_group(pass &p, const mo_gp_group &g, uint32_t n_steps)
 {
   p.tape += mo_gp_tape_of(&g, n_steps).bytes;
-  p.delta += mo_gp_delta_of(&g, chunk).bytes;
   p.sums += (mo_gp_sum_of(&g).floats + 63) / 64 * 64;
   p.shared = std::max(p.shared, mo_gp_shared_bytes(g.n_rows, g.n_masses, g.n_outputs));
 }
 
 /* Before any work: whether the kernels' offsets reach over each group's part of the tape, and `most` bytes hold any shard by itself. */
-bool can_be_held(const mo_gradient_plan &plan, uint32_t n_steps, uint32_t chunk, uint64_t most)
+bool can_be_held(const mo_gradient_plan &plan, uint32_t n_steps, uint64_t most)
 {
   pass p = {};
   for (uint32_t i = 0; i < plan.n_groups; i++) {
     const mo_gp_group &g = plan.groups[i];
     if (i == 0 || g.shard != plan.groups[i - 1].shard)
-      p = pass{i, i, g.shard, g.shard + 1, 0, 0, 0, 0};
-    add_group(p, g, n_steps, chunk);
-    if (mo_gp_tape_of(&g, n_steps).bytes > UINT32_MAX || p.tape + p.delta + 4 * p.sums > most)
+      p = pass{i, i, g.shard, g.shard + 1, 0, 0, 0};
+    add_group(p, g, n_steps);
+    if (mo_gp_tape_of(&g, n_steps).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
       return false;
   }
   return plan.n_shards > 1 || pass_bytes(plan, p) <= most;
 }
 
-/* As many shards from `first_shard` on as fit; places their groups' parts of the tape, the deltas and the sums. */
-int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint32_t n_steps, uint32_t chunk,
-              uint64_t budget, pass *ret)
+/* As many shards from `first_shard` on as fit; places their groups' parts of the tape and the sums. */
+int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint32_t n_steps, uint64_t budget,
+              pass *ret)
 {
-  pass p = {first, first, first_shard, first_shard, 0, 0, 0, 0};
+  pass p = {first, first, first_shard, first_shard, 0, 0, 0};
   *ret = p;
   while (p.end < plan.n_groups) {
     const uint32_t shard = plan.groups[p.end].shard;
     for (; p.end < plan.n_groups && plan.groups[p.end].shard == shard; p.end++) {
       mo_gp_group &g = plan.groups[p.end];
       g.tape_at = p.tape;
-      g.delta_at = p.delta;
       g.sum_at = p.sums;
-      add_group(p, g, n_steps, chunk);
+      add_group(p, g, n_steps);
     }
     p.end_shard = shard + 1;
     if (pass_bytes(plan, p) > budget)
@@ -221,7 +219,7 @@ struct work {
   const mo_gradient_plan *plan;
   pass p;
   mo_gk k;
-  uint32_t n_jobs, chunk;
+  uint32_t n_jobs;
   std::vector<mo_gk_result> results;
 };
 
@@ -276,7 +274,7 @@ int upload_pass(work &w, const std::vector<float> &generators)
   if (r == MO_OK)
     r = s->reserve(TAPE, w.p.tape);
   if (r == MO_OK)
-    r = s->reserve(DELTA, w.p.delta);
+    r = s->reserve(TICKETS, (plan.n_groups + (uint64_t)1) * 4);
   if (r == MO_OK)
     r = s->reserve(SUMS, 4 * w.p.sums);
   if (r == MO_OK)
@@ -290,13 +288,14 @@ int upload_pass(work &w, const std::vector<float> &generators)
   w.k.springs = s->of<uint32_t>(SPRINGS);
   w.k.generators = s->of<float>(GENERATORS);
   w.k.tape = s->of<unsigned char>(TAPE);
-  w.k.delta = s->of<unsigned char>(DELTA);
   w.k.sums = s->of<float>(SUMS);
   w.k.position = s->of<float>(POSITION);
   w.k.velocity = s->of<float>(VELOCITY);
   w.k.results = s->of<mo_gk_result>(RESULTS);
   w.k.weights = s->tiles;
-  w.k.chunk = w.chunk;
+  w.k.n_groups = n;
+  w.k.tickets = s->of<uint32_t>(TICKETS);
+  w.k.cancel = s->cancel;
   /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. */
   const int status = mo_gk_pack(s->of<float>(PARAMETERS), &s->tiles, s->stream);
   return status == 0 ? MO_OK : s->fail((cudaError_t)status, "weights");
@@ -307,63 +306,62 @@ bool cancelled(const work &w)
   return w.call->cancel != nullptr && *w.call->cancel != 0;
 }
 
-/* At most two launches are under way, so that the flag is seen in time. */
-int pace(work &w, int &slot)
-{
-  mo_cuda_gradient_state *s = w.s;
-  cudaError_t status = cudaEventRecord(s->event[slot], s->stream);
-  slot ^= 1;
-  if (status == cudaSuccess)
-    status = cudaEventSynchronize(s->event[slot]);
-  if (status != cudaSuccess)
-    return s->fail(status, "kernel");
-  return cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
-}
-
+/* Waits for the device; passes the caller's flag on to it. */
 int finish(work &w, double &sum_s, double since)
 {
-  const cudaError_t status = cudaStreamSynchronize(w.s->stream);
+  cudaError_t status;
+  while ((status = cudaStreamQuery(w.s->stream)) == cudaErrorNotReady) {
+    if (cancelled(w))
+      *w.s->cancel = 1;
+    std::this_thread::sleep_for(std::chrono::microseconds(50));
+  }
   sum_s += now_s() - since;
-  return status == cudaSuccess ? MO_OK : w.s->fail(status, "kernel");
+  if (status != cudaSuccess)
+    return w.s->fail(status, "kernel");
+  return *w.s->cancel != 0 || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
+}
+
+/* No task has been handed out, and none is done. */
+int reset_tickets(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const cudaError_t status =
+      cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream);
+  return status == cudaSuccess ? MO_OK : s->fail(status, "tickets");
 }
 
 int forward(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
   const double since = now_s();
-  int slot = 0;
-  for (uint32_t first = 0; first < w.k.n_steps; first += w.chunk) {
-    w.k.first = first;
-    w.k.end = std::min(first + w.chunk, w.k.n_steps);
-    const int status = mo_gk_forward(&w.k, w.p.end - w.p.first, w.p.shared, s->stream);
-    if (status != 0)
-      return s->fail((cudaError_t)status, "rollouts");
-    const int r = pace(w, slot);
-    if (r < 0)
-      return r;
-  }
+  const int r = reset_tickets(w);
+  if (r < 0)
+    return r;
+  const int status = mo_gk_forward(&w.k, w.p.shared, s->stream);
+  if (status != 0)
+    return s->fail((cudaError_t)status, "rollouts");
   return finish(w, s->profile.forward_s, since);
 }
 
 int walk_back(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
-  const double since = now_s();
-  int slot = 0;
+  double since = now_s();
   s->profile.walks++;
-  for (uint32_t n = (w.k.n_steps + w.chunk - 1) / w.chunk; n-- > 0;) {
-    w.k.first = n * w.chunk;
-    w.k.end = std::min(w.k.first + w.chunk, w.k.n_steps);
-    int status = mo_gk_back(&w.k, w.p.end - w.p.first, w.p.shared, s->stream);
-    if (status == 0)
-      status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, s->stream);
-    if (status != 0)
-      return s->fail((cudaError_t)status, "way back");
-    const int r = pace(w, slot);
-    if (r < 0)
-      return r;
-  }
-  return finish(w, s->profile.back_s, since);
+  int r = reset_tickets(w);
+  if (r < 0)
+    return r;
+  int status = mo_gk_back(&w.k, w.p.shared, s->stream);
+  if (status != 0)
+    return s->fail((cudaError_t)status, "way back");
+  r = finish(w, s->profile.back_s, since);
+  if (r < 0)
+    return r;
+  since = now_s();
+  status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, s->stream);
+  if (status != 0)
+    return s->fail((cudaError_t)status, "products");
+  return finish(w, s->profile.products_s, since);
 }
 
 int fetch_results(work &w)
@@ -373,7 +371,7 @@ int fetch_results(work &w)
   return status == cudaSuccess ? MO_OK : w.s->fail(status, "copy from the device");
 }
 
-/* Back until no more rows turn out to be left out. */
+/* Back until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
 int walk_until_finite(work &w)
 {
   std::vector<mo_gk_result> before;
@@ -397,8 +395,13 @@ int walk_until_finite(work &w)
     for (mo_gk_result &x : again) {
       x.steps = x.clipped = 0;
       x.largest = 0;
+      x.diverged = 0;
     }
     r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
+    if (r == MO_OK)
+      r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
+    if (r == MO_OK)
+      r = forward(w);
     if (r < 0)
       return r;
   }
@@ -519,12 +522,11 @@ uint64_t share_of(uint64_t bytes)
 int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
 {
   const uint32_t n_steps = call->physics.n_steps;
-  const uint32_t chunk = std::min<uint32_t>(n_steps, CHUNK_STEPS);
   size_t free_bytes = 0, total = 0;
   cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
   if (status != cudaSuccess)
     return s->fail(status, "device");
-  if (!can_be_held(plan, n_steps, chunk, share_of(total))) {
+  if (!can_be_held(plan, n_steps, share_of(total))) {
     snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
@@ -541,13 +543,13 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
     w.s = s;
     w.call = call;
     w.plan = &plan;
-    w.chunk = chunk;
-    int r = plan_pass(plan, shard, group, n_steps, chunk, budget, &w.p);
+    int r = plan_pass(plan, shard, group, n_steps, budget, &w.p);
     if (r < 0)
       return r;
     w.k.physics = lane_physics(call->physics, call->controller->sensor);
     w.k.bound = call->adjoint_bound;
     w.k.n_steps = n_steps;
+    w.k.part_steps = PART_STEPS;
     const double since = now_s();
     r = upload_pass(w, generators);
     if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
@@ -589,9 +591,8 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
     status = cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
-  for (cudaEvent_t &event : s->event)
-    if (status == cudaSuccess)
-      status = cudaEventCreateWithFlags(&event, cudaEventDisableTiming);
+  if (status == cudaSuccess)
+    status = cudaHostAlloc((void **)&s->cancel, sizeof(*s->cancel), cudaHostAllocMapped);
   if (status != cudaSuccess) {
     mo_cuda_gradient_free(s);
     (void)cudaGetLastError();
@@ -618,9 +619,7 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   mo_cuda_gradient_trim(s);
   cudaFree(s->weights.at);
   cudaFreeHost(s->pinned.at);
-  for (cudaEvent_t event : s->event)
-    if (event != nullptr)
-      cudaEventDestroy(event);
+  cudaFreeHost((void *)s->cancel);
   if (s->stream != nullptr)
     cudaStreamDestroy(s->stream);
   free(s);
@@ -630,6 +629,7 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
 {
   const double since = now_s();
   s->profile = mo_cuda_gradient_profile();
+  *s->cancel = 0;
   s->error[0] = 0;
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
@@ -662,7 +662,7 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
   }
   mo_gradient_plan_free(&plan);
   s->profile.device_bytes = s->held();
-  call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.collect_s;
+  call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.products_s + s->profile.collect_s;
   call->host_s = now_s() - since - call->device_s;
   return r;
 }

@@ -25,7 +25,7 @@ const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *state); 
 
 /* Of the last call. */
 struct mo_cuda_gradient_profile {
-  double plan_s, upload_s, forward_s, back_s, collect_s; /* the last three: of the device; back_s with the products */
+  double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device */
   uint64_t device_bytes;                                 /* held */
   uint32_t passes, groups, walks;                        /* parts in which the call went; groups; ways back */
 };

@@ -21,10 +21,9 @@ template <int MT> struct back {
   const uint8_t *input;
   const uint32_t *list; /* this lane's springs */
   uint32_t chunk_at;
-  const unsigned char *tape;
-  unsigned char *delta;
+  unsigned char *tape;
   uint32_t position_at, velocity_at, activation_at, normal_at, scale_at; /* on the group's tape, in bytes */
-  uint32_t layer_bytes, dense_bytes, output_at; /* from one layer to the next; among the group's deltas */
+  uint32_t layer_bytes, output_at; /* from one layer to the next; ∂loss/∂ outputs */
   uint32_t width;                               /* of ∂loss/∂ outputs in shared memory */
   float *x, *gx, *gv;                           /* (n_masses, 3) positions; ∂loss/∂ positions and velocities */
   __nv_bfloat16 *outputs, *left;
@@ -35,10 +34,13 @@ template <int MT> struct back {
   uint8_t *input_tile, *output_tile;
   int n_inputs, n_outputs;
   bool excluded[2];
-  back_row *result; /* (rows) */
+  back_row *result;              /* (rows) */
+  uint32_t first_step, end_step; /* of this part */
 
-  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared)
-      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32)
+  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared, uint32_t nth)
+      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32),
+        first_step(((args.n_steps - 1) / args.part_steps - nth) * args.part_steps),
+        end_step(min(first_step + args.part_steps, args.n_steps))
   {
     const mo_gp_pair &pair = g.pair[warp];
     n_masses = (int)g.n_masses;
@@ -52,17 +54,14 @@ template <int MT> struct back {
     list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
     chunk_at = pair.first_chunk * 32 + lane;
     const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
-    const mo_gp_delta deltas = mo_gp_delta_of(&g, k.chunk);
-    tape = k.tape + g.tape_at;
-    delta = k.delta + g.delta_at;
+      tape = k.tape + g.tape_at;
     position_at = (uint32_t)at.position;
     velocity_at = (uint32_t)at.velocity;
     activation_at = (uint32_t)at.activation;
     normal_at = (uint32_t)at.normal[0];
     layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
     scale_at = (uint32_t)at.scale;
-    dense_bytes = (uint32_t)(deltas.dense[1] - deltas.dense[0]);
-    output_at = (uint32_t)deltas.output;
+    output_at = (uint32_t)at.d_output;
     width = g.n_outputs * MO_GP_TILE + 8;
     n_inputs = (int)g.n_inputs;
     n_outputs = (int)g.n_outputs;
@@ -240,10 +239,10 @@ template <int MT> struct back {
   }
 
   /* ∂loss/∂ outputs to global memory, and their sums over rows: each thread has the same columns at every step. */
-  __device__ __forceinline__ void keep_outputs(uint32_t local, float2 (&bias)[2])
+  __device__ __forceinline__ void keep_outputs(uint32_t step, float2 (&bias)[2])
   {
     const int words = n_outputs * 8;
-    __nv_bfloat162 *to = (__nv_bfloat162 *)(delta + output_at) + (size_t)local * ROWS * words;
+    __nv_bfloat162 *to = (__nv_bfloat162 *)(tape + output_at) + (size_t)step * ROWS * words;
 #pragma unroll
     for (int half = 0; half < 2; half++) {
       const int at = (int)threadIdx.x + half * MO_GK_THREADS;
@@ -282,19 +281,19 @@ template <int MT> struct back {
       for (int h = 0; h < 2; h++) {
         const int row = m * 16 + h * 8 + (lane >> 2);
         factor[m][h] = __ldg(scale + row);
-        const uint2 two = __ldg(normal + row * (MO_HIDDEN / 4) + (column >> 2));
+        const uint2 two = __ldcg(normal + row * (MO_HIDDEN / 4) + (column >> 2));
         n[m][h][0] = *(const __half2 *)&two.x;
         n[m][h][1] = *(const __half2 *)&two.y;
       }
   }
 
-  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and keeps it. */
-  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t local, warp_sums<MT> &sums,
+  /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
+  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
                                                  const __half2 (&n)[MT][2][2], const float (&factors)[MT][2],
                                                  const norm_columns &columns)
   {
     const int column = warp * 16 + 4 * (lane & 3);
-    uint2 *dense = (uint2 *)(delta + layer * dense_bytes) + (size_t)local * ROWS * (MO_HIDDEN / 4);
+    uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
     float2 s[MT][2];
     float *bias = norms + layer * 3 * MO_HIDDEN + column, *gain_sum = bias + MO_HIDDEN,
           *shift_sum = gain_sum + MO_HIDDEN;
@@ -375,7 +374,7 @@ template <int MT> struct back {
   }
 
   /* `ahead` has the last layer's first weights. */
-  __device__ __forceinline__ void control_back(uint32_t step, uint32_t local, weights_ahead &ahead)
+  __device__ __forceinline__ void control_back(uint32_t step, weights_ahead &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
     const int own = warp < n_inputs ? 16 : 0;
@@ -389,7 +388,7 @@ template <int MT> struct back {
     add_product<MT, true>(sums, ahead, left_address(outputs, width * 2, lane), width * 2, 0, n_outputs, n_outputs - 1,
                           [&](int i) { return last_tile(i); });
     ahead.start(15, [&](int i) { return hidden_tile(2, i); });
-    norm_relu_back(2, local, sums, n, factors, columns);
+    norm_relu_back(2, step, sums, n, factors, columns);
 #pragma unroll 1
     for (int layer = 2; layer > 0; layer--) {
       columns.load(k.weights, layer - 1, warp * 16 + 4 * (lane & 3));
@@ -401,7 +400,7 @@ template <int MT> struct back {
         ahead.start(15, [&](int i) { return hidden_tile(1, i); });
       else
         ahead.start(15, [&](int i) { return first_tile(i); });
-      norm_relu_back(layer - 1, local, sums, n, factors, columns);
+      norm_relu_back(layer - 1, step, sums, n, factors, columns);
     }
     sums.clear();
     add_product<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, 0, own, 15, [&](int i) { return first_tile(i); });
@@ -472,7 +471,7 @@ template <int MT> struct back {
     const int n = 3 * (n0 + n1);
     const uint64_t state = 3 * (g.first_mass + first);
     float *own_x = x + 3 * first, *own_gx = gx + 3 * first, *own_gv = gv + 3 * first;
-    const bool is_first = k.end == k.n_steps;
+    const bool is_first = end_step == k.n_steps;
     for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
       ((uint32_t *)outputs)[i] = 0;
     for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
@@ -499,12 +498,11 @@ template <int MT> struct back {
       }
     __syncwarp();
     float2 bias[2] = {{0, 0}, {0, 0}};
-    for (uint32_t step = k.end; step-- > k.first;) {
-      const uint32_t local = step - k.first;
+    for (uint32_t step = end_step; step-- > first_step;) {
       const float *kept = (const float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
       for (int i = lane; i < n; i += 32)
         own_x[i] = __ldg(kept + i);
-      if (step > k.first)
+      if (step > 0)
         fetch_step(step - 1);
       __syncwarp();
       move_back(step);
@@ -512,8 +510,8 @@ template <int MT> struct back {
       weights_ahead ahead;
       ahead.start(n_outputs - 1, [&](int i) { return last_tile(i); });
       __syncthreads();
-      keep_outputs(local, bias);
-      control_back(step, local, ahead);
+      keep_outputs(step, bias);
+      control_back(step, ahead);
       sense_back();
     }
     for (int i = lane; i < n; i += 32) {
@@ -551,15 +549,20 @@ template <int MT> struct back {
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
-  const mo_gp_group &g = k.groups[k.order[blockIdx.x]];
+  mo_gk_task task;
+  if (!take_task(k, (uint32_t *)shared, &task))
+    return;
+  const mo_gp_group &g = k.groups[task.group];
   if (g.n_rows == 32)
-    back<2>(k, g, shared).run();
+    back<2>(k, g, shared, task.part).run();
   else
-    back<1>(k, g, shared).run();
+    back<1>(k, g, shared, task.part).run();
+  end_task(k, task);
 }
 
-extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream)
+extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
+  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_groups;
   const cudaError_t status =
       cudaFuncSetAttribute(back_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)shared_bytes);
   if (status != cudaSuccess)

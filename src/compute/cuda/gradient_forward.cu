@@ -24,10 +24,12 @@ template <int MT> struct forward {
   lane_row *rows;
   uint8_t *input_tile, *output_tile;
   int n_inputs, n_outputs;
-  bool dead[2]; /* rows of this warp whose rollout has ended */
+  bool dead[2];                /* rows of this warp whose rollout has ended */
+  uint32_t first_step, end_step; /* of this part */
 
-  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared)
-      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32)
+  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared, uint32_t nth)
+      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32), first_step(nth * args.part_steps),
+        end_step(min(first_step + args.part_steps, args.n_steps))
   {
     const mo_gp_pair &pair = g.pair[warp];
     n_masses = (int)g.n_masses;
@@ -384,12 +386,12 @@ template <int MT> struct forward {
     float *own_x = x + 3 * first, *own_v = v + 3 * first;
     for (int i = lane; i < n; i += 32) {
       own_x[i] = state_x[i];
-      own_v[i] = k.first > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
+      own_v[i] = first_step > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
     }
     dead[0] = k.results[first_row + warp].diverged != 0;
     dead[1] = MT > 1 && k.results[first_row + warp + 16 * (MT - 1)].diverged != 0;
     __syncthreads();
-    for (uint32_t step = k.first; step < k.end; step++) {
+    for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead ahead;
       ahead.start(n_inputs - 1, [&](int i) { return first_tile(i); });
       float *keep = (float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
@@ -407,7 +409,7 @@ template <int MT> struct forward {
       state_x[i] = own_x[i];
       state_v[i] = own_v[i];
     }
-    if (k.end == k.n_steps)
+    if (end_step == k.n_steps)
       finish();
   }
 };
@@ -415,15 +417,20 @@ template <int MT> struct forward {
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
-  const mo_gp_group &g = k.groups[k.order[blockIdx.x]];
+  mo_gk_task task;
+  if (!take_task(k, (uint32_t *)shared, &task))
+    return;
+  const mo_gp_group &g = k.groups[task.group];
   if (g.n_rows == 32)
-    forward<2>(k, g, shared).run();
+    forward<2>(k, g, shared, task.part).run();
   else
-    forward<1>(k, g, shared).run();
+    forward<1>(k, g, shared, task.part).run();
+  end_task(k, task);
 }
 
-extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream)
+extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
+  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_groups;
   const cudaError_t status =
       cudaFuncSetAttribute(forward_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)shared_bytes);
   if (status != cudaSuccess)

@@ -40,18 +40,28 @@ struct mo_gk_result {
 struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
-  const uint32_t *order; /* (blocks) groups, those that take longest first */
+  const uint32_t *order; /* (n_groups) groups, those that take longest first */
   const uint8_t *input;
   const uint32_t *springs;
   const float *generators; /* (n_steps, 5) */
-  unsigned char *tape, *delta;
+  unsigned char *tape;
   float *sums;
-  float *position, *velocity;   /* (n_masses, 3) between launches: the state, or ∂loss/∂ it */
+  float *position, *velocity;   /* (n_masses, 3) between parts: the state, or ∂loss/∂ it */
   struct mo_gk_result *results; /* (n_rows) */
   struct mo_gk_weights weights;
   struct mo_lane_physics physics;
   double bound;
-  uint32_t n_steps, first, end, chunk; /* this launch: steps first … end − 1; a launch has at most `chunk` */
+  uint32_t n_steps, n_groups;
+  uint32_t part_steps;        /* of a task */
+  uint32_t *tickets;          /* tasks handed out, then (of all groups) parts done; 0 before a launch */
+  const volatile int *cancel; /* the host's: not 0: end soon */
+};
+
+/* A way through all steps falls into *tasks*, a part of the steps of one group each, so that no multiprocessor waits long for the last. A
+ * block does one. Tasks are handed out part by part, in each the groups that take longest first; a task's block waits until its group's part
+ * before it is done, which an earlier ticket's block does: so it is never waited for in vain. */
+struct mo_gk_task {
+  uint32_t group, part;
 };
 
 #ifdef __CUDACC__
@@ -181,6 +191,47 @@ static __device__ __forceinline__ uint32_t left_address(const void *activations,
   return shared_address(activations) + (uint32_t)(lane & 15) * row_bytes + (uint32_t)(lane >> 4) * 16;
 }
 
+/* The next task; all threads call. false: cancelled. `ticket`: a word of shared memory. */
+static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticket, mo_gk_task *task)
+{
+  if (threadIdx.x == 0) {
+    uint32_t t = atomicAdd(k.tickets, 1);
+    const uint32_t part = t / k.n_groups;
+    const uint32_t *done = k.tickets + 1 + k.order[t % k.n_groups];
+    for (uint32_t at = 0;;) {
+      if (*k.cancel != 0) {
+        t = UINT32_MAX;
+        break;
+      }
+      for (int i = 0; i < 256 && at < part; i++) {
+        asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(at) : "l"(done) : "memory");
+        if (at < part)
+          __nanosleep(500);
+      }
+      if (at >= part)
+        break;
+    }
+    *ticket = t;
+  }
+  __syncthreads();
+  const uint32_t t = *ticket;
+  __syncthreads();
+  if (t == UINT32_MAX)
+    return false;
+  task->group = k.order[t % k.n_groups];
+  task->part = t / k.n_groups;
+  return true;
+}
+
+static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task &task)
+{
+  __syncthreads();
+  if (threadIdx.x == 0) {
+    __threadfence();
+    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.group), "r"(task.part + 1) : "memory");
+  }
+}
+
 static __device__ __forceinline__ float sum_lanes(float x)
 {
 #pragma unroll
@@ -265,8 +316,8 @@ template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, 
 extern "C" {
 #endif
 int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, void *stream);
-int mo_gk_forward(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream);
-int mo_gk_back(const struct mo_gk *k, uint32_t blocks, uint32_t shared_bytes, void *stream);
+int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
+int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 /* jobs: (n) group, kind and block of each product. */
 int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, void *stream);
 /* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters). */

@@ -52,8 +52,7 @@ struct mo_gp_group {
   uint32_t n_masses, n_chunks;
   uint32_t n_inputs, n_outputs;     /* tiles */
   uint64_t first_mass, first_chunk; /* of those of all groups */
-  uint64_t tape_at, delta_at,
-      sum_at; /* bytes from the start of the tape, of the deltas; floats from the start of the sums */
+  uint64_t tape_at, sum_at;         /* bytes from the start of the tape; floats from the start of the sums */
   uint8_t input_tile[MO_GP_INPUT_TILES], input_place[MO_GP_INPUT_TILES];
   uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
   struct mo_gp_pair pair[MO_GP_WARPS];
@@ -75,15 +74,10 @@ struct mo_gp_tape {
   uint64_t velocity;                 /* float (3, n_masses) before contact */
   uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
   uint64_t input;                    /* bfloat16 (n_rows, 16 n_inputs) */
-  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256) */
+  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the layer sums there, bfloat16 */
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
-  uint64_t bytes;
-};
-/* The same for ∂loss/∂ what each layer sums, for the steps of one launch. */
-struct mo_gp_delta {
-  uint64_t dense[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
-  uint64_t output;                  /* bfloat16 (n_rows, 16 n_outputs) */
+  uint64_t d_output;                 /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
   uint64_t bytes;
 };
 /* And in a group's sums, in floats. */
@@ -118,20 +112,9 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, uint32_t
     t.hidden[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
   }
   t.scale = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN_LAYERS * 4);
+  t.d_output = at, at += MO_GP_ALIGN(n * rows * g->n_outputs * MO_GP_TILE * 2);
   t.bytes = at;
   return t;
-}
-
-MO_GP_BOTH struct mo_gp_delta mo_gp_delta_of(const struct mo_gp_group *g, uint32_t n_steps)
-{
-  struct mo_gp_delta d;
-  const uint64_t n = n_steps, rows = g->n_rows;
-  uint64_t at = 0;
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
-    d.dense[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
-  d.output = at, at += MO_GP_ALIGN(n * rows * g->n_outputs * MO_GP_TILE * 2);
-  d.bytes = at;
-  return d;
 }
 
 MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)

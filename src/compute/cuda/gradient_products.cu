@@ -1,8 +1,7 @@
 /* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a shard's groups, and weights as tiles.
  *
  * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
- * group and all steps of the launch in order; the launches are added in order too, and the groups in collect. So no sum depends on which other
- * groups there are, nor on the device. */
+ * group and all steps in order; the groups are added in order in collect. So no sum depends on which other groups there are, nor on the device. */
 #include "compute/cuda/gradient_kernels.cuh"
 
 enum {
@@ -48,36 +47,37 @@ static __global__ void __launch_bounds__(THREADS, 1)
     products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs)
 {
   extern __shared__ __align__(16) unsigned char shared[];
+  if (*k.cancel != 0)
+    return;
   const uint32_t job = jobs[blockIdx.x];
   const mo_gp_group &g = k.groups[job >> 8];
   const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
   const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps);
-  const mo_gp_delta delta = mo_gp_delta_of(&g, k.chunk);
   const mo_gp_sum sum = mo_gp_sum_of(&g);
-  const unsigned char *tape_base = k.tape + g.tape_at, *delta_base = k.delta + g.delta_at;
+  const unsigned char *tape_base = k.tape + g.tape_at;
   float *to = k.sums + g.sum_at;
   operands o;
   int m_all = MO_HIDDEN;
   uint64_t right;
-  o.depth = (int)((k.end - k.first) * g.n_rows);
+  o.depth = (int)(k.n_steps * g.n_rows);
   o.right_row = MO_HIDDEN;
   if (kind == MO_GK_JOB_OUTPUT) {
     m_all = (int)g.n_outputs * MO_GP_TILE;
-    o.left = (const __nv_bfloat16 *)(delta_base + delta.output);
+    o.left = (const __nv_bfloat16 *)(tape_base + tape.d_output);
     right = tape.hidden[2];
     to += sum.output;
   } else if (kind == MO_GK_JOB_INPUT) {
-    o.left = (const __nv_bfloat16 *)(delta_base + delta.dense[0]);
+    o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[0]);
     o.right_row = (int)g.n_inputs * MO_GP_TILE;
     right = tape.input;
     to += sum.input;
   } else {
     const int layer = kind == MO_GK_JOB_HIDDEN_2 ? 2 : 1;
-    o.left = (const __nv_bfloat16 *)(delta_base + delta.dense[layer]);
+    o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[layer]);
     right = tape.hidden[layer - 1];
     to += sum.hidden[layer - 1];
   }
-  o.right = (const __nv_bfloat16 *)(tape_base + right) + (size_t)k.first * g.n_rows * o.right_row;
+  o.right = (const __nv_bfloat16 *)(tape_base + right);
   o.left_row = m_all;
   o.left += block * M;
   o.left_columns = m_all - block * M;
@@ -133,7 +133,6 @@ static __global__ void __launch_bounds__(THREADS, 1)
   }
   if (idle)
     return;
-  const bool first = k.end == k.n_steps;
 #pragma unroll
   for (int m = 0; m < 4; m++)
 #pragma unroll
@@ -143,9 +142,7 @@ static __global__ void __launch_bounds__(THREADS, 1)
         const int row = m0 + m * 16 + h * 8 + (lane >> 2), column = n0 + j * 8 + 2 * (lane & 3);
         if (row >= o.left_columns || column >= o.right_row)
           continue;
-        float2 *at = (float2 *)(to + (size_t)row * o.right_row + column);
-        const float2 before = first ? make_float2(0, 0) : *at;
-        *at = make_float2(before.x + c[m][j][2 * h], before.y + c[m][j][2 * h + 1]);
+        *(float2 *)(to + (size_t)row * o.right_row + column) = make_float2(c[m][j][2 * h], c[m][j][2 * h + 1]);
       }
 }
 
