@@ -210,7 +210,7 @@ int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint
 
 uint64_t cost(const mo_gp_group &g)
 {
-  return 16 * (g.n_inputs + g.n_outputs + 32) + 10 * g.n_chunks / 4;
+  return 16 * (g.n_outputs + 48) + 10 * g.n_chunks / 4;
 }
 
 struct work {

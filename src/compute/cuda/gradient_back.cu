@@ -31,8 +31,8 @@ template <int MT> struct back {
   float *norms; /* (3 layers, bias gain shift, 256) */
   int *failed;  /* (rows) */
   lane_row *rows;
-  uint8_t *input_tile, *output_tile;
-  int n_inputs, n_outputs;
+  uint8_t *output_tile;
+  int n_outputs;
   bool excluded[2];
   back_row *result;              /* (rows) */
   uint32_t first_step, end_step; /* of this part */
@@ -63,12 +63,8 @@ template <int MT> struct back {
     scale_at = (uint32_t)at.scale;
     output_at = (uint32_t)at.d_output;
     width = g.n_outputs * MO_GP_TILE + 8;
-    n_inputs = (int)g.n_inputs;
     n_outputs = (int)g.n_outputs;
-    input_tile = shared;
-    output_tile = shared + 16;
-    if (threadIdx.x < 16)
-      input_tile[threadIdx.x] = g.input_tile[threadIdx.x];
+    output_tile = shared;
     if (threadIdx.x < MO_GP_OUTPUT_TILES)
       output_tile[threadIdx.x] = g.output_tile[threadIdx.x];
     shared += 128;
@@ -360,60 +356,93 @@ template <int MT> struct back {
     __syncthreads();
   }
 
+  /* A tile of springs for this warp's neurons; the first of its sixteen tiles of a hidden layer. */
   __device__ __forceinline__ const uint4 *last_tile(int i) const
   {
     return k.weights.back[3] + ((uint32_t)warp * MO_GP_OUTPUT_TILES + output_tile[i]) * 32 + lane;
   }
-  __device__ __forceinline__ const uint4 *hidden_tile(int layer, int i) const
+  __device__ __forceinline__ const uint4 *hidden_tiles(int layer) const
   {
-    return k.weights.back[layer] + ((uint32_t)warp * 16 + i) * 32 + lane;
+    return k.weights.back[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
-  __device__ __forceinline__ const uint4 *first_tile(int i) const
+
+  /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the first. */
+  __device__ __forceinline__ int lead() const
   {
-    return k.weights.back[0] + ((uint32_t)input_tile[min(warp, n_inputs - 1)] * 16 + i) * 32 + lane;
+    return (weights_ahead::N - n_outputs % weights_ahead::N) % weights_ahead::N;
+  }
+
+  __device__ __forceinline__ void start_ahead(weights_ahead &ahead) const
+  {
+    const int before = lead();
+    ahead.start([&](int i) { return last_tile(max(i - before, 0)); });
+  }
+
+  __device__ __forceinline__ void add_last(warp_sums<MT> &sums, weights_ahead &ahead)
+  {
+    enum { N = weights_ahead::N };
+    const uint32_t left_at = left_address(outputs, width * 2, lane);
+    const uint4 *hidden = hidden_tiles(2);
+    const int before = lead();
+    int at = -before;
+    if (before > 0) {
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        if (i >= before)
+          add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
+        ahead.w[i] = load_weights(at + N < n_outputs ? last_tile(at + N + i) : hidden + i * 32);
+      }
+      at += N;
+    }
+#pragma unroll 1
+    for (; at + N < n_outputs; at += N) {
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
+        ahead.w[i] = load_weights(last_tile(at + N + i));
+      }
+    }
+    if (at < n_outputs) {
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
+        ahead.w[i] = load_weights(hidden + i * 32);
+      }
+    }
   }
 
   /* `ahead` has the last layer's first weights. */
   __device__ __forceinline__ void control_back(uint32_t step, weights_ahead &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
-    const int own = warp < n_inputs ? 16 : 0;
+    const int column = warp * 16 + 4 * (lane & 3);
     __half2 n[MT][2][2];
     float factors[MT][2];
     warp_sums<MT> sums;
     norm_columns columns;
-    columns.load(k.weights, 2, warp * 16 + 4 * (lane & 3));
+    columns.load(k.weights, 2, column);
     load_normal(2, step, n, factors);
     sums.clear();
-    add_product<MT, true>(sums, ahead, left_address(outputs, width * 2, lane), width * 2, 0, n_outputs, n_outputs - 1,
-                          [&](int i) { return last_tile(i); });
-    ahead.start(15, [&](int i) { return hidden_tile(2, i); });
+    add_last(sums, ahead);
     norm_relu_back(2, step, sums, n, factors, columns);
 #pragma unroll 1
     for (int layer = 2; layer > 0; layer--) {
-      columns.load(k.weights, layer - 1, warp * 16 + 4 * (lane & 3));
+      columns.load(k.weights, layer - 1, column);
       load_normal(layer - 1, step, n, factors);
       sums.clear();
-      add_product<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, 0, 16, 15,
-                            [&](int i) { return hidden_tile(layer, i); });
-      if (layer == 2)
-        ahead.start(15, [&](int i) { return hidden_tile(1, i); });
-      else
-        ahead.start(15, [&](int i) { return first_tile(i); });
+      add_tiles<MT, true, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
       norm_relu_back(layer - 1, step, sums, n, factors, columns);
     }
     sums.clear();
-    add_product<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, 0, own, 15, [&](int i) { return first_tile(i); });
+    add_tiles<MT, true, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
     __syncthreads();
-    if (warp < n_inputs) {
 #pragma unroll
-      for (int m = 0; m < MT; m++)
+    for (int m = 0; m < MT; m++)
 #pragma unroll
-        for (int h = 0; h < 2; h++)
-          *(uint2 *)(left + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_ROW + warp * 16 + 4 * (lane & 3)) =
-              four(__floats2bfloat162_rn(sums.c[m][0][2 * h], sums.c[m][0][2 * h + 1]),
-                   __floats2bfloat162_rn(sums.c[m][1][2 * h], sums.c[m][1][2 * h + 1]));
-    }
+      for (int h = 0; h < 2; h++)
+        *(uint2 *)(left + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_ROW + column) =
+            four(__floats2bfloat162_rn(sums.c[m][0][2 * h], sums.c[m][0][2 * h + 1]),
+                 __floats2bfloat162_rn(sums.c[m][1][2 * h], sums.c[m][1][2 * h + 1]));
     __syncthreads();
   }
 
@@ -508,7 +537,7 @@ template <int MT> struct back {
       move_back(step);
       springs_back(step);
       weights_ahead ahead;
-      ahead.start(n_outputs - 1, [&](int i) { return last_tile(i); });
+      start_ahead(ahead);
       __syncthreads();
       keep_outputs(step, bias);
       control_back(step, ahead);

@@ -7,7 +7,7 @@ template <int MT> struct forward {
   const mo_gp_group &g;
   const int warp, lane;
   /* Copies of what the group says: a store to the tape might change the original, as far as the compiler knows. */
-  int n_masses, n_chunks, first, n0, n1, own_chunks, generator_place;
+  int n_masses, n_chunks, first, n0, n1, own_chunks;
   uint32_t first_row;
   const uint8_t *input;
   const uint32_t *list; /* this lane's springs */
@@ -22,8 +22,8 @@ template <int MT> struct forward {
   __half *left; /* (rows, MO_GK_ROW) */
   float2 *part;
   lane_row *rows;
-  uint8_t *input_tile, *output_tile;
-  int n_inputs, n_outputs;
+  uint8_t *output_tile;
+  int n_outputs;
   bool dead[2];                /* rows of this warp whose rollout has ended */
   uint32_t first_step, end_step; /* of this part */
 
@@ -39,7 +39,6 @@ template <int MT> struct forward {
     n1 = MT > 1 ? (int)pair.n_masses[1] : 0;
     own_chunks = (int)pair.n_chunks;
     first_row = g.first_row;
-    generator_place = g.input_place[15] * MO_GP_TILE + MO_DEFAULT_MASSES % MO_GP_TILE;
     input = k.input + g.first_mass + first;
     list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
     chunk_at = pair.first_chunk * 32 + lane;
@@ -54,12 +53,8 @@ template <int MT> struct forward {
     layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
     scale_at = (uint32_t)at.scale;
     width = g.n_outputs * MO_GP_TILE + 8;
-    n_inputs = (int)g.n_inputs;
     n_outputs = (int)g.n_outputs;
-    input_tile = shared;
-    output_tile = shared + 16;
-    if (threadIdx.x < 16)
-      input_tile[threadIdx.x] = g.input_tile[threadIdx.x];
+    output_tile = shared;
     if (threadIdx.x < MO_GP_OUTPUT_TILES)
       output_tile[threadIdx.x] = g.output_tile[threadIdx.x];
     shared += 128;
@@ -88,8 +83,7 @@ template <int MT> struct forward {
     for (int r = 0; r < MT; r++) {
       const int row = warp + 16 * r, n = own_masses(r);
       __half *to = left + row * MO_GK_ROW;
-      for (int i = lane; i < n_inputs * 2; i += 32)
-        ((uint4 *)to)[i] = make_uint4(0, 0, 0, 0);
+      ((uint4 *)to)[lane] = make_uint4(0, 0, 0, 0);
       __syncwarp();
       if (n > 0 && !dead[r]) {
         const lane_row &own = rows[row];
@@ -115,14 +109,14 @@ template <int MT> struct forward {
         }
       }
       if (lane < MO_CPG_INPUTS)
-        to[generator_place + lane] = __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
+        to[MO_DEFAULT_MASSES + lane] = __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
       from += n;
     }
   }
 
   __device__ __forceinline__ void keep_inputs(uint32_t step)
   {
-    const int words = n_inputs * 8;
+    const int words = MO_GP_INPUTS / 2;
     __nv_bfloat162 *to = (__nv_bfloat162 *)(tape + input_at) + (size_t)step * ROWS * words;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
@@ -184,19 +178,15 @@ template <int MT> struct forward {
     __syncthreads();
   }
 
-  __device__ __forceinline__ const uint4 *first_tile(int i) const
+  /* The first of this warp's sixteen tiles of a hidden layer. */
+  __device__ __forceinline__ const uint4 *hidden_tiles(int layer) const
   {
-    return k.weights.forward[0] + ((uint32_t)warp * 16 + input_tile[i]) * 32 + lane;
+    return k.weights.forward[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
-  __device__ __forceinline__ const uint4 *hidden_tile(int layer, int i) const
+  /* And of its i-th tile of springs. */
+  __device__ __forceinline__ const uint4 *last_tiles(int i) const
   {
-    return k.weights.forward[layer] + ((uint32_t)warp * 16 + i) * 32 + lane;
-  }
-  /* Of this warp's tiles of springs, one after the other. */
-  __device__ __forceinline__ const uint4 *last_tile(int i) const
-  {
-    return k.weights.forward[3] +
-           ((uint32_t)output_tile[min(warp + (i >> 4) * MO_GP_WARPS, n_outputs - 1)] * 16 + (i & 15)) * 32 + lane;
+    return k.weights.forward[3] + (uint32_t)output_tile[min(warp + i * MO_GP_WARPS, n_outputs - 1)] * (16 * 32) + lane;
   }
 
   __device__ __forceinline__ void load_layer(int layer, int column, norm_columns &columns, float2 (&biases)[2]) const
@@ -211,57 +201,53 @@ template <int MT> struct forward {
   __device__ __forceinline__ void control(uint32_t step, weights_ahead &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
-    const int own = warp < n_outputs ? ((n_outputs - warp - 1) / MO_GP_WARPS + 1) * 16 : 0;
     const int column = warp * 16 + 4 * (lane & 3);
     warp_sums<MT> sums;
-    norm_columns columns;
-    float2 biases[2];
-    load_layer(0, column, columns, biases);
-    sums.clear();
-    add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, 0, n_inputs, n_inputs - 1,
-                           [&](int i) { return first_tile(i); });
-    ahead.start(15, [&](int i) { return hidden_tile(1, i); });
-    norm_relu(0, step, sums, columns, biases);
 #pragma unroll 1
-    for (int layer = 1; layer < MO_HIDDEN_LAYERS; layer++) {
+    for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++) {
+      norm_columns columns;
+      float2 biases[2];
       load_layer(layer, column, columns, biases);
       sums.clear();
-      add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, 0, 16, 15,
-                             [&](int i) { return hidden_tile(layer, i); });
-      if (layer == 1)
-        ahead.start(15, [&](int i) { return hidden_tile(2, i); });
-      else
-        ahead.start(max(own - 1, 0), [&](int i) { return last_tile(i); });
+      add_tiles<MT, false, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer),
+                                 layer + 1 < MO_HIDDEN_LAYERS ? hidden_tiles(layer + 1) : last_tiles(0));
       norm_relu(layer, step, sums, columns, biases);
     }
 #pragma unroll 1
-    for (int i = 0; i < own; i += 16) {
-      const int u = warp + i, tile = output_tile[u];
-      const uint4 *at = last_tile(i), *next = i + 16 < own ? last_tile(i + 16) : at;
-      const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + tile * 16 + 4 * (lane & 3)));
+    for (int i = 0; warp + i * MO_GP_WARPS < n_outputs; i++) {
+      const int u = warp + i * MO_GP_WARPS;
+      const float4 bias =
+          __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
       sums.clear();
-      add_product<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, i, 16, own - 1,
-                             [&](int j) { return j - i < 16 ? at + (j - i) * 32 : next + (j - i - 16) * 32; });
+      if (u + MO_GP_WARPS < n_outputs)
+        add_tiles<MT, false, true>(sums, ahead, left_at, MO_GK_ROW * 2, last_tiles(i), last_tiles(i + 1));
+      else
+        add_tiles<MT, false, false>(sums, ahead, left_at, MO_GK_ROW * 2, last_tiles(i), nullptr);
 #pragma unroll
       for (int m = 0; m < MT; m++)
 #pragma unroll
         for (int h = 0; h < 2; h++) {
           const int row = m * 16 + h * 8 + (lane >> 2);
-          const short2 a =
-              make_short2(activation(sums.c[m][0][2 * h] + bias.x), activation(sums.c[m][0][2 * h + 1] + bias.y));
-          const short2 c =
-              make_short2(activation(sums.c[m][1][2 * h] + bias.z), activation(sums.c[m][1][2 * h + 1] + bias.w));
-          *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = four(a, c);
+          const uint32_t a = activations(sums.c[m][0][2 * h] + bias.x, sums.c[m][0][2 * h + 1] + bias.y);
+          const uint32_t c = activations(sums.c[m][1][2 * h] + bias.z, sums.c[m][1][2 * h + 1] + bias.w);
+          *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = make_uint2(a, c);
         }
     }
   }
 
-  /* tanh in units of 1/32767 */
-  static __device__ __forceinline__ short activation(float y)
+  /* tanh, 1 − 2 / (1 + exp(2 y)), in units of 1/32767: rounded by the addition, which leaves it in the sum's lowest bits. The instructions
+   * give 0 and infinity where y is large, which is right. */
+  static __device__ __forceinline__ uint32_t activation(float y)
   {
-    const float e = __expf(-2.0f * fabsf(y));
-    const float a = __fdividef(1.0f - e, 1.0f + e);
-    return (short)__float2int_rn(copysignf(a * 32767.0f, y));
+    float e, r;
+    asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(e) : "f"(y * 2.885390081777927f));
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(e + 1.0f));
+    return __float_as_uint(fmaf(r, -65534.0f, 12582912.0f + 32767.0f));
+  }
+
+  static __device__ __forceinline__ uint32_t activations(float y, float z)
+  {
+    return __byte_perm(activation(y), activation(z), 0x5410);
   }
 
   struct pull {
@@ -393,7 +379,7 @@ template <int MT> struct forward {
     __syncthreads();
     for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead ahead;
-      ahead.start(n_inputs - 1, [&](int i) { return first_tile(i); });
+      ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
       float *keep = (float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
       for (int i = lane; i < n; i += 32)
         keep[i] = own_x[i];

@@ -15,6 +15,11 @@
 
 enum {
   MO_GK_THREADS = MO_GP_WARPS * MO_GP_LANES,
+#ifdef AHEAD
+  MO_GK_AHEAD = AHEAD,
+#else
+  MO_GK_AHEAD = 8, /* tiles of weights on their way */
+#endif
   MO_GK_ROW = MO_HIDDEN + 8,   /* of activations in shared memory: rows start in different banks */
   MO_GK_PART = MO_GP_WARPS + 2 /* of a row's partial sums: likewise */
 };
@@ -132,16 +137,16 @@ template <class T> static __device__ __forceinline__ uint2 four(const T &a, cons
   return make_uint2(*(const uint32_t *)&a, *(const uint32_t *)&b);
 }
 
-/* Weights on their way: a ring of tiles, asked for before they are needed, also before what they are multiplied with is there. */
+/* Weights on their way: a ring of tiles, asked for eight tiles before they are needed, also before what they are multiplied with is there. */
 struct weights_ahead {
-  enum { N = 4 };
+  enum { N = MO_GK_AHEAD };
   uint4 w[N];
-  /* tile(k): this lane's part of the k-th tile; `last`: of the last one. */
-  template <class Tile> __device__ __forceinline__ void start(int last, Tile tile)
+  /* tile(k): this lane's part of the k-th tile. */
+  template <class Tile> __device__ __forceinline__ void start(Tile tile)
   {
 #pragma unroll
     for (int i = 0; i < N; i++)
-      w[i] = load_weights(tile(min(i, last)));
+      w[i] = load_weights(tile(i));
   }
 };
 
@@ -160,30 +165,22 @@ static __device__ __forceinline__ void add_tile(warp_sums<MT> &sums, uint32_t le
   }
 }
 
-/* Adds tiles first … first + n − 1 to the sums; first is a multiple of the ring's length, and `last` the last tile of all that the ring is to
- * bring. No condition stands between a load and its place in the ring: the compiler would copy the value there, and copying waits for it. */
-template <int MT, bool BF, class Tile>
-static __device__ __forceinline__ void add_product(warp_sums<MT> &sums, weights_ahead &ahead, uint32_t left,
-                                                   uint32_t row_bytes, int first, int n, int last, Tile tile)
+/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them and then those from `next` on. All of
+ * it is one run of instructions, so that loads stand where they are written: where the compiler could, it put them last, and each round waited
+ * for the second-level cache (half of the time of all products). MORE: whether there is a next. */
+template <int MT, bool BF, bool MORE>
+static __device__ __forceinline__ void add_tiles(warp_sums<MT> &sums, weights_ahead &ahead, uint32_t left,
+                                                 uint32_t row_bytes, const uint4 *now, const uint4 *next)
 {
   enum { N = weights_ahead::N };
-  int k = 0;
-#pragma unroll 1
-  for (; k + N <= n; k += N) {
-    const uint4 *next[N];
 #pragma unroll
-    for (int i = 0; i < N; i++)
-      next[i] = tile(min(first + k + i + N, last));
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      add_tile<MT, BF>(sums, left + (uint32_t)(k + i) * 32, row_bytes, ahead.w[i]);
-      ahead.w[i] = load_weights(next[i]);
-    }
+  for (int k = 0; k < 16; k++) {
+    add_tile<MT, BF>(sums, left + (uint32_t)k * 32, row_bytes, ahead.w[k % N]);
+    if (k + N < 16)
+      ahead.w[k % N] = load_weights(now + (k + N) * 32);
+    else if (MORE)
+      ahead.w[k % N] = load_weights(next + (k + N - 16) * 32);
   }
-#pragma unroll
-  for (int i = 0; i < N - 1; i++)
-    if (k + i < n)
-      add_tile<MT, BF>(sums, left + (uint32_t)(k + i) * 32, row_bytes, ahead.w[i]);
 }
 
 static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes, int lane)
@@ -294,16 +291,14 @@ template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, 
   for (int m = 0; m < MT; m++)
 #pragma unroll
     for (int h = 0; h < 2; h++) {
-      const float4 *row = (const float4 *)(part + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART);
-      float2 x = {0, 0};
-#pragma unroll
-      for (int k = 0; k < MO_GP_WARPS / 2; k++) {
-        const float4 two = row[k];
-        x.x += two.x;
-        x.y += two.y;
-        x.x += two.z;
-        x.y += two.w;
-      }
+      /* The row's four lanes add a quarter of the warps' parts each. */
+      const float4 *row = (const float4 *)(part + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_PART) + 2 * (lane & 3);
+      const float4 one = row[0], two = row[1];
+      float2 x = make_float2((one.x + one.z) + (two.x + two.z), (one.y + one.w) + (two.y + two.w));
+      x.x += __shfl_xor_sync(0xffffffffu, x.x, 1);
+      x.y += __shfl_xor_sync(0xffffffffu, x.y, 1);
+      x.x += __shfl_xor_sync(0xffffffffu, x.x, 2);
+      x.y += __shfl_xor_sync(0xffffffffu, x.y, 2);
       s[m][h] = x;
     }
 }

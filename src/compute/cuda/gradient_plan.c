@@ -44,24 +44,15 @@ static const struct mo_body *body_at(const struct shard *s, uint32_t at)
 /* What the next n robots have together: their tiles and their masses. */
 static void measure(const struct shard *s, uint32_t n, struct mo_gp_group *g)
 {
-  bool inputs[MO_GP_INPUT_TILES] = {false}, outputs[MO_GP_OUTPUT_TILES] = {false};
-  inputs[MO_DEFAULT_MASSES / MO_GP_TILE] = true; /* the generators */
-  g->n_masses = g->n_inputs = g->n_outputs = 0;
+  bool outputs[MO_GP_OUTPUT_TILES] = {false};
+  g->n_masses = g->n_outputs = 0;
   for (uint32_t i = s->at; i < s->at + n && i < s->n; i++) {
     const struct mo_body *body = body_at(s, i);
     g->n_masses += body->n_masses;
-    for (uint32_t m = 0; m < body->n_masses; m++)
-      inputs[body->mass_lattice[m] / MO_GP_TILE] = true;
     for (uint32_t k = 0; k < body->n_springs; k++)
       outputs[body->spring_lattice[k] / MO_GP_TILE] = true;
   }
-  memset(g->input_place, MO_GP_NONE, sizeof(g->input_place));
   memset(g->output_place, MO_GP_NONE, sizeof(g->output_place));
-  for (uint32_t t = 0; t < MO_GP_INPUT_TILES; t++)
-    if (inputs[t]) {
-      g->input_place[t] = (uint8_t)g->n_inputs;
-      g->input_tile[g->n_inputs++] = (uint8_t)t;
-    }
   for (uint32_t t = 0; t < MO_GP_OUTPUT_TILES; t++)
     if (outputs[t]) {
       g->output_place[t] = (uint8_t)g->n_outputs;
@@ -164,7 +155,7 @@ static int fill_springs(struct shard *s, const struct mo_gp_group *g, const stru
 
 /* ---- rows ---- */
 
-static void fill_row(struct shard *s, const struct mo_gp_group *g, struct mo_gp_row *row)
+static void fill_row(struct shard *s, struct mo_gp_row *row)
 {
   const struct mo_robot *robot = s->robots + row->robot;
   const struct mo_body *body = robot->body;
@@ -189,8 +180,7 @@ static void fill_row(struct shard *s, const struct mo_gp_group *g, struct mo_gp_
     row->highest = fmaxf(row->highest, row->heights[k]);
   }
   for (size_t i = 0; i < body->n_masses; i++) {
-    const uint32_t at = body->mass_lattice[i];
-    input[i] = (uint8_t)(g->input_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE);
+    input[i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)
       position[3 * i + axis] = (float)(s->scratch[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
   }
@@ -212,7 +202,7 @@ static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
       struct mo_gp_row *row = rows + w + (size_t)k * HALF;
       row->robot = w + k * HALF < n ? s->first + s->order[s->at + w + k * HALF] : MO_GP_NO_ROBOT;
       if (row->robot != MO_GP_NO_ROBOT)
-        fill_row(s, g, row);
+        fill_row(s, row);
       pair->n_masses[k] = row->n_masses;
     }
     const int status = fill_springs(s, g, rows + w, pair);

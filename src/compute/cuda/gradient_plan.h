@@ -4,8 +4,8 @@
  * bodies first; where sixteen large ones exceed a block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
  * Its springs go 32 at a time: a *chunk*, in which no mass has two springs, so that all lanes of a warp add to their masses at once.
  *
- * The first and the last layer are multiplied for those *tiles* of sixteen inputs or springs that some row of the group has. How a shard is
- * laid out depends on its robots alone. */
+ * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has; the first for all inputs: groups lack none
+ * that would be worth leaving out. How a shard is laid out depends on its robots alone. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 
@@ -23,7 +23,7 @@ enum {
   MO_GP_LANES = 32,
   MO_GP_ROWS_MAX = 32,
   MO_GP_TILE = 16,
-  MO_GP_INPUT_TILES = 16,   /* 245 masses, 5 generators, 6 places that stay empty */
+  MO_GP_INPUTS = 256,       /* 245 masses, 5 generators, 6 places that stay empty */
   MO_GP_OUTPUT_TILES = 103, /* 1648 springs */
   MO_GP_NONE = 0xff
 };
@@ -50,10 +50,9 @@ struct mo_gp_group {
   uint32_t first_row; /* of all rows */
   uint32_t shard;
   uint32_t n_masses, n_chunks;
-  uint32_t n_inputs, n_outputs;     /* tiles */
+  uint32_t n_outputs;               /* tiles */
   uint64_t first_mass, first_chunk; /* of those of all groups */
   uint64_t tape_at, sum_at;         /* bytes from the start of the tape; floats from the start of the sums */
-  uint8_t input_tile[MO_GP_INPUT_TILES], input_place[MO_GP_INPUT_TILES];
   uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
   struct mo_gp_pair pair[MO_GP_WARPS];
 };
@@ -73,7 +72,7 @@ struct mo_gp_tape {
   uint64_t position;                 /* float (n_masses, 3) */
   uint64_t velocity;                 /* float (3, n_masses) before contact */
   uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
-  uint64_t input;                    /* bfloat16 (n_rows, 16 n_inputs) */
+  uint64_t input;                    /* bfloat16 (n_rows, 256) */
   uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the layer sums there, bfloat16 */
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
@@ -84,7 +83,7 @@ struct mo_gp_tape {
 struct mo_gp_sum {
   uint64_t output;                                                                  /* (16 n_outputs, 256) */
   uint64_t hidden[2];                                                               /* (256, 256) */
-  uint64_t input;                                                                   /* (256, 16 n_inputs) */
+  uint64_t input;                                                                   /* (256, 256) */
   uint64_t bias[MO_HIDDEN_LAYERS], gain[MO_HIDDEN_LAYERS], shift[MO_HIDDEN_LAYERS]; /* (256) */
   uint64_t output_bias;                                                             /* (16 n_outputs) */
   uint64_t floats;
@@ -106,7 +105,7 @@ MO_GP_BOTH struct mo_gp_tape mo_gp_tape_of(const struct mo_gp_group *g, uint32_t
   t.position = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
   t.velocity = at, at += MO_GP_ALIGN(n * g->n_masses * 12);
   t.activation = at, at += MO_GP_ALIGN(n * g->n_chunks * MO_GP_LANES * 2);
-  t.input = at, at += MO_GP_ALIGN(n * rows * g->n_inputs * MO_GP_TILE * 2);
+  t.input = at, at += MO_GP_ALIGN(n * rows * MO_GP_INPUTS * 2);
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     t.normal[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
     t.hidden[l] = at, at += MO_GP_ALIGN(n * rows * MO_HIDDEN * 2);
@@ -124,7 +123,7 @@ MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)
   s.output = at, at += (uint64_t)g->n_outputs * MO_GP_TILE * MO_HIDDEN;
   for (int l = 0; l < 2; l++)
     s.hidden[l] = at, at += MO_HIDDEN * MO_HIDDEN;
-  s.input = at, at += (uint64_t)g->n_inputs * MO_GP_TILE * MO_HIDDEN;
+  s.input = at, at += (uint64_t)MO_GP_INPUTS * MO_HIDDEN;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     s.bias[l] = at, at += MO_HIDDEN;
     s.gain[l] = at, at += MO_HIDDEN;
@@ -158,7 +157,7 @@ struct mo_gradient_plan {
   struct mo_gp_group *groups; /* (n_groups) those of one shard adjacent */
   struct mo_gp_row *rows;     /* (n_rows) */
   float *position;            /* (n_masses, 3) at the start; x, y from the world's centre */
-  uint8_t *input;             /* (n_masses) the mass's place among its group's inputs */
+  uint8_t *input;             /* (n_masses) the mass's place among the inputs */
   uint32_t *springs;          /* (n_chunks, 32) */
   struct mo_outcome *starts;  /* (n) com_start_m alone */
 };

@@ -68,7 +68,7 @@ static __global__ void __launch_bounds__(THREADS, 1)
     to += sum.output;
   } else if (kind == MO_GK_JOB_INPUT) {
     o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[0]);
-    o.right_row = (int)g.n_inputs * MO_GP_TILE;
+    o.right_row = MO_GP_INPUTS;
     right = tape.input;
     to += sum.input;
   } else {
@@ -154,8 +154,7 @@ static __device__ double of_group(const mo_gp_group &g, const float *sums, uint3
   const float *from = sums + g.sum_at;
   enum { INPUTS = MO_DEFAULT_MASSES + MO_CPG_INPUTS, SQUARE = MO_HIDDEN * MO_HIDDEN };
   if (i < MO_HIDDEN * INPUTS) {
-    const uint32_t row = i / INPUTS, column = i % INPUTS, place = g.input_place[column / MO_GP_TILE];
-    return place == MO_GP_NONE ? 0.0 : from[sum.input + (row * g.n_inputs + place) * MO_GP_TILE + column % MO_GP_TILE];
+    return from[sum.input + i / INPUTS * MO_GP_INPUTS + i % INPUTS];
   }
   i -= MO_HIDDEN * INPUTS;
   for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++) {
