@@ -10,6 +10,11 @@ struct back_row {
   int zeroed, padding;
 };
 
+/* What a spring asks of the mass at its other end. */
+struct back_mass {
+  float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
+};
+
 template <int MT> struct back {
   enum { ROWS = 16 * MT };
   const mo_gk &k;
@@ -25,7 +30,8 @@ template <int MT> struct back {
   uint32_t position_at, velocity_at, activation_at, normal_at, scale_at; /* on the group's tape, in bytes */
   uint32_t layer_bytes, output_at; /* from one layer to the next; ∂loss/∂ outputs */
   uint32_t width;                               /* of ∂loss/∂ outputs in shared memory */
-  float *x, *gx, *gv;                           /* (n_masses, 3) positions; ∂loss/∂ positions and velocities */
+  back_mass *mass;                              /* (n_masses) */
+  float *gx;                                    /* (n_masses, 3) ∂loss/∂ positions */
   __nv_bfloat16 *outputs, *left;
   float2 *part;
   float *norms; /* (3 layers, bias gain shift, 256) */
@@ -83,9 +89,8 @@ template <int MT> struct back {
     shared += ROWS * 4;
     result = (back_row *)shared;
     shared += ROWS * sizeof(back_row);
-    x = (float *)shared;
-    gx = x + 3 * n_masses;
-    gv = gx + 3 * n_masses;
+    mass = (back_mass *)shared;
+    gx = (float *)(mass + n_masses);
   }
 
   __device__ __forceinline__ int own_masses(int r) const
@@ -106,11 +111,12 @@ template <int MT> struct back {
       const double far = sqrt(dx * dx + dy * dy);
       const double scale = far > 0 && !excluded[r] && n > 0 ? 1.0 / (far * own.start_m * n) : 0.0;
       for (int m = lane; m < n; m += 32) {
-        float *p = gx + 3 * (from + m), *q = gv + 3 * (from + m);
+        float *p = gx + 3 * (from + m);
         p[0] = (float)(dx * scale);
         p[1] = (float)(dy * scale);
         p[2] = 0;
-        q[0] = q[1] = q[2] = 0;
+        mass[from + m].z_gx.y = 0;
+        mass[from + m].gyz = make_float2(0, 0);
       }
       from += n;
     }
@@ -122,9 +128,14 @@ template <int MT> struct back {
     const int n = own_masses(r);
     double sum_x = 0, sum_v = 0;
     for (int i = lane; i < 3 * n; i += 32) {
-      const double a = gx[3 * from + i], b = gv[3 * from + i];
+      const double a = gx[3 * from + i];
       sum_x += a * a;
-      sum_v += b * b;
+    }
+    for (int m = lane; m < n; m += 32) {
+      const double a = mass[from + m].z_gx.y;
+      const float2 yz = mass[from + m].gyz;
+      const double b = yz.x, c = yz.y;
+      sum_v += a * a + (b * b + c * c);
     }
     sum_x = sum_lanes(sum_x);
     sum_v = sum_lanes(sum_v);
@@ -162,75 +173,83 @@ template <int MT> struct back {
       const bool second = m >= n0;
       const lane_row &own = rows[warp + (second ? 16 : 0)];
       const int at = 3 * (first + m);
+      const back_mass own_mass = mass[first + m];
       float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
       const float s = second ? scale[1] : scale[0];
       if (s > 0) {
-        const float p[3] = {x[at], x[at + 1], x[at + 2]};
+        const float p[3] = {own_mass.xy.x, own_mass.xy.y, own_mass.z_gx.x};
         const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
-        for (int axis = 0; axis < 3; axis++) {
+        dv[0] = s * own_mass.z_gx.y;
+        dv[1] = s * own_mass.gyz.x;
+        dv[2] = s * own_mass.gyz.y;
+        for (int axis = 0; axis < 3; axis++)
           dp[axis] = s * gx[at + axis];
-          dv[axis] = s * gv[at + axis];
-        }
         mo_move_back(&k.physics, own.heights, own.highest, p, v, dp, dv);
       }
-      for (int axis = 0; axis < 3; axis++) {
+      for (int axis = 0; axis < 3; axis++)
         gx[at + axis] = dp[axis];
-        gv[at + axis] = dv[axis];
-      }
+      mass[first + m].z_gx.y = dv[0];
+      mass[first + m].gyz = make_float2(dv[1], dv[2]);
     }
     __syncwarp();
   }
 
-  /* What a spring gives its masses; ∂loss/∂ its output goes to its place. */
-  __device__ __forceinline__ float3 pull_back_of(uint32_t s, int16_t kept, const float *own_x, const float *own_v)
-  {
-    float dd[3] = {0, 0, 0};
-    if (s >> 31) {
-      const float *xa = own_x + 3 * MO_GP_SPRING_A(s), *xb = own_x + 3 * MO_GP_SPRING_B(s);
-      const float *va = own_v + 3 * MO_GP_SPRING_A(s), *vb = own_v + 3 * MO_GP_SPRING_B(s);
-      const float d[3] = {xa[0] - xb[0], xa[1] - xb[1], xa[2] - xb[2]};
-      const float across[3] = {vb[0] - va[0], vb[1] - va[1], vb[2] - va[2]};
-      const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
-      const float a = (float)kept * (1.0f / 32767.0f);
-      const int row = warp + 16 * (int)MO_GP_SPRING_ROW(s);
-      const float d_sum = mo_spring_pull_back(&k.physics, rest, a, d, across, dd) * fmaf(-a, a, 1.0f);
-      if (!(fabsf(d_sum) <= MO_GK_LARGE))
-        atomicOr(failed + row, 1);
-      outputs[row * width + MO_GP_SPRING_OUTPUT(s)] = __float2bfloat16_rn(d_sum);
-    }
-    return make_float3(dd[0], dd[1], dd[2]);
-  }
-
+  /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
   __device__ __forceinline__ void springs_back(uint32_t step)
   {
+    enum { N = MO_GK_SPRINGS_AHEAD_BACK };
     const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
-    const float *own_x = x + 3 * first, *own_v = gv + 3 * first;
-    float *own_g = gx + 3 * first;
     const int n = own_chunks;
-    uint32_t s = n > 0 ? __ldg(list) : 0, next = n > 1 ? __ldg(list + 32) : 0, after = n > 2 ? __ldg(list + 64) : 0;
-    int16_t next_a = n > 1 ? __ldg(kept + 32) : 0, after_a = n > 2 ? __ldg(kept + 64) : 0;
-    float3 p = pull_back_of(s, n > 0 ? __ldg(kept) : 0, own_x, own_v);
-    for (int c = 0; c < n; c++) {
-      const uint32_t far = c + 3 < n ? __ldg(list + (c + 3) * 32) : 0;
-      const int16_t far_a = c + 3 < n ? __ldg(kept + (c + 3) * 32) : 0;
-      const float3 q = pull_back_of(next, next_a, own_x, own_v);
-      if (s >> 31) {
-        float *ga = own_g + 3 * MO_GP_SPRING_A(s), *gb = own_g + 3 * MO_GP_SPRING_B(s);
-        const float a0 = ga[0], a1 = ga[1], a2 = ga[2], b0 = gb[0], b1 = gb[1], b2 = gb[2];
-        ga[0] = a0 + p.x;
-        ga[1] = a1 + p.y;
-        ga[2] = a2 + p.z;
-        gb[0] = b0 - p.x;
-        gb[1] = b1 - p.y;
-        gb[2] = b2 - p.z;
+    if (n == 0)
+      return;
+    uint32_t ahead[N];
+    int16_t kept_ahead[N];
+#pragma unroll
+    for (int i = 0; i < N; i++) {
+      ahead[i] = __ldg(list + 32 * i);
+      kept_ahead[i] = __ldg(kept + 32 * i);
+    }
+    uint32_t s = ahead[0], own = MO_GP_SPRING_OWN(s);
+    back_mass other = mass[first + MO_GP_SPRING_OTHER(s)], here = mass[first + (own == MO_GP_NO_MASS ? 0 : own)];
+    float sum[3] = {0, 0, 0};
+    for (int c = 0;; c += N) {
+      const uint32_t *far = list + 32 * (c + N);
+      const int16_t *kept_far = kept + 32 * (c + N);
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        const uint32_t next = c + i + 1 < n ? ahead[(i + 1) % N] : s;
+        const back_mass next_other = mass[first + MO_GP_SPRING_OTHER(next)];
+        const float a = (float)kept_ahead[i] * (1.0f / 32767.0f);
+        ahead[i] = __ldg(far + 32 * i);
+        kept_ahead[i] = __ldg(kept_far + 32 * i);
+        const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
+        const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
+        const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+        float dd[3];
+        const float d_sum = mo_spring_pull_back(&k.physics, rest, a, d, across, dd) * fmaf(-a, a, 1.0f);
+        for (int axis = 0; axis < 3; axis++)
+          sum[axis] += dd[axis];
+        if (own < MO_GP_SPRING_OTHER(s)) {
+          const int row = warp + 16 * (int)MO_GP_SPRING_ROW(s);
+          if (!(fabsf(d_sum) <= MO_GK_LARGE))
+            atomicOr(failed + row, 1);
+          outputs[row * width + MO_GP_SPRING_OUTPUT(s)] = __float2bfloat16_rn(d_sum);
+        }
+        if (s & MO_GP_SPRING_LAST) {
+          if (own != MO_GP_NO_MASS)
+            for (int axis = 0; axis < 3; axis++)
+              gx[3 * (first + own) + axis] += sum[axis];
+          own = MO_GP_SPRING_OWN(next);
+          here = mass[first + (own == MO_GP_NO_MASS ? 0 : own)];
+          sum[0] = sum[1] = sum[2] = 0;
+        }
+        if (c + i + 1 == n) {
+          __syncwarp();
+          return;
+        }
+        s = next;
+        other = next_other;
       }
-      __syncwarp();
-      s = next;
-      next = after;
-      after = far;
-      next_a = after_a;
-      after_a = far_a;
-      p = q;
     }
   }
 
@@ -466,12 +485,14 @@ template <int MT> struct back {
         const int m = lane + 32 * j;
         if (m < n) {
           const int at = 3 * (first + from + m);
-          const float away[3] = {x[at] - own.light[0], x[at + 1] - own.light[1], x[at + 2] - own.light[2]};
+          back_mass &own_mass = mass[first + from + m];
+          const float2 z_gx = own_mass.z_gx, gyz = own_mass.gyz;
+          const float away[3] = {own_mass.xy.x - own.light[0], own_mass.xy.y - own.light[1], z_gx.x - own.light[2]};
           const float push = (d[j] - mean) * mo_light_slope(&k.physics, away);
-          for (int axis = 0; axis < 3; axis++) {
+          for (int axis = 0; axis < 3; axis++)
             gx[at + axis] = fmaf(push, away[axis], gx[at + axis]);
-            gv[at + axis] *= k.physics.keep;
-          }
+          own_mass.z_gx.y = z_gx.y * k.physics.keep;
+          own_mass.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
         }
       }
       from += n;
@@ -499,7 +520,7 @@ template <int MT> struct back {
   {
     const int n = 3 * (n0 + n1);
     const uint64_t state = 3 * (g.first_mass + first);
-    float *own_x = x + 3 * first, *own_gx = gx + 3 * first, *own_gv = gv + 3 * first;
+    float *own_gx = gx + 3 * first;
     const bool is_first = end_step == k.n_steps;
     for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
       ((uint32_t *)outputs)[i] = 0;
@@ -523,14 +544,16 @@ template <int MT> struct back {
     else
       for (int i = lane; i < n; i += 32) {
         own_gx[i] = k.position[state + i];
-        own_gv[i] = k.velocity[state + i];
+        ((float *)(mass + first + i / 3))[3 + i % 3] = k.velocity[state + i];
       }
     __syncwarp();
     float2 bias[2] = {{0, 0}, {0, 0}};
     for (uint32_t step = end_step; step-- > first_step;) {
-      const float *kept = (const float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
-      for (int i = lane; i < n; i += 32)
-        own_x[i] = __ldg(kept + i);
+      const float *kept = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
+      for (int m = lane; m < n0 + n1; m += 32) {
+        mass[first + m].xy = make_float2(__ldg(kept + m), __ldg(kept + n_masses + m));
+        mass[first + m].z_gx.x = __ldg(kept + 2 * n_masses + m);
+      }
       if (step > 0)
         fetch_step(step - 1);
       __syncwarp();
@@ -545,7 +568,7 @@ template <int MT> struct back {
     }
     for (int i = lane; i < n; i += 32) {
       k.position[state + i] = own_gx[i];
-      k.velocity[state + i] = own_gv[i];
+      k.velocity[state + i] = ((const float *)(mass + first + i / 3))[3 + i % 3];
     }
     __syncthreads();
 #pragma unroll

@@ -17,7 +17,8 @@ template <int MT> struct forward {
       scale_at;         /* on the group's tape, in bytes */
   uint32_t layer_bytes; /* from one layer to the next */
   uint32_t width;       /* of the outputs in shared memory */
-  float *x, *v;         /* (n_masses, 3); v: as the springs find it, after drag and gravity */
+  float4 *x;            /* (n_masses) */
+  float *v;             /* (n_masses, 3) as the springs find it, after drag and gravity */
   int16_t *outputs;
   __half *left; /* (rows, MO_GK_ROW) */
   float2 *part;
@@ -67,8 +68,8 @@ template <int MT> struct forward {
     load_rows(rows, k.rows + g.first_row, ROWS);
     outputs = (int16_t *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
-    x = (float *)shared;
-    v = x + 3 * n_masses;
+    x = (float4 *)shared;
+    v = (float *)(x + n_masses);
   }
 
   __device__ __forceinline__ int own_masses(int r) const
@@ -94,8 +95,8 @@ template <int MT> struct forward {
           light[j] = 0;
           const int m = lane + 32 * j;
           if (m < n) {
-            const float *p = x + 3 * (first + from + m);
-            const float d[3] = {p[0] - lx, p[1] - ly, p[2] - lz};
+            const float4 p = x[first + from + m];
+            const float d[3] = {p.x - lx, p.y - ly, p.z - lz};
             light[j] = mo_light(&k.physics, d);
           }
           sum += light[j];
@@ -250,55 +251,64 @@ template <int MT> struct forward {
     return __byte_perm(activation(y), activation(z), 0x5410);
   }
 
-  struct pull {
-    float f[3];
+  struct spring {
+    float4 other; /* its place */
     int16_t a;
   };
 
-  __device__ __forceinline__ pull pull_of(uint32_t s, const float *own_x)
+  __device__ __forceinline__ spring spring_of(uint32_t s) const
   {
-    pull p = {{0, 0, 0}, 0};
-    if (s >> 31) {
-      const float *xa = own_x + 3 * MO_GP_SPRING_A(s), *xb = own_x + 3 * MO_GP_SPRING_B(s);
-      p.a = outputs[(warp + 16 * MO_GP_SPRING_ROW(s)) * width + MO_GP_SPRING_OUTPUT(s)];
-      const float d[3] = {xa[0] - xb[0], xa[1] - xb[1], xa[2] - xb[2]};
-      const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
-      const float f = mo_spring_pull(&k.physics, rest, (float)p.a * (1.0f / 32767.0f), d);
-      p.f[0] = f * d[0];
-      p.f[1] = f * d[1];
-      p.f[2] = f * d[2];
-    }
+    spring p;
+    p.other = x[first + MO_GP_SPRING_OTHER(s)];
+    p.a = outputs[(warp + 16 * MO_GP_SPRING_ROW(s)) * width + MO_GP_SPRING_OUTPUT(s)];
     return p;
   }
 
-  /* The next chunk's pulls are computed while this one's are added. */
+  /* The chunks' springs come in a ring (see weights_ahead: nothing is copied before it is needed), some of it beyond the pair's own; what they
+   * ask for in shared memory is fetched while the springs before them are computed. */
   __device__ __forceinline__ void springs(uint32_t step)
   {
+    enum { N = MO_GK_SPRINGS_AHEAD };
     int16_t *keep = (int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
-    const float *own_x = x + 3 * first;
-    float *own_v = v + 3 * first;
     const int n = own_chunks;
-    uint32_t s = n > 0 ? __ldg(list) : 0, next = n > 1 ? __ldg(list + 32) : 0, after = n > 2 ? __ldg(list + 64) : 0;
-    pull p = pull_of(s, own_x);
-    for (int c = 0; c < n; c++) {
-      const uint32_t far = c + 3 < n ? __ldg(list + (c + 3) * 32) : 0;
-      const pull q = pull_of(next, own_x);
-      keep[c * 32] = p.a;
-      if (s >> 31) {
-        float *va = own_v + 3 * MO_GP_SPRING_A(s), *vb = own_v + 3 * MO_GP_SPRING_B(s);
-        const float a0 = va[0], a1 = va[1], a2 = va[2], b0 = vb[0], b1 = vb[1], b2 = vb[2];
-        va[0] = a0 - p.f[0];
-        va[1] = a1 - p.f[1];
-        va[2] = a2 - p.f[2];
-        vb[0] = b0 + p.f[0];
-        vb[1] = b1 + p.f[1];
-        vb[2] = b2 + p.f[2];
+    if (n == 0)
+      return;
+    uint32_t ahead[N];
+#pragma unroll
+    for (int i = 0; i < N; i++)
+      ahead[i] = __ldg(list + 32 * i);
+    uint32_t s = ahead[0], own = MO_GP_SPRING_OWN(s);
+    spring p = spring_of(s);
+    float4 here = x[first + (own == MO_GP_NO_MASS ? 0 : own)];
+    float sum[3] = {0, 0, 0};
+    for (int c = 0;; c += N) {
+      const uint32_t *far = list + 32 * (c + N);
+#pragma unroll
+      for (int i = 0; i < N; i++) {
+        const uint32_t next = c + i + 1 < n ? ahead[(i + 1) % N] : s;
+        const spring q = spring_of(next);
+        ahead[i] = __ldg(far + 32 * i);
+        keep[(c + i) * 32] = p.a;
+        const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
+        const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
+        const float f = mo_spring_pull(&k.physics, rest, (float)p.a * (1.0f / 32767.0f), d);
+        for (int axis = 0; axis < 3; axis++)
+          sum[axis] = fmaf(-f, d[axis], sum[axis]);
+        if (s & MO_GP_SPRING_LAST) {
+          if (own != MO_GP_NO_MASS)
+            for (int axis = 0; axis < 3; axis++)
+              v[3 * (first + own) + axis] += sum[axis];
+          own = MO_GP_SPRING_OWN(next);
+          here = x[first + (own == MO_GP_NO_MASS ? 0 : own)];
+          sum[0] = sum[1] = sum[2] = 0;
+        }
+        if (c + i + 1 == n) {
+          __syncwarp();
+          return;
+        }
+        s = next;
+        p = q;
       }
-      __syncwarp();
-      s = next;
-      next = after;
-      after = far;
-      p = q;
     }
   }
 
@@ -310,8 +320,9 @@ template <int MT> struct forward {
     for (int m = lane; m < n; m += 32) {
       const bool second = m >= n0, ended = second ? dead[1] : dead[0];
       const lane_row &own = rows[warp + (second ? 16 : 0)];
-      float *px = x + 3 * (first + m), *pv = v + 3 * (first + m);
-      float p[3] = {px[0], px[1], px[2]}, u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
+      float *pv = v + 3 * (first + m);
+      const float4 before = x[first + m];
+      float p[3] = {before.x, before.y, before.z}, u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
       keep[m] = u[0];
       keep[n_masses + m] = u[1];
       keep[2 * n_masses + m] = u[2];
@@ -323,8 +334,8 @@ template <int MT> struct forward {
         sane[0] = sane[0] && (second || good);
         sane[1] = sane[1] && (!second || good);
       }
+      x[first + m] = make_float4(p[0], p[1], p[2], 0);
       for (int axis = 0; axis < 3; axis++) {
-        px[axis] = p[axis];
         pv[axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
       }
     }
@@ -333,9 +344,9 @@ template <int MT> struct forward {
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       if (!__all_sync(0xffffffffu, sane[r]) && !dead[r]) {
-        const float *before = (const float *)(tape + position_at) + ((size_t)step * n_masses + first + from) * 3;
-        for (int i = lane; i < 3 * own_masses(r); i += 32)
-          x[3 * (first + from) + i] = before[i];
+        const float *before = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first + from;
+        for (int m = lane; m < own_masses(r); m += 32)
+          x[first + from + m] = make_float4(before[m], before[n_masses + m], before[2 * n_masses + m], 0);
         if (lane == 0)
           k.results[first_row + warp + 16 * r].diverged = (int32_t)step + 1;
         dead[r] = true;
@@ -352,9 +363,12 @@ template <int MT> struct forward {
     for (int r = 0; r < MT; r++) {
       const int n = own_masses(r);
       double sum[3] = {0, 0, 0};
-      for (int m = lane; m < n; m += 32)
-        for (int axis = 0; axis < 3; axis++)
-          sum[axis] += (double)x[3 * (from + m) + axis];
+      for (int m = lane; m < n; m += 32) {
+        const float4 p = x[from + m];
+        sum[0] += (double)p.x;
+        sum[1] += (double)p.y;
+        sum[2] += (double)p.z;
+      }
 #pragma unroll
       for (int axis = 0; axis < 3; axis++)
         sum[axis] = sum_lanes(sum[axis]);
@@ -369,9 +383,10 @@ template <int MT> struct forward {
     const int n = 3 * (n0 + n1);
     const uint64_t state_at = 3 * (g.first_mass + first);
     float *state_x = k.position + state_at, *state_v = k.velocity + state_at;
-    float *own_x = x + 3 * first, *own_v = v + 3 * first;
+    float *own_v = v + 3 * first;
+    for (int m = lane; m < n0 + n1; m += 32)
+      x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
     for (int i = lane; i < n; i += 32) {
-      own_x[i] = state_x[i];
       own_v[i] = first_step > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
     }
     dead[0] = k.results[first_row + warp].diverged != 0;
@@ -380,9 +395,13 @@ template <int MT> struct forward {
     for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead ahead;
       ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
-      float *keep = (float *)(tape + position_at) + ((size_t)step * n_masses + first) * 3;
-      for (int i = lane; i < n; i += 32)
-        keep[i] = own_x[i];
+      float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
+      for (int m = lane; m < n0 + n1; m += 32) {
+        const float4 p = x[first + m];
+        keep[m] = p.x;
+        keep[n_masses + m] = p.y;
+        keep[2 * n_masses + m] = p.z;
+      }
       sense(step);
       __syncthreads();
       keep_inputs(step);
@@ -392,7 +411,7 @@ template <int MT> struct forward {
       move(step);
     }
     for (int i = lane; i < n; i += 32) {
-      state_x[i] = own_x[i];
+      state_x[i] = ((const float *)(x + first + i / 3))[i % 3];
       state_v[i] = own_v[i];
     }
     if (end_step == k.n_steps)

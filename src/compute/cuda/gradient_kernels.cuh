@@ -18,7 +18,17 @@ enum {
 #ifdef AHEAD
   MO_GK_AHEAD = AHEAD,
 #else
-  MO_GK_AHEAD = 8, /* tiles of weights on their way */
+  MO_GK_AHEAD = 4, /* tiles of weights on their way */
+#endif
+#ifdef SAHEAD
+  MO_GK_SPRINGS_AHEAD = SAHEAD,
+#else
+  MO_GK_SPRINGS_AHEAD = 8,
+#endif
+#ifdef SAHEADB
+  MO_GK_SPRINGS_AHEAD_BACK = SAHEADB,
+#else
+  MO_GK_SPRINGS_AHEAD_BACK = 4,
 #endif
   MO_GK_ROW = MO_HIDDEN + 8,   /* of activations in shared memory: rows start in different banks */
   MO_GK_PART = MO_GP_WARPS + 2 /* of a row's partial sums: likewise */

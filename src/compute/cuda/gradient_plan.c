@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, WORDS = 2, CLASSES = 18, WORKERS_MAX = 64 };
+enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, WORKERS_MAX = 64 };
 
 /* A shard under construction: as mo_gradient_plan, with numbers that count from the shard's start. */
 struct shard {
@@ -29,8 +29,6 @@ struct shard {
   uint32_t *springs;
   struct mo_outcome *starts; /* of the whole batch */
   double *scratch;
-  uint32_t class_at[2][CLASSES + 1];
-  uint16_t by_class[2][MO_DEFAULT_SPRINGS];
   int status;
 };
 
@@ -62,94 +60,91 @@ static void measure(const struct shard *s, uint32_t n, struct mo_gp_group *g)
 
 /* ---- springs ---- */
 
-/* Which of a pair's chunks have a spring of a mass. */
-struct taken {
-  uint64_t word[WORDS];
+/* A pair's masses by falling number of springs. */
+struct by_springs {
+  uint16_t n[PAIR_MASSES];     /* springs of a mass */
+  uint16_t mass[PAIR_MASSES];  /* in that order */
+  uint16_t place[PAIR_MASSES]; /* of a mass in it */
+  uint32_t n_masses, n_chunks;
+  uint32_t chunk[PAIR_MASSES / MO_GP_LANES + 1]; /* the first of each 32 masses */
 };
 
-/* A spring's direction and, along it, whether it starts at an even or an odd place: springs of one class have no mass in common. So chunks are
- * nearly of one class, and their masses follow one another in memory. */
-static int class_of(const struct mo_body *body, uint32_t spring)
+static void sort_masses(const struct mo_body *const bodies[2], struct by_springs *s)
 {
-  const uint16_t *a = body->mass_xyz + 3 * (size_t)body->spring_a[spring],
-                 *b = body->mass_xyz + 3 * (size_t)body->spring_b[spring];
-  const int x = b[0] - a[0], y = b[1] - a[1], z = b[2] - a[2]; /* −1, 0 or 1 each */
-  const int direction = x == 0 ? (y == 0 ? 0 : 2 + z) : y == 0 ? 5 + z : 7 + (y > 0);
-  return 2 * direction + ((x != 0 ? a[0] : y != 0 ? a[1] : a[2]) & 1);
-}
-
-/* list: the body's springs by class, each class in order, from at[class] on. */
-static void sort_springs(const struct mo_body *body, uint16_t *list, uint32_t at[CLASSES + 1])
-{
-  uint32_t next[CLASSES];
-  memset(at, 0, (CLASSES + 1) * sizeof(*at));
-  for (uint32_t i = 0; i < body->n_springs; i++)
-    at[class_of(body, i) + 1]++;
-  for (int k = 0; k < CLASSES; k++) {
-    at[k + 1] += at[k];
-    next[k] = at[k];
+  uint32_t at[MASS_SPRINGS + 2] = {0}, from = 0;
+  memset(s->n, 0, sizeof(s->n));
+  for (int k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses)
+    for (uint32_t i = 0; i < bodies[k]->n_springs; i++) {
+      s->n[from + bodies[k]->spring_a[i]]++;
+      s->n[from + bodies[k]->spring_b[i]]++;
+    }
+  s->n_masses = from;
+  for (uint32_t m = 0; m < from; m++)
+    at[MASS_SPRINGS - s->n[m] + 1]++;
+  for (int i = 0; i < MASS_SPRINGS; i++)
+    at[i + 1] += at[i];
+  for (uint32_t m = 0; m < from; m++) {
+    const uint32_t place = at[MASS_SPRINGS - s->n[m]]++;
+    s->mass[place] = (uint16_t)m;
+    s->place[m] = (uint16_t)place;
   }
-  for (uint32_t i = 0; i < body->n_springs; i++)
-    list[next[class_of(body, i)]++] = (uint16_t)i;
+  s->n_chunks = 0;
+  for (uint32_t i = 0; i < from; i += MO_GP_LANES) {
+    s->chunk[i / MO_GP_LANES] = s->n_chunks;
+    s->n_chunks += s->n[s->mass[i]];
+  }
+  s->chunk[(from + MO_GP_LANES - 1) / MO_GP_LANES] = s->n_chunks;
 }
 
-/* Each spring goes to the first chunk that has room and neither of its masses. Rows of `pair` from the group's row w on. */
+static int make_room(struct shard *s, uint64_t chunks)
+{
+  if (s->n_chunks + chunks <= s->chunks_room)
+    return MO_OK;
+  const uint64_t room = s->chunks_room + s->chunks_room / 2 + chunks + 1024;
+  uint32_t *more = realloc(s->springs, room * MO_GP_LANES * sizeof(*more));
+  if (more == NULL)
+    return MO_ERR_NO_MEMORY;
+  s->springs = more;
+  s->chunks_room = room;
+  return MO_OK;
+}
+
+/* The chunks of the masses of two rows, the group's w-th and the one after half of them. */
 static int fill_springs(struct shard *s, const struct mo_gp_group *g, const struct mo_gp_row *rows,
                         struct mo_gp_pair *pair)
 {
-  struct taken taken[PAIR_MASSES] = {{{0}}}, full = {{0}};
-  uint32_t used[64 * WORDS] = {0}, springs = 0;
-  for (uint32_t k = 0; k < 2; k++)
-    if (pair->n_masses[k] > 0) {
-      const struct mo_body *body = s->robots[rows[k * HALF].robot].body;
-      sort_springs(body, s->by_class[k], s->class_at[k]);
-      springs += body->n_springs;
-    }
-  /* A spring is kept from at most 34 chunks by its masses, and from those that are full. */
-  const uint64_t most = springs / MO_GP_LANES + 35;
-  if (most > 64 * WORDS)
-    return MO_ERR_UNSUPPORTED;
-  if (s->n_chunks + most > s->chunks_room) {
-    const uint64_t room = s->chunks_room + s->chunks_room / 2 + most + 1024;
-    uint32_t *more = realloc(s->springs, room * MO_GP_LANES * sizeof(*more));
-    if (more == NULL)
-      return MO_ERR_NO_MEMORY;
-    s->springs = more;
-    s->chunks_room = room;
-  }
+  const struct mo_body *bodies[2] = {NULL, NULL};
+  struct by_springs order;
+  uint8_t used[PAIR_MASSES] = {0};
+  for (uint32_t k = 0; k < 2 && pair->n_masses[k] > 0; k++)
+    bodies[k] = s->robots[rows[k * HALF].robot].body;
+  sort_masses(bodies, &order);
+  const int status = make_room(s, order.n_chunks);
+  if (status < 0)
+    return status;
   uint32_t *chunks = s->springs + s->n_chunks * MO_GP_LANES;
-  memset(chunks, 0, most * MO_GP_LANES * sizeof(*chunks));
-  for (int kind = 0; kind < CLASSES; kind++) {
-    uint32_t from = 0;
-    for (uint32_t k = 0; k < 2; from += pair->n_masses[k++]) {
-      if (pair->n_masses[k] == 0)
-        continue;
-      const struct mo_body *body = s->robots[rows[k * HALF].robot].body;
-      const uint16_t *list = s->by_class[k];
-      for (uint32_t i = s->class_at[k][kind]; i < s->class_at[k][kind + 1]; i++) {
-        const uint32_t spring = list[i], at = body->spring_lattice[spring];
-        const uint32_t a = from + body->spring_a[spring], b = from + body->spring_b[spring];
-        uint32_t chunk = 0;
-        for (int word = 0; word < WORDS; word++) {
-          const uint64_t room = ~(taken[a].word[word] | taken[b].word[word] | full.word[word]);
-          if (room == 0)
-            continue;
-          const uint64_t bit = room & -room;
-          chunk = (uint32_t)(64 * word + __builtin_ctzll(room));
-          taken[a].word[word] |= bit;
-          taken[b].word[word] |= bit;
-          if (used[chunk] == MO_GP_LANES - 1)
-            full.word[word] |= bit;
-          break;
-        }
-        const uint32_t output = (uint32_t)g->output_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE;
-        chunks[chunk * MO_GP_LANES + used[chunk]++] = MO_GP_SPRING(a, b, output, k, body->spring_diagonal[spring]);
-        if (chunk >= pair->n_chunks)
-          pair->n_chunks = chunk + 1;
+  uint32_t from = 0;
+  for (uint32_t k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses)
+    for (uint32_t i = 0; i < bodies[k]->n_springs; i++) {
+      const uint32_t at = bodies[k]->spring_lattice[i];
+      const uint32_t output = (uint32_t)g->output_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE;
+      const uint32_t ends[2] = {from + bodies[k]->spring_a[i], from + bodies[k]->spring_b[i]};
+      for (int e = 0; e < 2; e++) {
+        const uint32_t place = order.place[ends[e]], chunk = order.chunk[place / MO_GP_LANES] + used[place]++;
+        chunks[chunk * MO_GP_LANES + place % MO_GP_LANES] =
+            MO_GP_SPRING(ends[e], ends[1 - e], output, k, bodies[k]->spring_diagonal[i]);
       }
     }
+  for (uint32_t place = 0; place < (order.n_masses + MO_GP_LANES - 1) / MO_GP_LANES * MO_GP_LANES; place++) {
+    const bool there = place < order.n_masses;
+    const uint32_t m = there ? order.mass[place] : 0, end = order.chunk[place / MO_GP_LANES + 1];
+    uint32_t *own = chunks + order.chunk[place / MO_GP_LANES] * MO_GP_LANES + place % MO_GP_LANES;
+    for (uint32_t c = used[place]; order.chunk[place / MO_GP_LANES] + c < end; c++)
+      own[c * MO_GP_LANES] = MO_GP_SPRING(there ? m : MO_GP_NO_MASS, m, 0, m >= pair->n_masses[0], 0);
+    chunks[(end - 1) * MO_GP_LANES + place % MO_GP_LANES] |= MO_GP_SPRING_LAST;
   }
-  s->n_chunks += pair->n_chunks;
+  pair->n_chunks = order.n_chunks;
+  s->n_chunks += order.n_chunks;
   return MO_OK;
 }
 

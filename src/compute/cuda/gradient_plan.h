@@ -2,7 +2,8 @@
  *
  * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a row is a robot in its environment), larger
  * bodies first; where sixteen large ones exceed a block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
- * Its springs go 32 at a time: a *chunk*, in which no mass has two springs, so that all lanes of a warp add to their masses at once.
+ * A lane takes a mass and adds up its springs, each of which is computed from both ends: so no two lanes write one number. Its masses go by
+ * falling number of springs, 32 at a time, and the springs of 32 masses as *chunks*, the n-th of each mass in the n-th.
  *
  * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has; the first for all inputs: groups lack none
  * that would be worth leaving out. How a shard is laid out depends on its robots alone. */
@@ -29,15 +30,19 @@ enum {
 };
 #define MO_GP_NO_ROBOT UINT32_MAX
 
-/* One spring of a pair: masses a and b of the pair, place among the group's outputs, which row, whether it is a diagonal; 0: none. */
-#define MO_GP_SPRING(a, b, output, row, diagonal)                                                                      \
-  (UINT32_C(1) << 31 | (uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 |                 \
-   (uint32_t)(b) << 9 | (uint32_t)(a))
-#define MO_GP_SPRING_A(s)        ((s)&0x1ffu)
-#define MO_GP_SPRING_B(s)        ((s) >> 9 & 0x1ffu)
+/* A spring of one of a pair's masses: that mass and the one at the other end, place among the group's outputs, which row, whether it is a
+ * diagonal, whether it is in the last chunk of these 32 masses. A mass with fewer springs than the first of the 32 is tied to itself, which
+ * gives nothing; lanes without a mass have MO_GP_NO_MASS. */
+#define MO_GP_SPRING(own, other, output, row, diagonal)                                                                \
+  ((uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 | (uint32_t)(other) << 9 |            \
+   (uint32_t)(own))
+#define MO_GP_SPRING_LAST        (UINT32_C(1) << 31)
+#define MO_GP_SPRING_OWN(s)      ((s)&0x1ffu)
+#define MO_GP_SPRING_OTHER(s)    ((s) >> 9 & 0x1ffu)
 #define MO_GP_SPRING_OUTPUT(s)   ((s) >> 18 & 0x7ffu)
 #define MO_GP_SPRING_ROW(s)      ((s) >> 29 & 1u)
 #define MO_GP_SPRING_DIAGONAL(s) ((s) >> 30 & 1u)
+#define MO_GP_NO_MASS            0x1ffu
 
 struct mo_gp_pair {
   uint32_t first_mass;            /* of the group's masses */
@@ -69,7 +74,7 @@ struct mo_gp_row {
 
 /* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
 struct mo_gp_tape {
-  uint64_t position;                 /* float (n_masses, 3) */
+  uint64_t position;                 /* float (3, n_masses) */
   uint64_t velocity;                 /* float (3, n_masses) before contact */
   uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
   uint64_t input;                    /* bfloat16 (n_rows, 256) */

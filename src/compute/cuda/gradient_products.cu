@@ -12,8 +12,9 @@ enum {
   N_ROW = N + 8,
   STAGES = 4,
   STAGE_BYTES = DEPTH * (M_ROW + N_ROW) * 2,
-  THREADS = 256
+  THREADS = 512
 };
+static_assert(DEPTH * M == THREADS * 8 && DEPTH * N == 2 * THREADS * 8, "a thread copies three times 16 bytes of a stage");
 
 static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from, bool there)
 {
@@ -21,27 +22,43 @@ static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from,
 }
 
 struct operands {
-  const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, right_row) */
-  int left_row, right_row, left_columns, depth;
+  const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, 256) */
+  int left_row, left_columns, depth;
 };
 
-static __device__ __forceinline__ void fetch(const operands &o, uint32_t stage, int from)
-{
-#pragma unroll
-  for (int i = 0; i < DEPTH * M / 8 / THREADS; i++) {
-    const int at = (int)threadIdx.x + i * THREADS, row = at / (M / 8), column = at % (M / 8) * 8;
-    const bool there = from + row < o.depth && column < o.left_columns;
-    copy_ahead(stage + (uint32_t)(row * M_ROW + column) * 2,
-               o.left + (there ? (size_t)(from + row) * o.left_row + column : 0), there);
+/* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two rows. */
+struct copies {
+  const __nv_bfloat16 *left, *right;
+  uint32_t left_to, right_to;
+  int left_step, left_rows, right_rows; /* rows: those that are left */
+  bool left_there;
+
+  __device__ __forceinline__ explicit copies(const operands &o)
+  {
+    const int row = (int)threadIdx.x / (M / 8), column = (int)threadIdx.x % (M / 8) * 8;
+    left_there = column < o.left_columns;
+    left = o.left + (size_t)row * o.left_row + (left_there ? column : 0);
+    left_to = (uint32_t)(row * M_ROW + column) * 2;
+    left_step = DEPTH * o.left_row;
+    left_rows = o.depth - row;
+    const int right_at = (int)threadIdx.x / (N / 8), right_column = (int)threadIdx.x % (N / 8) * 8;
+    right = o.right + (size_t)right_at * N + right_column;
+    right_to = (uint32_t)(DEPTH * M_ROW + right_at * N_ROW + right_column) * 2;
+    right_rows = o.depth - right_at;
   }
-#pragma unroll
-  for (int i = 0; i < DEPTH * N / 8 / THREADS; i++) {
-    const int at = (int)threadIdx.x + i * THREADS, row = at / (N / 8), column = at % (N / 8) * 8;
-    const bool there = from + row < o.depth && column < o.right_row;
-    copy_ahead(stage + (uint32_t)(DEPTH * M_ROW + row * N_ROW + column) * 2,
-               o.right + (there ? (size_t)(from + row) * o.right_row + column : 0), there);
+
+  /* Rows beyond the last are zeros, and nothing is read there. */
+  __device__ __forceinline__ void next(uint32_t stage)
+  {
+    copy_ahead(stage + left_to, left, left_there && left_rows > 0);
+    copy_ahead(stage + right_to, right, right_rows > 0);
+    copy_ahead(stage + right_to + DEPTH / 2 * N_ROW * 2, right + DEPTH / 2 * N, right_rows > DEPTH / 2);
+    left += left_step;
+    right += DEPTH * N;
+    left_rows -= DEPTH;
+    right_rows -= DEPTH;
   }
-}
+};
 
 static __global__ void __launch_bounds__(THREADS, 1)
     products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs)
@@ -60,7 +77,6 @@ static __global__ void __launch_bounds__(THREADS, 1)
   int m_all = MO_HIDDEN;
   uint64_t right;
   o.depth = (int)(k.n_steps * g.n_rows);
-  o.right_row = MO_HIDDEN;
   if (kind == MO_GK_JOB_OUTPUT) {
     m_all = (int)g.n_outputs * MO_GP_TILE;
     o.left = (const __nv_bfloat16 *)(tape_base + tape.d_output);
@@ -68,7 +84,6 @@ static __global__ void __launch_bounds__(THREADS, 1)
     to += sum.output;
   } else if (kind == MO_GK_JOB_INPUT) {
     o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[0]);
-    o.right_row = MO_GP_INPUTS;
     right = tape.input;
     to += sum.input;
   } else {
@@ -81,49 +96,50 @@ static __global__ void __launch_bounds__(THREADS, 1)
   o.left_row = m_all;
   o.left += block * M;
   o.left_columns = m_all - block * M;
-  to += (size_t)block * M * o.right_row;
+  to += (size_t)block * M * N;
 
-  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 1) * 64, n0 = (warp >> 1) * 64;
-  const bool idle = m0 >= o.left_columns || n0 >= o.right_row;
+  const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 3) * 32, n0 = (warp >> 2) * 64;
+  const bool idle = m0 >= o.left_columns;
   const uint32_t base = shared_address(shared);
   const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * M_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
   const uint32_t right_at =
       (uint32_t)(DEPTH * M_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * N_ROW + n0 + (lane >> 4) * 8) * 2;
-  float c[4][8][4];
+  float c[2][8][4];
 #pragma unroll
-  for (int i = 0; i < 4; i++)
+  for (int i = 0; i < 2; i++)
 #pragma unroll
     for (int j = 0; j < 8; j++)
 #pragma unroll
       for (int l = 0; l < 4; l++)
         c[i][j][l] = 0;
   const int n = (o.depth + DEPTH - 1) / DEPTH;
+  copies ahead(o);
 #pragma unroll
   for (int i = 0; i < STAGES - 1; i++) {
     if (i < n)
-      fetch(o, base + i * STAGE_BYTES, i * DEPTH);
+      ahead.next(base + i * STAGE_BYTES);
     asm volatile("cp.async.commit_group;");
   }
   for (int i = 0; i < n; i++) {
     asm volatile("cp.async.wait_group %0;" ::"n"(STAGES - 2));
     __syncthreads();
     if (i + STAGES - 1 < n)
-      fetch(o, base + (uint32_t)((i + STAGES - 1) % STAGES) * STAGE_BYTES, (i + STAGES - 1) * DEPTH);
+      ahead.next(base + (uint32_t)((i + STAGES - 1) % STAGES) * STAGE_BYTES);
     asm volatile("cp.async.commit_group;");
     if (idle)
       continue;
     const uint32_t stage = base + (uint32_t)(i % STAGES) * STAGE_BYTES;
 #pragma unroll
     for (int d = 0; d < DEPTH; d += 16) {
-      uint32_t a[4][4], b[4][4];
+      uint32_t a[2][4], b[4][4];
 #pragma unroll
-      for (int m = 0; m < 4; m++)
+      for (int m = 0; m < 2; m++)
         load_matrices_transposed(a[m], stage + left_at + (uint32_t)(d * M_ROW + m * 16) * 2);
 #pragma unroll
       for (int j = 0; j < 4; j++)
         load_matrices_transposed(b[j], stage + right_at + (uint32_t)(d * N_ROW + j * 16) * 2);
 #pragma unroll
-      for (int m = 0; m < 4; m++)
+      for (int m = 0; m < 2; m++)
 #pragma unroll
         for (int j = 0; j < 4; j++) {
           multiply<true>(c[m][2 * j], a[m], b[j][0], b[j][1]);
@@ -134,15 +150,15 @@ static __global__ void __launch_bounds__(THREADS, 1)
   if (idle)
     return;
 #pragma unroll
-  for (int m = 0; m < 4; m++)
+  for (int m = 0; m < 2; m++)
 #pragma unroll
     for (int j = 0; j < 8; j++)
 #pragma unroll
       for (int h = 0; h < 2; h++) {
         const int row = m0 + m * 16 + h * 8 + (lane >> 2), column = n0 + j * 8 + 2 * (lane & 3);
-        if (row >= o.left_columns || column >= o.right_row)
+        if (row >= o.left_columns)
           continue;
-        *(float2 *)(to + (size_t)row * o.right_row + column) = make_float2(c[m][j][2 * h], c[m][j][2 * h + 1]);
+        *(float2 *)(to + (size_t)row * N + column) = make_float2(c[m][j][2 * h], c[m][j][2 * h + 1]);
       }
 }
 

@@ -251,31 +251,54 @@ static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t 
   return UINT32_MAX;
 }
 
+/* A spring of mass `own` in its chunk: counted, by mass and by row. */
+static void check_spring(const struct batch *b, const struct mo_gp_group *g, const struct mo_gp_pair *pair,
+                         const struct mo_gp_row *rows, uint32_t s, uint32_t *ends, uint32_t found[2])
+{
+  const uint32_t row = MO_GP_SPRING_ROW(s), from = row == 0 ? 0 : pair->n_masses[0];
+  const uint32_t own = MO_GP_SPRING_OWN(s), other = MO_GP_SPRING_OTHER(s), output = MO_GP_SPRING_OUTPUT(s);
+  CHECK(own >= from && own - from < pair->n_masses[row] && other >= from && other - from < pair->n_masses[row]);
+  if (own == other)
+    return;
+  const struct mo_body *body = b->robots[rows[row * 16].robot].body;
+  const uint32_t low = own < other ? own : other, high = own < other ? other : own;
+  const uint32_t spring = spring_between(body, low - from, high - from);
+  REQUIRE(spring != UINT32_MAX);
+  CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE == body->spring_lattice[spring]);
+  CHECK(MO_GP_SPRING_DIAGONAL(s) == body->spring_diagonal[spring]);
+  ends[own]++;
+  found[row]++;
+}
+
 static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan, const struct mo_gp_group *g,
                        uint32_t w, uint8_t *seen)
 {
   const struct mo_gp_pair *pair = &g->pair[w];
   const struct mo_gp_row *rows = plan->rows + g->first_row + w;
   const uint32_t *springs = plan->springs + (g->first_chunk + pair->first_chunk) * MO_GP_LANES;
-  uint32_t found[2] = {0, 0};
-  for (uint32_t c = 0; c < pair->n_chunks; c++) {
-    bool used[512] = {false};
+  uint32_t found[2] = {0, 0}, ends[512] = {0}, n_masses = 0;
+  bool taken[512] = {false};
+  for (uint32_t c = 0, first = 0; c < pair->n_chunks; c++) {
+    const uint32_t last = springs[c * MO_GP_LANES] & MO_GP_SPRING_LAST;
     for (uint32_t l = 0; l < MO_GP_LANES; l++) {
-      const uint32_t s = springs[c * MO_GP_LANES + l], row = MO_GP_SPRING_ROW(s);
-      if (s == 0)
+      const uint32_t s = springs[c * MO_GP_LANES + l], own = MO_GP_SPRING_OWN(s);
+      CHECK((s & MO_GP_SPRING_LAST) == last);
+      CHECK(own == MO_GP_SPRING_OWN(springs[first * MO_GP_LANES + l]));
+      if (own == MO_GP_NO_MASS) {
+        CHECK(MO_GP_SPRING_OTHER(s) == 0 && MO_GP_SPRING_OUTPUT(s) == 0);
         continue;
-      const uint32_t from = row == 0 ? 0 : pair->n_masses[0], a = MO_GP_SPRING_A(s), z = MO_GP_SPRING_B(s);
-      CHECK(!used[a] && !used[z] && a != z);
-      used[a] = used[z] = true;
-      const struct mo_body *body = b->robots[rows[row * 16].robot].body;
-      const uint32_t spring = spring_between(body, a - from, z - from);
-      REQUIRE(spring != UINT32_MAX);
-      const uint32_t output = MO_GP_SPRING_OUTPUT(s);
-      CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE == body->spring_lattice[spring]);
-      CHECK(MO_GP_SPRING_DIAGONAL(s) == body->spring_diagonal[spring]);
-      found[row]++;
+      }
+      if (c == first) {
+        CHECK(!taken[own]);
+        taken[own] = true;
+        n_masses++;
+      }
+      check_spring(b, g, pair, rows, s, ends, found);
     }
+    if (last)
+      first = c + 1;
   }
+  CHECK(n_masses == pair->n_masses[0] + pair->n_masses[1]);
   uint64_t mass = g->first_mass + pair->first_mass;
   for (uint32_t k = 0; k < 2 && w + 16 * k < g->n_rows; k++) {
     const struct mo_gp_row *row = rows + (size_t)16 * k;
@@ -286,10 +309,16 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
     const struct mo_body *body = b->robots[row->robot].body;
     CHECK(!seen[row->robot] && row->robot / SHARD == g->shard);
     seen[row->robot] = 1;
-    CHECK(found[k] == body->n_springs && pair->n_masses[k] == body->n_masses);
+    CHECK(found[k] == 2 * body->n_springs && pair->n_masses[k] == body->n_masses);
+    for (uint32_t i = 0; i < body->n_springs; i++)
+      ends[(k == 0 ? 0 : pair->n_masses[0]) + body->spring_a[i]]--;
+    for (uint32_t i = 0; i < body->n_springs; i++)
+      ends[(k == 0 ? 0 : pair->n_masses[0]) + body->spring_b[i]]--;
     for (uint32_t m = 0; m < body->n_masses; m++, mass++)
       CHECK(plan->input[mass] == body->mass_lattice[m]);
   }
+  for (int m = 0; m < 512; m++)
+    CHECK(ends[m] == 0);
 }
 
 /* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
