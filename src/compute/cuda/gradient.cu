@@ -24,7 +24,11 @@ extern "C" {
 
 namespace {
 
-enum { PART_STEPS = 50, RESERVE_BYTES = 768 << 20 };
+#ifndef PSTEPS
+#define PSTEPS 250
+#endif
+/* PRODUCT_STEPS: of a launch. What its blocks have in common, they read at about the same time: the second-level cache holds it. */
+enum { PART_STEPS = 50, PRODUCT_STEPS = PSTEPS, RESERVE_BYTES = 768 << 20 };
 
 struct buffer {
   void *at = nullptr;
@@ -63,6 +67,7 @@ struct mo_cuda_gradient_state {
   cudaStream_t stream;
   buffer buffers[PLACES], weights, pinned;
   volatile int *cancel; /* read by the kernels */
+  mo_gradient_plan plan;
   mo_gk_weights tiles;
   uint32_t shared_bytes;
   char error[256];
@@ -358,9 +363,12 @@ int walk_back(work &w)
   if (r < 0)
     return r;
   since = now_s();
-  status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, s->stream);
-  if (status != 0)
-    return s->fail((cudaError_t)status, "products");
+  for (uint32_t first = 0; first < w.k.n_steps; first += PRODUCT_STEPS) {
+    const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
+    status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, first, end, s->stream);
+    if (status != 0)
+      return s->fail((cudaError_t)status, "products");
+  }
   return finish(w, s->profile.products_s, since);
 }
 
@@ -617,6 +625,7 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   if (s == nullptr)
     return;
   mo_cuda_gradient_trim(s);
+  mo_gradient_plan_free(&s->plan);
   cudaFree(s->weights.at);
   cudaFreeHost(s->pinned.at);
   cudaFreeHost((void *)s->cancel);
@@ -649,8 +658,8 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
   }
   mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
                            std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
-  mo_gradient_plan plan;
-  int r = mo_gradient_plan_create(call->robots, call->n, &call->physics, &options, &plan);
+  mo_gradient_plan &plan = s->plan;
+  int r = mo_gradient_plan_make(call->robots, call->n, &call->physics, &options, &plan);
   if (r < 0)
     return r;
   s->profile.plan_s = now_s() - since;
@@ -660,7 +669,6 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
     cudaStreamSynchronize(s->stream);
     r = MO_ERR_NO_MEMORY;
   }
-  mo_gradient_plan_free(&plan);
   s->profile.device_bytes = s->held();
   call->device_s = s->profile.forward_s + s->profile.back_s + s->profile.products_s + s->profile.collect_s;
   call->host_s = now_s() - since - call->device_s;

@@ -323,8 +323,9 @@ extern "C" {
 int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, void *stream);
 int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
-/* jobs: (n) group, kind and block of each product. */
-int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, void *stream);
+/* jobs: (n) group, kind and block of each product; adds steps first … end − 1. */
+int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
+                   void *stream);
 /* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters). */
 int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
                   float *d_parameters, void *stream);

@@ -12,6 +12,8 @@
 
 enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, WORKERS_MAX = 64 };
 
+enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, STARTS, ORDER = STARTS, SCRATCH, MEMORIES };
+
 /* A shard under construction: as mo_gradient_plan, with numbers that count from the shard's start. */
 struct shard {
   const struct mo_robot *robots; /* of the whole batch */
@@ -21,7 +23,9 @@ struct shard {
   uint32_t *order;
   uint32_t at; /* robots placed so far */
   uint32_t n_groups, n_rows;
-  uint64_t n_masses, n_chunks, chunks_room;
+  uint64_t n_masses, n_chunks;
+  uint64_t mass, chunk; /* before this shard's, like the two that follow */
+  uint32_t group, row;
   struct mo_gp_group *groups;
   struct mo_gp_row *rows;
   float *position;
@@ -29,8 +33,21 @@ struct shard {
   uint32_t *springs;
   struct mo_outcome *starts; /* of the whole batch */
   double *scratch;
+  struct mo_gp_memory memory[MEMORIES];
   int status;
 };
+
+/* At least `bytes`, of any content; NULL: none to be had. */
+static void *reserve(struct mo_gp_memory *m, uint64_t bytes)
+{
+  if (m->bytes < bytes) {
+    free(m->at);
+    const uint64_t wanted = bytes + bytes / 8 + 64; /* batches differ */
+    m->at = malloc(wanted);
+    m->bytes = m->at != NULL ? wanted : 0;
+  }
+  return m->at;
+}
 
 /* ---- groups ---- */
 
@@ -98,14 +115,16 @@ static void sort_masses(const struct mo_body *const bodies[2], struct by_springs
 
 static int make_room(struct shard *s, uint64_t chunks)
 {
-  if (s->n_chunks + chunks <= s->chunks_room)
-    return MO_OK;
-  const uint64_t room = s->chunks_room + s->chunks_room / 2 + chunks + 1024;
-  uint32_t *more = realloc(s->springs, room * MO_GP_LANES * sizeof(*more));
-  if (more == NULL)
-    return MO_ERR_NO_MEMORY;
-  s->springs = more;
-  s->chunks_room = room;
+  struct mo_gp_memory *m = &s->memory[SPRINGS];
+  const uint64_t wanted = (s->n_chunks + chunks) * MO_GP_LANES * sizeof(*s->springs);
+  if (m->bytes < wanted) {
+    const uint64_t bytes = wanted + wanted / 2 + 131072;
+    void *more = realloc(m->at, bytes);
+    if (more == NULL)
+      return MO_ERR_NO_MEMORY;
+    *m = (struct mo_gp_memory){more, bytes};
+  }
+  s->springs = m->at;
   return MO_OK;
 }
 
@@ -195,6 +214,7 @@ static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
                                 .first_chunk = (uint32_t)(s->n_chunks - g->first_chunk)};
     for (uint32_t k = 0; k < 2 && w + k * HALF < g->n_rows; k++) {
       struct mo_gp_row *row = rows + w + (size_t)k * HALF;
+      *row = (struct mo_gp_row){0};
       row->robot = w + k * HALF < n ? s->first + s->order[s->at + w + k * HALF] : MO_GP_NO_ROBOT;
       if (row->robot != MO_GP_NO_ROBOT)
         fill_row(s, row);
@@ -246,12 +266,12 @@ static int lay_out(struct shard *s)
   size_t most_masses = 0;
   for (uint32_t i = 0; i < s->n; i++)
     most_masses += s->robots[s->first + i].body->n_masses;
-  s->order = malloc((s->n + (size_t)1) * sizeof(*s->order));
-  s->groups = calloc(most_groups, sizeof(*s->groups));
-  s->rows = calloc(most_groups * MO_GP_ROWS_MAX, sizeof(*s->rows));
-  s->position = malloc(3 * (most_masses + 1) * sizeof(*s->position));
-  s->input = malloc(most_masses + 1);
-  s->scratch = malloc(3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
+  s->order = reserve(&s->memory[ORDER], s->n * sizeof(*s->order));
+  s->groups = reserve(&s->memory[GROUPS], most_groups * sizeof(*s->groups));
+  s->rows = reserve(&s->memory[ROWS], most_groups * MO_GP_ROWS_MAX * sizeof(*s->rows));
+  s->position = reserve(&s->memory[POSITION], 3 * most_masses * sizeof(*s->position));
+  s->input = reserve(&s->memory[INPUT], most_masses);
+  s->scratch = reserve(&s->memory[SCRATCH], 3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
   if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL || s->input == NULL ||
       s->scratch == NULL)
     return MO_ERR_NO_MEMORY;
@@ -270,15 +290,21 @@ static int lay_out(struct shard *s)
   return status;
 }
 
-static void release(struct shard *s)
+/* To its place in the plan. */
+static void put(const struct shard *s, struct mo_gradient_plan *plan)
 {
-  free(s->order);
-  free(s->groups);
-  free(s->rows);
-  free(s->position);
-  free(s->input);
-  free(s->springs);
-  free(s->scratch);
+  for (uint32_t k = 0; k < s->n_groups; k++) {
+    struct mo_gp_group *g = plan->groups + s->group + k;
+    *g = s->groups[k];
+    g->first_row += s->row;
+    g->first_mass += s->mass;
+    g->first_chunk += s->chunk;
+  }
+  memcpy(plan->rows + s->row, s->rows, s->n_rows * sizeof(*s->rows));
+  memcpy(plan->position + 3 * s->mass, s->position, s->n_masses * 3 * sizeof(*s->position));
+  memcpy(plan->input + s->mass, s->input, s->n_masses);
+  if (s->n_chunks > 0)
+    memcpy(plan->springs + s->chunk * MO_GP_LANES, s->springs, s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
 }
 
 /* ---- threads ---- */
@@ -286,6 +312,7 @@ static void release(struct shard *s)
 struct team {
   struct shard *shards;
   uint32_t n_shards, n_workers;
+  struct mo_gradient_plan *plan; /* NULL: shards are laid out; else they are put there */
 };
 
 struct worker {
@@ -299,12 +326,15 @@ static void *work(void *context)
   const struct worker *worker = context;
   const struct team *team = worker->team;
   for (uint32_t i = worker->number; i < team->n_shards; i += team->n_workers)
-    team->shards[i].status = lay_out(&team->shards[i]);
+    if (team->plan == NULL)
+      team->shards[i].status = lay_out(&team->shards[i]);
+    else
+      put(&team->shards[i], team->plan);
   return NULL;
 }
 
 /* The calling thread is one of the workers; what threads cannot be had for, it does itself. */
-static void lay_out_all(struct team *team)
+static void work_all(struct team *team)
 {
   struct worker workers[WORKERS_MAX];
   bool started[WORKERS_MAX] = {false};
@@ -323,46 +353,44 @@ static void lay_out_all(struct team *team)
 
 /* ---- the whole ---- */
 
-static int join(struct mo_gradient_plan *plan, const struct shard *shards)
+/* Says where each shard goes, and has the memory for all of them. */
+static int place(struct mo_gradient_plan *plan, struct shard *shards)
 {
   for (uint32_t i = 0; i < plan->n_shards; i++) {
-    if (shards[i].status < 0)
-      return shards[i].status;
-    plan->n_groups += shards[i].n_groups;
-    plan->n_rows += shards[i].n_rows;
-    plan->n_masses += shards[i].n_masses;
-    plan->n_chunks += shards[i].n_chunks;
+    struct shard *s = &shards[i];
+    if (s->status < 0)
+      return s->status;
+    s->group = plan->n_groups;
+    s->row = plan->n_rows;
+    s->mass = plan->n_masses;
+    s->chunk = plan->n_chunks;
+    plan->n_groups += s->n_groups;
+    plan->n_rows += s->n_rows;
+    plan->n_masses += s->n_masses;
+    plan->n_chunks += s->n_chunks;
   }
-  plan->groups = malloc((plan->n_groups + (size_t)1) * sizeof(*plan->groups));
-  plan->rows = malloc((plan->n_rows + (size_t)1) * sizeof(*plan->rows));
-  plan->position = malloc((plan->n_masses + 1) * 3 * sizeof(*plan->position));
-  plan->input = malloc(plan->n_masses + 1);
-  plan->springs = malloc((plan->n_chunks + 1) * MO_GP_LANES * sizeof(*plan->springs));
-  if (plan->groups == NULL || plan->rows == NULL || plan->position == NULL || plan->input == NULL ||
-      plan->springs == NULL)
-    return MO_ERR_NO_MEMORY;
-  uint32_t group = 0, row = 0;
-  uint64_t mass = 0, chunk = 0;
-  for (uint32_t i = 0; i < plan->n_shards; i++) {
-    const struct shard *s = &shards[i];
-    for (uint32_t k = 0; k < s->n_groups; k++) {
-      struct mo_gp_group *g = plan->groups + group + k;
-      *g = s->groups[k];
-      g->first_row += row;
-      g->first_mass += mass;
-      g->first_chunk += chunk;
-    }
-    memcpy(plan->rows + row, s->rows, s->n_rows * sizeof(*s->rows));
-    memcpy(plan->position + 3 * mass, s->position, s->n_masses * 3 * sizeof(*s->position));
-    memcpy(plan->input + mass, s->input, s->n_masses);
-    if (s->springs != NULL)
-      memcpy(plan->springs + chunk * MO_GP_LANES, s->springs, s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
-    group += s->n_groups;
-    row += s->n_rows;
-    mass += s->n_masses;
-    chunk += s->n_chunks;
+  plan->groups = reserve(&plan->memory[GROUPS], plan->n_groups * sizeof(*plan->groups));
+  plan->rows = reserve(&plan->memory[ROWS], plan->n_rows * sizeof(*plan->rows));
+  plan->position = reserve(&plan->memory[POSITION], plan->n_masses * 3 * sizeof(*plan->position));
+  plan->input = reserve(&plan->memory[INPUT], plan->n_masses);
+  plan->springs = reserve(&plan->memory[SPRINGS], plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+  const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL && plan->input != NULL &&
+                   plan->springs != NULL;
+  return all ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+/* n shards that keep the memory of those before. */
+static struct shard *shards_of(struct mo_gradient_plan *plan, uint32_t n)
+{
+  const size_t before = plan->shards.bytes / sizeof(struct shard);
+  if (before < n) {
+    struct shard *more = realloc(plan->shards.at, n * sizeof(*more));
+    if (more == NULL)
+      return NULL;
+    memset(more + before, 0, (n - before) * sizeof(*more));
+    plan->shards = (struct mo_gp_memory){more, n * sizeof(*more)};
   }
-  return MO_OK;
+  return plan->shards.at;
 }
 
 static bool is_default(struct mo_workspace w)
@@ -371,52 +399,57 @@ static bool is_default(struct mo_workspace w)
   return w.nx == d.nx && w.ny == d.ny && w.nz == d.nz;
 }
 
-int mo_gradient_plan_create(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
-                            const struct mo_gp_options *options, struct mo_gradient_plan *plan)
+int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
+                          const struct mo_gp_options *options, struct mo_gradient_plan *plan)
 {
   for (uint32_t i = 0; i < n; i++)
     if (!is_default(robots[i].body->workspace))
       return MO_ERR_UNSUPPORTED;
-  *plan = (struct mo_gradient_plan){.n = n, .n_shards = (n + options->shard - 1) / options->shard};
-  plan->starts = calloc(n + (size_t)1, sizeof(*plan->starts));
-  struct shard *shards = calloc(plan->n_shards + (size_t)1, sizeof(*shards));
-  int status = plan->starts != NULL && shards != NULL ? MO_OK : MO_ERR_NO_MEMORY;
-  if (status == MO_OK) {
-    struct team team = {shards, plan->n_shards, options->workers};
-    if (team.n_workers > plan->n_shards)
-      team.n_workers = plan->n_shards;
-    if (team.n_workers < 1)
-      team.n_workers = 1;
-    if (team.n_workers > WORKERS_MAX)
-      team.n_workers = WORKERS_MAX;
-    for (uint32_t i = 0; i < plan->n_shards; i++) {
-      const uint32_t first = i * options->shard;
-      shards[i] = (struct shard){.robots = robots,
-                                 .physics = physics,
-                                 .options = options,
-                                 .number = i,
-                                 .first = first,
-                                 .n = n - first < options->shard ? n - first : options->shard,
-                                 .starts = plan->starts};
-    }
-    lay_out_all(&team);
-    status = join(plan, shards);
+  plan->n = n;
+  plan->n_shards = (n + options->shard - 1) / options->shard;
+  plan->n_groups = plan->n_rows = 0;
+  plan->n_masses = plan->n_chunks = 0;
+  plan->starts = reserve(&plan->memory[STARTS], n * sizeof(*plan->starts));
+  struct shard *shards = shards_of(plan, plan->n_shards);
+  if (plan->starts == NULL || shards == NULL)
+    return MO_ERR_NO_MEMORY;
+  memset(plan->starts, 0, n * sizeof(*plan->starts));
+  struct team team = {shards, plan->n_shards, options->workers, NULL};
+  if (team.n_workers > plan->n_shards)
+    team.n_workers = plan->n_shards;
+  if (team.n_workers < 1)
+    team.n_workers = 1;
+  if (team.n_workers > WORKERS_MAX)
+    team.n_workers = WORKERS_MAX;
+  for (uint32_t i = 0; i < plan->n_shards; i++) {
+    const uint32_t first = i * options->shard;
+    struct shard s = {.robots = robots,
+                      .physics = physics,
+                      .options = options,
+                      .number = i,
+                      .first = first,
+                      .n = n - first < options->shard ? n - first : options->shard,
+                      .starts = plan->starts};
+    memcpy(s.memory, shards[i].memory, sizeof(s.memory));
+    shards[i] = s;
   }
-  for (uint32_t i = 0; shards != NULL && i < plan->n_shards; i++)
-    release(&shards[i]);
-  free(shards);
+  work_all(&team);
+  const int status = place(plan, shards);
   if (status < 0)
-    mo_gradient_plan_free(plan);
-  return status;
+    return status;
+  team.plan = plan;
+  work_all(&team);
+  return MO_OK;
 }
 
 void mo_gradient_plan_free(struct mo_gradient_plan *plan)
 {
-  free(plan->groups);
-  free(plan->rows);
-  free(plan->position);
-  free(plan->input);
-  free(plan->springs);
-  free(plan->starts);
+  struct shard *shards = plan->shards.at;
+  for (size_t i = 0; i < plan->shards.bytes / sizeof(*shards); i++)
+    for (int m = 0; m < MEMORIES; m++)
+      free(shards[i].memory[m].at);
+  free(shards);
+  for (size_t m = 0; m < sizeof(plan->memory) / sizeof(*plan->memory); m++)
+    free(plan->memory[m].at);
   *plan = (struct mo_gradient_plan){0};
 }

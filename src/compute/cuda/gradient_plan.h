@@ -156,6 +156,12 @@ struct mo_gp_options {
   uint32_t workers;      /* threads to use, 1 … 64 */
 };
 
+/* Memory that grows to what the calls need. */
+struct mo_gp_memory {
+  void *at;
+  size_t bytes;
+};
+
 struct mo_gradient_plan {
   uint32_t n, n_shards, n_groups, n_rows;
   uint64_t n_masses, n_chunks;
@@ -165,12 +171,14 @@ struct mo_gradient_plan {
   uint8_t *input;             /* (n_masses) the mass's place among the inputs */
   uint32_t *springs;          /* (n_chunks, 32) */
   struct mo_outcome *starts;  /* (n) com_start_m alone */
+  /* What holds all that, and the shards before they are put together: used again by the next batch, since new memory of 80 MB takes longer
+   * to be had than to be filled. */
+  struct mo_gp_memory memory[6], shards;
 };
 
-/* `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the default, or a body that shared_bytes do
- * not hold by itself; MO_ERR_NO_MEMORY. After an error
- * there is nothing to free. */
-int mo_gradient_plan_create(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
+/* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the
+ * default, or a body that shared_bytes do not hold by itself; MO_ERR_NO_MEMORY. */
+int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                             const struct mo_gp_options *options, struct mo_gradient_plan *plan);
 void mo_gradient_plan_free(struct mo_gradient_plan *plan);
 

@@ -1,7 +1,7 @@
 /* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a shard's groups, and weights as tiles.
  *
  * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
- * group and all steps in order; the groups are added in order in collect. So no sum depends on which other groups there are, nor on the device. */
+ * group and the launch's steps in order; the launches are added in order too, and the groups in collect. So no sum depends on which other groups there are, nor on the device. */
 #include "compute/cuda/gradient_kernels.cuh"
 
 enum {
@@ -61,7 +61,7 @@ struct copies {
 };
 
 static __global__ void __launch_bounds__(THREADS, 1)
-    products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs)
+    products_kernel(const __grid_constant__ mo_gk k, const uint32_t *jobs, uint32_t first, uint32_t end)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   if (*k.cancel != 0)
@@ -76,7 +76,7 @@ static __global__ void __launch_bounds__(THREADS, 1)
   operands o;
   int m_all = MO_HIDDEN;
   uint64_t right;
-  o.depth = (int)(k.n_steps * g.n_rows);
+  o.depth = (int)((end - first) * g.n_rows);
   if (kind == MO_GK_JOB_OUTPUT) {
     m_all = (int)g.n_outputs * MO_GP_TILE;
     o.left = (const __nv_bfloat16 *)(tape_base + tape.d_output);
@@ -92,9 +92,9 @@ static __global__ void __launch_bounds__(THREADS, 1)
     right = tape.hidden[layer - 1];
     to += sum.hidden[layer - 1];
   }
-  o.right = (const __nv_bfloat16 *)(tape_base + right);
+  o.right = (const __nv_bfloat16 *)(tape_base + right) + (size_t)first * g.n_rows * N;
   o.left_row = m_all;
-  o.left += block * M;
+  o.left += (size_t)first * g.n_rows * m_all + block * M;
   o.left_columns = m_all - block * M;
   to += (size_t)block * M * N;
 
@@ -158,7 +158,9 @@ static __global__ void __launch_bounds__(THREADS, 1)
         const int row = m0 + m * 16 + h * 8 + (lane >> 2), column = n0 + j * 8 + 2 * (lane & 3);
         if (row >= o.left_columns)
           continue;
-        *(float2 *)(to + (size_t)row * N + column) = make_float2(c[m][j][2 * h], c[m][j][2 * h + 1]);
+        float2 *at = (float2 *)(to + (size_t)row * N + column);
+        const float2 before = first == 0 ? make_float2(0, 0) : *at;
+        *at = make_float2(before.x + c[m][j][2 * h], before.y + c[m][j][2 * h + 1]);
       }
 }
 
@@ -269,13 +271,14 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
-extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, void *stream)
+extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
+                              void *stream)
 {
   const cudaError_t status =
       cudaFuncSetAttribute(products_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, STAGES * STAGE_BYTES);
   if (status != cudaSuccess)
     return (int)status;
-  products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs);
+  products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first, end);
   return (int)cudaGetLastError();
 }
 

@@ -324,13 +324,13 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
 /* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
 static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wide, uint32_t *short_ones)
 {
-  struct mo_gradient_plan plan;
+  struct mo_gradient_plan plan = {0};
   struct mo_gp_options own = options;
   uint8_t seen[ROBOTS] = {0};
   const struct mo_physics physics = mo_default_physics();
   own.shared_bytes = shared_bytes;
   *wide = *short_ones = 0;
-  REQUIRE(mo_gradient_plan_create(b->robots, ROBOTS, &physics, &own, &plan) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(b->robots, ROBOTS, &physics, &own, &plan) == MO_OK);
   CHECK(plan.n_shards == 3);
   for (uint32_t i = 0; i < plan.n_groups; i++) {
     const struct mo_gp_group *g = plan.groups + i;
@@ -361,7 +361,7 @@ static void everything_is_there_once(void)
 static void small_shared_memory(void)
 {
   static struct batch b;
-  struct mo_gradient_plan plan;
+  struct mo_gradient_plan plan = {0};
   uint32_t wide, short_ones;
   struct mo_gp_options least = options;
   const struct mo_physics physics = mo_default_physics();
@@ -374,7 +374,7 @@ static void small_shared_memory(void)
   check_all(&b, least.shared_bytes, &wide, &short_ones);
   CHECK(short_ones > 26);
   least.shared_bytes--;
-  CHECK(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
+  CHECK(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
   drop_batch(&b);
 }
 
@@ -382,14 +382,14 @@ static void small_shared_memory(void)
 static void a_shard_is_its_own(void)
 {
   static struct batch b;
-  struct mo_gradient_plan all, threads, second;
+  struct mo_gradient_plan all = {0}, threads = {0}, second = {0};
   struct mo_gp_options several = options;
   const struct mo_physics physics = mo_default_physics();
   several.workers = 3;
   REQUIRE(make_batch(&b) == MO_OK);
-  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &options, &all) == MO_OK);
-  REQUIRE(mo_gradient_plan_create(b.robots, ROBOTS, &physics, &several, &threads) == MO_OK);
-  REQUIRE(mo_gradient_plan_create(b.robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &options, &all) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &several, &threads) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(b.robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
   CHECK(all.n_groups == threads.n_groups && all.n_chunks == threads.n_chunks);
   CHECK(memcmp(all.springs, threads.springs, all.n_chunks * MO_GP_LANES * sizeof(*all.springs)) == 0);
   CHECK(memcmp(all.position, threads.position, all.n_masses * 3 * sizeof(*all.position)) == 0);
@@ -418,13 +418,13 @@ static void another_workspace(void)
   struct mo_body *body = NULL;
   const uint64_t bits[1] = {1};
   struct mo_environment environment;
-  struct mo_gradient_plan plan;
+  struct mo_gradient_plan plan = {0};
   const struct mo_physics physics = mo_default_physics();
   mo_environment_training(1, 0, 0, &environment);
   REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &lattice) == MO_OK);
   REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
   const struct mo_robot robot = {body, &environment};
-  CHECK(mo_gradient_plan_create(&robot, 1, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
+  CHECK(mo_gradient_plan_make(&robot, 1, &physics, &options, &plan) == MO_ERR_UNSUPPORTED);
   mo_body_free(body);
   mo_lattice_free(lattice);
 }
