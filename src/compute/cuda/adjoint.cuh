@@ -227,12 +227,21 @@ MO_BOTH struct mo_strike mo_strike_of(const struct mo_lane_physics *l, const flo
   return s;
 }
 
+/* Whether a mass at p with velocity v strikes the ground; next: where its straight segment ends, g: the ground there. */
+MO_BOTH int mo_strikes(const struct mo_lane_physics *l, const float *heights, float highest, const float *p,
+                       const float *v, float *next, struct mo_ground *g)
+{
+  for (int axis = 0; axis < 3; axis++)
+    next[axis] = fmaf(l->dt, v[axis], p[axis]);
+  return next[2] < highest && next[2] < mo_ground_find(heights, next[0], next[1], g);
+}
+
 /* A mass moves from p with velocity v for one step; p and v become those after it. 1: it struck the ground. */
 MO_BOTH int mo_move(const struct mo_lane_physics *l, const float *heights, float highest, float *p, float *v)
 {
-  const float next[3] = {fmaf(l->dt, v[0], p[0]), fmaf(l->dt, v[1], p[1]), fmaf(l->dt, v[2], p[2])};
+  float next[3];
   struct mo_ground g;
-  if (!(next[2] < highest) || !(next[2] < mo_ground_find(heights, next[0], next[1], &g))) {
+  if (!mo_strikes(l, heights, highest, p, v, next, &g)) {
     for (int axis = 0; axis < 3; axis++)
       p[axis] = next[axis];
     return 0;

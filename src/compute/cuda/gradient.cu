@@ -5,6 +5,7 @@
  * until then: both ways are walked again without it. That is rare. */
 #include "compute/cuda/gradient.h"
 #include "compute/cuda/gradient_kernels.cuh"
+#include "compute/cuda/gradient_pass.h"
 extern "C" {
 #include "rollout/scene.h"
 }
@@ -24,11 +25,8 @@ extern "C" {
 
 namespace {
 
-#ifndef PSTEPS
-#define PSTEPS 250
-#endif
-/* PRODUCT_STEPS: of a launch. What its blocks have in common, they read at about the same time: the second-level cache holds it. */
-enum { PART_STEPS = 50, PRODUCT_STEPS = PSTEPS, RESERVE_BYTES = 768 << 20 };
+/* Of a task on the way forward or back; of a launch of products: shorter ones take longer. */
+enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
 
 struct buffer {
   void *at = nullptr;
@@ -64,9 +62,9 @@ double now_s()
 
 struct mo_cuda_gradient_state {
   int device;
-  cudaStream_t stream;
+  cudaStream_t stream, beside; /* beside: for the flag alone */
   buffer buffers[PLACES], weights, pinned;
-  volatile int *cancel; /* read by the kernels */
+  int *cancel; /* on the device; read by the kernels */
   mo_gradient_plan plan;
   mo_gk_weights tiles;
   uint32_t shared_bytes;
@@ -156,73 +154,11 @@ int place_weights(mo_cuda_gradient_state *s)
   return MO_OK;
 }
 
-/* One pass: groups first … end − 1 of the plan. */
-struct pass {
-  uint32_t first, end, first_shard, end_shard;
-  uint64_t tape, sums;
-  uint32_t shared;
-};
-
-uint64_t pass_bytes(const mo_gradient_plan &plan, const pass &p)
-{
-  return p.tape + 4 * p.sums + (uint64_t)(p.end_shard - p.first_shard) * 620912 * 4 + plan.n_masses * 25 +
-         plan.n_chunks * 128 + ((uint64_t)16 << 20);
-}
-
-void add_group(pass &p, const mo_gp_group &g, uint32_t n_steps)
-{
-  p.tape += mo_gp_tape_of(&g, n_steps).bytes;
-  p.sums += (mo_gp_sum_of(&g).floats + 63) / 64 * 64;
-  p.shared = std::max(p.shared, mo_gp_shared_bytes(g.n_rows, g.n_masses, g.n_outputs));
-}
-
-/* Before any work: whether the kernels' offsets reach over each group's part of the tape, and `most` bytes hold any shard by itself. */
-bool can_be_held(const mo_gradient_plan &plan, uint32_t n_steps, uint64_t most)
-{
-  pass p = {};
-  for (uint32_t i = 0; i < plan.n_groups; i++) {
-    const mo_gp_group &g = plan.groups[i];
-    if (i == 0 || g.shard != plan.groups[i - 1].shard)
-      p = pass{i, i, g.shard, g.shard + 1, 0, 0, 0};
-    add_group(p, g, n_steps);
-    if (mo_gp_tape_of(&g, n_steps).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
-      return false;
-  }
-  return plan.n_shards > 1 || pass_bytes(plan, p) <= most;
-}
-
-/* As many shards from `first_shard` on as fit; places their groups' parts of the tape and the sums. */
-int plan_pass(mo_gradient_plan &plan, uint32_t first_shard, uint32_t first, uint32_t n_steps, uint64_t budget,
-              pass *ret)
-{
-  pass p = {first, first, first_shard, first_shard, 0, 0, 0};
-  *ret = p;
-  while (p.end < plan.n_groups) {
-    const uint32_t shard = plan.groups[p.end].shard;
-    for (; p.end < plan.n_groups && plan.groups[p.end].shard == shard; p.end++) {
-      mo_gp_group &g = plan.groups[p.end];
-      g.tape_at = p.tape;
-      g.sum_at = p.sums;
-      add_group(p, g, n_steps);
-    }
-    p.end_shard = shard + 1;
-    if (pass_bytes(plan, p) > budget)
-      break;
-    *ret = p;
-  }
-  return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
-}
-
-uint64_t cost(const mo_gp_group &g)
-{
-  return 16 * (g.n_outputs + 48) + 10 * g.n_chunks / 4;
-}
-
 struct work {
   mo_cuda_gradient_state *s;
   mo_device_gradient *call;
   const mo_gradient_plan *plan;
-  pass p;
+  mo_gradient_pass p;
   mo_gk k;
   uint32_t n_jobs;
   std::vector<mo_gk_result> results;
@@ -241,8 +177,9 @@ int upload_pass(work &w, const std::vector<float> &generators)
       shards.push_back(w.p.first + i);
   }
   shards.push_back(w.p.end);
-  std::stable_sort(order.begin(), order.end(),
-                   [&](uint32_t a, uint32_t b) { return cost(plan.groups[a]) > cost(plan.groups[b]); });
+  std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) {
+    return mo_gradient_cost(&plan.groups[a]) > mo_gradient_cost(&plan.groups[b]);
+  });
   for (uint32_t i : order) {
     const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
     for (uint32_t b = 0; b < blocks; b++)
@@ -314,24 +251,27 @@ bool cancelled(const work &w)
 /* Waits for the device; passes the caller's flag on to it. */
 int finish(work &w, double &sum_s, double since)
 {
+  mo_cuda_gradient_state *s = w.s;
+  bool told = false;
   cudaError_t status;
-  while ((status = cudaStreamQuery(w.s->stream)) == cudaErrorNotReady) {
-    if (cancelled(w))
-      *w.s->cancel = 1;
+  while ((status = cudaStreamQuery(s->stream)) == cudaErrorNotReady) {
+    if (!told && cancelled(w)) {
+      told = true;
+      cudaMemsetAsync(s->cancel, 1, sizeof(*s->cancel), s->beside);
+    }
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
   sum_s += now_s() - since;
   if (status != cudaSuccess)
-    return w.s->fail(status, "kernel");
-  return *w.s->cancel != 0 || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
+    return s->fail(status, "kernel");
+  return told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
 }
 
 /* No task has been handed out, and none is done. */
 int reset_tickets(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
-  const cudaError_t status =
-      cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream);
+  const cudaError_t status = cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream);
   return status == cudaSuccess ? MO_OK : s->fail(status, "tickets");
 }
 
@@ -534,7 +474,7 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
   cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
   if (status != cudaSuccess)
     return s->fail(status, "device");
-  if (!can_be_held(plan, n_steps, share_of(total))) {
+  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(total))) {
     snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
@@ -551,7 +491,7 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
     w.s = s;
     w.call = call;
     w.plan = &plan;
-    int r = plan_pass(plan, shard, group, n_steps, budget, &w.p);
+    int r = mo_gradient_pass_next(&plan, shard, group, n_steps, budget, &w.p);
     if (r < 0)
       return r;
     w.k.physics = lane_physics(call->physics, call->controller->sensor);
@@ -600,7 +540,9 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
   if (status == cudaSuccess)
-    status = cudaHostAlloc((void **)&s->cancel, sizeof(*s->cancel), cudaHostAllocMapped);
+    status = cudaStreamCreateWithFlags(&s->beside, cudaStreamNonBlocking);
+  if (status == cudaSuccess)
+    status = cudaMalloc((void **)&s->cancel, sizeof(*s->cancel));
   if (status != cudaSuccess) {
     mo_cuda_gradient_free(s);
     (void)cudaGetLastError();
@@ -628,7 +570,9 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   mo_gradient_plan_free(&s->plan);
   cudaFree(s->weights.at);
   cudaFreeHost(s->pinned.at);
-  cudaFreeHost((void *)s->cancel);
+  cudaFree(s->cancel);
+  if (s->beside != nullptr)
+    cudaStreamDestroy(s->beside);
   if (s->stream != nullptr)
     cudaStreamDestroy(s->stream);
   free(s);
@@ -638,7 +582,6 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
 {
   const double since = now_s();
   s->profile = mo_cuda_gradient_profile();
-  *s->cancel = 0;
   s->error[0] = 0;
   call->counts = mo_gradient_counts();
   call->host_s = call->device_s = 0;
@@ -648,7 +591,11 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
     snprintf(s->error, sizeof(s->error), "not a controller that these kernels do");
     return MO_ERR_UNSUPPORTED;
   }
-  const cudaError_t status = cudaSetDevice(s->device);
+  cudaError_t status = cudaSetDevice(s->device);
+  if (status == cudaSuccess)
+    status = cudaStreamSynchronize(s->beside);
+  if (status == cudaSuccess)
+    status = cudaMemsetAsync(s->cancel, 0, sizeof(*s->cancel), s->stream);
   if (status != cudaSuccess)
     return s->fail(status, "device");
   if (s->weights.at == nullptr) {

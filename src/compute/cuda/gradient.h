@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Version of the code, for fingerprints: changes with every change of a bit. */
-#define MO_CUDA_GRADIENT_CODE "gradient-1"
+#define MO_CUDA_GRADIENT_CODE "gradient-2"
 
 /* What lasts from one call to the next on one device: its buffers, which grow to what the calls need. */
 struct mo_cuda_gradient_state;
@@ -26,8 +26,8 @@ const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *state); 
 /* Of the last call. */
 struct mo_cuda_gradient_profile {
   double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device */
-  uint64_t device_bytes;                                 /* held */
-  uint32_t passes, groups, walks;                        /* parts in which the call went; groups; ways back */
+  uint64_t device_bytes;                                             /* held */
+  uint32_t passes, groups, walks; /* parts in which the call went; groups; ways back */
 };
 const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *state);
 

@@ -1,6 +1,31 @@
 /* gradient_forward.cu: rollouts of a plan's groups, a number of steps per launch, keeping on the tape what the way back needs. */
 #include "compute/cuda/gradient_kernels.cuh"
 
+/* Masses that strike the ground, of a warp's: few, and a strike takes long. So they are put aside until there are 32, one for each lane. */
+struct strikes {
+  uint16_t *mass; /* (64) in shared memory */
+  int n;
+
+  __device__ __forceinline__ void add(bool strikes, int m, int lane)
+  {
+    const uint32_t which = __ballot_sync(0xffffffffu, strikes);
+    if (strikes)
+      mass[n + __popc(which & ((1u << lane) - 1))] = (uint16_t)m;
+    n += __popc(which);
+    __syncwarp();
+  }
+
+  /* Those that come after the first 32 take their places. */
+  __device__ __forceinline__ void done(int lane)
+  {
+    const uint16_t rest = mass[32 + lane];
+    __syncwarp();
+    mass[lane] = rest;
+    n -= min(n, 32);
+    __syncwarp();
+  }
+};
+
 template <int MT> struct forward {
   enum { ROWS = 16 * MT };
   const mo_gk &k;
@@ -25,7 +50,7 @@ template <int MT> struct forward {
   lane_row *rows;
   uint8_t *output_tile;
   int n_outputs;
-  bool dead[2];                /* rows of this warp whose rollout has ended */
+  bool dead[2];                  /* rows of this warp whose rollout has ended */
   uint32_t first_step, end_step; /* of this part */
 
   __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared, uint32_t nth)
@@ -199,7 +224,7 @@ template <int MT> struct forward {
   }
 
   /* `ahead` has the first layer's first weights. */
-  __device__ __forceinline__ void control(uint32_t step, weights_ahead &ahead)
+  __device__ __forceinline__ void control(uint32_t step, weights_ahead<MO_GK_AHEAD> &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
     const int column = warp * 16 + 4 * (lane & 3);
@@ -217,8 +242,7 @@ template <int MT> struct forward {
 #pragma unroll 1
     for (int i = 0; warp + i * MO_GP_WARPS < n_outputs; i++) {
       const int u = warp + i * MO_GP_WARPS;
-      const float4 bias =
-          __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
+      const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
       sums.clear();
       if (u + MO_GP_WARPS < n_outputs)
         add_tiles<MT, false, true>(sums, ahead, left_at, MO_GK_ROW * 2, last_tiles(i), last_tiles(i + 1));
@@ -312,34 +336,60 @@ template <int MT> struct forward {
     }
   }
 
+  /* The state after the step. false: not a sane one. */
+  __device__ __forceinline__ bool leave(int m, const float *p, const float *u)
+  {
+    const float places = (p[0] + p[1] + p[2]) * 0.0f;
+    x[first + m] = make_float4(p[0], p[1], p[2], 0);
+    for (int axis = 0; axis < 3; axis++)
+      v[3 * (first + m) + axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
+    return fmaf(u[0], u[0], fmaf(u[1], u[1], fmaf(u[2], u[2], places))) <=
+           (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
+  }
+
   __device__ __forceinline__ void move(uint32_t step)
   {
     const int n = n0 + n1;
     float *keep = (float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
     bool sane[2] = {true, true};
-    for (int m = lane; m < n; m += 32) {
-      const bool second = m >= n0, ended = second ? dead[1] : dead[0];
-      const lane_row &own = rows[warp + (second ? 16 : 0)];
-      float *pv = v + 3 * (first + m);
-      const float4 before = x[first + m];
-      float p[3] = {before.x, before.y, before.z}, u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
-      keep[m] = u[0];
-      keep[n_masses + m] = u[1];
-      keep[2 * n_masses + m] = u[2];
-      if (!ended) {
-        mo_move(&k.physics, own.heights, own.highest, p, u);
-        const float places = (p[0] + p[1] + p[2]) * 0.0f;
-        const bool good = fmaf(u[0], u[0], fmaf(u[1], u[1], fmaf(u[2], u[2], places))) <=
-                          (float)(MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S);
-        sane[0] = sane[0] && (second || good);
-        sane[1] = sane[1] && (!second || good);
+    strikes aside = {(uint16_t *)part + warp * 64, 0};
+    for (int base = 0; base < n; base += 32) {
+      const int m = base + lane;
+      bool struck = false;
+      if (m < n) {
+        const bool second = m >= n0, ended = second ? dead[1] : dead[0];
+        const lane_row &own = rows[warp + (second ? 16 : 0)];
+        const float *pv = v + 3 * (first + m);
+        const float4 before = x[first + m];
+        const float p[3] = {before.x, before.y, before.z};
+        const float u[3] = {ended ? 0.0f : pv[0], ended ? 0.0f : pv[1], ended ? 0.0f : pv[2]};
+        float next[3];
+        mo_ground ground;
+        keep[m] = u[0];
+        keep[n_masses + m] = u[1];
+        keep[2 * n_masses + m] = u[2];
+        struck = !ended && mo_strikes(&k.physics, own.heights, own.highest, p, u, next, &ground);
+        if (ended)
+          leave(m, p, u);
+        else if (!struck && !leave(m, next, u))
+          (second ? sane[1] : sane[0]) = false;
       }
-      x[first + m] = make_float4(p[0], p[1], p[2], 0);
-      for (int axis = 0; axis < 3; axis++) {
-        pv[axis] = k.physics.keep * u[axis] - (axis == 2 ? k.physics.fall : 0.0f);
+      aside.add(struck, m, lane);
+      while (aside.n >= 32 || (base + 32 >= n && aside.n > 0)) {
+        if (lane < aside.n) {
+          const int at = aside.mass[lane];
+          const bool second = at >= n0;
+          const lane_row &own = rows[warp + (second ? 16 : 0)];
+          const float *pv = v + 3 * (first + at);
+          const float4 before = x[first + at];
+          float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
+          mo_move(&k.physics, own.heights, own.highest, p, u);
+          if (!leave(at, p, u))
+            (second ? sane[1] : sane[0]) = false;
+        }
+        aside.done(lane);
       }
     }
-    __syncwarp();
     int from = 0;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
@@ -393,7 +443,7 @@ template <int MT> struct forward {
     dead[1] = MT > 1 && k.results[first_row + warp + 16 * (MT - 1)].diverged != 0;
     __syncthreads();
     for (uint32_t step = first_step; step < end_step; step++) {
-      weights_ahead ahead;
+      weights_ahead<MO_GK_AHEAD> ahead;
       ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
       float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
       for (int m = lane; m < n0 + n1; m += 32) {

@@ -15,21 +15,9 @@
 
 enum {
   MO_GK_THREADS = MO_GP_WARPS * MO_GP_LANES,
-#ifdef AHEAD
-  MO_GK_AHEAD = AHEAD,
-#else
-  MO_GK_AHEAD = 4, /* tiles of weights on their way */
-#endif
-#ifdef SAHEAD
-  MO_GK_SPRINGS_AHEAD = SAHEAD,
-#else
-  MO_GK_SPRINGS_AHEAD = 8,
-#endif
-#ifdef SAHEADB
-  MO_GK_SPRINGS_AHEAD_BACK = SAHEADB,
-#else
-  MO_GK_SPRINGS_AHEAD_BACK = 4,
-#endif
+  MO_GK_AHEAD = 8,             /* tiles of weights on their way, forward */
+  MO_GK_AHEAD_BACK = 4,        /* and back, where registers are fewer */
+  MO_GK_SPRINGS_AHEAD = 8,     /* chunks of springs */
   MO_GK_ROW = MO_HIDDEN + 8,   /* of activations in shared memory: rows start in different banks */
   MO_GK_PART = MO_GP_WARPS + 2 /* of a row's partial sums: likewise */
 };
@@ -67,9 +55,11 @@ struct mo_gk {
   struct mo_lane_physics physics;
   double bound;
   uint32_t n_steps, n_groups;
-  uint32_t part_steps;        /* of a task */
-  uint32_t *tickets;          /* tasks handed out, then (of all groups) parts done; 0 before a launch */
-  const volatile int *cancel; /* the host's: not 0: end soon */
+  uint32_t part_steps; /* of a task */
+  uint32_t *tickets;   /* tasks handed out, then (of all groups) parts done; 0 before a launch */
+  const volatile int *
+      cancel; /* not 0: end soon. On the device: the host's memory is read so slowly (1.3 µs each, one after the other) that
+                               * products waited three times as long for it as they took */
 };
 
 /* A way through all steps falls into *tasks*, a part of the steps of one group each, so that no multiprocessor waits long for the last. A
@@ -147,9 +137,8 @@ template <class T> static __device__ __forceinline__ uint2 four(const T &a, cons
   return make_uint2(*(const uint32_t *)&a, *(const uint32_t *)&b);
 }
 
-/* Weights on their way: a ring of tiles, asked for eight tiles before they are needed, also before what they are multiplied with is there. */
-struct weights_ahead {
-  enum { N = MO_GK_AHEAD };
+/* Weights on their way: a ring of N tiles, asked for before they are needed, also before what they are multiplied with is there. */
+template <int N> struct weights_ahead {
   uint4 w[N];
   /* tile(k): this lane's part of the k-th tile. */
   template <class Tile> __device__ __forceinline__ void start(Tile tile)
@@ -178,11 +167,10 @@ static __device__ __forceinline__ void add_tile(warp_sums<MT> &sums, uint32_t le
 /* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them and then those from `next` on. All of
  * it is one run of instructions, so that loads stand where they are written: where the compiler could, it put them last, and each round waited
  * for the second-level cache (half of the time of all products). MORE: whether there is a next. */
-template <int MT, bool BF, bool MORE>
-static __device__ __forceinline__ void add_tiles(warp_sums<MT> &sums, weights_ahead &ahead, uint32_t left,
+template <int MT, bool BF, bool MORE, int N>
+static __device__ __forceinline__ void add_tiles(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
                                                  uint32_t row_bytes, const uint4 *now, const uint4 *next)
 {
-  enum { N = weights_ahead::N };
 #pragma unroll
   for (int k = 0; k < 16; k++) {
     add_tile<MT, BF>(sums, left + (uint32_t)k * 32, row_bytes, ahead.w[k % N]);
@@ -205,17 +193,11 @@ static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticke
     uint32_t t = atomicAdd(k.tickets, 1);
     const uint32_t part = t / k.n_groups;
     const uint32_t *done = k.tickets + 1 + k.order[t % k.n_groups];
-    for (uint32_t at = 0;;) {
-      if (*k.cancel != 0) {
+    for (uint32_t at = 0;; __nanosleep(500)) {
+      asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(at) : "l"(done) : "memory");
+      if (*k.cancel != 0)
         t = UINT32_MAX;
-        break;
-      }
-      for (int i = 0; i < 256 && at < part; i++) {
-        asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(at) : "l"(done) : "memory");
-        if (at < part)
-          __nanosleep(500);
-      }
-      if (at >= part)
+      if (at >= part || t == UINT32_MAX)
         break;
     }
     *ticket = t;
@@ -235,7 +217,8 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   __syncthreads();
   if (threadIdx.x == 0) {
     __threadfence();
-    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.group), "r"(task.part + 1) : "memory");
+    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.group), "r"(task.part + 1)
+                 : "memory");
   }
 }
 
@@ -324,8 +307,7 @@ int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, voi
 int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 /* jobs: (n) group, kind and block of each product; adds steps first … end − 1. */
-int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
-                   void *stream);
+int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end, void *stream);
 /* shard_groups: (n_shards + 1) first group of each shard. d_parameters: (n_shards, n_parameters). */
 int mo_gk_collect(const struct mo_gk *k, const uint32_t *shard_groups, uint32_t n_shards, double weight,
                   float *d_parameters, void *stream);

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, WORKERS_MAX = 64 };
+enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4, WORKERS_MAX = 64 };
 
 enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, STARTS, ORDER = STARTS, SCRATCH, MEMORIES };
 
@@ -20,8 +20,9 @@ struct shard {
   const struct mo_physics *physics;
   const struct mo_gp_options *options;
   uint32_t number, first, n; /* robots */
-  uint32_t *order;
-  uint32_t at; /* robots placed so far */
+  uint32_t *order;           /* larger bodies first */
+  uint32_t at, end;          /* those not placed yet */
+  uint32_t from_back;        /* of the group being formed: how many are the last of them, not the first */
   uint32_t n_groups, n_rows;
   uint64_t n_masses, n_chunks;
   uint64_t mass, chunk; /* before this shard's, like the two that follow */
@@ -51,18 +52,24 @@ static void *reserve(struct mo_gp_memory *m, uint64_t bytes)
 
 /* ---- groups ---- */
 
-static const struct mo_body *body_at(const struct shard *s, uint32_t at)
+/* The i-th of a group of n, of the shard's robots. */
+static uint32_t member(const struct shard *s, uint32_t n, uint32_t i)
 {
-  return s->robots[s->first + s->order[at]].body;
+  return s->order[i + s->from_back < n ? s->at + i : s->end - n + i];
 }
 
-/* What the next n robots have together: their tiles and their masses. */
+static const struct mo_body *body_of(const struct shard *s, uint32_t n, uint32_t i)
+{
+  return s->robots[s->first + member(s, n, i)].body;
+}
+
+/* What a group of n robots has together: its tiles and its masses. */
 static void measure(const struct shard *s, uint32_t n, struct mo_gp_group *g)
 {
   bool outputs[MO_GP_OUTPUT_TILES] = {false};
   g->n_masses = g->n_outputs = 0;
-  for (uint32_t i = s->at; i < s->at + n && i < s->n; i++) {
-    const struct mo_body *body = body_at(s, i);
+  for (uint32_t i = 0; i < n; i++) {
+    const struct mo_body *body = body_of(s, n, i);
     g->n_masses += body->n_masses;
     for (uint32_t k = 0; k < body->n_springs; k++)
       outputs[body->spring_lattice[k] / MO_GP_TILE] = true;
@@ -202,7 +209,8 @@ static void fill_row(struct shard *s, struct mo_gp_row *row)
   s->n_masses += body->n_masses;
 }
 
-/* The next `n` robots; rows beyond them stay empty. */
+/* A group of n robots; rows beyond them stay empty. The second half goes the other way round, so that a warp's two bodies are together about as
+ * large as another's. */
 static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
 {
   struct mo_gp_row *rows = s->rows + g->first_row;
@@ -215,7 +223,8 @@ static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
     for (uint32_t k = 0; k < 2 && w + k * HALF < g->n_rows; k++) {
       struct mo_gp_row *row = rows + w + (size_t)k * HALF;
       *row = (struct mo_gp_row){0};
-      row->robot = w + k * HALF < n ? s->first + s->order[s->at + w + k * HALF] : MO_GP_NO_ROBOT;
+      const uint32_t i = k == 0 ? w : MO_GP_ROWS_MAX - 1 - w;
+      row->robot = i < n ? s->first + member(s, n, i) : MO_GP_NO_ROBOT;
       if (row->robot != MO_GP_NO_ROBOT)
         fill_row(s, row);
       pair->n_masses[k] = row->n_masses;
@@ -233,15 +242,38 @@ static bool fits(const struct shard *s, const struct mo_gp_group *g)
   return mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= s->options->shared_bytes;
 }
 
-/* How many of the next robots form a group, which is measured: as many as 32 rows hold, else 16; where the shared memory is too small for sixteen
- * large bodies, fewer in sixteen rows. 0: not even one fits. */
-static uint32_t next_group(const struct shard *s, struct mo_gp_group *g)
+/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of them; s->from_back says of how many. */
+static bool mixes(struct shard *s)
 {
-  const uint32_t left = s->n - s->at;
+  uint32_t masses = 0;
+  s->from_back = 0;
+  for (uint32_t i = 0; i < MO_GP_ROWS_MAX; i++)
+    masses += body_of(s, MO_GP_ROWS_MAX, i)->n_masses;
+  while (mo_gp_shared_bytes(MO_GP_ROWS_MAX, masses, MO_GP_OUTPUT_TILES) > s->options->shared_bytes) {
+    if (++s->from_back > (uint32_t)MO_GP_ROWS_MAX - LARGE_LEAST)
+      return false;
+    masses -= s->robots[s->first + s->order[s->at + MO_GP_ROWS_MAX - s->from_back]].body->n_masses;
+    masses += s->robots[s->first + s->order[s->end - s->from_back]].body->n_masses;
+  }
+  return true;
+}
+
+/* How many robots form the next group, which is measured: 32, the largest that are left or, where they do not fit, some of them and some of
+ * the smallest: the weights that a group loads are for all its rows. Else 16; where the shared memory is too small for sixteen large bodies,
+ * fewer in sixteen rows. 0: not even one fits. */
+static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
+{
+  const uint32_t left = s->end - s->at;
   uint32_t n = left < MO_GP_ROWS_MAX ? left : MO_GP_ROWS_MAX;
   g->n_rows = n > HALF ? MO_GP_ROWS_MAX : HALF;
+  s->from_back = 0;
   measure(s, n, g);
   if (n > HALF && !fits(s, g)) {
+    if (n == MO_GP_ROWS_MAX && mixes(s)) {
+      measure(s, n, g);
+      return n;
+    }
+    s->from_back = 0;
     g->n_rows = n = HALF;
     measure(s, n, g);
   }
@@ -276,7 +308,8 @@ static int lay_out(struct shard *s)
       s->scratch == NULL)
     return MO_ERR_NO_MEMORY;
   int status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
-  while (status == MO_OK && s->at < s->n) {
+  s->end = s->n;
+  while (status == MO_OK && s->at < s->end) {
     struct mo_gp_group *g = s->groups + s->n_groups;
     *g = (struct mo_gp_group){.first_row = s->n_rows, .shard = s->number};
     const uint32_t n = next_group(s, g);
@@ -285,7 +318,8 @@ static int lay_out(struct shard *s)
     status = fill_group(s, g, n);
     s->n_groups++;
     s->n_rows += g->n_rows;
-    s->at += n;
+    s->at += n - s->from_back;
+    s->end -= s->from_back;
   }
   return status;
 }

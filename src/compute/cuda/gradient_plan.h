@@ -74,11 +74,12 @@ struct mo_gp_row {
 
 /* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
 struct mo_gp_tape {
-  uint64_t position;                 /* float (3, n_masses) */
-  uint64_t velocity;                 /* float (3, n_masses) before contact */
-  uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
-  uint64_t input;                    /* bfloat16 (n_rows, 256) */
-  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the layer sums there, bfloat16 */
+  uint64_t position;   /* float (3, n_masses) */
+  uint64_t velocity;   /* float (3, n_masses) before contact */
+  uint64_t activation; /* int16 (n_chunks, 32) in units of 1/32767 */
+  uint64_t input;      /* bfloat16 (n_rows, 256) */
+  uint64_t normal
+      [MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the layer sums there, bfloat16 */
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
   uint64_t d_output;                 /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
@@ -179,7 +180,7 @@ struct mo_gradient_plan {
 /* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the
  * default, or a body that shared_bytes do not hold by itself; MO_ERR_NO_MEMORY. */
 int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
-                            const struct mo_gp_options *options, struct mo_gradient_plan *plan);
+                          const struct mo_gp_options *options, struct mo_gradient_plan *plan);
 void mo_gradient_plan_free(struct mo_gradient_plan *plan);
 
 #ifdef __cplusplus

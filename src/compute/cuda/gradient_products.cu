@@ -14,7 +14,8 @@ enum {
   STAGE_BYTES = DEPTH * (M_ROW + N_ROW) * 2,
   THREADS = 512
 };
-static_assert(DEPTH * M == THREADS * 8 && DEPTH * N == 2 * THREADS * 8, "a thread copies three times 16 bytes of a stage");
+static_assert(DEPTH * M == THREADS * 8 && DEPTH * N == 2 * THREADS * 8,
+              "a thread copies three times 16 bytes of a stage");
 
 static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from, bool there)
 {

@@ -3,6 +3,7 @@
 #include "../check.h"
 
 #include "compute/cuda/adjoint.cuh"
+#include "compute/cuda/gradient_pass.h"
 #include "compute/cuda/gradient_plan.h"
 #include "rollout/contact.h"
 
@@ -341,7 +342,6 @@ static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wi
     for (uint32_t w = 0; w < MO_GP_WARPS; w++)
       check_pair(b, &plan, g, w, seen);
   }
-  CHECK(*wide < plan.n_groups);
   for (uint32_t i = 0; i < ROBOTS; i++)
     CHECK(seen[i]);
   mo_gradient_plan_free(&plan);
@@ -354,6 +354,34 @@ static void everything_is_there_once(void)
   REQUIRE(make_batch(&b) == MO_OK);
   check_all(&b, options.shared_bytes, &wide, &short_ones);
   CHECK(wide > 0 && short_ones == 0);
+  drop_batch(&b);
+}
+
+/* Where 32 of the largest bodies are too large together, the smallest join some of them; a warp's two bodies are one of the larger and one of the
+ * smaller half. */
+static void large_with_small(void)
+{
+  static struct batch b;
+  struct mo_gradient_plan plan = {0};
+  uint32_t wide, short_ones, least = UINT32_MAX, first_least = UINT32_MAX, most = 0;
+  const struct mo_physics physics = mo_default_physics();
+  REQUIRE(make_batch(&b) == MO_OK);
+  check_all(&b, options.shared_bytes, &wide, &short_ones);
+  CHECK(wide == 5 && short_ones == 0);
+  REQUIRE(mo_gradient_plan_make(b.robots + SHARD, SHARD, &physics, &options, &plan) == MO_OK);
+  CHECK(plan.n_groups == 2 && plan.groups[0].n_rows == MO_GP_ROWS_MAX);
+  for (uint32_t i = 0; i < SHARD; i++) {
+    const struct mo_body *body = b.robots[SHARD + plan.rows[i].robot].body;
+    least = body->n_springs < least ? body->n_springs : least;
+    if (i >= MO_GP_ROWS_MAX)
+      continue;
+    first_least = body->n_springs < first_least ? body->n_springs : first_least;
+    most = body->n_masses > most ? body->n_masses : most;
+    if (i >= MO_GP_ROWS_MAX / 2)
+      CHECK(body->n_springs <= b.robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
+  }
+  CHECK(most == MO_DEFAULT_MASSES && first_least == least);
+  mo_gradient_plan_free(&plan);
   drop_batch(&b);
 }
 
@@ -412,6 +440,35 @@ static void a_shard_is_its_own(void)
   drop_batch(&b);
 }
 
+/* As many whole shards at a time as fit; memory that is there already serves a smaller batch. */
+static void passes(void)
+{
+  static struct batch b;
+  struct mo_gradient_plan plan = {0};
+  struct mo_gradient_pass all, pass;
+  const struct mo_physics physics = mo_default_physics();
+  REQUIRE(make_batch(&b) == MO_OK);
+  REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &options, &plan) == MO_OK);
+  REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, UINT64_MAX, &all) == MO_OK);
+  CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 && all.shared <= options.shared_bytes);
+  CHECK(mo_gradient_can_be_held(&plan, 1000, UINT64_MAX) && !mo_gradient_can_be_held(&plan, 100000, UINT64_MAX));
+  CHECK(mo_gradient_can_be_held(&plan, 1000, all.tape / 2) && !mo_gradient_can_be_held(&plan, 1000, all.tape / 8));
+  uint32_t shard = 0;
+  uint64_t tape = 0;
+  for (uint32_t group = 0; group < plan.n_groups; group = pass.end, shard = pass.end_shard) {
+    REQUIRE(mo_gradient_pass_next(&plan, shard, group, 1000, all.tape / 2, &pass) == MO_OK);
+    CHECK(pass.first == group && pass.end_shard > shard && plan.groups[group].tape_at == 0);
+    tape += pass.tape;
+  }
+  CHECK(shard == 3 && tape == all.tape);
+  CHECK(mo_gradient_pass_next(&plan, 0, 0, 1000, all.tape / 8, &pass) == MO_ERR_NO_MEMORY);
+  const uint32_t *springs = plan.springs;
+  REQUIRE(mo_gradient_plan_make(b.robots, SHARD, &physics, &options, &plan) == MO_OK);
+  CHECK(plan.springs == springs && plan.n_shards == 1);
+  mo_gradient_plan_free(&plan);
+  drop_batch(&b);
+}
+
 static void another_workspace(void)
 {
   struct mo_lattice *lattice = NULL;
@@ -436,7 +493,9 @@ static const struct check_case cases[] = {
     {"springs", springs},
     {"sensors", sensors},
     {"every robot, mass and spring is there once", everything_is_there_once},
+    {"large bodies share groups with small ones", large_with_small},
     {"little shared memory: fewer robots in a group", small_shared_memory},
     {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
+    {"passes of whole shards", passes},
     {"another workspace is left to the processor", another_workspace}};
 CHECK_MAIN(cases)
