@@ -1,7 +1,8 @@
 /* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run; built with the module (src/compute/cuda/meson.build).
  *
  *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
- *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory
+ *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory; robots that
+ *                                                    diverge or whose adjoints do, calls that are cancelled
  *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
  *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
@@ -180,28 +181,37 @@ struct result {
   double total_s;
 };
 
-static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
-                uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
+static void run_with(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
+                     uint32_t n, const struct mo_physics *physics, double bound, uint64_t memory_bytes)
 {
   const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
   *r = (struct result){.call = {.controller = controller,
                                 .robots = s->robots + first,
                                 .n = n,
-                                .physics = mo_default_physics(),
-                                .adjoint_bound = MO_ADJOINT_BOUND,
+                                .physics = *physics,
+                                .adjoint_bound = bound,
                                 .weight = 1.0 / n,
                                 .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
                                 .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
-  r->call.physics.n_steps = n_steps;
+  memset(r->call.d_parameters, 0, shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
   const double start = now_s();
   must(mo_cuda_gradient_run(state, &r->call, memory_bytes), "gradient");
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
-  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f (layout %.3f, "
+  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f "
+         "(layout %.3f, "
          "upload %.3f); "
          "%.1f GB, %u groups, %u passes, %u ways back\n",
-         n, n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s, r->call.host_s, p->plan_s,
-         p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->passes, p->walks);
+         n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s,
+         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->passes, p->walks);
+}
+
+static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
+                uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
+{
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = n_steps;
+  run_with(r, controller, s, first, n, &physics, MO_ADJOINT_BOUND, memory_bytes);
 }
 
 static void drop(struct result *r)
@@ -286,6 +296,94 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   mo_controller_free(controller);
 }
 
+static int is_finite(const struct result *r, size_t n)
+{
+  for (size_t k = 0; k < n; k++)
+    if (!isfinite(r->call.d_parameters[k]))
+      return 0;
+  return 1;
+}
+
+/* Bodies of springs too stiff for the step diverge; without a bound, and with large weights, adjoints leave float32's range. */
+static void check_rare(const struct scene *s)
+{
+  enum { FEW = 200 };
+  struct mo_controller *controller = weights_of("1");
+  struct mo_physics physics = mo_default_physics();
+  struct result a, b;
+  physics.n_steps = 300;
+  physics.stiffness_n_per_m *= 1.7;
+  run_with(&a, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, 0);
+  run_with(&b, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, 0);
+  print_counts("springs 1.7 times as stiff", &a.call.counts);
+  expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW &&
+             is_finite(&a, controller->n_parameters),
+         "some diverge, the others' gradient is finite");
+  expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0,
+         "twice the same");
+  drop(&a);
+  drop(&b);
+  physics = mo_default_physics();
+  unsigned long long zeroed = 0;
+  for (float factor = 3; factor < 300 && zeroed == 0; factor *= 3) {
+    for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
+      controller->weight[MO_HIDDEN_LAYERS][k] *= 3;
+    run_with(&a, controller, s, 0, FEW, &physics, 0, 0);
+    const uint32_t walks = mo_cuda_gradient_times(state)->walks;
+    zeroed = a.call.counts.zeroed_robots;
+    print_counts("no bound", &a.call.counts);
+    expect(is_finite(&a, controller->n_parameters) && (walks > 1) == (zeroed > 0),
+           "the gradient is finite, and taken again where a robot is left out");
+    if (zeroed > 0) {
+      run_with(&b, controller, s, 0, FEW, &physics, 0, 0);
+      expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0 &&
+                 memcmp(a.call.outcomes, b.call.outcomes, FEW * sizeof(*a.call.outcomes)) == 0,
+             "twice the same");
+      drop(&b);
+    }
+    drop(&a);
+  }
+  expect(zeroed > 0, "a robot was left out");
+  mo_controller_free(controller);
+}
+
+static volatile int cancel_flag;
+
+static void *cancel_soon(void *context)
+{
+  const struct timespec pause = {0, 30000000};
+  nanosleep(&pause, NULL);
+  cancel_flag = 1;
+  return context;
+}
+
+static void check_cancel(const struct scene *s)
+{
+  struct mo_controller *controller = weights_of("1");
+  struct result before, after;
+  pthread_t thread;
+  const uint32_t n = MO_DEVICE_SHARD;
+  run(&before, controller, s, 0, n, 1000, 0);
+  struct mo_device_gradient call = before.call;
+  call.d_parameters = must_have(malloc(controller->n_parameters * sizeof(float)));
+  call.outcomes = must_have(calloc(n, sizeof(*call.outcomes)));
+  call.cancel = &cancel_flag;
+  must(pthread_create(&thread, NULL, cancel_soon, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+  const double start = now_s();
+  const int status = mo_cuda_gradient_run(state, &call, 0);
+  printf("cancelled after 0.030 s: ended after %.3f s\n", now_s() - start);
+  expect(status == MO_ERR_CANCELLED && now_s() - start < 0.1, "a cancelled call ends");
+  pthread_join(thread, NULL);
+  run(&after, controller, s, 0, n, 1000, 0);
+  expect(memcmp(before.call.d_parameters, after.call.d_parameters, controller->n_parameters * sizeof(float)) == 0,
+         "the call after it gives what the one before gave");
+  free(call.d_parameters);
+  free(call.outcomes);
+  drop(&before);
+  drop(&after);
+  mo_controller_free(controller);
+}
+
 static void time_steps(const struct scene *s, uint32_t n, double bound_s)
 {
   struct mo_controller *controller = weights_of("1");
@@ -334,6 +432,8 @@ int main(int argc, char **argv)
     for (int i = 2; i + 1 < argc; i += 2)
       check_likeness(argv[i], argv[i + 1], &s);
     check_bits(&s, 250);
+    check_rare(&s);
+    check_cancel(&s);
   }
   drop_scene(&s);
   mo_cuda_gradient_free(state);
