@@ -32,7 +32,7 @@ struct mo_training_report learning_step(struct learning_machine *machine, struct
 /* One figure of `x` values against several curves of loss, one panel per title. Every run is a thin line, and the mean of the runs of
  * a group a thick one. */
 struct curves_group {
-  char name[64];
+  char name[80];
   const struct learning_run *runs;
   size_t n_runs;
 };
