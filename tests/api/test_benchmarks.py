@@ -101,6 +101,11 @@ def test_reproduction(tmp_path):
     (whole / "champions.svg").unlink()
     report = bench("reproduction", "--report", f"--folder={whole}", f"--markdown={page}")
     assert (whole / "champions.svg").read_bytes() == drawn and report.stdout.strip() in page.read_text()
+    # A training whose GPUs were lost: nobody knows on how many it was.
+    (tmp_path / "p.csv").write_text("recipe,device,machine,row,seed,step,loss,seconds,zeroed,skipped,standard_error\n"
+                                    "one cosine 0.002 / 8 x 6,cuda,,step,1,1,0.5,1,0,0,\n")
+    printed = bench("reproduction", "--report", f"--folder={whole}", f"--pretraining={tmp_path / 'p.csv'}").stdout
+    assert "| morphod, one cosine 0.002 / 8 x 6 | training 0.500; held out – | 1 steps | 0.0 min | none | – |" in printed
 
 
 def test_model_card(tmp_path):

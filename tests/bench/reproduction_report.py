@@ -189,7 +189,7 @@ def comparison(kept, rows, pretrained):
         each = [pretraining.summary(trial) for trial in records.group(group, "seed").values()]
         loss = "training " + spread([s["end"] for s in each], ".3f")
         loss += "; held out " + spread([s["held_out"][0] for s in each if s["held_out"]], ".3f")
-        gpus = [part.split(" ", 1)[1] for part in group[-1]["machine"].split(" + ") for _ in range(int(part.split()[0]))] if device == "cuda" else []
+        gpus = [part.split(" ", 1)[1] for part in group[-1]["machine"].split(" + ") if part for _ in range(int(part.split()[0]))] if device == "cuda" else []
         batch = int(recipe.rsplit("/", 1)[1].split("x")[0])
         lines.append(own_line(f"morphod, {recipe}", "pretraining", loss, (min(s["steps"] for s in each), "steps"), batch, [s["seconds"] / 60 for s in each], gpus))
         until = [s["until"] / 60 for s in each if s["until"] is not None]
