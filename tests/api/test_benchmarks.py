@@ -6,9 +6,15 @@ import json
 import os
 import pathlib
 import re
+import signal
+import sqlite3
 import subprocess
 import sys
+import time
+import urllib.request
 import xml.etree.ElementTree as ElementTree
+
+import pytest
 
 from service import BINARY, BOOTSTRAP, SOURCE
 
@@ -21,9 +27,12 @@ REPRODUCTION = ("--population=16", "--generations-zero-shot=3", "--generations-f
                 "--rollout-steps=30", "--champions=5", "--seeds=1,2")
 
 
+def command(name, *arguments):
+    return [sys.executable, SOURCE / "tests" / "bench" / f"{name}.py", *map(str, arguments)]
+
+
 def bench(name, *arguments, status=0, **environment):
-    done = subprocess.run([sys.executable, SOURCE / "tests" / "bench" / f"{name}.py", *map(str, arguments)], capture_output=True, text=True,
-                          timeout=120, env={**os.environ, **environment}, check=False)
+    done = subprocess.run(command(name, *arguments), capture_output=True, text=True, timeout=120, env={**os.environ, **environment}, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     return done
 
@@ -43,13 +52,22 @@ def pretraining_in(folder):
     return (f"--state={folder / 'state'}", f"--csv={folder / 'p.csv'}", f"--svg={folder / 'p.svg'}", f"--folder={folder / 'controllers'}")
 
 
+def trainings(folder, statement="SELECT job FROM trainings"):
+    with sqlite3.connect(folder / "state" / "state" / "morphod.db") as database:
+        return database.execute(statement).fetchall()
+
+
 def test_pretraining(tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(whole))
-    cut = bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(parts), "--limit-s=2", status=CUT_OFF, MORPHO_FAKE_DELAY_MS="400")
+    seeds = "--seeds=1,20261122"
+    bench("pretraining", *PRETRAINING, seeds, *ON_DEVICE, *pretraining_in(whole))
+    cut = bench("pretraining", *PRETRAINING, seeds, *ON_DEVICE, *pretraining_in(parts), "--limit-s=2", status=CUT_OFF, MORPHO_FAKE_DELAY_MS="400")
     assert "time is up" in cut.stderr
     assert len(rows(parts / "p.csv")) < len(rows(whole / "p.csv"))
-    printed = bench("pretraining", *PRETRAINING, "--seeds=1,2", *ON_DEVICE, *pretraining_in(parts)).stdout
+    begun = set(trainings(parts))
+    trainings(parts, "DELETE FROM idempotency_keys")  # as if a day had passed
+    printed = bench("pretraining", *PRETRAINING, seeds, *ON_DEVICE, *pretraining_in(parts)).stdout
+    assert begun and begun < set(trainings(parts)) and len(trainings(parts)) == 2
     assert rows(parts / "p.csv") == rows(whole / "p.csv") and printed.count("one cosine") == 2
     steps = [row for row in rows(whole / "p.csv") if row["row"] == "step"]
     assert [int(row["step"]) for row in steps] == 2 * [*range(1, 7)] and {(row["device"], row["machine"][:2]) for row in steps} == {("cuda", "1 ")}
@@ -58,8 +76,9 @@ def test_pretraining(tmp_path):
     assert len(files) == 2 and all((whole / "controllers" / name).read_bytes() == (parts / "controllers" / name).read_bytes() for name in files)
     assert is_svg(parts / "p.svg")
     # What is whole in the CSV file needs neither state nor daemon; another recipe gathers beside it.
-    assert bench("pretraining", *PRETRAINING, "--seeds=1,2", "--device=cuda", *NO_DAEMON, *pretraining_in(parts)).stdout == printed
+    assert bench("pretraining", *PRETRAINING, seeds, "--device=cuda", *NO_DAEMON, *pretraining_in(parts)).stdout == printed
     bench("pretraining", *PRETRAINING, "--seeds=1", "--schedule=paper-pretrain", "--bound=0", *ON_DEVICE, *pretraining_in(parts))
+    assert rows(parts / "p.csv")[:len(rows(whole / "p.csv"))] == rows(whole / "p.csv")
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- pretraining: begin -->\nold\n<!-- pretraining: end -->\nbehind\n")
     report = bench("pretraining", "--report", *pretraining_in(parts), f"--markdown={page}").stdout
@@ -119,6 +138,71 @@ def test_model_card(tmp_path):
     page.write_text(first.replace("## Known limits\n", "## Known limits\nIt cannot fly.\n").replace("| all | 20 |", "| all | 21 |"))
     bench("model_card", *arguments)
     assert page.read_text() == first.replace("## Known limits\n", "## Known limits\nIt cannot fly.\n")
+
+
+def first_address(process, folder):
+    """Where the daemon of a benchmark listens, once it does."""
+    for _ in range(600):
+        if (folder / "address").exists() and (folder / "address").read_text().strip():
+            return (folder / "address").read_text().split()[0]
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+@pytest.fixture
+def long_card(tmp_path):
+    """A benchmark that is at work for some time, and its daemon's address."""
+    process = subprocess.Popen(command("model_card", f"--controller={BOOTSTRAP}", "--bodies=400", "--environments=8", f"--morphod={BINARY}", "--devices=none",
+                                       "--workers=1", f"--state={tmp_path / 'state'}", f"--markdown={tmp_path / 'page.md'}"),
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        address = first_address(process, tmp_path / "state")
+        assert any("rollouts" in line for line in process.stderr), "it has ended"
+        yield process, address
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def is_there(address):
+    try:
+        with urllib.request.urlopen(address + "/healthz", timeout=20) as reply:
+            return reply.status == 200
+    except OSError:
+        return False
+
+
+@pytest.mark.parametrize("number", (signal.SIGTERM, signal.SIGHUP))
+def test_stopped_by_a_signal(long_card, number):
+    process, address = long_card
+    assert is_there(address)
+    process.send_signal(number)
+    said = process.communicate(timeout=60)
+    assert process.returncode == CUT_OFF and not is_there(address), said
+
+
+def test_evaluation_that_is_paused_by_somebody(long_card):
+    process, address = long_card
+    with urllib.request.urlopen(address + "/v1/jobs?state=running") as reply:
+        job = json.load(reply)["items"][0]["id"]
+    urllib.request.urlopen(urllib.request.Request(f"{address}/v1/jobs/{job}/pause", method="POST")).close()
+    said = process.communicate(timeout=30)
+    assert process.returncode == 1 and "paused" in said[1] and not is_there(address), said
+
+
+def test_daemon_that_does_not_answer(tmp_path):
+    """It is not left behind."""
+    deaf = tmp_path / "deaf"
+    deaf.write_text(f"""#!/bin/sh
+echo $$ >{tmp_path / "pid"}
+for flag; do case $flag in --port-file=*) echo http://127.0.0.1:1 >"${{flag#*=}}" ;; esac; done
+exec sleep 60
+""")
+    deaf.chmod(0o755)
+    bench("model_card", f"--controller={BOOTSTRAP}", f"--morphod={deaf}", f"--state={tmp_path / 'state'}", f"--markdown={tmp_path / 'page.md'}", status=1)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
 
 
 def test_campaigns_report(tmp_path):

@@ -1,6 +1,6 @@
 """A daemon of a benchmark's own: started on a free port, asked over HTTP, stopped in an orderly way, its state folder kept.
 
-Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT) that is looked at between two waits, never
+Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP) that is looked at between two waits, never
 inside one, so that a stop always finds the daemon and the files whole."""
 import hashlib
 import json
@@ -14,6 +14,8 @@ import urllib.parse
 import urllib.request
 from datetime import datetime
 from pathlib import Path
+
+import records
 
 SOURCE = Path(__file__).resolve().parents[2]
 BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
@@ -47,8 +49,9 @@ class Deadline:
 
     def __init__(self, seconds=None):
         self.end = math.inf if seconds is None else time.monotonic() + seconds
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self.stop)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # nohup
+                signal.signal(number, self.stop)
 
     def stop(self, *_):
         self.end = -math.inf
@@ -66,6 +69,7 @@ class Daemon:
 
     def __init__(self, program, state, *flags):
         state.mkdir(parents=True, exist_ok=True)
+        self.jobs = state / "jobs.json"
         address = state / "address"
         address.unlink(missing_ok=True)
         self.log = open(state / "log", "a", encoding="utf-8")
@@ -73,17 +77,23 @@ class Daemon:
                                          f"--default-controller={BOOTSTRAP}", *flags],
                                         stdout=subprocess.DEVNULL, stderr=self.log, process_group=0)
         self.address = None
+        try:
+            self.start(address)
+        except BaseException:
+            self.stop()
+            raise
+
+    def start(self, address):
+        """Waits until it takes work."""
         for _ in range(600):
             if address.exists() and address.read_text().strip():
                 self.address = address.read_text().split()[0]
                 if json.loads(self.fetch("/readyz", refused=503)).get("status") == "ready":
-                    break
+                    return
             if self.process.poll() is not None:
-                sys.exit(f"morphod did not start: see {state / 'log'}")
+                sys.exit(f"morphod did not start: see {self.log.name}")
             time.sleep(0.1)
-        else:
-            self.stop()
-            sys.exit(f"morphod was not ready in a minute: see {state / 'log'}")
+        sys.exit(f"morphod was not ready in a minute: see {self.log.name}")
 
     @classmethod
     def of(cls, arguments, *flags):
@@ -120,11 +130,22 @@ class Daemon:
         data = None if body is None else json.dumps(body).encode()
         return json.loads(self.fetch(path, data, {"Content-Type": "application/json", **(headers or {})}, method))
 
+    def job_of(self, kind, body, key):
+        """The job of a key, made if there is none yet. The daemon forgets a key after a day: here it is kept as long as the job."""
+        jobs = json.loads(self.jobs.read_text()) if self.jobs.exists() else {}
+        if key in jobs:
+            job = json.loads(self.fetch(f"/v1/{kind}/{jobs[key]['id']}", refused=404))
+            if job.get("created_at") == jobs[key]["created_at"]:  # else the daemon's own state was deleted
+                return job
+        job = self.call(f"/v1/{kind}", body, {"Idempotency-Key": key})
+        records.replace(self.jobs, json.dumps({**jobs, key: {"id": job["id"], "created_at": job["created_at"]}}, indent=0) + "\n")
+        return job
+
     def submit(self, kind, body, key=None):
         """A job that runs alone: whatever else is open is paused until it is asked for again. The same body always gives the same job, which
         goes on if it was paused or had failed."""
         key = key or "bench-" + hashlib.sha256(json.dumps([kind, body], sort_keys=True).encode()).hexdigest()[:40]
-        job = self.call(f"/v1/{kind}", body, {"Idempotency-Key": key})
+        job = self.job_of(kind, body, key)
         for state in ("running", "queued"):
             for other in list(self.items(f"/v1/jobs?state={state}")):
                 if other["id"] != job["id"]:

@@ -62,13 +62,13 @@ def evaluate(daemon, arguments, controller, designs, environments):
     body = {"designs": designs, "environments": environments, "controller": controller, "device": arguments.device, "priority": "batch",
             "physics": {"n_steps": arguments.rollout_steps}}
     job = daemon.submit("evaluations", body)
-    while job["state"] not in ENDED:
+    while job["state"] not in ENDED + ("paused",):
         if arguments.deadline.is_over():
             sys.exit(bench_daemon.cut_off())
         job = daemon.look("evaluations", job, arguments.deadline.wait_s())
         print(f"{job['rollouts_done']} of {job['rollouts_total']} rollouts", file=sys.stderr, flush=True)
     if job["state"] != "succeeded":
-        sys.exit(f"evaluation {job['id']} {job['state']}: {job['error']}")
+        sys.exit(f"evaluation {job['id']} {job['state']}: {job['error'] or 'somebody asked for that'}")
     return [result["losses"] for result in job["results"]]
 
 

@@ -137,7 +137,7 @@ def run(arguments):
             if training["state"] != "succeeded":
                 return False
             print(f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to end, validations and stops included", file=sys.stderr)
-            file_of(arguments.folder, recipe, training["settings"]["seed"]).write_bytes(daemon.fetch(f"/v1/trainings/{training['id']}/controller"))
+            records.replace(file_of(arguments.folder, recipe, training["settings"]["seed"]), daemon.fetch(f"/v1/trainings/{training['id']}/controller"))
             daemon.call(f"/v1/trainings/{training['id']}/checkpoints", method="DELETE")  # 12 MB that nothing needs any more
     return True
 

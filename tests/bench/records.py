@@ -7,14 +7,18 @@ from pathlib import Path
 
 
 def number(value):
-    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+    """Whole numbers with all digits, so that a seed that was read as one of the others is written as it was."""
+    if isinstance(value, float):
+        return str(int(value)) if value.is_integer() and abs(value) < 1e15 else f"{value:.6g}"
+    return "" if value is None else str(value)
 
 
-def replace(path, text):
+def replace(path, content):
+    """content: text or bytes."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(path.name + ".new")
-    beside.write_text(text, encoding="utf-8")
+    beside.write_bytes(content if isinstance(content, bytes) else content.encode())
     os.replace(beside, path)
 
 
