@@ -165,6 +165,10 @@ def long_card(tmp_path):
         process.wait(60)
 
 
+def is_gone_soon(address):
+    return any(not is_there(address) or time.sleep(0.1) for _ in range(200))
+
+
 def is_there(address):
     try:
         with urllib.request.urlopen(address + "/healthz", timeout=20) as reply:
@@ -173,13 +177,16 @@ def is_there(address):
         return False
 
 
-@pytest.mark.parametrize("number", (signal.SIGTERM, signal.SIGHUP))
+@pytest.mark.parametrize("number", (signal.SIGTERM, signal.SIGHUP, signal.SIGKILL))
 def test_stopped_by_a_signal(long_card, number):
     process, address = long_card
     assert is_there(address)
     process.send_signal(number)
     said = process.communicate(timeout=60)
-    assert process.returncode == CUT_OFF and not is_there(address), said
+    if number == signal.SIGKILL:
+        assert process.returncode == -number and is_gone_soon(address)
+    else:
+        assert process.returncode == CUT_OFF and not is_there(address), said
 
 
 def test_evaluation_that_is_paused_by_somebody(long_card):

@@ -2,6 +2,7 @@
 
 Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP) that is looked at between two waits, never
 inside one, so that a stop always finds the daemon and the files whole."""
+import ctypes
 import hashlib
 import json
 import math
@@ -19,6 +20,7 @@ import records
 
 SOURCE = Path(__file__).resolve().parents[2]
 BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
+PR_SET_PDEATHSIG = 1
 CUT_OFF = 3  # exit status: time is up, call again
 ENDED = ("succeeded", "failed", "cancelled")
 
@@ -73,9 +75,11 @@ class Daemon:
         address = state / "address"
         address.unlink(missing_ok=True)
         self.log = open(state / "log", "a", encoding="utf-8")
+        prctl = ctypes.CDLL(None).prctl
         self.process = subprocess.Popen([program, f"--state-dir={state / 'state'}", "--listen=127.0.0.1:0", f"--port-file={address}",
                                          f"--default-controller={BOOTSTRAP}", *flags],
-                                        stdout=subprocess.DEVNULL, stderr=self.log, process_group=0)
+                                        stdout=subprocess.DEVNULL, stderr=self.log, process_group=0,
+                                        preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM))  # it ends with a benchmark that is killed
         self.address = None
         try:
             self.start(address)
