@@ -178,7 +178,8 @@ struct mo_gradient_plan {
 };
 
 /* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the
- * default, or a body that shared_bytes do not hold by itself; MO_ERR_NO_MEMORY. */
+ * default, or a body that shared_bytes do not hold by itself; MO_ERR_NO_MEMORY. The memory of the plan stays with it, after an error too, until
+ * mo_gradient_plan_free. */
 int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                           const struct mo_gp_options *options, struct mo_gradient_plan *plan);
 void mo_gradient_plan_free(struct mo_gradient_plan *plan);

@@ -403,6 +403,7 @@ static void small_shared_memory(void)
   CHECK(short_ones > 26);
   least.shared_bytes--;
   CHECK(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &least, &plan) == MO_ERR_UNSUPPORTED);
+  mo_gradient_plan_free(&plan);
   drop_batch(&b);
 }
 
