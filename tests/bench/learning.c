@@ -394,6 +394,13 @@ static double real(const char *option, const char *text)
   return value;
 }
 
+/* A number of a recipe that takes the place of the usual ones. */
+static double own_recipe(const char *option, const char *text, struct plan *plan)
+{
+  plan->own_recipe = true;
+  return real(option, text);
+}
+
 static void choose(const char *option, const char *text, const char *first, const char *second, bool chosen[2])
 {
   chosen[0] = strcmp(text, first) == 0 || strcmp(text, "both") == 0;
@@ -477,30 +484,15 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     case SEEDS: read_seeds(optarg, plan); break;
     case BATCH: plan->batch = (uint32_t)whole(name, optarg, MO_TRAINING_BATCH_MAX); break;
     case STEPS: plan->steps = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX); break;
-    case PEAK:
-      plan->peak = real(name, optarg);
-      plan->own_recipe = true;
-      break;
+    case PEAK: plan->peak = own_recipe(name, optarg, plan); break;
     case WARMUP:
       plan->warmup = (uint32_t)whole(name, optarg, MO_TRAINING_STEPS_MAX);
       plan->own_recipe = true;
       break;
-    case BOUND:
-      plan->bound = real(name, optarg);
-      plan->own_recipe = true;
-      break;
-    case NORM_LIMIT:
-      plan->norm_limit = real(name, optarg);
-      plan->own_recipe = true;
-      break;
-    case BETA1:
-      plan->beta1 = real(name, optarg);
-      plan->own_recipe = true;
-      break;
-    case BETA2:
-      plan->beta2 = real(name, optarg);
-      plan->own_recipe = true;
-      break;
+    case BOUND: plan->bound = own_recipe(name, optarg, plan); break;
+    case NORM_LIMIT: plan->norm_limit = own_recipe(name, optarg, plan); break;
+    case BETA1: plan->beta1 = own_recipe(name, optarg, plan); break;
+    case BETA2: plan->beta2 = own_recipe(name, optarg, plan); break;
     case MODULE: options->module = optarg; break;
     case WORKERS: options->workers = (uint32_t)whole(name, optarg, 1024); break;
     case ISA:
