@@ -527,16 +527,31 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
 
 } // namespace
 
+/* What a launch of either way can have of shared memory. */
+static cudaError_t open_kernels(int device, uint32_t *shared_bytes)
+{
+  uint32_t forward = 0, back = 0, products = 0;
+  int block = 0;
+  cudaError_t status = cudaDeviceGetAttribute(&block, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
+  if (status == cudaSuccess)
+    status = (cudaError_t)mo_gk_open_forward((uint32_t)block, &forward);
+  if (status == cudaSuccess)
+    status = (cudaError_t)mo_gk_open_back((uint32_t)block, &back);
+  if (status == cudaSuccess)
+    status = (cudaError_t)mo_gk_open_products((uint32_t)block, &products);
+  *shared_bytes = std::min(forward, back);
+  return status;
+}
+
 int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
 {
   mo_cuda_gradient_state *s = (mo_cuda_gradient_state *)calloc(1, sizeof(*s));
   if (s == nullptr)
     return MO_ERR_NO_MEMORY;
   s->device = device;
-  int shared = 0;
   cudaError_t status = cudaSetDevice(device);
   if (status == cudaSuccess)
-    status = cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device);
+    status = open_kernels(device, &s->shared_bytes);
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
   if (status == cudaSuccess)
@@ -548,7 +563,6 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
     (void)cudaGetLastError();
     return status == cudaErrorMemoryAllocation ? MO_ERR_NO_MEMORY : MO_ERR_DEVICE;
   }
-  s->shared_bytes = (uint32_t)shared;
   *ret = s;
   return MO_OK;
 }

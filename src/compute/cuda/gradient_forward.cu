@@ -483,13 +483,14 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const 
   end_task(k, task);
 }
 
+extern "C" int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes)
+{
+  return allow_shared(forward_kernel, block_bytes, dynamic_bytes);
+}
+
 extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
   const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_groups;
-  const cudaError_t status =
-      cudaFuncSetAttribute(forward_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)shared_bytes);
-  if (status != cudaSuccess)
-    return (int)status;
   forward_kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

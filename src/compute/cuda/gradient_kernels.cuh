@@ -222,6 +222,18 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   }
 }
 
+/* Lets every launch of the kernel have what a block can: the attribute is the device's, whichever handle sets it, so it is never set to what one
+ * launch needs. */
+template <class Kernel> static int allow_shared(Kernel kernel, uint32_t block_bytes, uint32_t *dynamic_bytes)
+{
+  cudaFuncAttributes attributes;
+  cudaError_t status = cudaFuncGetAttributes(&attributes, kernel);
+  if (status != cudaSuccess)
+    return (int)status;
+  *dynamic_bytes = block_bytes - (uint32_t)attributes.sharedSizeBytes;
+  return (int)cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)*dynamic_bytes);
+}
+
 static __device__ __forceinline__ float sum_lanes(float x)
 {
 #pragma unroll
@@ -303,6 +315,11 @@ template <int MT> static __device__ __forceinline__ void sum_rows(float2 *part, 
 #ifdef __cplusplus
 extern "C" {
 #endif
+/* Once for the present device, before the first launch. block_bytes: the shared memory that a block can have there. dynamic_bytes: what of it
+ * a launch can ask for. */
+int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes);
+int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes);
+int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes);
 int mo_gk_pack(const float *parameters, const struct mo_gk_weights *weights, void *stream);
 int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream);
 int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream);

@@ -272,13 +272,14 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
+extern "C" int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes)
+{
+  return allow_shared(products_kernel, block_bytes, dynamic_bytes);
+}
+
 extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
                               void *stream)
 {
-  const cudaError_t status =
-      cudaFuncSetAttribute(products_kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, STAGES * STAGE_BYTES);
-  if (status != cudaSuccess)
-    return (int)status;
   products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first, end);
   return (int)cudaGetLastError();
 }
