@@ -64,8 +64,12 @@ static int write_checkpoint(void *context)
 int mo_campaign_save_learning(struct mo_campaign_run *run)
 {
   char what[96];
+  int error;
   if (run->steps == NULL || run->steps_saved == run->step)
     return MO_OK;
+  error = mo_campaign_settle(run);
+  if (error != MO_OK)
+    return error;
   snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u", (unsigned)run->generation,
            (unsigned)run->step);
   return mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
@@ -196,9 +200,11 @@ static int tell(struct mo_campaign_run *run, uint32_t n_steps)
   char progress[256];
   const char *data = mo_campaign_progress(run, "learning", run->step, n_steps, progress);
   int error;
-  if (data == NULL)
+  if (data == NULL || mo_campaign_is_writing(run))
     return MO_OK;
-  error = mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
+  error = mo_campaign_settle(run);
+  if (error == MO_OK)
+    error = mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
   mo_campaign_told(run);
   return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ? MO_OK : error; /* only news */
 }

@@ -1,6 +1,6 @@
 /* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until somebody wants something else.
  *
- * A generation: children, learning, scores, selection, one commit. Everything before the commit can be repeated and gives the same: children
+ * A generation: children, learning, scores, selection, one commit, which is written while the next generation is under way. Everything before the commit can be repeated and gives the same: children
  * follow from the population and from what was ever born, learning from its checkpoint, and losses that were saved are read again.
  * So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its generations are
  * committed, or when no child can be found any more: the generation that found none is not committed. */
@@ -228,6 +228,8 @@ static int prepare(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = allocate(run);
   if (error == MO_OK)
+    error = mo_campaign_writing_create(run);
+  if (error == MO_OK)
     error = mo_share_open(run->jobs, run->id, MO_JOB_CAMPAIGN, &run->share);
   if (error == MO_OK)
     error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments, &run->n_environments);
@@ -298,7 +300,7 @@ static int vary(struct mo_campaign_run *run)
   return error == MO_OK ? describe_children(run) : error;
 }
 
-/* ---- selection and the commit ---- */
+/* ---- selection ---- */
 
 static int select_survivors(struct mo_campaign_run *run)
 {
@@ -350,177 +352,6 @@ static int succeed(struct mo_campaign_run *run)
   return error;
 }
 
-static double mean_of(const double *scores, uint32_t n)
-{
-  double sum = 0;
-  uint32_t sound = 0;
-  for (uint32_t i = 0; i < n; i++)
-    if (isfinite(scores[i])) {
-      sum += scores[i];
-      sound++;
-    }
-  return sound > 0 ? sum / sound : NAN;
-}
-
-/* Statistics of the population that lives on, from its rows in the order of the selection. */
-static int describe_population(struct mo_campaign_run *run, struct mo_population_stats *stats)
-{
-  const uint32_t n = run->n_survivors;
-  uint64_t *genotypes = calloc((size_t)n * run->words + 1, sizeof(*genotypes));
-  double *scores = calloc((size_t)n + 1, sizeof(*scores));
-  struct mo_design_size *sizes = calloc((size_t)n + 1, sizeof(*sizes));
-  int error = genotypes == NULL || scores == NULL || sizes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    const uint32_t place = run->survivors[i];
-    memcpy(genotypes + run->words * i, genotype(run, place), run->words * sizeof(*genotypes));
-    scores[i] = run->scores[place];
-    sizes[i] = run->sizes[place];
-  }
-  if (error == MO_OK)
-    error = mo_population_stats(settings_of(run)->workspace, genotypes, scores, sizes, n, stats);
-  free(genotypes);
-  free(scores);
-  free(sizes);
-  return error;
-}
-
-static void count_survivors(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
-{
-  uint32_t young = 0;
-  for (uint32_t i = 0; i < run->n_survivors; i++) {
-    if (run->survivors[i] < run->n_parents)
-      continue;
-    const enum mo_operator op = run->births[run->survivors[i] - run->n_parents].op;
-    row->survived_mutants += op == MO_BORN_MUTATION;
-    row->survived_recombinants += op == MO_BORN_CROSSOVER;
-    young++;
-  }
-  row->turnover = run->n_survivors > 0 ? (double)young / run->n_survivors : 0;
-}
-
-static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
-{
-  row->rollouts = (uint64_t)run->n_scored * run->n_environments;
-  row->rollouts_cached = (uint64_t)run->n_cached * run->n_environments;
-  for (uint32_t i = 0; i < run->n_scored; i++)
-    for (uint32_t k = 0; k < run->n_environments; k++)
-      row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
-}
-
-/* Warns once of each fall below the share of the largest diversity so far. */
-static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
-{
-  const double share = settings_of(run)->collapse_share;
-  if (row->stats.diversity > run->diversity_max) {
-    run->diversity_max = row->stats.diversity;
-    run->is_warned = false;
-  }
-  row->collapse = share > 0 && !run->is_warned && row->stats.diversity < share * run->diversity_max;
-  run->is_warned = run->is_warned || row->collapse;
-}
-
-static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
-{
-  const bool learns = settings_of(run)->mode != MO_ZERO_SHOT;
-  int error;
-  *row = (struct mo_campaign_generation){.generation = run->generation,
-                                         .born_before = run->n_designs,
-                                         .n_children = run->n_children,
-                                         .mean_parents = mean_of(run->scores, run->n_parents),
-                                         .mean_children = mean_of(run->scores + run->n_parents, run->n_children),
-                                         .variation = run->variation,
-                                         .learning_steps = learns ? run->step : 0,
-                                         .first_loss = learns ? run->first_loss : NAN,
-                                         .last_loss = learns ? run->last_loss : NAN};
-  error = describe_population(run, &row->stats);
-  if (error != MO_OK)
-    return error;
-  count_survivors(run, row);
-  count_rollouts(run, row);
-  watch_diversity(run, row);
-  row->seconds = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
-  return MO_OK;
-}
-
-static const char *number(double value, char text[32])
-{
-  snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
-  return text;
-}
-
-static void tell_generation(const struct mo_campaign_run *run, const struct mo_campaign_generation *row, char text[480])
-{
-  const struct mo_campaign_live *live = &run->attempt.runner->live.campaign; /* which this thread alone changes */
-  char mean[32], best[32], diversity[32], turnover[32], left[32];
-  snprintf(text, 480,
-           "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,\"diversity\":%s,"
-           "\"turnover\":%s,\"seconds_left\":%s}",
-           (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
-           number(row->stats.mean_score, mean), number(row->stats.quantiles[0], best),
-           number(row->stats.diversity, diversity), number(row->turnover, turnover),
-           number(live->seconds_left < 0 ? NAN : live->seconds_left, left));
-}
-
-static int write_commit(void *context)
-{
-  struct mo_campaign_run *run = context;
-  return mo_store_campaign_commit(run->jobs->store, run->id, &run->commit);
-}
-
-static int commit(struct mo_campaign_run *run)
-{
-  const bool is_zero_shot = settings_of(run)->mode == MO_ZERO_SHOT;
-  char generation_data[480], collapse_data[256], diversity[32], maximum[32];
-  uint8_t *checkpoint = NULL;
-  int error;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
-  run->commit = (struct mo_campaign_commit){.births = run->births,
-                                            .forms = run->forms,
-                                            .genotypes = run->bits + run->n_parents,
-                                            .sizes = run->sizes + run->n_parents,
-                                            .child_scores = run->scores + run->n_parents,
-                                            .parent_numbers = run->numbers,
-                                            .parent_scores = run->scores,
-                                            .n_parents = run->n_parents,
-                                            .survivors = run->survivors,
-                                            .n_survivors = run->n_survivors,
-                                            .losses = is_zero_shot ? run->losses : NULL,
-                                            .n_losses = is_zero_shot ? run->n_scored : 0,
-                                            .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
-                                            .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
-                                            .event_data = generation_data};
-  error = describe_generation(run, &run->commit.row);
-  if (error == MO_OK && !is_zero_shot) {
-    error = mo_training_encode(run->learner.training, &checkpoint, &run->commit.checkpoint_size);
-    run->commit.checkpoint = checkpoint;
-    run->commit.checkpoint_step = run->step;
-    run->commit.steps = run->steps + run->steps_saved;
-    run->commit.n_steps = run->step - run->steps_saved;
-  }
-  if (error == MO_OK) {
-    const struct mo_campaign_generation *row = &run->commit.row;
-    run->generation_s = row->seconds;
-    mo_campaign_advance(run, 0);
-    tell_generation(run, row, generation_data);
-    if (row->collapse) {
-      snprintf(collapse_data, sizeof(collapse_data),
-               "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}", (long long)run->id,
-               (unsigned)row->generation, number(row->stats.diversity, diversity), number(run->diversity_max, maximum));
-      run->commit.collapse_data = collapse_data;
-    }
-    error = mo_attempt_persist(&run->attempt, write_commit, run, "a generation");
-  }
-  if (error == MO_OK) {
-    atomic_fetch_add(&run->jobs->campaign_generations, 1);
-    atomic_fetch_add(&run->jobs->campaign_designs, run->n_children);
-    atomic_fetch_add(&run->jobs->campaign_cached, run->commit.row.rollouts_cached);
-    atomic_fetch_add(&run->jobs->campaign_diverged, run->commit.row.rollouts_diverged);
-    run->steps_saved = run->step;
-  }
-  free(checkpoint);
-  return error;
-}
-
 /* ---- the whole ---- */
 
 /* MO_ERR_EXHAUSTED: no child was found. */
@@ -538,7 +369,7 @@ static int run_generation(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = select_survivors(run);
   if (error == MO_OK)
-    error = commit(run);
+    error = mo_campaign_commit(run);
   return error == MO_OK ? succeed(run) : error;
 }
 
@@ -580,7 +411,6 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
 {
   struct ending ending = {run, end};
   int error = MO_OK;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
   if (settings_of(run)->mode != MO_ZERO_SHOT && run->generation > 0) {
     /* The state of the last committed generation: this run's own, unless it committed none, or found no children since. */
     if (run->learner.training == NULL)
@@ -603,6 +433,12 @@ static int evolve(struct mo_campaign_run *run)
       return MO_ERR_CANCELLED;
     if (!is_over && run->seen == NULL) /* it was at its end when it was taken up, and extended then */
       error = read_seen(run);
+    if (is_over && error == MO_OK) {
+      (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
+      error = mo_campaign_settle(run);
+      if (error != MO_OK)
+        return error;
+    }
     if (error == MO_OK)
       error = is_over ? finish(run, exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED) : run_generation(run);
     if (is_over ? error != MO_ERR_CONFLICT : error != MO_OK && error != MO_ERR_EXHAUSTED)
@@ -619,13 +455,17 @@ static int evolve(struct mo_campaign_run *run)
 static int save_rest(void *context)
 {
   struct mo_campaign_run *run = context;
-  int error = mo_campaign_save_losses(run);
-  int learned = run->learner.training != NULL ? mo_campaign_save_learning(run) : MO_OK;
+  int error = mo_campaign_settle(run), learned;
+  if (error != MO_OK)
+    return error;
+  error = mo_campaign_save_losses(run);
+  learned = run->learner.training != NULL ? mo_campaign_save_learning(run) : MO_OK;
   return error != MO_OK ? error : learned;
 }
 
 static void free_run(struct mo_campaign_run *run)
 {
+  mo_campaign_writing_free(run);
   mo_campaign_free_scores(run);
   mo_campaign_free_learning(run);
   mo_share_close(run->jobs, run->id);
@@ -661,6 +501,7 @@ static bool run_campaign(struct mo_runner *runner, int64_t id)
   error = prepare(run);
   if (error == MO_OK)
     error = evolve(run);
+  mo_campaign_writing_join(run); /* it may forgive the attempts before this one */
   failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
   free_run(run);
   return failed;

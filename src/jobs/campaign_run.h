@@ -58,7 +58,7 @@ struct mo_campaign_run {
   uint32_t n_done;   /* of n_scored */
   uint32_t n_cached; /* of these, found in `scores` */
 
-  struct mo_campaign_commit commit; /* while it is written */
+  struct mo_campaign_writing *writing; /* the commit that is under way (campaign_commit.c) */
 };
 
 /* ---- campaign_run.c ---- */
@@ -69,6 +69,19 @@ void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s);
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done, uint64_t total,
                                  char text[256]);
 void mo_campaign_told(struct mo_campaign_run *run); /* it was written */
+
+/* ---- campaign_commit.c ---- */
+/* The thread that writes, and room for what it writes; freed with NULL, too. */
+int mo_campaign_writing_create(struct mo_campaign_run *run); /* MO_ERR_NO_MEMORY */
+void mo_campaign_writing_free(struct mo_campaign_run *run);
+/* Describes the generation that was selected and begins its commit; the run goes on with copies of its own, but for the losses. */
+int mo_campaign_commit(struct mo_campaign_run *run);
+/* Whether settling would wait for the store. */
+bool mo_campaign_is_writing(const struct mo_campaign_run *run);
+/* Waits until what was begun is committed; to be called before anything else is written. MO_OK also if nothing was begun; errors as
+ * mo_attempt_persist. MO_ERR_CANCELLED: a wish came while it waited for room; it can be called again. */
+int mo_campaign_settle(struct mo_campaign_run *run);
+void mo_campaign_writing_join(struct mo_campaign_run *run); /* only until the thread has ended */
 
 /* ---- campaign_learn.c ---- */
 /* Learns what this generation is to learn, from where it stands, to its end. */

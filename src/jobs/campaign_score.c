@@ -138,8 +138,11 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
   char progress[256];
   struct save save = {.run = run};
   int error = MO_OK;
-  if (run->n_unsaved == 0)
-    return MO_OK;
+  if (run->n_unsaved == 0 || (!run->attempt.winding_down && mo_campaign_is_writing(run)))
+    return MO_OK; /* they wait for the generation before theirs */
+  error = mo_campaign_settle(run);
+  if (error != MO_OK)
+    return error;
   save.losses = calloc(run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE, sizeof(*save.losses));
   if (save.losses == NULL)
     return MO_ERR_NO_MEMORY;

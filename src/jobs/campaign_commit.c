@@ -1,0 +1,367 @@
+/* campaign_commit.c: a generation is described and committed, while the next one is under way.
+ *
+ * A commit of thousands of designs takes some tenths of a second, in which a device would have nothing to do. So it is written by a thread of
+ * its own, from a copy of what it says, and the campaign goes on: one commit at most is under way. Whatever else the campaign writes comes after
+ * it: losses wait for it, and checkpoints, the next commit, the end and a pause wait until it is there. What a crash costs is one generation
+ * that was not committed, and it gives the same again. */
+#include <math.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+/* Rows in the store's order, of a generation that nothing changes any more. */
+struct mo_campaign_writing {
+  struct mo_jobs *jobs;
+  int64_t id;
+  struct mo_campaign_commit commit; /* of what follows */
+  struct mo_birth *births;          /* (population) */
+  struct mo_bits *forms, *genotypes;
+  struct mo_design_size *sizes;
+  double *child_scores, *parent_scores;
+  uint32_t *parent_numbers, *survivors;
+  struct mo_campaign_loss *losses; /* the run's own, taken over */
+  struct mo_campaign_step *steps;
+  uint8_t *checkpoint;
+  char generation_data[480], collapse_data[256];
+  pthread_t thread;
+  bool is_pending; /* begun, and not known to be there */
+  bool has_thread;
+  bool was_tried;    /* by the thread, whose status nobody has looked at */
+  atomic_bool ended; /* the thread has its status */
+  int status;
+};
+
+static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
+{
+  return &run->status.record.settings;
+}
+
+/* ---- what a generation came to ---- */
+
+static double mean_of(const double *scores, uint32_t n)
+{
+  double sum = 0;
+  uint32_t sound = 0;
+  for (uint32_t i = 0; i < n; i++)
+    if (isfinite(scores[i])) {
+      sum += scores[i];
+      sound++;
+    }
+  return sound > 0 ? sum / sound : NAN;
+}
+
+/* Statistics of the population that lives on, from its rows in the order of the selection. */
+static int describe_population(struct mo_campaign_run *run, struct mo_population_stats *stats)
+{
+  const uint32_t n = run->n_survivors;
+  uint64_t *genotypes = calloc((size_t)n * run->words + 1, sizeof(*genotypes));
+  double *scores = calloc((size_t)n + 1, sizeof(*scores));
+  struct mo_design_size *sizes = calloc((size_t)n + 1, sizeof(*sizes));
+  int error = genotypes == NULL || scores == NULL || sizes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  for (uint32_t i = 0; i < n && error == MO_OK; i++) {
+    const uint32_t place = run->survivors[i];
+    memcpy(genotypes + run->words * i, run->genotypes + run->words * place, run->words * sizeof(*genotypes));
+    scores[i] = run->scores[place];
+    sizes[i] = run->sizes[place];
+  }
+  if (error == MO_OK)
+    error = mo_population_stats(settings_of(run)->workspace, genotypes, scores, sizes, n, stats);
+  free(genotypes);
+  free(scores);
+  free(sizes);
+  return error;
+}
+
+static void count_survivors(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  uint32_t young = 0;
+  for (uint32_t i = 0; i < run->n_survivors; i++) {
+    if (run->survivors[i] < run->n_parents)
+      continue;
+    const enum mo_operator op = run->births[run->survivors[i] - run->n_parents].op;
+    row->survived_mutants += op == MO_BORN_MUTATION;
+    row->survived_recombinants += op == MO_BORN_CROSSOVER;
+    young++;
+  }
+  row->turnover = run->n_survivors > 0 ? (double)young / run->n_survivors : 0;
+}
+
+static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  row->rollouts = (uint64_t)run->n_scored * run->n_environments;
+  row->rollouts_cached = (uint64_t)run->n_cached * run->n_environments;
+  for (uint32_t i = 0; i < run->n_scored; i++)
+    for (uint32_t k = 0; k < run->n_environments; k++)
+      row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
+}
+
+/* Warns once of each fall below the share of the largest diversity so far. */
+static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  const double share = settings_of(run)->collapse_share;
+  if (row->stats.diversity > run->diversity_max) {
+    run->diversity_max = row->stats.diversity;
+    run->is_warned = false;
+  }
+  row->collapse = share > 0 && !run->is_warned && row->stats.diversity < share * run->diversity_max;
+  run->is_warned = run->is_warned || row->collapse;
+}
+
+static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
+{
+  const bool learns = settings_of(run)->mode != MO_ZERO_SHOT;
+  int error;
+  *row = (struct mo_campaign_generation){.generation = run->generation,
+                                         .born_before = run->n_designs,
+                                         .n_children = run->n_children,
+                                         .mean_parents = mean_of(run->scores, run->n_parents),
+                                         .mean_children = mean_of(run->scores + run->n_parents, run->n_children),
+                                         .variation = run->variation,
+                                         .learning_steps = learns ? run->step : 0,
+                                         .first_loss = learns ? run->first_loss : NAN,
+                                         .last_loss = learns ? run->last_loss : NAN};
+  error = describe_population(run, &row->stats);
+  if (error != MO_OK)
+    return error;
+  count_survivors(run, row);
+  count_rollouts(run, row);
+  watch_diversity(run, row);
+  row->seconds = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  return MO_OK;
+}
+
+static const char *number(double value, char text[32])
+{
+  snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
+  return text;
+}
+
+static void tell_generation(const struct mo_campaign_run *run, const struct mo_campaign_generation *row, char text[480])
+{
+  const struct mo_campaign_live *live = &run->attempt.runner->live.campaign; /* which this thread alone changes */
+  char mean[32], best[32], diversity[32], turnover[32], left[32];
+  snprintf(text, 480,
+           "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,\"diversity\":%s,"
+           "\"turnover\":%s,\"seconds_left\":%s}",
+           (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
+           number(row->stats.mean_score, mean), number(row->stats.quantiles[0], best),
+           number(row->stats.diversity, diversity), number(row->turnover, turnover),
+           number(live->seconds_left < 0 ? NAN : live->seconds_left, left));
+}
+
+/* ---- the copy ---- */
+
+int mo_campaign_writing_create(struct mo_campaign_run *run)
+{
+  const size_t n = settings_of(run)->population;
+  struct mo_campaign_writing *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  run->writing = made;
+  made->jobs = run->jobs;
+  made->id = run->id;
+  made->births = calloc(n, sizeof(*made->births));
+  made->forms = calloc(n, sizeof(*made->forms));
+  made->genotypes = calloc(n, sizeof(*made->genotypes));
+  made->sizes = calloc(n, sizeof(*made->sizes));
+  made->child_scores = calloc(n, sizeof(*made->child_scores));
+  made->parent_scores = calloc(n, sizeof(*made->parent_scores));
+  made->parent_numbers = calloc(n, sizeof(*made->parent_numbers));
+  made->survivors = calloc(n, sizeof(*made->survivors));
+  return made->births == NULL || made->forms == NULL || made->genotypes == NULL || made->sizes == NULL ||
+                 made->child_scores == NULL || made->parent_scores == NULL || made->parent_numbers == NULL ||
+                 made->survivors == NULL
+             ? MO_ERR_NO_MEMORY
+             : MO_OK;
+}
+
+/* What one generation alone had. */
+static void drop(struct mo_campaign_writing *writing)
+{
+  free(writing->losses);
+  free(writing->steps);
+  free(writing->checkpoint);
+  writing->losses = NULL;
+  writing->steps = NULL;
+  writing->checkpoint = NULL;
+  writing->is_pending = false;
+}
+
+void mo_campaign_writing_free(struct mo_campaign_run *run)
+{
+  struct mo_campaign_writing *writing = run->writing;
+  if (writing == NULL)
+    return;
+  mo_campaign_writing_join(run);
+  drop(writing);
+  free(writing->births);
+  free(writing->forms);
+  free(writing->genotypes);
+  free(writing->sizes);
+  free(writing->child_scores);
+  free(writing->parent_scores);
+  free(writing->parent_numbers);
+  free(writing->survivors);
+  free(writing);
+  run->writing = NULL;
+}
+
+static void copy_rows(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+{
+  const size_t p = run->n_parents, c = run->n_children;
+  memcpy(writing->births, run->births, c * sizeof(*writing->births));
+  memcpy(writing->forms, run->forms, c * sizeof(*writing->forms));
+  memcpy(writing->genotypes, run->bits + p, c * sizeof(*writing->genotypes));
+  memcpy(writing->sizes, run->sizes + p, c * sizeof(*writing->sizes));
+  memcpy(writing->child_scores, run->scores + p, c * sizeof(*writing->child_scores));
+  memcpy(writing->parent_scores, run->scores, p * sizeof(*writing->parent_scores));
+  memcpy(writing->parent_numbers, run->numbers, p * sizeof(*writing->parent_numbers));
+  memcpy(writing->survivors, run->survivors, run->n_survivors * sizeof(*writing->survivors));
+}
+
+static int copy_learning(const struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+{
+  const uint32_t n = run->step - run->steps_saved;
+  writing->steps = calloc((size_t)n + 1, sizeof(*writing->steps));
+  if (writing->steps == NULL)
+    return MO_ERR_NO_MEMORY;
+  memcpy(writing->steps, run->steps + run->steps_saved, n * sizeof(*writing->steps));
+  writing->commit.steps = writing->steps;
+  writing->commit.n_steps = n;
+  writing->commit.checkpoint_step = run->step;
+  const int error = mo_training_encode(run->learner.training, &writing->checkpoint, &writing->commit.checkpoint_size);
+  writing->commit.checkpoint = writing->checkpoint;
+  return error;
+}
+
+static int copy(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
+{
+  const bool is_zero_shot = settings_of(run)->mode == MO_ZERO_SHOT;
+  writing->commit = (struct mo_campaign_commit){
+      .births = writing->births,
+      .forms = writing->forms,
+      .genotypes = writing->genotypes,
+      .sizes = writing->sizes,
+      .child_scores = writing->child_scores,
+      .parent_numbers = writing->parent_numbers,
+      .parent_scores = writing->parent_scores,
+      .n_parents = run->n_parents,
+      .survivors = writing->survivors,
+      .n_survivors = run->n_survivors,
+      .fingerprint = mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+      .workers_fingerprint = mo_back_end_fingerprint(run->jobs, MO_ON_CPU),
+      .event_data = writing->generation_data,
+  };
+  copy_rows(run, writing);
+  int error = describe_generation(run, &writing->commit.row);
+  if (error == MO_OK && !is_zero_shot)
+    error = copy_learning(run, writing);
+  if (error != MO_OK)
+    return error;
+  const struct mo_campaign_generation *row = &writing->commit.row;
+  run->generation_s = row->seconds;
+  mo_campaign_advance(run, 0);
+  tell_generation(run, row, writing->generation_data);
+  if (row->collapse) {
+    char diversity[32], maximum[32];
+    snprintf(writing->collapse_data, sizeof(writing->collapse_data),
+             "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}", (long long)run->id,
+             (unsigned)row->generation, number(row->stats.diversity, diversity), number(run->diversity_max, maximum));
+    writing->commit.collapse_data = writing->collapse_data;
+  }
+  if (is_zero_shot) {
+    writing->losses = run->losses;
+    writing->commit.losses = writing->losses;
+    writing->commit.n_losses = run->n_scored;
+    run->losses = NULL;
+  }
+  return MO_OK;
+}
+
+/* ---- writing ---- */
+
+static int write_generation(struct mo_campaign_writing *writing)
+{
+  struct mo_jobs *jobs = writing->jobs;
+  const struct mo_campaign_generation *row = &writing->commit.row;
+  const int error = mo_store_campaign_commit(jobs->store, writing->id, &writing->commit);
+  if (error == MO_OK) {
+    atomic_fetch_add(&jobs->campaign_generations, 1);
+    atomic_fetch_add(&jobs->campaign_designs, row->n_children);
+    atomic_fetch_add(&jobs->campaign_cached, row->rollouts_cached);
+    atomic_fetch_add(&jobs->campaign_diverged, row->rollouts_diverged);
+  }
+  return error;
+}
+
+static void *write_beside(void *context)
+{
+  struct mo_campaign_writing *writing = context;
+  mo_runner_tag = writing->id;
+  writing->status = write_generation(writing);
+  atomic_store(&writing->ended, true);
+  return NULL;
+}
+
+int mo_campaign_commit(struct mo_campaign_run *run)
+{
+  struct mo_campaign_writing *writing = run->writing;
+  sigset_t all, before;
+  int error = mo_campaign_settle(run);
+  if (error != MO_OK)
+    return error;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
+  error = copy(run, writing);
+  if (error != MO_OK) {
+    drop(writing);
+    return error;
+  }
+  run->steps_saved = run->step;
+  run->n_unsaved = 0; /* losses are in the commit */
+  writing->is_pending = writing->was_tried = true;
+  atomic_store(&writing->ended, false);
+  sigfillset(&all);
+  pthread_sigmask(SIG_SETMASK, &all, &before);
+  writing->has_thread = pthread_create(&writing->thread, NULL, write_beside, writing) == 0;
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  writing->was_tried = writing->has_thread;
+  return writing->has_thread ? MO_OK : mo_campaign_settle(run);
+}
+
+bool mo_campaign_is_writing(const struct mo_campaign_run *run)
+{
+  return run->writing->is_pending && run->writing->has_thread && !atomic_load(&run->writing->ended);
+}
+
+void mo_campaign_writing_join(struct mo_campaign_run *run)
+{
+  struct mo_campaign_writing *writing = run->writing;
+  if (writing == NULL || !writing->has_thread)
+    return;
+  pthread_join(writing->thread, NULL);
+  writing->has_thread = false;
+}
+
+/* What the thread came to, then tries of one's own. */
+static int write_again(void *context)
+{
+  struct mo_campaign_writing *writing = context;
+  const bool was_tried = writing->was_tried;
+  writing->was_tried = false;
+  return was_tried ? writing->status : write_generation(writing);
+}
+
+int mo_campaign_settle(struct mo_campaign_run *run)
+{
+  struct mo_campaign_writing *writing = run->writing;
+  int error;
+  if (writing == NULL || !writing->is_pending)
+    return MO_OK;
+  mo_campaign_writing_join(run);
+  error = mo_attempt_persist(&run->attempt, write_again, writing, "a generation");
+  if (error != MO_ERR_CANCELLED) /* then it is still to be written, before what else is saved */
+    drop(writing);
+  return error;
+}
