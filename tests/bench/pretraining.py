@@ -41,7 +41,7 @@ def schedule_of(arguments):
 
 def request_of(arguments, seed):
     body = {"kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch, "sensor": arguments.sensor,
-            "schedule": schedule_of(arguments), "adam": {"beta2": arguments.beta2}, "gradient_norm_limit": arguments.norm_limit,
+            "schedule": schedule_of(arguments), "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2}, "gradient_norm_limit": arguments.norm_limit,
             "adjoint_bound": arguments.bound, "physics": {"n_steps": arguments.rollout_steps}, "device": arguments.device,
             "validation": {"every_steps": arguments.validation_every, "designs": arguments.validation_designs, "environments": arguments.validation_environments},
             "checkpoint": {"keep": 1}}
@@ -59,7 +59,7 @@ def recipe_of(body):
         if name in schedule and schedule[name] != usual.get(name):
             words.append(f"{word} {schedule[name]:g}")
     words.append(f"bound {body['adjoint_bound']:g}")
-    for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (body["adam"]["beta2"], 0.999, "beta2"),
+    for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (body["adam"]["beta1"], 0.9, "beta1"), (body["adam"]["beta2"], 0.999, "beta2"),
                                      (body["physics"]["n_steps"], 1000, "lives of")):
         if value != usual_value:
             words.append(f"{word} {value:g}")
@@ -247,7 +247,8 @@ def options():
     for name, text in (("warmup", "steps"), ("cycle", "steps to the first restart"), ("growth", "of the cycles")):
         parser.add_argument(f"--{name}", type=int, help=text + " (default: the schedule's)")
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
-    parser.add_argument("--beta2", type=float, default=0.999)
+    parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
+    parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
     parser.add_argument("--norm-limit", type=float, default=1.0, help="of the gradient of a batch; 0: off (default 1)")
     parser.add_argument("--sensor", choices=("inverse_sqrt", "inverse_square"), default="inverse_sqrt")
     parser.add_argument("--validation-every", type=int, default=50, help="steps (default 50; 0: never)")
