@@ -41,8 +41,9 @@ def schedule_of(arguments):
 
 def request_of(arguments, seed):
     body = {"kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch, "sensor": arguments.sensor,
-            "schedule": schedule_of(arguments), "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2}, "gradient_norm_limit": arguments.norm_limit,
-            "adjoint_bound": arguments.bound, "physics": {"n_steps": arguments.rollout_steps}, "device": arguments.device,
+            "schedule": schedule_of(arguments), "gradient_norm_limit": arguments.norm_limit,
+            "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2, "epsilon": arguments.epsilon}, "adjoint_bound": arguments.bound,
+            "physics": {"n_steps": arguments.rollout_steps, "impact": arguments.impact}, "device": arguments.device,
             "validation": {"every_steps": arguments.validation_every, "designs": arguments.validation_designs, "environments": arguments.validation_environments},
             "checkpoint": {"keep": 1}}
     body["name"] = f"pretraining-{hashlib.sha256(recipe_of(body).encode()).hexdigest()[:12]}-{seed}"
@@ -59,12 +60,12 @@ def recipe_of(body):
         if name in schedule and schedule[name] != usual.get(name):
             words.append(f"{word} {schedule[name]:g}")
     words.append(f"bound {body['adjoint_bound']:g}")
-    for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (body["adam"]["beta1"], 0.9, "beta1"), (body["adam"]["beta2"], 0.999, "beta2"),
-                                     (body["physics"]["n_steps"], 1000, "lives of")):
+    adam = body["adam"]
+    for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (adam["beta1"], 0.9, "beta1"), (adam["beta2"], 0.999, "beta2"),
+                                     (adam["epsilon"], 1e-8, "epsilon"), (body["physics"]["n_steps"], 1000, "lives of")):
         if value != usual_value:
             words.append(f"{word} {value:g}")
-    if body["sensor"] != "inverse_sqrt":
-        words.append(body["sensor"])
+    words += [word for word, usual_word in ((body["physics"]["impact"], "exact"), (body["sensor"], "inverse_sqrt")) if word != usual_word]
     return " ".join(words) + f" / {body['batch']} x {body['steps']}"
 
 
@@ -249,6 +250,8 @@ def options():
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
     parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
     parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
+    parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")
+    parser.add_argument("--impact", default="exact", help="time of impact: exact, or bisection8 as in the paper (default exact)")
     parser.add_argument("--norm-limit", type=float, default=1.0, help="of the gradient of a batch; 0: off (default 1)")
     parser.add_argument("--sensor", choices=("inverse_sqrt", "inverse_square"), default="inverse_sqrt")
     parser.add_argument("--validation-every", type=int, default=50, help="steps (default 50; 0: never)")
