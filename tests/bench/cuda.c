@@ -430,6 +430,23 @@ static void check_cancel(struct mo_device_controller *controller)
 
 /* ---- time ---- */
 
+/* Of all outcomes' bits: versions that compute the same have the same. */
+static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
+{
+  uint64_t hash = UINT64_C(14695981039346656037);
+  for (uint32_t i = 0; i < n; i++) {
+    uint64_t words[7];
+    memcpy(words, outcomes[i].com_start_m, sizeof(outcomes[i].com_start_m));
+    memcpy(words + 3, outcomes[i].com_end_m, sizeof(outcomes[i].com_end_m));
+    words[6] = (uint64_t)outcomes[i].diverged_step;
+    for (int k = 0; k < 7; k++) {
+      hash = (hash ^ words[k]) * UINT64_C(1099511628211);
+      hash ^= hash >> 29;
+    }
+  }
+  return hash;
+}
+
 static void time_rows(struct mo_device_controller *controller, const char *what, struct mo_body **bodies,
                       uint32_t n_bodies, uint32_t n_environments, enum mo_device_precision precision, double bound_s)
 {
@@ -463,9 +480,10 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
   for (uint32_t i = 0; i < n; i++)
     mean += outcomes[i].loss / n;
   printf("%s, %u x %u, %.1f masses, %.1f springs, %s: device %.4f s (%.4f to %.4f), host %.4f s, together %.4f s; mean "
-         "loss %.5f\n",
+         "loss %.5f, bits %016llx\n",
          what, n_bodies, n_environments, masses / n_bodies, springs / n_bodies, precision_names[precision],
-         device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1], host_s[REPEATS / 2], wall[REPEATS / 2], mean);
+         device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1], host_s[REPEATS / 2], wall[REPEATS / 2], mean,
+         (unsigned long long)hash_of(outcomes, n));
   if (bound_s > 0)
     expect(wall[REPEATS / 2] <= bound_s, what);
   free(outcomes);

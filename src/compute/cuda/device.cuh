@@ -24,7 +24,7 @@ struct mo_device {
   int *cancel; /* in pinned memory: read by kernels while they run */
   int *cancel_on_device;
   /* On the device. */
-  mo_cuda_buffer plan, environments, wanted, velocities, outcomes, generators, counter;
+  mo_cuda_buffer plan, environments, velocities, outcomes, generators, counter;
   /* Pinned memory of the host. */
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
   double generators_dt_s; /* for which `generators` holds `generators_steps` steps */

@@ -49,7 +49,7 @@ void close(mo_device *device)
     return;
   cudaSetDevice(device->index);
   mo_cuda_gradient_free(device->gradient);
-  mo_cuda_buffer *const buffers[] = {&device->plan,     &device->environments, &device->wanted, &device->velocities,
+  mo_cuda_buffer *const buffers[] = {&device->plan,     &device->environments, &device->velocities,
                                      &device->outcomes, &device->generators,   &device->counter};
   mo_cuda_buffer *const pinned[] = {&device->staged_plan, &device->staged_outcomes, &device->staged_generators};
   for (mo_cuda_buffer *buffer : buffers)

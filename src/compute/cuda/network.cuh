@@ -50,6 +50,15 @@ template <bool EXACT> __device__ __forceinline__ void mo_cuda_store_pair(char *p
   }
 }
 
+/* One of them. */
+template <bool EXACT> __device__ __forceinline__ void mo_cuda_store_one(char *place, float value)
+{
+  const __half high = __float2half_rn(value);
+  *reinterpret_cast<__half *>(place) = high;
+  if (EXACT)
+    *reinterpret_cast<__half *>(place + 8) = __float2half_rn(value - __half2float(high));
+}
+
 __device__ __forceinline__ uint4 mo_cuda_load_weights(const char *address)
 {
   uint4 v;
@@ -72,27 +81,21 @@ template <bool EXACT, int TILES, int COLUMNS>
 __device__ __forceinline__ void mo_cuda_multiply(float (&sum)[TILES][COLUMNS][4], const uint4 (&a)[TILES][2],
                                                  const char *x, const uint32_t (&column)[COLUMNS])
 {
+  uint4 b[COLUMNS];
 #pragma unroll
-  for (int c = 0; c < COLUMNS; c++) {
-    const uint4 b = *reinterpret_cast<const uint4 *>(x + column[c]);
-    if (EXACT) {
+  for (int c = 0; c < COLUMNS; c++)
+    b[c] = *reinterpret_cast<const uint4 *>(x + column[c]);
+  /* EXACT: high · low, low · high, high · high; FAST: one tile, then the other. All columns at a time: no product waits for the one
+   * before it. */
 #pragma unroll
-      for (int m = 0; m < TILES; m++)
-        mo_cuda_mma(sum[m][c], a[m][0], b.z, b.w);
+  for (int turn = EXACT ? 0 : 1; turn < 3; turn++) {
+    const int half = EXACT ? turn == 1 : turn == 2;    /* of the weights */
+    const bool second = EXACT ? turn == 0 : turn == 2; /* half of the activations */
 #pragma unroll
-      for (int m = 0; m < TILES; m++)
-        mo_cuda_mma(sum[m][c], a[m][1], b.x, b.y);
-#pragma unroll
-      for (int m = 0; m < TILES; m++)
-        mo_cuda_mma(sum[m][c], a[m][0], b.x, b.y);
-    } else {
+    for (int c = 0; c < COLUMNS; c++)
 #pragma unroll
       for (int m = 0; m < TILES; m++)
-        mo_cuda_mma(sum[m][c], a[m][0], b.x, b.y);
-#pragma unroll
-      for (int m = 0; m < TILES; m++)
-        mo_cuda_mma(sum[m][c], a[m][1], b.z, b.w);
-    }
+        mo_cuda_mma(sum[m][c], a[m][half], second ? b[c].z : b[c].x, second ? b[c].w : b[c].y);
   }
 }
 
@@ -161,8 +164,8 @@ __device__ __forceinline__ void mo_cuda_product_of(float (&sum)[TILES][COLUMNS][
 /* Sum and sum of squared deviations from their own mean, of a warp's 32 outputs, for rows 2t and 2t + 1 of each column: into
  * partial (warps, MO_PLAN_ROWS_MAX). */
 template <int COLUMNS>
-__device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLUMNS][4], float2 *partial,
-                                                        uint32_t warp, uint32_t lane)
+__device__ __forceinline__ void mo_cuda_partial_moments(const float (&h)[2][COLUMNS][4], float2 *partial, uint32_t warp,
+                                                        uint32_t lane)
 {
 #pragma unroll
   for (int c = 0; c < COLUMNS; c++) {

@@ -1,15 +1,15 @@
 /* plan.c: rows, bodies and environments laid out for the device.
  *
- * mo_plan_create does what depends on all rows and is cheap: which bodies there are, which rows form a group, where everything will lie.
- * mo_plan_fill does the work, body by body and group by group, each independent of the others. */
+ * mo_plan_create and mo_plan_cut do what depends on all rows and is cheap: which bodies there are, which rows form a group, where everything
+ * will lie. mo_plan_measure and mo_plan_fill do the work, body by body and group by group, each independent of the others. */
 #include "compute/cuda/plan.h"
 
 #include <stdlib.h>
 #include <string.h>
 
 enum {
-  PAIR_WORDS = (MO_PLAN_PAIRS + 63) / 64,
   PATTERNS = 1 << MO_PLAN_COLUMNS_MAX,
+  SIZES_ALIKE = 16, /* masses */
   SIDE_X = 7,
   SIDE_Y = 7,
   SIDE_Z = 5
@@ -55,20 +55,36 @@ static uint32_t distinct_add(struct distinct *set, const void *key)
 
 /* ---- groups ---- */
 
-static size_t group_bytes(const struct mo_plan_options *options, uint32_t rows, uint32_t places)
+/* What `rows` more rows of a body make of a group. */
+static struct mo_plan_group with_rows(const struct mo_plan_group *group, const struct mo_plan_body *body, uint32_t rows)
 {
-  return (rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * options->column_bytes + places * options->place_bytes;
+  struct mo_plan_group more = *group;
+  more.n_rows += rows;
+  more.n_parts++;
+  more.n_places += rows * body->n_masses;
+  more.n_lengths += rows * body->n_slots;
+  return more;
 }
 
-/* Most rows of a body with n_masses, up to `wanted`, that fit beside what the group has. */
+static int fits(const struct mo_plan_options *options, const struct mo_plan_group *group)
+{
+  return (group->n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * options->column_bytes +
+             group->n_parts * options->part_bytes + group->n_places * options->place_bytes +
+             group->n_lengths * options->length_bytes <=
+         options->group_bytes;
+}
+
+/* Most rows of a body, up to `wanted`, that fit beside what the group has. */
 static uint32_t rows_that_fit(const struct mo_plan_options *options, const struct mo_plan_group *group,
-                              uint32_t n_masses, uint32_t wanted)
+                              const struct mo_plan_body *body, uint32_t wanted)
 {
   const uint32_t room = options->rows - group->n_rows;
   uint32_t take = wanted < room ? wanted : room;
-  while (take > 0 &&
-         group_bytes(options, group->n_rows + take, group->n_places + take * n_masses) > options->group_bytes)
-    take--;
+  for (; take > 0; take--) {
+    const struct mo_plan_group more = with_rows(group, body, take);
+    if (fits(options, &more))
+      break;
+  }
   /* A column that would stay nearly empty for want of memory is not begun. */
   if (take < wanted && take < room) {
     const uint32_t rows = group->n_rows + take, full = rows / MO_PLAN_COLUMN * MO_PLAN_COLUMN;
@@ -79,26 +95,27 @@ static uint32_t rows_that_fit(const struct mo_plan_options *options, const struc
 }
 
 /* Cuts the rows, which stand body by body in plan->rows, into groups. */
-static int cut_groups(struct mo_plan *plan, const struct mo_plan_options *options, const uint32_t *rows_of_body)
+static int cut_groups(struct mo_plan *plan, const struct mo_plan_options *options)
 {
   struct mo_plan_group *group = plan->groups;
   uint32_t next_row = 0;
   *group = (struct mo_plan_group){0};
   for (uint32_t b = 0; b < plan->n_bodies; b++) {
-    const uint32_t n_masses = plan->bodies[b]->n_masses;
-    for (uint32_t left = rows_of_body[b]; left > 0;) {
-      const uint32_t take = rows_that_fit(options, group, n_masses, left);
+    const struct mo_plan_body *body = plan->headers + b;
+    for (uint32_t left = plan->rows_of_body[b]; left > 0;) {
+      const uint32_t take = rows_that_fit(options, group, body, left);
       if (take == 0) {
         if (group->n_rows == 0)
           return MO_ERR_UNSUPPORTED;
         *++group = (struct mo_plan_group){.first_row = next_row, .first_part = plan->n_parts};
         continue;
       }
-      plan->parts[plan->n_parts++] = (struct mo_plan_part){
-          .body = b, .first_row = (uint16_t)group->n_rows, .n_rows = (uint16_t)take, .first_place = group->n_places};
-      group->n_rows += take;
-      group->n_parts++;
-      group->n_places += take * n_masses;
+      plan->parts[plan->n_parts++] = (struct mo_plan_part){.body = b,
+                                                           .first_row = (uint16_t)group->n_rows,
+                                                           .n_rows = (uint16_t)take,
+                                                           .first_place = group->n_places,
+                                                           .first_length = group->n_lengths};
+      *group = with_rows(group, body, take);
       next_row += take;
       left -= take;
     }
@@ -124,24 +141,48 @@ static uint32_t quads_at_most(const struct mo_body *body)
   return (2 * body->n_springs + (MO_PLAN_LINKS - 1) * body->n_masses) / MO_PLAN_LINKS;
 }
 
+/* What a body needs of the block, and which pairs it has. */
+static struct mo_plan_body measure(const struct mo_plan *plan, const struct mo_body *body, struct mo_plan_pairs *pairs)
+{
+  struct mo_plan_body header = {.n_masses = body->n_masses, .n_springs = body->n_springs};
+  uint32_t n = 0, n_edges = 0;
+  *pairs = (struct mo_plan_pairs){0};
+  for (uint32_t s = 0; s < body->n_springs; s++) {
+    const uint32_t pair = plan->slots[body->spring_lattice[s]] / 2U;
+    pairs->has[pair / 32] |= UINT32_C(1) << pair % 32;
+  }
+  for (uint32_t w = 0; w < MO_PLAN_PAIR_WORDS; w++) {
+    const uint32_t first = 32 * w, edges = MO_PLAN_EDGES / 2;
+    const uint32_t edge_bits = first + 32 <= edges ? UINT32_MAX
+                               : first < edges     ? (UINT32_C(1) << (edges - first)) - 1
+                                                   : 0;
+    pairs->before[w] = (uint16_t)n;
+    n += (uint32_t)__builtin_popcount(pairs->has[w]);
+    n_edges += (uint32_t)__builtin_popcount(pairs->has[w] & edge_bits);
+  }
+  header.n_slots = 2 * n;
+  header.n_edges = 2 * n_edges;
+  return header;
+}
+
 static void lay_out(struct mo_plan *plan)
 {
   uint32_t n_quads = 0, n_masses = 0;
   for (uint32_t b = 0; b < plan->n_bodies; b++) {
-    const struct mo_body *body = plan->bodies[b];
-    plan->headers[b] = (struct mo_plan_body){
-        .n_masses = body->n_masses, .n_springs = body->n_springs, .first_quad = n_quads, .first_mass = n_masses};
-    n_quads += quads_at_most(body);
-    n_masses += body->n_masses;
+    plan->headers[b].first_quad = n_quads;
+    plan->headers[b].first_mass = n_masses;
+    n_quads += quads_at_most(plan->bodies[b]);
+    n_masses += plan->bodies[b]->n_masses;
   }
   struct mo_plan_block *block = &plan->block;
   size_t used = 0;
   block->environments = place(&used, plan->n_environments, MO_PLAN_ENVIRONMENT_DOUBLES * sizeof(double));
   block->bodies = place(&used, plan->n_bodies, sizeof(struct mo_plan_body));
+  block->pairs = place(&used, plan->n_bodies, sizeof(struct mo_plan_pairs));
   block->links = place(&used, n_quads, MO_PLAN_LINKS * sizeof(uint32_t));
   block->masses = place(&used, n_masses, sizeof(uint32_t));
   block->ranks = place(&used, n_masses, 1);
-  block->inputs = place(&used, plan->n_bodies, MO_PLAN_INPUTS);
+  block->inputs = place(&used, n_masses, 1);
   block->groups = place(&used, plan->n_groups, sizeof(struct mo_plan_group));
   block->parts = place(&used, plan->n_parts, sizeof(struct mo_plan_part));
   block->rows = place(&used, plan->n, sizeof(struct mo_plan_row));
@@ -150,30 +191,66 @@ static void lay_out(struct mo_plan *plan)
   block->bytes = used;
 }
 
-/* Orders bodies by falling size (then by appearance) and the rows by body. found: body of each row by appearance. */
-static int arrange(struct mo_plan *plan, const uint32_t *found, const struct mo_body *const *bodies,
-                   const uint32_t *environment_of, uint32_t *rows_of_body)
+/* Bodies of nearly one size whose boxes are alike share most of their springs: they go together, the largest first, so that the last groups to
+ * be taken up are short. Along each axis the order goes there and back, so that neighbours in the order differ little. */
+static uint32_t body_key(const struct mo_body *body)
 {
-  uint32_t begin[MO_DEFAULT_MASSES + 2] = {0};
-  uint32_t *number = malloc(2 * (size_t)plan->n * sizeof(*number));
-  if (number == NULL)
+  uint32_t low[3] = {UINT16_MAX, UINT16_MAX, UINT16_MAX}, high[3] = {0, 0, 0}, key;
+  for (uint32_t m = 0; m < body->n_masses; m++)
+    for (int axis = 0; axis < 3; axis++) {
+      const uint32_t at = body->mass_xyz[3 * (size_t)m + (size_t)axis];
+      low[axis] = at < low[axis] ? at : low[axis];
+      high[axis] = at > high[axis] ? at : high[axis];
+    }
+  key = high[2] - low[2];
+  key = key * 8 + (key % 2 != 0 ? 7 - (high[0] - low[0]) : high[0] - low[0]);
+  key = key * 8 + (key % 2 != 0 ? 7 - (high[1] - low[1]) : high[1] - low[1]);
+  return (MO_DEFAULT_MASSES - body->n_masses) / SIZES_ALIKE << 16 | key;
+}
+
+static int ascending(const void *a, const void *b)
+{
+  const uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+  return (x > y) - (x < y);
+}
+
+/* Bodies, with what was measured of them, by body_key, then by appearance; then the rows by body. */
+static int arrange(struct mo_plan *plan)
+{
+  const uint32_t n = plan->n_bodies;
+  const struct mo_body **bodies = malloc(n * sizeof(const struct mo_body *));
+  struct mo_plan_body *headers = malloc(n * sizeof(*headers));
+  struct mo_plan_pairs *pairs = malloc(n * sizeof(*pairs));
+  uint32_t *number = malloc(2 * (size_t)n * sizeof(*number)), *next = number + n;
+  if (bodies == NULL || headers == NULL || pairs == NULL || number == NULL) {
+    free((void *)bodies);
+    free(headers);
+    free(pairs);
+    free(number);
     return MO_ERR_NO_MEMORY;
-  uint32_t *next = number + plan->n_bodies;
-  for (uint32_t b = 0; b < plan->n_bodies; b++)
-    begin[MO_DEFAULT_MASSES - bodies[b]->n_masses + 1]++;
-  for (int i = 1; i <= MO_DEFAULT_MASSES; i++)
-    begin[i] += begin[i - 1];
-  for (uint32_t b = 0; b < plan->n_bodies; b++) {
-    number[b] = begin[MO_DEFAULT_MASSES - bodies[b]->n_masses]++;
-    plan->bodies[number[b]] = bodies[b];
   }
-  memset(rows_of_body, 0, plan->n_bodies * sizeof(*rows_of_body));
+  qsort(plan->keys, n, sizeof(*plan->keys), ascending);
+  for (uint32_t i = 0; i < n; i++) {
+    const uint32_t b = (uint32_t)plan->keys[i];
+    number[b] = i;
+    bodies[i] = plan->bodies[b];
+    headers[i] = plan->headers[b];
+    pairs[i] = plan->pairs[b];
+  }
+  free((void *)plan->bodies);
+  free(plan->headers);
+  free(plan->pairs);
+  plan->bodies = bodies;
+  plan->headers = headers;
+  plan->pairs = pairs;
+  memset(plan->rows_of_body, 0, n * sizeof(*plan->rows_of_body));
   for (uint32_t r = 0; r < plan->n; r++)
-    rows_of_body[number[found[r]]]++;
-  for (uint32_t b = 0, first = 0; b < plan->n_bodies; first += rows_of_body[b++])
+    plan->rows_of_body[number[plan->body_of[r]]]++;
+  for (uint32_t b = 0, first = 0; b < n; first += plan->rows_of_body[b++])
     next[b] = first;
   for (uint32_t r = 0; r < plan->n; r++)
-    plan->rows[next[number[found[r]]]++] = (struct mo_plan_row){.row = r, .environment = environment_of[r]};
+    plan->rows[next[number[plan->body_of[r]]]++] =
+        (struct mo_plan_row){.row = r, .environment = plan->environment_of[r]};
   free(number);
   return MO_OK;
 }
@@ -183,69 +260,78 @@ static int is_default(const struct mo_body *body)
   return body->workspace.nx == SIDE_X - 1 && body->workspace.ny == SIDE_Y - 1 && body->workspace.nz == SIDE_Z - 1;
 }
 
-/* Numbers bodies and environments by appearance; then everything that is sized by their number. */
-static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *environments, uint32_t *found,
-                const struct mo_plan_options *options)
+/* Numbers bodies and environments by appearance. */
+static int find(struct mo_plan *plan, struct distinct *bodies, struct distinct *environments)
 {
-  const uint32_t n = plan->n;
-  uint32_t *environment_of = found + n, *rows_of_body = found + 2 * (size_t)n;
-  const struct mo_body **by_appearance = malloc(n * sizeof(const struct mo_body *));
-  plan->environments = malloc(n * sizeof(const struct mo_environment *));
-  plan->rows = malloc(n * sizeof(*plan->rows));
-  plan->parts = malloc(2 * (size_t)n * sizeof(*plan->parts));
-  plan->groups = malloc((size_t)n * sizeof(*plan->groups));
-  int status = by_appearance == NULL || plan->environments == NULL || plan->rows == NULL || plan->parts == NULL ||
-                       plan->groups == NULL
-                   ? MO_ERR_NO_MEMORY
-                   : MO_OK;
-  for (uint32_t r = 0; status == MO_OK && r < n; r++) {
+  for (uint32_t r = 0; r < plan->n; r++) {
     const struct mo_robot *robot = plan->robots + r;
     const int again = r > 0 && robot->body == robot[-1].body;
-    if (!again && !is_default(robot->body)) {
-      status = MO_ERR_UNSUPPORTED;
-      break;
-    }
-    found[r] = again ? found[r - 1] : distinct_add(bodies, robot->body);
-    by_appearance[found[r]] = robot->body;
-    environment_of[r] = distinct_add(environments, robot->environment);
-    plan->environments[environment_of[r]] = robot->environment;
+    if (!again && !is_default(robot->body))
+      return MO_ERR_UNSUPPORTED;
+    plan->body_of[r] = again ? plan->body_of[r - 1] : distinct_add(bodies, robot->body);
+    plan->bodies[plan->body_of[r]] = robot->body;
+    plan->environment_of[r] = distinct_add(environments, robot->environment);
+    plan->environments[plan->environment_of[r]] = robot->environment;
   }
-  if (status == MO_OK) {
-    plan->n_bodies = bodies->n;
-    plan->n_environments = environments->n;
-    plan->bodies = malloc(n * sizeof(const struct mo_body *));
-    plan->headers = malloc(n * sizeof(*plan->headers));
-    status = plan->bodies == NULL || plan->headers == NULL
-                 ? MO_ERR_NO_MEMORY
-                 : arrange(plan, found, by_appearance, environment_of, rows_of_body);
-  }
-  if (status == MO_OK)
-    status = cut_groups(plan, options, rows_of_body);
-  if (status == MO_OK)
-    lay_out(plan);
-  free(by_appearance);
-  return status;
+  plan->n_bodies = bodies->n;
+  plan->n_environments = environments->n;
+  return MO_OK;
 }
 
-int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
-                   const struct mo_plan_options *options)
+int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n)
 {
   *plan = (struct mo_plan){.robots = robots, .n = n};
-  if (n == 0 || options->rows < 1 || options->rows > MO_PLAN_ROWS_MAX)
+  if (n == 0)
     return MO_ERR_INVALID;
   struct distinct bodies = {0}, environments = {0};
-  uint32_t *found = malloc(3 * (size_t)n * sizeof(*found));
+  plan->body_of = malloc(3 * (size_t)n * sizeof(*plan->body_of));
   plan->slots = malloc(MO_DEFAULT_SPRINGS * sizeof(*plan->slots));
-  int status = found == NULL || plan->slots == NULL ? MO_ERR_NO_MEMORY : mo_plan_slots(plan->slots);
-  if (status == MO_OK)
+  plan->bodies = malloc(n * sizeof(const struct mo_body *));
+  plan->environments = malloc(n * sizeof(const struct mo_environment *));
+  int status = plan->body_of == NULL || plan->slots == NULL || plan->bodies == NULL || plan->environments == NULL
+                   ? MO_ERR_NO_MEMORY
+                   : mo_plan_slots(plan->slots);
+  if (status == MO_OK) {
+    plan->environment_of = plan->body_of + n;
+    plan->rows_of_body = plan->environment_of + n;
     status = distinct_create(&bodies, n);
+  }
   if (status == MO_OK)
     status = distinct_create(&environments, n);
   if (status == MO_OK)
-    status = find(plan, &bodies, &environments, found, options);
+    status = find(plan, &bodies, &environments);
+  if (status == MO_OK) {
+    plan->headers = malloc(plan->n_bodies * sizeof(*plan->headers));
+    plan->pairs = malloc(plan->n_bodies * sizeof(*plan->pairs));
+    plan->keys = malloc(plan->n_bodies * sizeof(*plan->keys));
+    if (plan->headers == NULL || plan->pairs == NULL || plan->keys == NULL)
+      status = MO_ERR_NO_MEMORY;
+  }
   distinct_free(&bodies);
   distinct_free(&environments);
-  free(found);
+  return status;
+}
+
+void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares)
+{
+  for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
+    plan->headers[b] = measure(plan, plan->bodies[b], plan->pairs + b);
+    plan->keys[b] = (uint64_t)body_key(plan->bodies[b]) << 32 | b;
+  }
+}
+
+int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
+{
+  if (options->rows < 1 || options->rows > MO_PLAN_ROWS_MAX)
+    return MO_ERR_INVALID;
+  plan->rows = malloc(plan->n * sizeof(*plan->rows));
+  plan->parts = malloc(2 * (size_t)plan->n * sizeof(*plan->parts));
+  plan->groups = malloc(plan->n * sizeof(*plan->groups));
+  int status = plan->rows == NULL || plan->parts == NULL || plan->groups == NULL ? MO_ERR_NO_MEMORY : arrange(plan);
+  if (status == MO_OK)
+    status = cut_groups(plan, options);
+  if (status == MO_OK)
+    lay_out(plan);
   return status;
 }
 
@@ -253,7 +339,10 @@ void mo_plan_free(struct mo_plan *plan)
 {
   free((void *)plan->bodies);
   free((void *)plan->environments);
+  free(plan->body_of);
+  free(plan->keys);
   free(plan->headers);
+  free(plan->pairs);
   free(plan->slots);
   free(plan->groups);
   free(plan->parts);
@@ -342,8 +431,16 @@ int mo_plan_slots(uint16_t *slots)
 
 /* ---- filling ---- */
 
+/* A body's own slot of a slot of the lattice. */
+static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
+{
+  const uint32_t pair = slot / 2, before = pairs->has[pair / 32] & ((UINT32_C(1) << pair % 32) - 1);
+  return 2 * (pairs->before[pair / 32] + (uint32_t)__builtin_popcount(before)) + slot % 2;
+}
+
 static void fill_body(const struct mo_body *body, const struct input_order *order, const uint16_t *slots,
-                      uint32_t *links, uint32_t *masses, uint8_t *ranks, uint8_t *inputs)
+                      const struct mo_plan_pairs *pairs, uint32_t *links, uint32_t *masses, uint8_t *ranks,
+                      uint8_t *inputs)
 {
   const uint32_t n = body->n_masses;
   uint8_t degree[MO_DEFAULT_MASSES] = {0}, used[MO_DEFAULT_MASSES] = {0};
@@ -360,14 +457,11 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     begin[d] = more;
     more = (uint16_t)(more + with);
   }
-  uint8_t listed[MO_DEFAULT_MASSES], place_of[MO_PLAN_INPUTS];
-  memset(inputs, MO_PLAN_NONE, MO_PLAN_INPUTS);
-  for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++)
-    place_of[MO_PLAN_INPUT_PLACE(k)] = (uint8_t)k;
+  uint8_t listed[MO_DEFAULT_MASSES];
   for (uint32_t m = 0; m < n; m++) {
     ranks[m] = (uint8_t)begin[degree[m]]++;
     listed[ranks[m]] = (uint8_t)m;
-    inputs[place_of[order->input[body->mass_lattice[m]]]] = ranks[m];
+    inputs[ranks[m]] = order->input[body->mass_lattice[m]];
   }
   uint32_t quad = 0;
   for (uint32_t rank = 0; rank < n; rank++) {
@@ -378,7 +472,8 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     quad += quads;
   }
   for (uint32_t s = 0; s < body->n_springs; s++) {
-    const uint32_t a = body->spring_a[s], b = body->spring_b[s], slot = slots[body->spring_lattice[s]];
+    const uint32_t a = body->spring_a[s], b = body->spring_b[s];
+    const uint32_t slot = own_slot(pairs, slots[body->spring_lattice[s]]);
     links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]);
     links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]);
   }
@@ -393,33 +488,27 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
 static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_group *group, struct mo_plan_tile *tiles,
                            uint8_t *columns)
 {
-  uint64_t has[MO_PLAN_COLUMNS_MAX][PAIR_WORDS] = {{0}};
+  uint32_t has[MO_PLAN_COLUMNS_MAX][MO_PLAN_PAIR_WORDS] = {{0}};
   for (uint32_t p = 0; p < group->n_parts; p++) {
     const struct mo_plan_part *part = plan->parts + group->first_part + p;
-    const struct mo_body *body = plan->bodies[part->body];
-    uint64_t pairs[PAIR_WORDS] = {0};
-    for (uint32_t s = 0; s < body->n_springs; s++) {
-      const uint32_t pair = plan->slots[body->spring_lattice[s]] / 2;
-      pairs[pair >> 6] |= UINT64_C(1) << (pair & 63);
-    }
     const uint32_t last = (part->first_row + part->n_rows - 1U) / MO_PLAN_COLUMN;
     for (uint32_t c = part->first_row / MO_PLAN_COLUMN; c <= last; c++)
-      for (int w = 0; w < PAIR_WORDS; w++)
-        has[c][w] |= pairs[w];
+      for (int w = 0; w < MO_PLAN_PAIR_WORDS; w++)
+        has[c][w] |= plan->pairs[part->body].has[w];
   }
   uint16_t list[MO_PLAN_PAIRS];
   uint8_t pattern_of[MO_PLAN_PAIRS];
   uint32_t n = 0, count[PATTERNS] = {0}, next[PATTERNS];
-  for (uint32_t w = 0; w < PAIR_WORDS; w++) {
-    uint64_t any = 0;
+  for (uint32_t w = 0; w < MO_PLAN_PAIR_WORDS; w++) {
+    uint32_t any = 0;
     for (int c = 0; c < MO_PLAN_COLUMNS_MAX; c++)
       any |= has[c][w];
     for (; any != 0; any &= any - 1) {
-      const int bit = __builtin_ctzll(any);
+      const int bit = __builtin_ctz(any);
       uint32_t pattern = 0;
       for (int c = 0; c < MO_PLAN_COLUMNS_MAX; c++)
         pattern |= (uint32_t)(has[c][w] >> bit & 1) << c;
-      list[n] = (uint16_t)(w * 64 + (uint32_t)bit);
+      list[n] = (uint16_t)(w * 32 + (uint32_t)bit);
       pattern_of[n++] = (uint8_t)pattern;
       count[pattern]++;
     }
@@ -464,8 +553,8 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   uint8_t *ranks = (uint8_t *)(base + block->ranks), *inputs = (uint8_t *)(base + block->inputs);
   for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
     const struct mo_plan_body header = plan->headers[b];
-    fill_body(plan->bodies[b], &order, plan->slots, links + (size_t)MO_PLAN_LINKS * header.first_quad,
-              masses + header.first_mass, ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
+    fill_body(plan->bodies[b], &order, plan->slots, plan->pairs + b, links + (size_t)MO_PLAN_LINKS * header.first_quad,
+              masses + header.first_mass, ranks + header.first_mass, inputs + header.first_mass);
     bodies[b] = header;
   }
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
@@ -482,6 +571,7 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
     groups[g] = group;
   }
   if (share == 0) {
+    memcpy(base + block->pairs, plan->pairs, plan->n_bodies * sizeof(*plan->pairs));
     memcpy(base + block->parts, plan->parts, plan->n_parts * sizeof(*plan->parts));
     memcpy(base + block->rows, plan->rows, plan->n * sizeof(*plan->rows));
   }

@@ -24,14 +24,14 @@ extern "C" {
 #define MO_PLAN_COLUMN      8 /* rows of a column: the width of a matrix instruction */
 #define MO_PLAN_COLUMNS_MAX 5
 #define MO_PLAN_ROWS_MAX    (MO_PLAN_COLUMN * MO_PLAN_COLUMNS_MAX)
-#define MO_PLAN_TILE        8    /* pairs of springs of a tile */
-#define MO_PLAN_PAIRS       824  /* of the lattice's 1648 springs */
-#define MO_PLAN_EDGES       616  /* slots of edges; those of diagonals follow */
-#define MO_PLAN_TILES_MAX   103  /* 824 / 8 */
-#define MO_PLAN_INPUTS      256  /* places of the first layer's inputs: 245 masses and 11 that stay empty */
-#define MO_PLAN_LINKS       4    /* links that are read at once */
-#define MO_PLAN_DEGREES_MAX 18   /* springs of one mass */
-#define MO_PLAN_NONE        0xff /* no mass */
+#define MO_PLAN_TILE        8   /* pairs of springs of a tile */
+#define MO_PLAN_PAIRS       824 /* of the lattice's 1648 springs */
+#define MO_PLAN_PAIR_WORDS  26  /* of 32 pairs */
+#define MO_PLAN_EDGES       616 /* slots of edges; those of diagonals follow */
+#define MO_PLAN_TILES_MAX   103 /* 824 / 8 */
+#define MO_PLAN_INPUTS      256 /* places of the first layer's inputs: 245 masses and 11 that stay empty */
+#define MO_PLAN_LINKS       4   /* links that are read at once */
+#define MO_PLAN_DEGREES_MAX 18  /* springs of one mass */
 #define MO_PLAN_NO_PAIR     0xffff
 
 /* Springs go in pairs, so that one load brings weights of two: the two diagonals of a face, which a body has both or neither, and edges
@@ -42,8 +42,16 @@ extern "C" {
 struct mo_plan_body {
   uint32_t n_masses, n_springs;
   uint32_t first_quad, first_mass; /* into links, in units of MO_PLAN_LINKS; into masses and ranks */
+  uint32_t n_slots,
+      n_edges; /* slots of its own, two for each pair that it has a spring of; of edges, which come first */
 };
-/* A link: the mass at the other end, and the spring's slot. */
+/* Which pairs a body has, and how many there are before each word of them: the body's own slots of pair p are 2n and 2n + 1, n the number
+ * of its pairs before p. */
+struct mo_plan_pairs {
+  uint32_t has[MO_PLAN_PAIR_WORDS];
+  uint16_t before[MO_PLAN_PAIR_WORDS];
+};
+/* A link: the mass at the other end, and the spring's slot among the body's own. */
 #define MO_PLAN_LINK(slot, mass) ((uint32_t)(slot) << 8 | (uint32_t)(mass))
 #define MO_PLAN_LINK_MASS(link)  ((link)&0xffu)
 #define MO_PLAN_LINK_SLOT(link)  ((link) >> 8)
@@ -67,6 +75,7 @@ struct mo_plan_part {
   uint32_t body;
   uint16_t first_row, n_rows; /* of the group's rows */
   uint32_t first_place;       /* of the group's places: one per mass and row */
+  uint32_t first_length;      /* of the group's lengths: one per own slot and row */
 };
 
 struct mo_plan_group {
@@ -74,6 +83,7 @@ struct mo_plan_group {
   uint32_t first_tile, n_tiles;
   uint32_t input_tiles; /* bit i: a mass of the group has its place among inputs 16 i … 16 i + 15 */
   uint32_t n_places;
+  uint32_t n_lengths;
 };
 
 /* A tile of pairs; the group's last one ends in MO_PLAN_NO_PAIR. */
@@ -88,11 +98,11 @@ struct mo_plan_tile {
 struct mo_plan_block {
   size_t environments; /* double (n_environments, MO_PLAN_ENVIRONMENT_DOUBLES) */
   size_t bodies;       /* struct mo_plan_body (n_bodies) */
+  size_t pairs;        /* struct mo_plan_pairs (n_bodies) */
   size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
   size_t masses;       /* uint32_t (all bodies' masses) */
   size_t ranks;        /* uint8_t (likewise): the device's number of the body's mass i */
-  size_t inputs;       /* uint8_t (n_bodies, MO_PLAN_INPUTS): the mass whose sensor stands at place
-                        * MO_PLAN_INPUT_PLACE(k), or MO_PLAN_NONE */
+  size_t inputs;       /* uint8_t (all bodies' masses): place of the mass's sensor among the first layer's inputs */
   size_t groups;       /* struct mo_plan_group (n_groups) */
   size_t parts;        /* struct mo_plan_part */
   size_t rows;         /* struct mo_plan_row (n) */
@@ -103,9 +113,11 @@ struct mo_plan_block {
 
 struct mo_plan_options {
   uint32_t rows;       /* wanted in a group, 1 … MO_PLAN_ROWS_MAX */
-  size_t group_bytes;  /* memory of a group: columns · column_bytes + places · place_bytes must not exceed it */
+  size_t group_bytes;  /* memory of a group: what follows, times how many there are, must not exceed it */
   size_t column_bytes; /* of eight rows' activations */
+  size_t part_bytes;
   size_t place_bytes;  /* of one mass in one row */
+  size_t length_bytes; /* of one of a body's own slots in one row */
 };
 
 struct mo_plan {
@@ -113,33 +125,41 @@ struct mo_plan {
   struct mo_plan_block block;
   /* The plan's own. */
   const struct mo_robot *robots;
-  const struct mo_body **bodies;              /* (n_bodies), largest first */
+  const struct mo_body **bodies;              /* (n_bodies), in the order in which their rows stand */
   const struct mo_environment **environments; /* (n_environments) */
   struct mo_plan_body *headers;               /* (n_bodies) */
+  struct mo_plan_pairs *pairs;                /* (n_bodies) */
   uint16_t *slots;                            /* (1648) of each spring of the lattice */
   struct mo_plan_group *groups;
   struct mo_plan_part *parts;
   struct mo_plan_row *rows;
+  /* From one function to the next. */
+  uint32_t *body_of,
+      *environment_of;    /* (n) by row, in the order of appearance; one piece of memory with rows_of_body */
+  uint32_t *rows_of_body; /* (n_bodies) */
+  uint64_t *keys;         /* (n_bodies): by which bodies are ordered */
 };
 
-/* Finds the distinct bodies and environments (by address) and cuts the rows into groups. `robots` and what they point to must stay until
- * the plan is freed. The plan may be freed after an error, too. MO_ERR_UNSUPPORTED: a body of another workspace than the default, or one that does not
- * fit group_bytes by itself; MO_ERR_NO_MEMORY. */
-int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n,
-                   const struct mo_plan_options *options);
+/* In this order: mo_plan_create, all shares of mo_plan_measure, mo_plan_cut, all shares of mo_plan_fill; shares of one function may be worked
+ * on at the same time. `robots` and what they point to must stay until the plan is freed. It may be freed after an error, too. */
+
+/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of another workspace than the default;
+ * MO_ERR_NO_MEMORY. */
+int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n);
 void mo_plan_free(struct mo_plan *plan);
 
-/* Writes share `share` of `n_shares` of the block, 8-byte aligned and plan->block.bytes long; other shares may be written at the same time.
- * All shares together write every byte that the device reads. */
+/* Looks at share `share` of `n_shares` of the bodies. */
+void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares);
+
+/* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a body that does not fit group_bytes by itself; MO_ERR_NO_MEMORY. */
+int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options);
+
+/* Writes share `share` of `n_shares` of the block, 8-byte aligned and plan->block.bytes long. All shares together write every byte that the device reads. */
 void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t share, uint32_t n_shares);
 
 /* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen places are masses that tend to be
  * used together, those in the middle of the lattice's floor first. */
 int mo_plan_input_mass(uint32_t input);
-
-/* The order in which a body's inputs are listed: lane by lane of the sixteen that sense a row. Lane l lists, for tiles 2i + l / 8,
- * i = 0 … 7, its values l % 8 and l % 8 + 8. */
-#define MO_PLAN_INPUT_PLACE(k) (((k) / 2 % 8 * 2 + (k) / 128) * 16 + (k) % 2 * 8 + (k) / 16 % 8)
 
 /* Slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);

@@ -1,7 +1,7 @@
 /* score.cu: whole rollouts in one kernel.
  *
- * A block of 256 threads takes a group of rows and lives its lives from the first step to the last, then takes the next group. Positions and
- * activations stay in shared memory; velocities and the springs' lengths are the block's own in global memory, and seldom leave the
+ * A block of 256 threads takes a group of rows and lives its lives from the first step to the last, then takes the next group. Positions,
+ * activations and the springs' lengths stay in shared memory; velocities are the block's own in global memory, and seldom leave the
  * caches. Two blocks share a multiprocessor, so that one's physics runs beside the other's products. A step:
  *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
  *   think    three hidden layers (network.cuh), then tiles of springs: the length that each wants to have
@@ -38,12 +38,12 @@ template <bool EXACT>
 __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR)
     live(const __grid_constant__ mo_cuda_score score)
 {
-  extern __shared__ __align__(128) char memory[];
-  Shared &shared = *reinterpret_cast<Shared *>(memory);
-  char *x = memory + kSharedBytes;
+  extern __shared__ __align__(128) char block[];
+  Shared &shared = *reinterpret_cast<Shared *>(block);
+  Memory memory;
+  memory.x = block + kSharedBytes;
+  memory.velocity = score.velocities + (size_t)blockIdx.x * 3 * score.max_places;
   const uint32_t thread = threadIdx.x;
-  float *wanted = score.wanted + (size_t)blockIdx.x * kSpringSlots * kRows;
-  float *velocity = score.velocities + (size_t)blockIdx.x * 3 * score.max_places;
   const mo_weights_scalars scalars =
       score.weights == nullptr ? mo_weights_scalars{}
                                : *reinterpret_cast<const mo_weights_scalars *>(score.weights + score.layout.scalars);
@@ -61,24 +61,27 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_SCORE_BLOCKS_PER_MULT
       shared.plan = score.groups[shared.group];
     __syncthreads();
     const uint32_t n_rows = shared.plan.n_rows;
-    float *position = reinterpret_cast<float *>(x + (n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN *
-                                                        mo_cuda_network<EXACT>::COLUMN_BYTES);
-    begin_group(score, shared, mo_cuda_network<EXACT>::UNITS, position, velocity, wanted);
+    memory.position = reinterpret_cast<float *>(memory.x + (n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN *
+                                                               mo_cuda_network<EXACT>::COLUMN_BYTES);
+    memory.pairs = reinterpret_cast<mo_plan_pairs *>(memory.position + 3 * shared.plan.n_places);
+    memory.lengths = reinterpret_cast<float *>(memory.pairs + shared.plan.n_parts + 1);
+    begin_group(score, shared, mo_cuda_network<EXACT>::UNITS, memory);
     for (uint32_t step = 0; step < score.n_steps; step++) {
-      sense<EXACT>(score, shared, sensor, position, x, step);
+      const Start start = score.weights != nullptr ? load_start(score, step) : Start{};
+      sense<EXACT>(score, shared, sensor, memory.position, memory.x, step);
       if (score.weights != nullptr) {
-        begin_first_layer(score, shared, step);
+        shared.first[thread] = start_of_first_layer(start);
         __syncthreads();
-        think<EXACT>(score, shared, scalars, x);
-        act<EXACT>(score, shared, scalars.output, x, wanted);
+        think<EXACT>(score, shared, scalars, memory.x);
+        act<EXACT>(score, shared, scalars.output, memory);
         __syncthreads();
       }
-      pull(score, shared, position, wanted, velocity);
+      pull(score, shared, memory.position, memory.lengths, memory.velocity);
       if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)
         shared.cancelled = 1;
       if (!__syncthreads_or(thread < n_rows && shared.diverged[thread] == 0) || shared.cancelled)
         break;
-      move(score, shared, position, velocity);
+      move(score, shared, memory.position, memory.velocity);
       __syncthreads();
       if (thread < n_rows && shared.insane[thread] != 0 && shared.diverged[thread] == 0) {
         shared.diverged[thread] = (int)(step + 1);
@@ -88,7 +91,7 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_SCORE_BLOCKS_PER_MULT
       }
     }
     __syncthreads();
-    end_group(score, shared, position);
+    end_group(score, shared, memory.position);
   }
 }
 
@@ -96,7 +99,7 @@ __global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_SCORE_BLOCKS_PER_MULT
 
 size_t mo_cuda_score_group_bytes()
 {
-  return MO_CUDA_SCORE_SHARED_BYTES - kSharedBytes;
+  return MO_CUDA_SCORE_SHARED_BYTES - kSharedBytes - sizeof(mo_plan_pairs);
 }
 
 size_t mo_cuda_score_column_bytes(bool exact)

@@ -26,6 +26,7 @@ struct mo_cuda_score {
   const double *heights; /* (n_environments, MO_PLAN_ENVIRONMENT_DOUBLES) */
   mo_cuda_environment *environments;
   const mo_plan_body *bodies;
+  const mo_plan_pairs *pairs;
   const uint32_t *links, *masses;
   const uint8_t *ranks, *inputs;
   const mo_plan_group *groups;
@@ -35,7 +36,6 @@ struct mo_cuda_score {
   const uint8_t *columns;
   const char *weights;      /* NULL: passive bodies */
   const float *generators;  /* (n_steps, MO_CPG_INPUTS) */
-  float *wanted;             /* (blocks, 1648, MO_PLAN_ROWS_MAX): lengths that springs want to have, by slot */
   float *velocities;        /* (blocks, max_places, 3) */
   mo_cuda_outcome *outcomes; /* by the caller's row */
   uint32_t *next_group;     /* 0 before the launch */
@@ -50,7 +50,9 @@ struct mo_cuda_score {
 #define MO_CUDA_SCORE_SHARED_BYTES (113 * 1024)
 size_t mo_cuda_score_group_bytes();
 size_t mo_cuda_score_column_bytes(bool exact);
-#define MO_CUDA_SCORE_PLACE_BYTES 12
+#define MO_CUDA_SCORE_PLACE_BYTES  12
+#define MO_CUDA_SCORE_PART_BYTES   sizeof(mo_plan_pairs)
+#define MO_CUDA_SCORE_LENGTH_BYTES 4
 #define MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR 2
 
 /* Once per device. */

@@ -7,20 +7,27 @@
 
 namespace {
 
-constexpr uint32_t kRows = MO_PLAN_ROWS_MAX, kSpringSlots = MO_DEFAULT_SPRINGS;
+constexpr uint32_t kRows = MO_PLAN_ROWS_MAX;
 constexpr uint32_t kChunks = 352; /* of 32 places: more than fit the shared memory */
 constexpr uint32_t kCancelSteps = 16;
 constexpr unsigned kAll = 0xffffffffu;
 
 /* A part of the group, as the physics reads it. */
 struct Part {
-  uint32_t first_place, n_rows, n_masses, first_quad, first_mass, first_row;
+  uint32_t first_place, n_rows, n_masses, first_quad, first_mass, first_row, first_length;
   float per_row; /* 1 / n_rows */
 };
 
 struct Row {
   uint32_t first_place, stride; /* place of mass m: first_place + m · stride */
   uint32_t n_masses, body, part;
+};
+
+/* Where the last layer finds a row: its pairs, and where its lengths are. */
+struct __align__(8) Home
+{
+  uint32_t first_length; /* length of own slot s: first_length + s · stride */
+  uint16_t part, stride;
 };
 
 struct Shared {
@@ -30,6 +37,7 @@ struct Shared {
   float com[2][kRows][3]; /* at the start of even and odd steps */
   Part parts[kRows];
   Row rows[kRows];
+  __align__(16) Home homes[kRows]; /* those of no row have the pairs of no part: none */
   const mo_cuda_cell *cells[kRows];
   uint32_t chunks[kChunks]; /* part << 16 | number */
   int insane[kRows], diverged[kRows];
@@ -119,14 +127,22 @@ __device__ void place_row(const mo_cuda_score &score, const Shared &shared, uint
 }
 
 /* Of an unactuated spring. */
-__device__ __forceinline__ float rest_length(uint32_t slot)
+__device__ __forceinline__ float rest_length(bool is_edge)
 {
-  return slot < MO_PLAN_EDGES ? (float)MO_VOXEL_M : (float)(MO_VOXEL_M * 1.41421356237309504880);
+  return is_edge ? (float)MO_VOXEL_M : (float)(MO_VOXEL_M * 1.41421356237309504880);
 }
 
+/* What lies behind the block's Shared. */
+struct Memory {
+  char *x;              /* activations: (columns) of COLUMN_BYTES */
+  float *position;      /* (places, 3) */
+  mo_plan_pairs *pairs; /* (parts + 1): the last has none */
+  float *lengths;       /* that springs want to have (lengths) */
+  float *velocity;      /* (places, 3), in global memory */
+};
+
 /* What the group's rows and parts are, once per group. */
-__device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t units, float *position,
-                            float *velocity, float *wanted)
+__device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t units, const Memory &memory)
 {
   const uint32_t thread = threadIdx.x, lane = thread & 31, warp = thread >> 5;
   const mo_plan_group &plan = shared.plan;
@@ -140,9 +156,12 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
     part.first_quad = body.first_quad;
     part.first_mass = body.first_mass;
     part.first_row = in.first_row;
+    part.first_length = in.first_length;
     part.per_row = 1.0f / (float)in.n_rows;
-    for (uint32_t r = 0; r < in.n_rows; r++)
+    for (uint32_t r = 0; r < in.n_rows; r++) {
       shared.rows[in.first_row + r] = Row{in.first_place + r, in.n_rows, body.n_masses, in.body, thread};
+      shared.homes[in.first_row + r] = Home{in.first_length + r, (uint16_t)thread, (uint16_t)in.n_rows};
+    }
   }
   if (thread < kRows) {
     shared.insane[thread] = 0;
@@ -152,6 +171,8 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
       shared.light[thread] =
           make_float4(environment->light[0], environment->light[1], environment->light[2], environment->highest);
       shared.cells[thread] = environment->cells;
+    } else {
+      shared.homes[thread] = Home{0, (uint16_t)plan.n_parts, 0};
     }
   }
   __syncthreads();
@@ -166,12 +187,24 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
       shared.input_units |= (plan.input_tiles >> tile & 1u) << tile * units / MO_WEIGHTS_TILES;
   }
   for (uint32_t r = warp; r < plan.n_rows; r += MO_CUDA_WARPS)
-    place_row(score, shared, r, position, lane);
+    place_row(score, shared, r, memory.position, lane);
   for (uint32_t k = thread; k < 3 * plan.n_places; k += MO_CUDA_THREADS)
-    velocity[k] = 0.0f;
-  if (score.weights == nullptr)
-    for (uint32_t k = thread; k < kSpringSlots * kRows; k += MO_CUDA_THREADS)
-      wanted[k] = rest_length(k / kRows);
+    memory.velocity[k] = 0.0f;
+  constexpr uint32_t kWords = sizeof(mo_plan_pairs) / sizeof(uint32_t);
+  for (uint32_t p = 0; p <= plan.n_parts; p++)
+    if (thread < kWords)
+      reinterpret_cast<uint32_t *>(memory.pairs + p)[thread] =
+          p < plan.n_parts
+              ? __ldg(reinterpret_cast<const uint32_t *>(score.pairs + score.parts[plan.first_part + p].body) + thread)
+              : 0;
+  if (score.weights == nullptr) {
+    for (uint32_t p = 0; p < plan.n_parts; p++) {
+      const Part &part = shared.parts[p];
+      const mo_plan_body &body = score.bodies[score.parts[plan.first_part + p].body];
+      for (uint32_t k = thread; k < body.n_slots * part.n_rows; k += MO_CUDA_THREADS)
+        memory.lengths[part.first_length + k] = rest_length(k < body.n_edges * part.n_rows);
+    }
+  }
   __syncthreads();
 }
 

@@ -33,7 +33,8 @@ uint32_t rows_wanted(uint32_t n, uint32_t blocks)
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
 
-void fill(const mo_plan &plan, void *block)
+/* Work on a plan by shares, on several processors where there is enough of it. */
+template <typename Work> void share_out(const mo_plan &plan, Work work)
 {
   const long processors = sysconf(_SC_NPROCESSORS_ONLN);
   const uint32_t most = processors < 1 ? 1 : processors > (long)kThreadsMax ? kThreadsMax : (uint32_t)processors;
@@ -43,14 +44,24 @@ void fill(const mo_plan &plan, void *block)
   uint32_t share = 1;
   try {
     for (threads.reserve(n); share < n; share++)
-      threads.emplace_back(mo_plan_fill, &plan, block, share, n);
-  } catch (...) { /* no further thread: this one fills what is left */
+      threads.emplace_back(work, share, n);
+  } catch (...) { /* no further thread: this one does what is left */
   }
-  mo_plan_fill(&plan, block, 0, n);
+  work(0, n);
   for (; share < n; share++)
-    mo_plan_fill(&plan, block, share, n);
+    work(share, n);
   for (std::thread &thread : threads)
     thread.join();
+}
+
+/* From rows to groups. */
+int make_plan(mo_plan *plan, const mo_device_score *score, const mo_plan_options &options)
+{
+  const int status = mo_plan_create(plan, score->robots, score->n);
+  if (status != MO_OK)
+    return status;
+  share_out(*plan, [plan](uint32_t share, uint32_t n) { mo_plan_measure(plan, share, n); });
+  return mo_plan_cut(plan, &options);
 }
 
 mo_cuda_constants constants_of(const mo_physics &physics)
@@ -84,7 +95,6 @@ int reserve(mo_device *device, const mo_plan &plan, uint32_t blocks, uint32_t pl
   } wanted[] = {
       {&device->plan, plan.block.bytes},
       {&device->environments, plan.n_environments * sizeof(mo_cuda_environment)},
-      {&device->wanted, (size_t)blocks * MO_DEFAULT_SPRINGS * MO_PLAN_ROWS_MAX * sizeof(float)},
       {&device->velocities, (size_t)blocks * 3 * places * sizeof(float)},
       {&device->outcomes, plan.n * sizeof(mo_cuda_outcome)},
       {&device->counter, sizeof(uint32_t)},
@@ -108,6 +118,7 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.heights = (const double *)(base + block.environments);
   s.environments = (mo_cuda_environment *)device->environments.memory;
   s.bodies = (const mo_plan_body *)(base + block.bodies);
+  s.pairs = (const mo_plan_pairs *)(base + block.pairs);
   s.links = (const uint32_t *)(base + block.links);
   s.masses = (const uint32_t *)(base + block.masses);
   s.ranks = (const uint8_t *)(base + block.ranks);
@@ -119,7 +130,6 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.columns = (const uint8_t *)(base + block.columns);
   s.weights = score->controller == nullptr ? nullptr : score->controller->weights[score->precision];
   s.generators = (const float *)device->generators.memory;
-  s.wanted = (float *)device->wanted.memory;
   s.velocities = (float *)device->velocities.memory;
   s.outcomes = (mo_cuda_outcome *)device->outcomes.memory;
   s.next_group = (uint32_t *)device->counter.memory;
@@ -157,7 +167,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   int status = reserve(device, plan, blocks, places);
   if (status != MO_OK)
     return status;
-  fill(plan, device->staged_plan.memory);
+  void *block = device->staged_plan.memory;
+  share_out(plan, [&plan, block](uint32_t share, uint32_t n) { mo_plan_fill(&plan, block, share, n); });
   if (score->cancel != nullptr && __atomic_load_n(score->cancel, __ATOMIC_RELAXED) != 0)
     return MO_ERR_CANCELLED;
   status = mo_cuda_generators(device, &score->physics); /* begins a copy: from here on it is waited for */
@@ -173,8 +184,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
     error = mo_cuda_score_launch(arguments(device, plan, score, places), score->precision == MO_DEVICE_EXACT, blocks,
                                  device->stream);
   if (error == cudaSuccess)
-    error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory,
-                            plan.n * sizeof(mo_cuda_outcome), cudaMemcpyDeviceToHost, device->stream);
+    error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory, plan.n * sizeof(mo_cuda_outcome),
+                            cudaMemcpyDeviceToHost, device->stream);
   if (error == cudaSuccess)
     error = cudaEventRecord(device->end, device->stream);
   const int launched = mo_cuda_check(device, error, "launch");
@@ -208,10 +219,12 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
   options.rows = rows_wanted(score->n, blocks);
   options.group_bytes = mo_cuda_score_group_bytes();
   options.column_bytes = mo_cuda_score_column_bytes(score->precision == MO_DEVICE_EXACT);
+  options.part_bytes = MO_CUDA_SCORE_PART_BYTES;
   options.place_bytes = MO_CUDA_SCORE_PLACE_BYTES;
+  options.length_bytes = MO_CUDA_SCORE_LENGTH_BYTES;
   mo_plan plan;
   float device_ms = 0;
-  int status = mo_plan_create(&plan, score->robots, score->n, &options);
+  int status = make_plan(&plan, score, options);
   if (status == MO_OK)
     status = run(device, plan, score, blocks, &device_ms);
   if (status == MO_OK) {

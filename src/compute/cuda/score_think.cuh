@@ -12,24 +12,40 @@ __device__ __forceinline__ float light_at(mo_sensor sensor, const float *p, cons
   return mo_cuda_light(sensor, fmaf(dx, dx, fmaf(dy, dy, dz * dz)));
 }
 
-/* Two rows per warp, sixteen lanes each: lane bits 0 … 2 are a pair of inputs, bit 3 the row, bit 4 the tile. */
+/* Two rows per warp, sixteen lanes each (lane bit 3 is the row's). A lane computes the light at every sixteenth mass, and keeps it until the
+ * row's mean is known. */
 template <bool EXACT>
-__device__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor, const float *position, char *x,
-                      uint32_t step)
+__device__ __forceinline__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sensor,
+                                      const float *position, char *x, uint32_t step)
 {
-  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
-  const uint32_t g = lane & 7, tile_bit = lane >> 4, own = g | tile_bit << 3;
+  constexpr int kMost = (MO_DEFAULT_MASSES + 15) / 16;
+  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, own = (lane & 7) | (lane >> 4) << 3;
   for (uint32_t pair = warp; 2 * pair < shared.plan.n_rows; pair += MO_CUDA_WARPS) {
     const uint32_t r = 2 * pair + (lane >> 3 & 1);
-    const bool used = r < shared.plan.n_rows;
+    const bool used = r < shared.plan.n_rows; /* if not, its place takes a copy of the other row */
     const Row row = shared.rows[used ? r : 2 * pair];
     const float4 light = shared.light[used ? r : 2 * pair];
-    float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f};
-    for (uint32_t m = own; m < row.n_masses; m += 16) {
-      const float *p = position + 3 * (row.first_place + m * row.stride);
-      for (int axis = 0; axis < 3; axis++)
-        sum[axis] += p[axis];
-      sum[3] += light_at(sensor, p, light);
+    const uint8_t *inputs = score.inputs + shared.parts[row.part].first_mass;
+    const uint32_t most = max(row.n_masses, __shfl_xor_sync(kAll, row.n_masses, 8));
+    char *column = x + (r >> 3) * mo_cuda_network<EXACT>::COLUMN_BYTES;
+    if (score.weights != nullptr)
+#pragma unroll
+      for (uint32_t unit = own >> 2; unit < mo_cuda_network<EXACT>::UNITS; unit += 4)
+        *reinterpret_cast<uint4 *>(column + unit * MO_CUDA_UNIT_BYTES + mo_cuda_slot(r & 7, own & 3)) =
+            make_uint4(0, 0, 0, 0);
+    float sum[4] = {0.0f, 0.0f, 0.0f, 0.0f}, value[kMost];
+#pragma unroll
+    for (int i = 0; i < kMost; i++) {
+      if (16 * i >= most)
+        break;
+      const uint32_t m = own + 16 * i;
+      if (m < row.n_masses) {
+        const float *p = position + 3 * (row.first_place + m * row.stride);
+        for (int axis = 0; axis < 3; axis++)
+          sum[axis] += p[axis];
+        value[i] = light_at(sensor, p, light);
+        sum[3] += value[i];
+      }
     }
 #pragma unroll
     for (int k = 0; k < 4; k++) {
@@ -41,41 +57,49 @@ __device__ void sense(const mo_cuda_score &score, Shared &shared, mo_sensor sens
     const float n = (float)row.n_masses;
     if (used && own < 3)
       shared.com[step & 1][r][own] = __fdividef(own == 0 ? sum[0] : own == 1 ? sum[1] : sum[2], n);
-    if (!used || score.weights == nullptr)
+    if (score.weights == nullptr)
       continue;
     const float mean = __fdividef(sum[3], n);
-    const uint4 inputs = __ldg(reinterpret_cast<const uint4 *>(score.inputs + (size_t)row.body * MO_PLAN_INPUTS) + own);
-    const uint32_t listed[4] = {inputs.x, inputs.y, inputs.z, inputs.w};
-    char *column = x + (r >> 3) * mo_cuda_network<EXACT>::COLUMN_BYTES;
+    __syncwarp(); /* the zeros are there */
 #pragma unroll
-    for (uint32_t two = 0; two < MO_WEIGHTS_TILES / 2; two++) {
-      const uint32_t tile = 2 * two + tile_bit;
-      if ((shared.input_units >> (EXACT ? tile : two) & 1u) == 0)
-        continue;
-      float value[2];
-#pragma unroll
-      for (uint32_t e = 0; e < 2; e++) {
-        const uint32_t m = listed[two / 2] >> (two % 2 * 16 + e * 8) & 0xffu;
-        value[e] = 0.0f;
-        if (m != MO_PLAN_NONE)
-          value[e] = light_at(sensor, position + 3 * (row.first_place + m * row.stride), light) - mean;
+    for (int i = 0; i < kMost; i++) {
+      if (16 * i >= most)
+        break;
+      if (own + 16 * i < row.n_masses) {
+        const uint32_t input = __ldg(inputs + own + 16 * i);
+        char *place = column + mo_cuda_place<EXACT>(r & 7, input >> 4, input & 7) + (input >> 3 & 1) * 2;
+        mo_cuda_store_one<EXACT>(place, value[i] - mean);
       }
-      mo_cuda_store_pair<EXACT>(column + mo_cuda_place<EXACT>(r & 7, tile, g), value[0], value[1]);
     }
   }
 }
 
-/* What the first layer's sums start from: bias and generators. */
-__device__ __forceinline__ void begin_first_layer(const mo_cuda_score &score, Shared &shared, uint32_t step)
+/* What the first layer's sums start from, bias and generators, of this thread's output. Loaded before sensing, computed after it. */
+struct Start {
+  float bias, generator[MO_CPG_INPUTS], weight[MO_CPG_INPUTS];
+};
+
+__device__ __forceinline__ Start load_start(const mo_cuda_score &score, uint32_t step)
 {
   const uint32_t o = threadIdx.x;
-  const float *generators = score.generators + (size_t)step * MO_CPG_INPUTS;
-  const float *weights = reinterpret_cast<const float *>(score.weights + score.layout.generators) + o;
-  float sum = __ldg(reinterpret_cast<const float *>(score.weights + score.layout.bias[0]) + o);
+  Start start;
+  start.bias = __ldg(reinterpret_cast<const float *>(score.weights + score.layout.bias[0]) + o);
+#pragma unroll
+  for (int i = 0; i < MO_CPG_INPUTS; i++) {
+    start.generator[i] = __ldg(score.generators + (size_t)step * MO_CPG_INPUTS + i);
+    start.weight[i] =
+        __ldg(reinterpret_cast<const float *>(score.weights + score.layout.generators) + i * MO_HIDDEN + o);
+  }
+  return start;
+}
+
+__device__ __forceinline__ float start_of_first_layer(const Start &start)
+{
+  float sum = start.bias;
 #pragma unroll
   for (int i = 0; i < MO_CPG_INPUTS; i++)
-    sum = fmaf(__ldg(generators + i), __ldg(weights + i * MO_HIDDEN), sum);
-  shared.first[o] = sum;
+    sum = fmaf(start.generator[i], start.weight[i], sum);
+  return sum;
 }
 
 /* What a hidden layer is computed from. */
@@ -175,8 +199,39 @@ struct Output {
   const char *matrix;
   const float2 *bias;
   float scale, actuation;
-  float *wanted;
+  const Home *homes;
+  const mo_plan_pairs *pairs;
+  float *lengths;
 };
+
+/* Where a row's length of a pair's first spring is put; kNowhere, if the row's body has none of the pair. */
+constexpr uint32_t kNowhere = UINT32_MAX;
+
+__device__ __forceinline__ uint32_t length_of(const mo_plan_pairs *pairs, const Home &home, uint32_t pair)
+{
+  const uint32_t word = pairs[home.part].has[pair / 32], before = pairs[home.part].before[pair / 32];
+  const uint32_t bit = 1u << pair % 32;
+  const uint32_t slot = 2 * (before + (uint32_t)__popc((int)(word & (bit - 1))));
+  return (word & bit) != 0 ? home.first_length + slot * home.stride : kNowhere;
+}
+
+/* Lengths of a pair's springs in rows 2t and 2t + 1 of a column. */
+__device__ __forceinline__ void put_lengths(const Output &output, const Home (&home)[2], uint32_t pair,
+                                            const float (&wanted)[4])
+{
+  const uint32_t first = length_of(output.pairs, home[0], pair);
+  uint32_t second = first + (first != kNowhere ? 1 : 0);
+  if (home[1].part != home[0].part) /* seldom */
+    second = length_of(output.pairs, home[1], pair);
+  if (first != kNowhere) {
+    output.lengths[first] = wanted[0];
+    output.lengths[first + home[0].stride] = wanted[2];
+  }
+  if (second != kNowhere) {
+    output.lengths[second] = wanted[1];
+    output.lengths[second + home[1].stride] = wanted[3];
+  }
+}
 
 /* TILES tiles of springs for the columns that have them: COLUMNS of them. */
 template <bool EXACT, int TILES, int COLUMNS>
@@ -204,24 +259,21 @@ __device__ __forceinline__ void act_tiles(const Output &output, const Tiles &til
   }
   mo_cuda_product<EXACT, MO_WEIGHTS_PAIR_BYTES / 2, TILES, COLUMNS>(sum, row, x + mo_cuda_slot(g, t), column);
 #pragma unroll
-  for (int m = 0; m < TILES; m++) {
-    const uint32_t pair = tiles.pair[m];
-    if (pair == MO_PLAN_NO_PAIR)
-      continue;
-    const float2 bias = __ldg(output.bias + pair);
-    const float rest = rest_length(2 * pair), reach = rest * output.actuation;
-    float *out = output.wanted + 2 * pair * kRows + 2 * t;
+  for (int c = 0; c < COLUMNS; c++) {
+    const uint32_t first = column[c] / (mo_cuda_network<EXACT>::COLUMN_BYTES / MO_PLAN_COLUMN);
+    const Home home[2] = {output.homes[first + 2 * t], output.homes[first + 2 * t + 1]};
 #pragma unroll
-    for (int c = 0; c < COLUMNS; c++) {
-      const uint32_t first = column[c] / (mo_cuda_network<EXACT>::COLUMN_BYTES / MO_PLAN_COLUMN);
+    for (int m = 0; m < TILES; m++) {
+      const uint32_t pair = tiles.pair[m];
+      if (pair == MO_PLAN_NO_PAIR)
+        continue;
+      const float2 bias = __ldg(output.bias + pair);
+      const float rest = rest_length(2 * pair < MO_PLAN_EDGES), reach = rest * output.actuation;
+      float wanted[4];
 #pragma unroll
-      for (int h = 0; h < 2; h++) {
-        const float from = h == 0 ? bias.x : bias.y;
-        float2 wanted;
-        wanted.x = fmaf(reach, mo_cuda_tanh(fmaf(sum[m][c][2 * h], output.scale, from)), rest);
-        wanted.y = fmaf(reach, mo_cuda_tanh(fmaf(sum[m][c][2 * h + 1], output.scale, from)), rest);
-        *reinterpret_cast<float2 *>(out + h * kRows + first) = wanted;
-      }
+      for (int k = 0; k < 4; k++)
+        wanted[k] = fmaf(reach, mo_cuda_tanh(fmaf(sum[m][c][k], output.scale, k < 2 ? bias.x : bias.y)), rest);
+      put_lengths(output, home, pair, wanted);
     }
   }
 }
@@ -240,12 +292,16 @@ __device__ __forceinline__ void act_tiles_of(const Output &output, const Tiles &
 
 /* The last layer. */
 template <bool EXACT>
-__device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared, float scale, const char *x,
-                                    float *wanted)
+__device__ __forceinline__ void act(const mo_cuda_score &score, const Shared &shared, float scale, const Memory &memory)
 {
   const Output output = {score.weights + score.layout.output,
-                         reinterpret_cast<const float2 *>(score.weights + score.layout.output_bias), scale,
-                         score.constants.actuation, wanted};
+                         reinterpret_cast<const float2 *>(score.weights + score.layout.output_bias),
+                         scale,
+                         score.constants.actuation,
+                         shared.homes,
+                         memory.pairs,
+                         memory.lengths};
+  const char *x = memory.x;
   Tiles now = {}, next = {};
   uint32_t count = tiles_of(score, shared, 0, &now);
   for (uint32_t round = 1; count > 0; round++) {

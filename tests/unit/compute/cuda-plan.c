@@ -41,6 +41,7 @@ struct filled {
   struct mo_plan plan;
   char *block;
   const struct mo_plan_body *bodies;
+  const struct mo_plan_pairs *pairs;
   const uint32_t *links, *masses;
   const uint8_t *ranks, *inputs, *columns;
   const struct mo_plan_group *groups;
@@ -50,11 +51,22 @@ struct filled {
 };
 
 static const struct mo_plan_options options = {
-    .rows = 40, .group_bytes = 100000, .column_bytes = 8192, .place_bytes = 12};
+    .rows = 40, .group_bytes = 100000, .column_bytes = 8192, .part_bytes = 156, .place_bytes = 12, .length_bytes = 4};
+
+static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t shares,
+               const struct mo_plan_options *wanted)
+{
+  const int status = mo_plan_create(plan, rows, n);
+  if (status != MO_OK)
+    return status;
+  for (uint32_t share = 0; share < shares; share++)
+    mo_plan_measure(plan, share, shares);
+  return mo_plan_cut(plan, wanted);
+}
 
 static int fill(struct filled *filled, const struct mo_robot *rows, uint32_t n, uint32_t shares)
 {
-  if (mo_plan_create(&filled->plan, rows, n, &options) < 0)
+  if (cut(&filled->plan, rows, n, shares, &options) < 0)
     return 0;
   const struct mo_plan_block *block = &filled->plan.block;
   char *base = filled->block = aligned_alloc(256, block->bytes);
@@ -64,6 +76,7 @@ static int fill(struct filled *filled, const struct mo_robot *rows, uint32_t n, 
   for (uint32_t share = 0; share < shares; share++)
     mo_plan_fill(&filled->plan, base, share, shares);
   filled->bodies = (const void *)(base + block->bodies);
+  filled->pairs = (const void *)(base + block->pairs);
   filled->links = (const void *)(base + block->links);
   filled->masses = (const void *)(base + block->masses);
   filled->ranks = (const void *)(base + block->ranks);
@@ -96,13 +109,15 @@ static void rows_once(void)
     CHECK_INT(group->first_row, rows);
     CHECK_INT(group->first_part, parts);
     CHECK(group->n_rows >= 1 && group->n_rows <= MO_PLAN_ROWS_MAX);
-    CHECK((group->n_rows + 7) / 8 * options.column_bytes + group->n_places * options.place_bytes <=
+    CHECK((group->n_rows + 7) / 8 * options.column_bytes + group->n_parts * options.part_bytes +
+              group->n_places * options.place_bytes + group->n_lengths * options.length_bytes <=
           options.group_bytes);
-    uint32_t row = 0, place = 0;
+    uint32_t row = 0, place = 0, length = 0;
     for (uint32_t p = 0; p < group->n_parts; p++) {
       const struct mo_plan_part *part = f.parts + group->first_part + p;
       CHECK_INT(part->first_row, row);
       CHECK_INT(part->first_place, place);
+      CHECK_INT(part->first_length, length);
       for (uint32_t r = 0; r < part->n_rows; r++) {
         const struct mo_plan_row *plan_row = f.rows + group->first_row + row + r;
         REQUIRE(plan_row->row < N);
@@ -112,9 +127,11 @@ static void rows_once(void)
       }
       row += part->n_rows;
       place += part->n_rows * f.bodies[part->body].n_masses;
+      length += part->n_rows * f.bodies[part->body].n_slots;
     }
     CHECK_INT(row, group->n_rows);
     CHECK_INT(place, group->n_places);
+    CHECK_INT(length, group->n_lengths);
     rows += group->n_rows;
     parts += group->n_parts;
   }
@@ -128,6 +145,27 @@ static void rows_once(void)
   release(&f);
 }
 
+/* A body's own slots: those of its pairs, by the lattice's slots. */
+static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
+{
+  const struct mo_body *body = f->plan.bodies[b];
+  uint8_t has[MO_PLAN_PAIRS] = {0};
+  uint32_t n = 0, n_edges = 0;
+  for (uint32_t s = 0; s < body->n_springs; s++)
+    has[f->plan.slots[body->spring_lattice[s]] / 2] = 1;
+  for (uint32_t pair = 0; pair < MO_PLAN_PAIRS; pair++) {
+    CHECK_INT(f->pairs[b].has[pair / 32] >> pair % 32 & 1, has[pair]);
+    if (pair % 32 == 0)
+      CHECK_INT(f->pairs[b].before[pair / 32], n);
+    own[2 * pair] = 2 * n;
+    own[2 * pair + 1] = 2 * n + 1;
+    n += has[pair];
+    n_edges += has[pair] && 2 * pair < MO_PLAN_EDGES;
+  }
+  CHECK_INT(f->bodies[b].n_slots, 2 * n);
+  CHECK_INT(f->bodies[b].n_edges, 2 * n_edges);
+}
+
 /* Every spring is a link of both of its ends, in the order of the body's springs; what fills the last quad has no length. */
 static void links(void)
 {
@@ -139,13 +177,14 @@ static void links(void)
     const uint8_t *ranks = f.ranks + header->first_mass;
     const uint32_t *masses = f.masses + header->first_mass;
     const uint32_t *list = f.links + (size_t)MO_PLAN_LINKS * header->first_quad;
-    uint32_t next[MO_DEFAULT_MASSES] = {0}, slot_of_first[MO_DEFAULT_MASSES] = {0};
+    uint32_t next[MO_DEFAULT_MASSES] = {0}, slot_of_first[MO_DEFAULT_MASSES] = {0}, own[2 * MO_PLAN_PAIRS];
+    own_slots(&f, b, own);
     CHECK_INT(header->n_masses, body->n_masses);
     for (uint32_t s = 0; s < body->n_springs; s++)
       for (int end = 0; end < 2; end++) {
         const uint32_t mass = end == 0 ? body->spring_a[s] : body->spring_b[s];
         const uint32_t other = end == 0 ? body->spring_b[s] : body->spring_a[s];
-        const uint32_t slot = f.plan.slots[body->spring_lattice[s]];
+        const uint32_t slot = own[f.plan.slots[body->spring_lattice[s]]];
         if (next[mass] == 0)
           slot_of_first[mass] = slot;
         const uint32_t link = list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(masses[ranks[mass]]) + next[mass]++];
@@ -161,36 +200,8 @@ static void links(void)
       CHECK_INT(MO_PLAN_MASS_Y(mass), body->mass_xyz[3 * m + 1]);
       CHECK_INT(MO_PLAN_MASS_Z(mass), body->mass_xyz[3 * m + 2]);
       CHECK(ranks[m] == 0 || MO_PLAN_MASS_QUADS(masses[ranks[m] - 1]) >= MO_PLAN_MASS_QUADS(mass));
+      CHECK_INT(mo_plan_input_mass(f.inputs[header->first_mass + ranks[m]]), body->mass_lattice[m]);
     }
-  }
-  release(&f);
-}
-
-/* Every mass's sensor is listed once, at the place where the first layer's weights expect it. */
-static void inputs(void)
-{
-  struct filled f;
-  int used[MO_PLAN_INPUTS] = {0};
-  for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++)
-    used[MO_PLAN_INPUT_PLACE(k)]++;
-  for (uint32_t i = 0; i < MO_PLAN_INPUTS; i++)
-    CHECK_INT(used[i], 1);
-  REQUIRE(setup() && fill(&f, robots, N, 1));
-  for (uint32_t b = 0; b < f.plan.n_bodies; b++) {
-    const struct mo_body *body = f.plan.bodies[b];
-    const uint8_t *ranks = f.ranks + f.bodies[b].first_mass, *list = f.inputs + (size_t)b * MO_PLAN_INPUTS;
-    uint32_t listed = 0;
-    for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++) {
-      if (list[k] == MO_PLAN_NONE)
-        continue;
-      uint32_t m = 0;
-      while (m < body->n_masses && ranks[m] != list[k])
-        m++;
-      REQUIRE(m < body->n_masses);
-      CHECK_INT(mo_plan_input_mass(MO_PLAN_INPUT_PLACE(k)), body->mass_lattice[m]);
-      listed++;
-    }
-    CHECK_INT(listed, body->n_masses);
   }
   release(&f);
 }
@@ -242,7 +253,7 @@ static void tiles(void)
       listed++;
     }
     uint8_t counted[MO_PLAN_PAIRS] = {0};
-    uint32_t input_tiles = 0;
+    uint32_t inputs = 0;
     for (uint32_t p = 0; p < group->n_parts; p++) {
       const struct mo_plan_part *part = f.parts + group->first_part + p;
       const struct mo_body *body = f.plan.bodies[part->body];
@@ -254,12 +265,11 @@ static void tiles(void)
         for (uint32_t r = part->first_row; r < part->first_row + (uint32_t)part->n_rows; r++)
           CHECK(f.columns[group->first_tile + (uint32_t)tile_of[pair]] >> r / MO_PLAN_COLUMN & 1);
       }
-      for (uint32_t k = 0; k < MO_PLAN_INPUTS; k++)
-        if (f.inputs[part->body * MO_PLAN_INPUTS + k] != MO_PLAN_NONE)
-          input_tiles |= UINT32_C(1) << MO_PLAN_INPUT_PLACE(k) / 16;
+      for (uint32_t m = 0; m < body->n_masses; m++)
+        inputs |= UINT32_C(1) << f.inputs[f.bodies[part->body].first_mass + m] / 16;
     }
     CHECK_INT(listed, needed);
-    CHECK_INT(group->input_tiles, input_tiles);
+    CHECK_INT(group->input_tiles, inputs);
     for (uint32_t t = 0; t < group->n_tiles; t++)
       CHECK(f.columns[group->first_tile + t] != 0 &&
             f.columns[group->first_tile + t] >> (group->n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN == 0);
@@ -282,17 +292,18 @@ static void refusals(void)
   struct mo_plan plan;
   struct mo_plan_options bad = options;
   REQUIRE(setup());
-  CHECK_INT(mo_plan_create(&plan, robots, 0, &options), MO_ERR_INVALID);
+  CHECK_INT(cut(&plan, robots, 0, 1, &options), MO_ERR_INVALID);
   mo_plan_free(&plan);
   bad.rows = MO_PLAN_ROWS_MAX + 1;
-  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_ERR_INVALID);
+  CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_ERR_INVALID);
   mo_plan_free(&plan);
   bad = options;
-  bad.group_bytes = options.column_bytes + 244 * options.place_bytes; /* 245 masses in one row need more */
-  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_ERR_UNSUPPORTED);
+  bad.group_bytes = options.column_bytes + options.part_bytes + 244 * options.place_bytes +
+                    MO_DEFAULT_SPRINGS * options.length_bytes; /* 245 masses in one row need more */
+  CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_ERR_UNSUPPORTED);
   mo_plan_free(&plan);
   bad.group_bytes += options.place_bytes;
-  CHECK_INT(mo_plan_create(&plan, robots, N, &bad), MO_OK);
+  CHECK_INT(cut(&plan, robots, N, 1, &bad), MO_OK);
   mo_plan_free(&plan);
 
   struct mo_lattice *small = NULL;
@@ -301,7 +312,7 @@ static void refusals(void)
   REQUIRE(mo_lattice_create((struct mo_workspace){3, 3, 3}, &small) == MO_OK);
   REQUIRE(mo_body_create(small, bits, &body) == MO_OK);
   const struct mo_robot robot = {body, environments};
-  CHECK_INT(mo_plan_create(&plan, &robot, 1, &options), MO_ERR_UNSUPPORTED);
+  CHECK_INT(cut(&plan, &robot, 1, 1, &options), MO_ERR_UNSUPPORTED);
   mo_plan_free(&plan);
   mo_body_free(body);
   mo_lattice_free(small);
@@ -309,7 +320,6 @@ static void refusals(void)
 
 static const struct check_case cases[] = {{"every row once", rows_once},
                                           {"links", links},
-                                          {"inputs", inputs},
                                           {"slots", slots},
                                           {"tiles", tiles},
                                           {"any number of shares", shares_do_not_matter},
