@@ -2,7 +2,7 @@
  *
  * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
  * group and the launch's steps in order; the launches are added in order too, and the groups in collect. So no sum depends on which other groups there are, nor on the device. */
-#include "compute/cuda/gradient_kernels.cuh"
+#include "compute/cuda/gradient_products.cuh"
 
 enum {
   DEPTH = 32, /* rows × steps at a time */
@@ -16,16 +16,6 @@ enum {
 };
 static_assert(DEPTH * M == THREADS * 8 && DEPTH * N == 2 * THREADS * 8,
               "a thread copies three times 16 bytes of a stage");
-
-static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from, bool there)
-{
-  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(to), "l"(from), "r"(there ? 16 : 0));
-}
-
-struct operands {
-  const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, 256) */
-  int left_row, left_columns, depth;
-};
 
 /* What a thread copies, stage by stage: 16 bytes of the left operand, and of the right one in two rows. */
 struct copies {
@@ -67,38 +57,7 @@ static __global__ void __launch_bounds__(THREADS, 1)
   extern __shared__ __align__(16) unsigned char shared[];
   if (*k.cancel != 0)
     return;
-  const uint32_t job = jobs[blockIdx.x];
-  const mo_gp_group &g = k.groups[job >> 8];
-  const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
-  const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps);
-  const mo_gp_sum sum = mo_gp_sum_of(&g);
-  const unsigned char *tape_base = k.tape + g.tape_at;
-  float *to = k.sums + g.sum_at;
-  operands o;
-  int m_all = MO_HIDDEN;
-  uint64_t right;
-  o.depth = (int)((end - first) * g.n_rows);
-  if (kind == MO_GK_JOB_OUTPUT) {
-    m_all = (int)g.n_outputs * MO_GP_TILE;
-    o.left = (const __nv_bfloat16 *)(tape_base + tape.d_output);
-    right = tape.hidden[2];
-    to += sum.output;
-  } else if (kind == MO_GK_JOB_INPUT) {
-    o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[0]);
-    right = tape.input;
-    to += sum.input;
-  } else {
-    const int layer = kind == MO_GK_JOB_HIDDEN_2 ? 2 : 1;
-    o.left = (const __nv_bfloat16 *)(tape_base + tape.normal[layer]);
-    right = tape.hidden[layer - 1];
-    to += sum.hidden[layer - 1];
-  }
-  o.right = (const __nv_bfloat16 *)(tape_base + right) + (size_t)first * g.n_rows * N;
-  o.left_row = m_all;
-  o.left += (size_t)first * g.n_rows * m_all + block * M;
-  o.left_columns = m_all - block * M;
-  to += (size_t)block * M * N;
-
+  const operands o = operands_of(k, jobs[blockIdx.x], first, end);
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, m0 = (warp & 3) * 32, n0 = (warp >> 2) * 64;
   const bool idle = m0 >= o.left_columns;
   const uint32_t base = shared_address(shared);
@@ -155,14 +114,9 @@ static __global__ void __launch_bounds__(THREADS, 1)
 #pragma unroll
     for (int j = 0; j < 8; j++)
 #pragma unroll
-      for (int h = 0; h < 2; h++) {
-        const int row = m0 + m * 16 + h * 8 + (lane >> 2), column = n0 + j * 8 + 2 * (lane & 3);
-        if (row >= o.left_columns)
-          continue;
-        float2 *at = (float2 *)(to + (size_t)row * N + column);
-        const float2 before = first == 0 ? make_float2(0, 0) : *at;
-        *at = make_float2(before.x + c[m][j][2 * h], before.y + c[m][j][2 * h + 1]);
-      }
+      for (int h = 0; h < 2; h++)
+        add_pair(o, m0 + m * 16 + h * 8 + (lane >> 2), n0 + j * 8 + 2 * (lane & 3), first == 0, c[m][j][2 * h],
+                 c[m][j][2 * h + 1]);
 }
 
 /* ---- over a shard's groups ---- */
@@ -272,15 +226,40 @@ extern "C" int mo_gk_pack(const float *parameters, const struct mo_gk_weights *w
   return (int)cudaGetLastError();
 }
 
+/* Whether the present device has what the wide kernel needs: that of capability 9.0 alone, no later one's. */
+static cudaError_t has_wide(bool *wide)
+{
+  int device = 0, major = 0, minor = 0;
+  cudaError_t status = cudaGetDevice(&device);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, device);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, device);
+  *wide = major == 9 && minor == 0;
+  return status;
+}
+
 extern "C" int mo_gk_open_products(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  return allow_shared(products_kernel, block_bytes, dynamic_bytes);
+  bool wide = false;
+  const cudaError_t status = has_wide(&wide);
+  if (status != cudaSuccess)
+    return (int)status;
+  return wide ? allow_shared(wide_products_kernel, block_bytes, dynamic_bytes)
+              : allow_shared(products_kernel, block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_products(const struct mo_gk *k, const uint32_t *jobs, uint32_t n, uint32_t first, uint32_t end,
                               void *stream)
 {
-  products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first, end);
+  bool wide = false;
+  const cudaError_t status = has_wide(&wide);
+  if (status != cudaSuccess)
+    return (int)status;
+  if (wide)
+    wide_products_kernel<<<n, WIDE_THREADS, WIDE_SHARED, (cudaStream_t)stream>>>(*k, jobs, first, end);
+  else
+    products_kernel<<<n, THREADS, STAGES * STAGE_BYTES, (cudaStream_t)stream>>>(*k, jobs, first, end);
   return (int)cudaGetLastError();
 }
 
