@@ -2,7 +2,8 @@
  *
  * A module is a shared object that is loaded at run time (devices.c); it exports one symbol, mo_device_module. Everything that
  * knows of queues, shares, several devices and jobs is on this side of the table; a module knows rows, weights and one device at a time.
- * Calls on one device come from one thread at a time, calls on different devices at the same time.
+ * Calls on one device come from one thread at a time, calls on different devices at the same time. `lay_out`, `layout_free`, `allocate` and
+ * `release` may be called from any thread, also while a device is in a call.
  *
  * Same bits: the outcome of a row depends on its body, environment, controller, physics and precision alone: not on its neighbours in
  * the call, nor on the device's number; two runs give the same bits.
@@ -16,6 +17,7 @@
 #ifndef MORPHO_COMPUTE_DEVICE_H
 #define MORPHO_COMPUTE_DEVICE_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include <morpho/controller.h>
@@ -27,12 +29,13 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      1
+#define MO_DEVICE_ABI      2
 #define MO_DEVICE_SHARD    1024 /* consecutive robots of a batch whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 65536
 
 struct mo_device;            /* one opened device */
 struct mo_device_controller; /* weights on a device */
+struct mo_device_layout;     /* rows of a gradient, laid out before their weights are known */
 
 struct mo_device_info {
   char name[96]; /* "NVIDIA H200" */
@@ -66,10 +69,13 @@ struct mo_device_gradient {
   const struct mo_robot *robots;          /* (n) rows */
   uint32_t n;                             /* 1 … MO_DEVICE_ROWS_MAX */
   struct mo_physics physics;              /* checked */
-  double adjoint_bound, weight;           /* as in mo_gradient_options */
-  const volatile int *cancel;             /* as above */
+  struct mo_device_layout *layout; /* NULL, or of these very robots and physics: the call finds its rows laid out */
+  double adjoint_bound, weight;    /* as in mo_gradient_options */
+  const volatile int *cancel;      /* as above */
   /* Results. */
-  float *d_parameters; /* (shards, n_parameters) each shard's own sum; robots that diverged or were zeroed count as 0 */
+  float *
+      d_parameters; /* (shards, n_parameters) each shard's own sum; robots that diverged or were zeroed count as 0; faster in memory
+                        * of `allocate` */
   struct mo_outcome *outcomes;      /* (n) */
   struct mo_gradient_counts counts; /* of this call alone */
   double host_s, device_s;
@@ -90,6 +96,15 @@ struct mo_device_module {
   void (*controller_free)(struct mo_device *device, struct mo_device_controller *controller); /* NULL-safe */
   int (*score)(struct mo_device *device, struct mo_device_score *score);
   int (*gradient)(struct mo_device *device, struct mo_device_gradient *gradient);
+  /* Lays out the rows of a gradient to come, for this device and those like it: the call that computes it then begins sooner. The robots stay
+   * as they are until that call. *layout: NULL, or one that no call uses any more: its memory is used again. The errors of
+   * `gradient`, but for MO_ERR_DEVICE; after one the layout is there, if it was, and is of no robots. */
+  int (*lay_out)(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
+                 const struct mo_physics *physics, struct mo_device_layout **layout);
+  void (*layout_free)(struct mo_device_layout *layout); /* before its device is closed; NULL-safe */
+  /* Memory of the host that devices reach faster, where there is such, else any. NULL: there is none. */
+  void *(*allocate)(const struct mo_device *device, size_t bytes);
+  void (*release)(void *memory); /* before its device is closed; NULL-safe */
   const char *(*error)(
       const struct mo_device *device); /* text of the last failure; never NULL; the device's, until its next call */
 };

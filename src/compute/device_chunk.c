@@ -45,7 +45,7 @@ struct room {
   uint32_t rows; /* left */
 };
 
-static bool same_physics(const struct mo_physics *a, const struct mo_physics *b)
+bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b)
 {
   return a->dt_s == b->dt_s && a->n_steps == b->n_steps && a->stiffness_n_per_m == b->stiffness_n_per_m &&
          a->mass_kg == b->mass_kg && a->drag_per_s == b->drag_per_s && a->gravity_m_per_s2 == b->gravity_m_per_s2 &&
@@ -57,7 +57,7 @@ static bool fits(const struct mo_block *block, void *context)
 {
   const struct room *room = context;
   return block->shards == NULL && block->controller == room->like->controller && block->n_environments <= room->rows &&
-         same_physics(&block->physics, &room->like->physics);
+         mo_same_physics(&block->physics, &room->like->physics);
 }
 
 /* Rows of each of the calls that are needed for all that a share has waiting. */

@@ -2,10 +2,185 @@
  *
  * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and these into as many parts as devices work, one call each. Every
  * shard has a float32 sum of its own; they are added up in float64, in order. So the bits do not depend on how many devices there
- * are, nor on how a call had to be halved. */
+ * are, nor on how a call had to be halved.
+ *
+ * The robots of the next batch do not depend on the weights: while a batch is computed, another thread may have the next one laid out. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
+#include <string.h>
+
+#include "base/parallel.h"
+
+enum { SUM_THREADS_MAX = 16 };
+
+/* A batch, cut into parts, each laid out by itself. */
+struct laid_out {
+  enum { FREE = 0, READY, IN_USE } state;
+  const struct mo_robot *robots;
+  uint32_t n, n_parts;
+  struct mo_physics physics;
+  struct mo_device_layout **parts; /* (devices) that keep their memory */
+};
+
+struct mo_device_gradients {
+  struct mo_devices *devices;
+  uint32_t n_threads;
+  float *shards; /* (room) */
+  size_t room;
+  pthread_mutex_t mutex;
+  struct laid_out
+      batches[2]; /* the one that is computed, and the one after it; `state` and what says whose, under the mutex */
+};
+
+int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_gradients **ret)
+{
+  const uint32_t n_workers = mo_compute_workers(devices->compute);
+  struct mo_device_gradients *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return MO_ERR_NO_MEMORY;
+  made->devices = devices;
+  made->n_threads = n_workers < SUM_THREADS_MAX ? n_workers : SUM_THREADS_MAX;
+  pthread_mutex_init(&made->mutex, NULL);
+  for (int b = 0; b < 2; b++)
+    made->batches[b].parts = calloc(devices->n, sizeof(struct mo_device_layout *));
+  if (made->batches[0].parts == NULL || made->batches[1].parts == NULL) {
+    mo_device_gradients_free(made);
+    return MO_ERR_NO_MEMORY;
+  }
+  *ret = made;
+  return MO_OK;
+}
+
+void mo_device_gradients_free(struct mo_device_gradients *gradients)
+{
+  if (gradients == NULL)
+    return;
+  for (int b = 0; b < 2; b++) {
+    for (uint32_t p = 0; gradients->batches[b].parts != NULL && p < gradients->devices->n; p++)
+      gradients->devices->module->layout_free(gradients->batches[b].parts[p]);
+    free(gradients->batches[b].parts);
+  }
+  gradients->devices->module->release(gradients->shards);
+  pthread_mutex_destroy(&gradients->mutex);
+  free(gradients);
+}
+
+static int reserve(struct mo_device_gradients *gradients, size_t n)
+{
+  const struct mo_devices *devices = gradients->devices;
+  if (n <= gradients->room)
+    return MO_OK;
+  devices->module->release(gradients->shards);
+  gradients->shards = devices->module->allocate(devices->units[0].device, n * sizeof(float));
+  gradients->room = gradients->shards != NULL ? n : 0;
+  return gradients->shards != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+}
+
+/* ---- parts ---- */
+
+static uint32_t parts_of(const struct mo_devices *devices, uint32_t n)
+{
+  const uint32_t n_shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD, n_working = atomic_load(&devices->n_working);
+  return n_working < n_shards ? n_working : n_shards;
+}
+
+struct part {
+  uint32_t first, end; /* robots */
+};
+
+static struct part part_of(uint32_t n, uint32_t n_parts, uint32_t p)
+{
+  const uint64_t n_shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
+  const struct part part = {(uint32_t)(n_shards * p / n_parts) * MO_DEVICE_SHARD,
+                            (uint32_t)(n_shards * (p + 1) / n_parts) * MO_DEVICE_SHARD};
+  return (struct part){part.first, part.end < n ? part.end : n};
+}
+
+/* ---- laying out ahead ---- */
+
+void mo_device_gradients_forget(struct mo_device_gradients *gradients)
+{
+  pthread_mutex_lock(&gradients->mutex);
+  for (int b = 0; b < 2; b++)
+    if (gradients->batches[b].state == READY)
+      gradients->batches[b].state = FREE;
+  pthread_mutex_unlock(&gradients->mutex);
+}
+
+int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots, uint32_t n,
+                       const struct mo_physics *physics)
+{
+  const struct mo_devices *devices = gradients->devices;
+  struct laid_out *batch = NULL;
+  int status = MO_OK;
+  mo_device_gradients_forget(gradients);
+  pthread_mutex_lock(&gradients->mutex);
+  for (int b = 0; b < 2 && batch == NULL; b++)
+    if (gradients->batches[b].state == FREE)
+      batch = &gradients->batches[b];
+  if (batch != NULL)
+    batch->state = IN_USE;
+  pthread_mutex_unlock(&gradients->mutex);
+  if (batch == NULL)
+    return MO_ERR_CONFLICT;
+  batch->robots = robots;
+  batch->n = n;
+  batch->physics = *physics;
+  batch->n_parts = parts_of(devices, n);
+  for (uint32_t p = 0; p < batch->n_parts && status == MO_OK; p++) {
+    const struct part part = part_of(n, batch->n_parts, p);
+    status = devices->module->lay_out(devices->units[p].device, robots + part.first, part.end - part.first, physics,
+                                      &batch->parts[p]);
+  }
+  pthread_mutex_lock(&gradients->mutex);
+  batch->state = status == MO_OK ? READY : FREE;
+  pthread_mutex_unlock(&gradients->mutex);
+  return status;
+}
+
+static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *batch)
+{
+  return laid->state == READY && laid->robots == batch->robots && laid->n == batch->n &&
+         mo_same_physics(&laid->physics, &batch->physics);
+}
+
+bool mo_devices_have_laid_out(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch)
+{
+  pthread_mutex_lock(&gradients->mutex);
+  const bool found = is_of(&gradients->batches[0], batch) || is_of(&gradients->batches[1], batch);
+  pthread_mutex_unlock(&gradients->mutex);
+  return found;
+}
+
+/* NULL: it has to be laid out. What was found is in use until give_back. */
+static struct laid_out *take(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch,
+                             uint32_t n_parts)
+{
+  struct laid_out *found = NULL;
+  pthread_mutex_lock(&gradients->mutex);
+  for (int b = 0; b < 2 && found == NULL; b++)
+    if (is_of(&gradients->batches[b], batch))
+      found = &gradients->batches[b];
+  if (found != NULL && found->n_parts != n_parts) { /* a device was lost meanwhile */
+    found->state = FREE;
+    found = NULL;
+  }
+  if (found != NULL)
+    found->state = IN_USE;
+  pthread_mutex_unlock(&gradients->mutex);
+  return found;
+}
+
+static void give_back(struct mo_device_gradients *gradients, struct laid_out *laid)
+{
+  pthread_mutex_lock(&gradients->mutex);
+  if (laid != NULL)
+    laid->state = FREE;
+  pthread_mutex_unlock(&gradients->mutex);
+}
+
+/* ---- computing ---- */
 
 struct waiter {
   pthread_mutex_t mutex;
@@ -25,15 +200,11 @@ static void part_done(struct mo_block *block, void *context)
   pthread_mutex_unlock(&waiter->mutex);
 }
 
-static void submit(struct mo_devices *devices, const struct mo_gradient_batch *batch, float *d_parameters,
-                   struct mo_device_task *parts, uint32_t n_parts, struct waiter *waiter)
+static void submit(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch,
+                   const struct laid_out *laid, struct mo_device_task *parts, uint32_t n_parts, struct waiter *waiter)
 {
-  const uint32_t n_shards = (batch->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
   for (uint32_t p = 0; p < n_parts; p++) {
-    const uint32_t first = (uint32_t)((uint64_t)n_shards * p / n_parts) * MO_DEVICE_SHARD;
-    uint32_t end = (uint32_t)((uint64_t)n_shards * (p + 1) / n_parts) * MO_DEVICE_SHARD;
-    if (end > batch->n)
-      end = batch->n;
+    const struct part part = part_of(batch->n, n_parts, p);
     parts[p] = (struct mo_device_task){.block = {.physics = batch->physics,
                                                  .urgency = MO_BATCH,
                                                  .back_end = MO_ON_DEVICE,
@@ -44,18 +215,19 @@ static void submit(struct mo_devices *devices, const struct mo_gradient_batch *b
                                                  .context = waiter,
                                                  .shards = &parts[p]},
                                        .controller = batch->controller,
-                                       .robots = batch->robots + first,
-                                       .n = end - first,
+                                       .robots = batch->robots + part.first,
+                                       .n = part.end - part.first,
+                                       .layout = laid != NULL ? laid->parts[p] : NULL,
                                        .adjoint_bound = batch->adjoint_bound,
                                        .weight = 1.0 / batch->n,
                                        .stop = &waiter->stop,
-                                       .outcomes = batch->outcomes + first,
-                                       .d_parameters =
-                                           d_parameters + first / MO_DEVICE_SHARD * batch->controller->n_parameters};
+                                       .outcomes = batch->outcomes + part.first,
+                                       .d_parameters = gradients->shards +
+                                                       part.first / MO_DEVICE_SHARD * batch->controller->n_parameters};
   }
   waiter->left = n_parts;
   for (uint32_t p = 0; p < n_parts; p++) {
-    const int status = mo_devices_submit(devices, &parts[p].block);
+    const int status = mo_devices_submit(gradients->devices, &parts[p].block);
     if (status != MO_OK) {
       parts[p].block.status = status;
       part_done(&parts[p].block, waiter);
@@ -73,37 +245,54 @@ static int result_of(const struct mo_device_task *parts, uint32_t n_parts)
   return status;
 }
 
-int mo_devices_gradient(struct mo_devices *devices, struct mo_gradient_batch *batch, float **shards, size_t *room)
+struct sum {
+  const float *shards; /* (n_shards, n_parameters) */
+  uint32_t n_shards;
+  size_t n_parameters;
+  double *d_parameters;
+};
+
+static void add_up(void *context, size_t first, size_t end)
+{
+  const struct sum *sum = context;
+  double *d = sum->d_parameters;
+  memset(d + first, 0, (end - first) * sizeof(*d));
+  for (uint32_t s = 0; s < sum->n_shards; s++) {
+    const float *shard = sum->shards + s * sum->n_parameters;
+    for (size_t i = first; i < end; i++)
+      d[i] += (double)shard[i];
+  }
+}
+
+int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradient_batch *batch)
 {
   const size_t n_parameters = batch->controller->n_parameters;
   const uint32_t n_shards = (batch->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
-  const uint32_t n_working = atomic_load(&devices->n_working), n_parts = n_working < n_shards ? n_working : n_shards;
+  const uint32_t n_parts = parts_of(gradients->devices, batch->n);
   struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER};
   if (n_parts == 0)
     return MO_ERR_DEVICE;
-  if (n_shards * n_parameters > *room) {
-    free(*shards);
-    *shards = malloc(n_shards * n_parameters * sizeof(**shards));
-    *room = *shards != NULL ? n_shards * n_parameters : 0;
-  }
   struct mo_device_task *parts = calloc(n_parts, sizeof(*parts));
-  if (*shards == NULL || parts == NULL) {
+  if (parts == NULL || reserve(gradients, n_shards * n_parameters) != MO_OK) {
     free(parts);
     return MO_ERR_NO_MEMORY;
   }
-  submit(devices, batch, *shards, parts, n_parts, &waiter);
+  struct laid_out *laid = take(gradients, batch, n_parts);
+  submit(gradients, batch, laid, parts, n_parts, &waiter);
   pthread_mutex_lock(&waiter.mutex);
   while (waiter.left > 0)
     pthread_cond_wait(&waiter.all_done, &waiter.mutex);
   pthread_mutex_unlock(&waiter.mutex);
   pthread_cond_destroy(&waiter.all_done);
   pthread_mutex_destroy(&waiter.mutex);
+  give_back(gradients, laid);
   const int status = result_of(parts, n_parts);
   for (uint32_t p = 0; p < n_parts && status == MO_OK; p++)
     mo_gradient_counts_add(&batch->counts, &parts[p].counts);
-  for (uint32_t s = 0; s < n_shards && status == MO_OK; s++)
-    for (size_t i = 0; i < n_parameters; i++)
-      batch->d_parameters[i] += (double)(*shards)[s * n_parameters + i];
+  if (status == MO_OK) {
+    struct sum sum = {gradients->shards, n_shards, n_parameters, batch->d_parameters};
+    mo_parallel(gradients->n_threads, n_parameters, add_up, &sum);
+  }
   free(parts);
   return status;
 }

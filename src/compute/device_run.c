@@ -279,6 +279,7 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
                                     .robots = task->robots + row,
                                     .n = end - row,
                                     .physics = task->block.physics,
+                                    .layout = end - row == task->n ? task->layout : NULL,
                                     .adjoint_bound = task->adjoint_bound,
                                     .weight = task->weight,
                                     .cancel = &unit->cancel,

@@ -86,8 +86,18 @@ void mo_devices_share_remove(struct mo_devices *devices, struct mo_compute_share
 void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share, double weight);
 
 /* ---- device_gradient.c ---- */
-/* Adds the gradient of a checked batch to d_parameters and counts, which are 0. shards (malloc) and its room last from call to call. */
-int mo_devices_gradient(struct mo_devices *devices, struct mo_gradient_batch *batch, float **shards, size_t *room);
+/* What lasts from one gradient to the next: memory, and what was laid out ahead. */
+struct mo_device_gradients;
+int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_gradients **ret); /* MO_ERR_NO_MEMORY */
+void mo_device_gradients_free(struct mo_device_gradients *gradients);                         /* NULL-safe */
+/* The gradient of a checked batch. Adds to counts, which are 0. One call at a time. */
+int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradient_batch *batch);
+/* Lays out checked robots, which stay as they are until their gradient was asked for, or forgotten. One call at a time, beside one of
+ * mo_devices_gradient. What was laid out before and is not in use is forgotten. MO_ERR_CONFLICT: two are in use. */
+int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots, uint32_t n,
+                       const struct mo_physics *physics);
+void mo_device_gradients_forget(struct mo_device_gradients *gradients);
+bool mo_devices_have_laid_out(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch);
 
 /* ---- device_chunk.c ---- */
 int mo_chunk_create(struct mo_chunk *chunk); /* MO_ERR_NO_MEMORY */
@@ -96,6 +106,7 @@ void mo_chunk_destroy(struct mo_chunk *chunk);
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk);
 /* Without the mutex: builds the bodies, on so many threads at most, and lays out the rows. */
 void mo_chunk_build(struct mo_chunk *chunk, uint32_t n_threads);
+bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b);
 /* Whether nobody wants what is in it any more. */
 bool mo_chunk_is_cancelled(const struct mo_chunk *chunk);
 /* Under the mutex: what is not done goes back to the queue, or has its end if nobody is left to do it. */

@@ -23,11 +23,10 @@ struct mo_gradient_state {
   struct mo_compute *compute;
   struct mo_gradient_pack *pack;
   uint32_t n_slots;
-  struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
-  size_t n_parameters; /* that each slot has room for */
-  float *shards;       /* (shards_room) sums that devices give */
-  size_t shards_room;
-  uint32_t *order; /* (order_room) */
+  struct slot *slots;                     /* (n_slots); block b of a batch is in slot b mod n_slots */
+  size_t n_parameters;                    /* that each slot has room for */
+  struct mo_device_gradients *on_devices; /* NULL: there are none */
+  uint32_t *order;                        /* (order_room) */
   size_t order_room;
   atomic_bool stop; /* the call failed: what still runs may end */
   pthread_mutex_t mutex;
@@ -48,6 +47,12 @@ int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_stat
   }
   pthread_mutex_init(&state->mutex, NULL);
   pthread_cond_init(&state->finished, NULL);
+  struct mo_devices *devices = mo_compute_get_devices(compute);
+  const int status = devices != NULL ? mo_device_gradients_create(devices, &state->on_devices) : MO_OK;
+  if (status != MO_OK) {
+    mo_gradient_state_free(state);
+    return status;
+  }
   *ret = state;
   return MO_OK;
 }
@@ -61,7 +66,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   pthread_cond_destroy(&state->finished);
   pthread_mutex_destroy(&state->mutex);
   mo_gradient_pack_free(state->pack);
-  free(state->shards);
+  mo_device_gradients_free(state->on_devices);
   free(state->order);
   free(state->slots);
   free(state);
@@ -84,13 +89,16 @@ static int check(const struct mo_compute *compute, const struct mo_gradient_batc
     return MO_ERR_RANGE;
   if (batch->share != NULL && batch->share->compute != compute)
     return MO_ERR_INVALID;
-  for (uint32_t i = 0; i < batch->n; i++) {
-    const struct mo_robot *robot = batch->robots + i;
-    if (robot->body == NULL || robot->environment == NULL ||
-        !same_workspace(robot->body->workspace, batch->controller->workspace) ||
-        mo_environment_check(robot->environment, NULL) != MO_OK)
+  return MO_OK;
+}
+
+static int check_robots(const struct mo_robot *robots, uint32_t n, struct mo_workspace workspace)
+{
+  for (uint32_t i = 0; i < n; i++)
+    if (robots[i].body == NULL || robots[i].environment == NULL ||
+        !same_workspace(robots[i].body->workspace, workspace) ||
+        mo_environment_check(robots[i].environment, NULL) != MO_OK)
       return MO_ERR_INVALID;
-  }
   return MO_OK;
 }
 
@@ -202,21 +210,44 @@ static void add(const struct mo_gradient_state *state, const struct mo_gradient_
 
 static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
 {
-  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
   batch->counts = (struct mo_gradient_counts){0};
   batch->profile = (struct mo_gradient_profile){0};
   batch->computed_on = back_end;
 }
 
+int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
+                                const struct mo_physics *physics)
+{
+  int status;
+  if (state->on_devices == NULL)
+    return MO_OK;
+  if (n < 1 || n > MO_GRADIENT_BATCH_MAX)
+    return MO_ERR_RANGE;
+  if (robots == NULL || mo_physics_check(physics, NULL) != MO_OK)
+    return MO_ERR_INVALID;
+  status = check_robots(robots, n, MO_DEFAULT_WORKSPACE);
+  return status == MO_OK ? mo_devices_lay_out(state->on_devices, robots, n, physics) : status;
+}
+
+void mo_compute_gradient_forget(struct mo_gradient_state *state)
+{
+  if (state->on_devices != NULL)
+    mo_device_gradients_forget(state->on_devices);
+}
+
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   int status = check(state->compute, batch);
+  const bool was_checked = status == MO_OK && batch->back_end == MO_ON_DEVICE && state->on_devices != NULL &&
+                           same_workspace(batch->controller->workspace, MO_DEFAULT_WORKSPACE) &&
+                           mo_devices_have_laid_out(state->on_devices, batch);
+  if (status == MO_OK && !was_checked)
+    status = check_robots(batch->robots, batch->n, batch->controller->workspace);
   if (status != MO_OK)
     return status;
   if (batch->back_end == MO_ON_DEVICE) {
-    struct mo_devices *devices = mo_compute_get_devices(state->compute);
     clear(batch, MO_ON_DEVICE);
-    status = devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(devices, batch, &state->shards, &state->shards_room);
+    status = state->on_devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(state->on_devices, batch);
     if (status != MO_ERR_UNSUPPORTED)
       return status;
   }
@@ -225,6 +256,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
   if (status != MO_OK)
     return status;
   clear(batch, MO_ON_CPU);
+  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
   atomic_store(&state->stop, false);
   uint32_t submitted = 0;
   for (uint32_t b = 0; b < n_blocks && (status == MO_OK || b < submitted); b++) {

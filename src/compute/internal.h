@@ -35,11 +35,13 @@ struct mo_gradient_task {
   struct mo_gradient_profile profile;
 };
 /* A part of a batch for one device: shards of MO_DEVICE_SHARD robots; queued by its `block`, as a gradient block is. */
+struct mo_device_layout;
 struct mo_device_task {
   struct mo_block block;
   const struct mo_controller *controller;
   const struct mo_robot *robots; /* (n) */
   uint32_t n;
+  struct mo_device_layout *layout; /* of all of them; NULL: they are not laid out */
   double adjoint_bound, weight;
   const atomic_bool *stop;
   /* Results. */

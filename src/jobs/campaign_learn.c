@@ -190,15 +190,15 @@ static int set_designs(struct mo_campaign_run *run)
 {
   const bool on_children = run->step >= parent_steps(run, run->generation);
   struct mo_message message = {.text = ""};
-  int error = mo_training_set_designs(run->learner.training, on_children ? children(run) : run->bits[0].words,
-                                      on_children ? run->n_children : run->n_parents, &message);
+  int error = mo_learner_set_designs(&run->learner, on_children ? children(run) : run->bits[0].words,
+                                     on_children ? run->n_children : run->n_parents, &message);
   return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : mo_attempt_fail(&run->attempt, error, message.text);
 }
 
-static int tell(struct mo_campaign_run *run, uint32_t n_steps)
+static int tell(struct mo_campaign_run *run)
 {
   char progress[256];
-  const char *data = mo_campaign_progress(run, "learning", run->step, n_steps, progress);
+  const char *data = mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
   int error;
   if (data == NULL || mo_campaign_is_writing(run))
     return MO_OK;
@@ -209,14 +209,40 @@ static int tell(struct mo_campaign_run *run, uint32_t n_steps)
   return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ? MO_OK : error; /* only news */
 }
 
+static bool checkpoint_is_due(const struct mo_campaign_run *run)
+{
+  const uint32_t every_s = run->status.record.checkpoint_every_s;
+  return every_s > 0 && mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
+}
+
+static int write_what_is_due(struct mo_campaign_run *run)
+{
+  const int error = checkpoint_is_due(run) ? mo_campaign_save_learning(run) : MO_OK;
+  return error == MO_OK ? tell(run) : error;
+}
+
+/* A device computes while this thread writes. */
+static int compute(struct mo_campaign_run *run, const struct mo_robot *robots)
+{
+  const bool beside = run->learner.back_end == MO_ON_DEVICE;
+  int written = beside ? MO_OK : write_what_is_due(run), computed;
+  if (written != MO_OK)
+    return written;
+  mo_learner_begin(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                   &run->attempt.runner->interrupt);
+  if (beside)
+    written = write_what_is_due(run);
+  computed = mo_learner_wait(&run->learner);
+  return written != MO_OK ? written : computed;
+}
+
 static int step(struct mo_campaign_run *run)
 {
   struct mo_campaign_step *row = &run->steps[run->step];
   const struct mo_robot *robots = NULL;
   int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
   if (error == MO_OK)
-    error = mo_learner_gradient(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                                &run->attempt.runner->interrupt);
+    error = compute(run, robots);
   if (error == MO_OK)
     error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
@@ -229,12 +255,6 @@ static int step(struct mo_campaign_run *run)
   run->last_loss = row->report.mean_loss;
   atomic_fetch_add(&run->jobs->campaign_steps, 1);
   return MO_OK;
-}
-
-static bool checkpoint_is_due(const struct mo_campaign_run *run)
-{
-  const uint32_t every_s = run->status.record.checkpoint_every_s;
-  return every_s > 0 && mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
 }
 
 int mo_campaign_learn(struct mo_campaign_run *run)
@@ -257,14 +277,9 @@ int mo_campaign_learn(struct mo_campaign_run *run)
     mo_campaign_advance(run, run->step);
     if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
-    if (checkpoint_is_due(run))
-      error = mo_campaign_save_learning(run);
-    if (error == MO_OK)
-      error = step(run);
+    error = step(run);
     if (error == MO_OK && run->step < n_steps && run->step == parent_steps(run, run->generation))
       error = set_designs(run);
-    if (error == MO_OK)
-      error = tell(run, n_steps);
   }
   return error == MO_OK ? mo_campaign_save_learning(run) : error;
 }

@@ -323,9 +323,11 @@ struct mo_learner {
   struct mo_training *training;
   struct mo_gradient_state *gradients;
   enum mo_back_end back_end; /* set by mo_learner_prepare */
-  /* Of the gradient that is to be applied. */
-  enum mo_back_end computed_on;
-  struct mo_gradient_counts counts;
+  /* The gradient that is computed, or to be applied: batch.computed_on says who computed it. */
+  struct mo_gradient_batch batch;
+  int status;
+  bool computes, draws; /* threads of this step */
+  pthread_t computing, drawing;
   int64_t start_us;
   double *d_parameters;
   struct mo_outcome *outcomes;
@@ -333,9 +335,13 @@ struct mo_learner {
 /* Everything but the training, for it; to be called again when another of the same controller and batch takes its place.
  * MO_ERR_NO_MEMORY. */
 int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
-/* A step: the gradient of the robots that were drawn, then their application. computed_on says who computed it. seconds: of both. */
-int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
-                        struct mo_compute_share *share, const volatile int *cancel);
+/* The training's own, where what is laid out ahead has to be forgotten. */
+int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n, struct mo_message *message);
+/* A step: the gradient of the robots that were drawn, then their application. Whoever begins waits, whatever happens between, in which the
+ * state of the training may be read and written to the store; the robots of the step after it are drawn then. seconds: of the whole step. */
+void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
+                      struct mo_compute_share *share, const volatile int *cancel);
+int mo_learner_wait(struct mo_learner *learner);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds);
 void mo_learner_free(struct mo_learner *learner); /* the training, too */
 

@@ -1,8 +1,9 @@
 /* training_run.c: one training, from where it stands to its end or until somebody wants something else.
  *
  * A step: draw its robots, wait for their gradient, apply it. Rows of steps are written about once a second and before every
- * checkpoint. A checkpoint is written when it is due, at a pause, at a stop, and at the end, before the controller. What a crash
- * costs is the time since the last checkpoint: the steps from there are run again and give the same numbers.
+ * checkpoint. A checkpoint is written when it is due, at a pause, at a stop, and at the end, before the controller; on devices while
+ * the next gradient is computed. What a crash costs is the time since the last checkpoint: the steps from there are run again and give the
+ * same numbers.
  *
  * Want of room is waited for: the run tries again every second until it succeeds or a wish comes. A stop does not wait: the next
  * start goes on from the last checkpoint. */
@@ -264,8 +265,9 @@ static int write_code(void *context)
 {
   struct run *run = context;
   const struct mo_compute *compute = run->jobs->compute;
-  const char *fingerprint = run->learner.computed_on == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(compute)
-                                                                     : mo_compute_gradient_fingerprint(compute);
+  const char *fingerprint = run->learner.batch.computed_on == MO_ON_DEVICE
+                                ? mo_compute_device_gradient_fingerprint(compute)
+                                : mo_compute_gradient_fingerprint(compute);
   return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training), fingerprint,
                                 &run->status.code);
 }
@@ -275,25 +277,61 @@ static int write_code(void *context)
 static int note_code(struct run *run)
 {
   int error;
-  if (run->code_noted && run->noted == run->learner.computed_on)
+  if (run->code_noted && run->noted == run->learner.batch.computed_on)
     return MO_OK;
   error = mo_attempt_persist(&run->attempt, write_code, run, "the lineage");
   run->code_noted = error == MO_OK;
-  run->noted = run->learner.computed_on;
+  run->noted = run->learner.batch.computed_on;
   return error;
+}
+
+static bool checkpoint_is_due(const struct run *run)
+{
+  const struct mo_training_record *record = &run->status.record;
+  uint32_t here = mo_training_step(run->learner.training);
+  if (here == run->checkpoint_step || here == 0)
+    return false;
+  return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
+         (record->checkpoint_every_s > 0 &&
+          mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)record->checkpoint_every_s * 1000000);
+}
+
+/* What is due to be written of the steps applied so far. */
+static int write_what_is_due(struct run *run)
+{
+  if (checkpoint_is_due(run))
+    return save(run);
+  if (run->n_rows == ROWS_MAX || mo_jobs_clock_us() - run->rows_us >= ROWS_EVERY_US)
+    return flush(run);
+  return MO_OK;
+}
+
+/* A device computes while this thread writes; workers would not gain by it. */
+static int compute(struct run *run, const struct mo_robot *robots)
+{
+  const bool beside = run->learner.back_end == MO_ON_DEVICE;
+  int written = beside ? MO_OK : write_what_is_due(run), computed;
+  if (written != MO_OK)
+    return written;
+  mo_learner_begin(&run->learner, robots, run->status.job.priority, run->id, run->share,
+                   &run->attempt.runner->interrupt);
+  if (beside)
+    written = write_what_is_due(run);
+  computed = mo_learner_wait(&run->learner);
+  return written != MO_OK ? written : computed;
 }
 
 static int step(struct run *run)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
   const struct mo_robot *robots = NULL;
-  struct mo_training_step_row *row = &run->rows[run->n_rows];
+  struct mo_training_step_row *row;
   int error = draw(run, &robots);
   if (error == MO_OK)
-    error = mo_learner_gradient(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                                &run->attempt.runner->interrupt);
+    error = compute(run, robots);
   if (error == MO_OK)
     error = note_code(run);
+  row = &run->rows[run->n_rows];
   if (error == MO_OK)
     error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)
@@ -305,9 +343,7 @@ static int step(struct run *run)
   atomic_fetch_add(&run->jobs->training_diverged, row->report.diverged);
   atomic_fetch_add(&run->jobs->training_zeroed, row->report.zeroed);
   atomic_fetch_add(&run->jobs->training_ns, (uint64_t)(row->seconds * 1e9));
-  if (run->n_rows == ROWS_MAX || mo_jobs_clock_us() - run->rows_us >= ROWS_EVERY_US)
-    error = flush(run);
-  return error;
+  return MO_OK;
 }
 
 static int write_validation(void *context)
@@ -338,17 +374,6 @@ static int validate(struct run *run)
     atomic_fetch_add(&run->jobs->training_validations, 1);
   }
   return error;
-}
-
-static bool checkpoint_is_due(const struct run *run)
-{
-  const struct mo_training_record *record = &run->status.record;
-  uint32_t here = mo_training_step(run->learner.training);
-  if (here == run->checkpoint_step || here == 0)
-    return false;
-  return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
-         (record->checkpoint_every_s > 0 &&
-          mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)record->checkpoint_every_s * 1000000);
 }
 
 /* ---- the end ---- */
@@ -388,10 +413,7 @@ static int learn(struct run *run)
     error = validate(run);
     if (error != MO_OK || mo_training_step(run->learner.training) == run->status.record.settings.n_steps)
       break;
-    if (checkpoint_is_due(run))
-      error = save(run);
-    if (error == MO_OK)
-      error = step(run);
+    error = step(run);
   }
   if (error == MO_OK)
     error = save(run);

@@ -3,10 +3,14 @@
  *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²,  w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t)) + ε)
  *
  * Only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, or summed in the order of the elements: equal bits on
- * every machine. An update is computed twice, first to see that all of it is finite, so that it happens whole or not at all. */
+ * every machine, on any number of threads. An update is computed twice, first to see that all of it is finite, so that it happens whole or not at all. */
 #include "learning/internal.h"
 
+#include "base/parallel.h"
+
 #include <math.h>
+#include <stdatomic.h>
+#include <string.h>
 
 void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings, uint32_t updates)
 {
@@ -28,35 +32,81 @@ static double norm_of_scaled(const double *gradient, size_t n, double scale)
 
 double mo_gradient_norm(const double *gradient, size_t n)
 {
-  double largest = 0.0;
+  uint64_t most = 0; /* of the magnitudes, whose order is that of their bits */
   for (size_t i = 0; i < n; i++) {
-    if (!isfinite(gradient[i]))
-      return NAN;
-    largest = fmax(largest, fabs(gradient[i]));
+    uint64_t bits;
+    memcpy(&bits, gradient + i, sizeof(bits));
+    bits &= ~(UINT64_C(1) << 63);
+    most = bits > most ? bits : most;
   }
+  double largest;
+  memcpy(&largest, &most, sizeof(largest));
+  if (!isfinite(largest))
+    return NAN;
   /* Powers of two change no bit of the sum where both ways are possible. */
   const double scale = largest > 0x1p400 ? 0x1p-600 : largest < 0x1p-400 ? 0x1p+500 : 1.0;
   return norm_of_scaled(gradient, n, scale);
 }
-
-struct update {
-  double first, second, weight;
-};
 
 struct constants {
   double beta1, beta2, epsilon, scale, rate;
   double correct1, correct2; /* 1 − β^t */
 };
 
-static inline struct update updated(const struct constants *c, double first, double second, double weight,
-                                    double gradient)
+/* An update under way: ranges of elements, each on a thread. */
+struct update {
+  struct mo_adam *adam;
+  const double *gradient;
+  float *weights;
+  struct constants c;
+  atomic_bool is_infinite;
+  atomic_uint bounded;
+};
+
+struct element {
+  double first, second, weight;
+};
+
+static inline struct element updated(const struct constants *c, double first, double second, double weight,
+                                     double gradient)
 {
   const double g = gradient * c->scale;
-  struct update u;
-  u.first = c->beta1 * first + (1.0 - c->beta1) * g;
-  u.second = c->beta2 * second + (1.0 - c->beta2) * (g * g);
-  u.weight = weight - c->rate * (u.first / c->correct1) / (sqrt(u.second / c->correct2) + c->epsilon);
-  return u;
+  struct element e;
+  e.first = c->beta1 * first + (1.0 - c->beta1) * g;
+  e.second = c->beta2 * second + (1.0 - c->beta2) * (g * g);
+  e.weight = weight - c->rate * (e.first / c->correct1) / (sqrt(e.second / c->correct2) + c->epsilon);
+  return e;
+}
+
+static void look(void *context, size_t from, size_t end)
+{
+  struct update *u = context;
+  const struct constants c = u->c;
+  bool finite = true;
+  for (size_t i = from; i < end; i++) {
+    const struct element e = updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
+    finite &= isfinite(e.first) && isfinite(e.second) && isfinite(e.weight);
+  }
+  if (!finite)
+    atomic_store(&u->is_infinite, true);
+}
+
+static void move(void *context, size_t from, size_t end)
+{
+  struct update *u = context;
+  const struct constants c = u->c;
+  unsigned bounded = 0;
+  for (size_t i = from; i < end; i++) {
+    struct element e = updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
+    if (fabs(e.weight) > (double)MO_WEIGHT_LIMIT) {
+      e.weight = copysign((double)MO_WEIGHT_LIMIT, e.weight);
+      bounded++;
+    }
+    u->adam->first[i] = e.first;
+    u->adam->second[i] = e.second;
+    u->weights[i] = (float)e.weight;
+  }
+  atomic_fetch_add(&u->bounded, bounded);
 }
 
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
@@ -64,25 +114,16 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
 {
   const double power1 = adam->beta1_power * settings->beta1;
   const double power2 = adam->beta2_power * settings->beta2;
-  const struct constants c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate,
-                              1.0 - power1,    1.0 - power2};
-  bool finite = true;
-  for (size_t i = 0; i < n; i++) {
-    const struct update u = updated(&c, adam->first[i], adam->second[i], weights[i], gradient[i]);
-    finite &= isfinite(u.first) && isfinite(u.second) && isfinite(u.weight);
-  }
-  if (!finite)
+  struct update update = {
+      .adam = adam,
+      .gradient = gradient,
+      .weights = weights,
+      .c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate, 1.0 - power1, 1.0 - power2}};
+  mo_parallel(adam->n_threads, n, look, &update);
+  if (atomic_load(&update.is_infinite))
     return false;
-  for (size_t i = 0; i < n; i++) {
-    struct update u = updated(&c, adam->first[i], adam->second[i], weights[i], gradient[i]);
-    if (fabs(u.weight) > (double)MO_WEIGHT_LIMIT) {
-      u.weight = copysign((double)MO_WEIGHT_LIMIT, u.weight);
-      ++*bounded;
-    }
-    adam->first[i] = u.first;
-    adam->second[i] = u.second;
-    weights[i] = (float)u.weight;
-  }
+  mo_parallel(adam->n_threads, n, move, &update);
+  *bounded += atomic_load(&update.bounded);
   adam->beta1_power = power1;
   adam->beta2_power = power2;
   return true;

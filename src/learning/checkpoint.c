@@ -134,7 +134,15 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  struct mo_training copy = *training; /* fields are passed by address; writing changes none */
+  /* Fields are passed by address; writing changes none. A draw ahead may be changing the others. */
+  struct mo_training copy = {.settings = training->settings,
+                             .controller = training->controller,
+                             .adam = training->adam,
+                             .step = training->step,
+                             .skipped = training->skipped,
+                             .n_designs = training->n_designs,
+                             .designs = training->designs,
+                             .draws = training->draws};
   struct counters counters = {VERSION,        copy.step,  copy.skipped,
                               copy.n_designs, copy.draws, copy.controller->n_parameters};
   const size_t all = sizeof(magic) + HEADER_BYTES + body_bytes(counters.n_designs, counters.n_parameters) + SUM_BYTES;

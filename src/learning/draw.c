@@ -159,7 +159,7 @@ static void free_bodies(struct mo_body **bodies, uint32_t n)
 
 static void forget(const struct mo_training *training, struct mo_hand *hand)
 {
-  hand->ready = false;
+  hand->ready = hand->stale = false;
   hand->n_drawn = 0;
   free_bodies(hand->bodies, training->settings.batch);
 }
@@ -170,6 +170,8 @@ static int fill(struct mo_training *training, uint32_t step, const volatile int 
   struct mo_hand *hand = &training->hands[step % 2];
   if (hand->ready && hand->step == step)
     return MO_OK;
+  if (hand->stale)
+    forget(training, hand);
   hand->step = step;
   int r = prepare(training, hand);
   if (r == MO_OK && pretrain)
@@ -205,14 +207,25 @@ struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step)
 
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads)
 {
-  training->n_threads = n_threads > 1 ? n_threads : 1;
+  training->n_threads = training->adam.n_threads = n_threads > 1 ? n_threads : 1;
   if (training->stream != NULL)
     (void)mo_body_stream_set_threads(training->stream, training->n_threads);
 }
 
+const struct mo_robot *mo_training_robots_ahead(struct mo_training *training)
+{
+  const struct mo_hand *hand = mo_training_hand(training, training->step + 1);
+  return hand != NULL ? hand->robots : NULL;
+}
+
+/* To free the bodies of thousands of robots takes milliseconds: where the next ones are there already, a draw ahead does it, while nobody waits. */
 void mo_training_forget_robots(struct mo_training *training)
 {
-  forget(training, &training->hands[training->step % 2]);
+  struct mo_hand *hand = &training->hands[training->step % 2];
+  if (mo_training_hand(training, training->step + 1) == NULL)
+    forget(training, hand);
+  hand->ready = false;
+  hand->stale = true;
 }
 
 void mo_training_forget_designs(struct mo_training *training)

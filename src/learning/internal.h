@@ -10,6 +10,7 @@ struct mo_training {
   struct mo_adam {
     double *first, *second;          /* (n_parameters) moments */
     double beta1_power, beta2_power; /* β^updates */
+    uint32_t n_threads;              /* of an update; 0 counts as 1 */
   } adam;
   uint32_t step;    /* applied */
   uint32_t skipped; /* of these, the ones that changed no weight; the others are Adam's updates */
@@ -34,6 +35,7 @@ struct mo_training {
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: of the stream, up to the step's end */
     bool ready;                          /* robots holds the step's */
+    bool stale;                          /* it has bodies that nobody needs any more */
   } hands[2];                            /* of the current step, by its lowest bit, and of the one after it */
 };
 
@@ -46,7 +48,8 @@ int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_messa
 /* draw.c */
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
 void mo_training_forget_robots(
-    struct mo_training *training); /* the current step is over: its bodies are not needed any more */
+    struct mo_training
+        *training); /* the current step is over: its bodies are not needed any more, and go with the next draw */
 void mo_training_forget_designs(struct mo_training *training); /* finetune: the bodies are of other designs now */
 size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);

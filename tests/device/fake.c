@@ -7,6 +7,7 @@
  *   MORPHO_FAKE_LOSE          "1:5": device 1 is lost in its fifth call
  *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
  *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory to be opened
+ *   MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
  *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
@@ -20,7 +21,7 @@
 #define NO_LIMIT UINT32_MAX
 
 struct mo_device {
-  uint32_t index, rows, shards, springs, delay_ms, lost_in, calls;
+  uint32_t index, rows, shards, springs, delay_ms, lost_in, haste, calls;
   const char *lost_if;
   bool is_lost;
   uint32_t n_controllers;
@@ -32,6 +33,13 @@ struct mo_device {
 
 struct mo_device_controller {
   struct mo_pack *pack;
+};
+
+/* Remembers of which robots it is: a call that is given another's would be a mistake. */
+struct mo_device_layout {
+  const struct mo_robot *robots;
+  uint32_t n;
+  uint64_t springs; /* of all of them */
 };
 
 static uint32_t number(const char *name, uint32_t otherwise)
@@ -64,6 +72,7 @@ static int fake_open(uint32_t index, struct mo_device **ret)
   device->shards = number("MORPHO_FAKE_SHARDS", NO_LIMIT);
   device->springs = number("MORPHO_FAKE_SPRINGS", NO_LIMIT);
   device->delay_ms = number("MORPHO_FAKE_DELAY_MS", 0);
+  device->haste = number("MORPHO_FAKE_HASTE", 0);
   device->lost_if = getenv("MORPHO_FAKE_LOSE_IF");
   if (lose != NULL && sscanf(lose, "%u:%u", &which, &call) == 2 && which == index)
     device->lost_in = call;
@@ -169,15 +178,54 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
   return status;
 }
 
+static uint64_t springs_of(const struct mo_robot *robots, uint32_t n)
+{
+  uint64_t sum = 0;
+  for (uint32_t i = 0; i < n; i++)
+    sum = sum * 31 + robots[i].body->n_springs;
+  return sum;
+}
+
+static int fake_lay_out(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
+                        const struct mo_physics *physics, struct mo_device_layout **layout)
+{
+  (void)device;
+  (void)physics;
+  if (*layout == NULL && (*layout = malloc(sizeof(**layout))) == NULL)
+    return MO_ERR_NO_MEMORY;
+  **layout = (struct mo_device_layout){robots, n, springs_of(robots, n)};
+  return MO_OK;
+}
+
+static void fake_layout_free(struct mo_device_layout *layout)
+{
+  free(layout);
+}
+
+static void *fake_allocate(const struct mo_device *device, size_t bytes)
+{
+  (void)device;
+  return malloc(bytes);
+}
+
+static void fake_release(void *memory)
+{
+  free(memory);
+}
+
 static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gradient)
 {
   const struct mo_pause_point pause = {.interval = 4, .reached = look, .context = device};
   const struct mo_gradient_options options = {.adjoint_bound = gradient->adjoint_bound, .weight = gradient->weight};
   const uint32_t n_parameters = (uint32_t)gradient->controller->n_parameters;
+  const struct mo_device_layout *layout = gradient->layout;
   struct mo_gradient_pack *pack = NULL;
+  if (layout != NULL && (layout->robots != gradient->robots || layout->n != gradient->n ||
+                         layout->springs != springs_of(gradient->robots, gradient->n)))
+    abort();
   float *part = calloc(n_parameters, sizeof(*part));
   int status;
-  if (gradient->n < 1 || gradient->n > MO_DEVICE_ROWS_MAX)
+  if (gradient->n < 1 || gradient->n > MO_DEVICE_ROWS_MAX || (device->haste > 0 && layout == NULL))
     status = MO_ERR_INVALID;
   else if ((gradient->n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD > device->shards)
     status = MO_ERR_NO_MEMORY;
@@ -218,6 +266,10 @@ const struct mo_device_module *mo_device_module(void)
                                            .controller_free = fake_controller_free,
                                            .score = fake_score,
                                            .gradient = fake_gradient,
+                                           .lay_out = fake_lay_out,
+                                           .layout_free = fake_layout_free,
+                                           .allocate = fake_allocate,
+                                           .release = fake_release,
                                            .error = fake_error};
   module.abi = number("MORPHO_FAKE_ABI", MO_DEVICE_ABI);
   if (getenv("MORPHO_FAKE_CODE") != NULL)

@@ -29,7 +29,7 @@ struct mo_device {
   mo_cuda_buffer staged_plan, staged_outcomes, staged_generators;
   double generators_dt_s; /* for which `generators` holds `generators_steps` steps */
   uint32_t generators_steps;
-  mo_cuda_gradient_state *gradient; /* NULL before the first gradient */
+  mo_cuda_gradient_state *gradient;
 };
 
 struct mo_device_controller {

@@ -60,12 +60,23 @@ double now_s()
 
 } // namespace
 
+struct mo_device_layout {
+  uint32_t shared_bytes;  /* of the devices that it is for */
+  const mo_robot *robots; /* NULL: of none */
+  uint32_t n;
+  mo_gradient_plan plan;
+};
+
 struct mo_cuda_gradient_state {
   int device;
   cudaStream_t stream, beside; /* beside: for the flag alone */
-  buffer buffers[PLACES], weights, pinned;
-  int *cancel; /* on the device; read by the kernels */
-  mo_gradient_plan plan;
+  cudaEvent_t marks[5];        /* before and after each part of a pass */
+  buffer buffers[PLACES], weights;
+  buffer sums, results, parameters; /* pinned memory of the host */
+  int *cancel;                      /* on the device; read by the kernels */
+  mo_device_layout *layout;         /* of calls that bring none */
+  std::vector<float> *generators;
+  double generators_dt_s; /* of the steps that `generators` has */
   mo_gk_weights tiles;
   uint32_t shared_bytes;
   char error[256];
@@ -88,14 +99,33 @@ struct mo_cuda_gradient_state {
       return MO_OK;
     cudaFree(b.at);
     b = buffer();
-    const uint64_t wanted =
-        bytes + bytes / 64 + 4096; /* bodies differ from step to step: so that the next batch fits, too */
-    const cudaError_t status = cudaMalloc(&b.at, wanted);
+    /* Bodies differ from step to step: so that the next batches fit, too. To give back and get a tape takes as long as a way through it. */
+    const uint64_t wanted[] = {bytes + bytes / 8 + 4096, bytes + bytes / 64 + 4096};
+    cudaError_t status = cudaErrorMemoryAllocation;
+    for (int i = 0; i < 2 && status == cudaErrorMemoryAllocation; i++) {
+      (void)cudaGetLastError();
+      status = cudaMalloc(&b.at, wanted[i]);
+      b.bytes = wanted[i];
+    }
     if (status != cudaSuccess) {
-      b.at = nullptr;
+      b = buffer();
       return fail(status, "device memory");
     }
-    b.bytes = wanted;
+    return MO_OK;
+  }
+
+  int reserve_pinned(buffer &b, uint64_t bytes)
+  {
+    if (b.bytes >= bytes)
+      return MO_OK;
+    cudaFreeHost(b.at);
+    b = buffer();
+    const cudaError_t status = cudaHostAlloc(&b.at, bytes, cudaHostAllocDefault);
+    if (status != cudaSuccess) {
+      b.at = nullptr;
+      return fail(status, "pinned memory");
+    }
+    b.bytes = bytes;
     return MO_OK;
   }
 
@@ -161,10 +191,10 @@ struct work {
   mo_gradient_pass p;
   mo_gk k;
   uint32_t n_jobs;
-  std::vector<mo_gk_result> results;
+  mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
-int upload_pass(work &w, const std::vector<float> &generators)
+int upload_pass(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
   const mo_gradient_plan &plan = *w.plan;
@@ -191,8 +221,16 @@ int upload_pass(work &w, const std::vector<float> &generators)
     }
   }
   w.n_jobs = (uint32_t)jobs.size();
-  w.results.assign(plan.n_rows, mo_gk_result());
-  int r = MO_OK;
+  const mo_controller *controller = w.call->controller;
+  const uint64_t parameters_bytes = controller->n_parameters * 4, results_bytes = plan.n_rows * sizeof(mo_gk_result);
+  int r = s->reserve_pinned(s->results, results_bytes);
+  if (r == MO_OK)
+    r = s->reserve_pinned(s->parameters, parameters_bytes);
+  if (r < 0)
+    return r;
+  w.results = (mo_gk_result *)s->results.at;
+  memset(w.results, 0, results_bytes);
+  memcpy(s->parameters.at, controller->parameters, parameters_bytes);
   const struct {
     place p;
     const void *from;
@@ -205,9 +243,9 @@ int upload_pass(work &w, const std::vector<float> &generators)
                {ORDER, order.data(), order.size() * 4},
                {JOBS, jobs.data(), jobs.size() * 4},
                {SHARDS, shards.data(), shards.size() * 4},
-               {GENERATORS, generators.data(), generators.size() * 4},
-               {RESULTS, w.results.data(), plan.n_rows * sizeof(mo_gk_result)},
-               {PARAMETERS, w.call->controller->parameters, w.call->controller->n_parameters * 4}};
+               {GENERATORS, s->generators->data(), s->generators->size() * 4},
+               {RESULTS, w.results, results_bytes},
+               {PARAMETERS, s->parameters.at, parameters_bytes}};
   for (const auto &part : parts)
     if (r == MO_OK)
       r = s->upload(part.p, part.from, part.bytes);
@@ -238,7 +276,7 @@ int upload_pass(work &w, const std::vector<float> &generators)
   w.k.n_groups = n;
   w.k.tickets = s->of<uint32_t>(TICKETS);
   w.k.cancel = s->cancel;
-  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. */
+  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. What is pinned stays until the pass ends. */
   const int status = mo_gk_pack(s->of<float>(PARAMETERS), &s->tiles, s->stream);
   return status == 0 ? MO_OK : s->fail((cudaError_t)status, "weights");
 }
@@ -249,7 +287,7 @@ bool cancelled(const work &w)
 }
 
 /* Waits for the device; passes the caller's flag on to it. */
-int finish(work &w, double &sum_s, double since)
+int finish(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
   bool told = false;
@@ -261,76 +299,103 @@ int finish(work &w, double &sum_s, double since)
     }
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
-  sum_s += now_s() - since;
   if (status != cudaSuccess)
     return s->fail(status, "kernel");
   return told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
 }
 
-/* No task has been handed out, and none is done. */
-int reset_tickets(work &w)
+int check(mo_cuda_gradient_state *s, int status, const char *what)
 {
-  mo_cuda_gradient_state *s = w.s;
-  const cudaError_t status = cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream);
-  return status == cudaSuccess ? MO_OK : s->fail(status, "tickets");
+  return status == 0 ? MO_OK : s->fail((cudaError_t)status, what);
 }
 
-int forward(work &w)
+/* A way through all steps: no task has been handed out, and none is done. */
+int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream), cudaEvent_t after, const char *what)
 {
   mo_cuda_gradient_state *s = w.s;
-  const double since = now_s();
-  const int r = reset_tickets(w);
-  if (r < 0)
-    return r;
-  const int status = mo_gk_forward(&w.k, w.p.shared, s->stream);
-  if (status != 0)
-    return s->fail((cudaError_t)status, "rollouts");
-  return finish(w, s->profile.forward_s, since);
+  int r = check(s, cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream), what);
+  if (r == MO_OK)
+    r = check(s, way(&w.k, w.p.shared, s->stream), what);
+  if (r == MO_OK)
+    r = check(s, cudaEventRecord(after, s->stream), what);
+  return r;
 }
 
-int walk_back(work &w)
+int multiply(work &w, cudaEvent_t after)
 {
   mo_cuda_gradient_state *s = w.s;
-  double since = now_s();
-  s->profile.walks++;
-  int r = reset_tickets(w);
-  if (r < 0)
-    return r;
-  int status = mo_gk_back(&w.k, w.p.shared, s->stream);
-  if (status != 0)
-    return s->fail((cudaError_t)status, "way back");
-  r = finish(w, s->profile.back_s, since);
-  if (r < 0)
-    return r;
-  since = now_s();
-  for (uint32_t first = 0; first < w.k.n_steps; first += PRODUCT_STEPS) {
+  int r = MO_OK;
+  for (uint32_t first = 0; first < w.k.n_steps && r == MO_OK; first += PRODUCT_STEPS) {
     const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
-    status = mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, first, end, s->stream);
-    if (status != 0)
-      return s->fail((cudaError_t)status, "products");
+    r = check(s, mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, first, end, s->stream), "products");
   }
-  return finish(w, s->profile.products_s, since);
+  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "products") : r;
 }
 
-int fetch_results(work &w)
+/* Memory that the device writes to while the host does something else. */
+bool is_pinned(const void *memory)
 {
-  const cudaError_t status = cudaMemcpy(w.results.data(), w.s->buffers[RESULTS].at,
-                                        w.results.size() * sizeof(mo_gk_result), cudaMemcpyDeviceToHost);
-  return status == cudaSuccess ? MO_OK : w.s->fail(status, "copy from the device");
+  cudaPointerAttributes attributes = {};
+  const bool known = cudaPointerGetAttributes(&attributes, memory) == cudaSuccess;
+  (void)cudaGetLastError();
+  return known && attributes.type == cudaMemoryTypeHost;
 }
 
-/* Back until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
-int walk_until_finite(work &w)
+/* Sums of the shards, and what came of the rows, to the host. */
+int collect(work &w, float *to, cudaEvent_t after)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const uint32_t n = w.p.end_shard - w.p.first_shard;
+  const uint64_t bytes = n * w.call->controller->n_parameters * 4;
+  int r =
+      check(s, mo_gk_collect(&w.k, s->of<uint32_t>(SHARDS), n, w.call->weight, s->of<float>(D_PARAMETERS), s->stream),
+            "sums");
+  if (r == MO_OK)
+    r = check(s, cudaMemcpyAsync(to, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream),
+              "copy from the device");
+  if (r == MO_OK)
+    r = check(s,
+              cudaMemcpyAsync(w.results, s->buffers[RESULTS].at, w.plan->n_rows * sizeof(mo_gk_result),
+                              cudaMemcpyDeviceToHost, s->stream),
+              "copy from the device");
+  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
+}
+
+/* All of a pass, one after the other on the device: it never waits for the host. */
+int run_pass(work &w, float *to)
+{
+  mo_cuda_gradient_state *s = w.s;
+  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s, &s->profile.collect_s};
+  s->profile.walks++;
+  int r = check(s, cudaEventRecord(s->marks[0], s->stream), "device");
+  if (r == MO_OK)
+    r = walk(w, mo_gk_forward, s->marks[1], "rollouts");
+  if (r == MO_OK)
+    r = walk(w, mo_gk_back, s->marks[2], "way back");
+  if (r == MO_OK)
+    r = multiply(w, s->marks[3]);
+  if (r == MO_OK)
+    r = collect(w, to, s->marks[4]);
+  if (r == MO_OK)
+    r = finish(w);
+  for (int i = 0; i < 4 && r == MO_OK; i++) {
+    float ms = 0;
+    r = check(s, cudaEventElapsedTime(&ms, s->marks[i], s->marks[i + 1]), "clock");
+    *parts[i] += 1e-3 * (double)ms;
+  }
+  return r;
+}
+
+/* Again until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
+int run_until_finite(work &w, float *to)
 {
   std::vector<mo_gk_result> before;
   for (;;) {
-    int r = walk_back(w);
-    if (r == MO_OK)
-      r = fetch_results(w);
+    int r = run_pass(w, to);
     if (r < 0)
       return r;
     bool more = false;
-    for (size_t i = 0; i < w.results.size(); i++) {
+    for (uint32_t i = 0; i < w.plan->n_rows; i++) {
       const bool known = !before.empty() && before[i].zeroed;
       if (known)
         w.results[i] = before[i]; /* counted when it was found */
@@ -338,8 +403,8 @@ int walk_until_finite(work &w)
     }
     if (!more)
       return MO_OK;
-    before = w.results;
-    std::vector<mo_gk_result> again = w.results;
+    before.assign(w.results, w.results + w.plan->n_rows);
+    std::vector<mo_gk_result> again = before;
     for (mo_gk_result &x : again) {
       x.steps = x.clipped = 0;
       x.largest = 0;
@@ -348,39 +413,25 @@ int walk_until_finite(work &w)
     r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
     if (r == MO_OK)
       r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
-    if (r == MO_OK)
-      r = forward(w);
     if (r < 0)
       return r;
   }
 }
 
-int collect(work &w)
+/* The pass's sums to their place in the caller's memory, through memory of one's own where that is not pinned. */
+int compute(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
-  const uint32_t n = w.p.end_shard - w.p.first_shard;
   const uint64_t n_parameters = w.call->controller->n_parameters;
-  const double since = now_s();
-  const int status =
-      mo_gk_collect(&w.k, s->of<uint32_t>(SHARDS), n, w.call->weight, s->of<float>(D_PARAMETERS), s->stream);
-  if (status != 0)
-    return s->fail((cudaError_t)status, "sums");
-  const uint64_t bytes = n * n_parameters * 4;
-  cudaError_t copied = cudaSuccess;
-  if (s->pinned.bytes < bytes) {
-    cudaFreeHost(s->pinned.at);
-    s->pinned = buffer();
-    copied = cudaMallocHost(&s->pinned.at, bytes);
-    if (copied != cudaSuccess)
-      return s->fail(copied, "pinned memory");
-    s->pinned.bytes = bytes;
-  }
-  copied = cudaMemcpyAsync(s->pinned.at, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream);
-  if (copied != cudaSuccess)
-    return s->fail(copied, "copy from the device");
-  const int r = finish(w, s->profile.collect_s, since);
+  const uint64_t bytes = (w.p.end_shard - w.p.first_shard) * n_parameters * 4;
+  float *const to = w.call->d_parameters + w.p.first_shard * n_parameters;
+  if (is_pinned(to))
+    return run_until_finite(w, to);
+  int r = s->reserve_pinned(s->sums, bytes);
   if (r == MO_OK)
-    memcpy(w.call->d_parameters + w.p.first_shard * n_parameters, s->pinned.at, bytes);
+    r = run_until_finite(w, (float *)s->sums.at);
+  if (r == MO_OK)
+    memcpy(to, s->sums.at, bytes);
   return r;
 }
 
@@ -420,9 +471,11 @@ bool fits_half(const mo_controller *c)
   const float limit = 6e4f;
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
     const size_t n = (l < MO_HIDDEN_LAYERS ? MO_HIDDEN : (size_t)c->n_springs) * (l == 0 ? c->n_inputs : MO_HIDDEN);
+    unsigned larger = 0;
     for (size_t i = 0; i < n; i++)
-      if (!(fabsf(c->weight[l][i]) <= limit))
-        return false;
+      larger |= !(fabsf(c->weight[l][i]) <= limit);
+    if (larger)
+      return false;
     for (int i = 0; l < MO_HIDDEN_LAYERS && i < MO_HIDDEN; i++)
       if (!(16 * fabsf(c->norm_gain[l][i]) + fabsf(c->norm_shift[l][i]) <= limit) || !(fabsf(c->bias[l][i]) <= limit))
         return false;
@@ -461,6 +514,20 @@ mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
   return l;
 }
 
+/* sin(10 t + 2πk/5) of so many steps. */
+void make_generators(mo_cuda_gradient_state *s, uint32_t n_steps, double dt_s)
+{
+  const size_t n = (size_t)n_steps * MO_CPG_INPUTS;
+  if (s->generators_dt_s == dt_s && s->generators->size() == n)
+    return;
+  s->generators->resize(n);
+  for (uint32_t step = 0; step < n_steps; step++)
+    for (int i = 0; i < MO_CPG_INPUTS; i++)
+      (*s->generators)[(size_t)step * MO_CPG_INPUTS + i] =
+          (float)sin(MO_CPG_RAD_PER_S * (step * dt_s) + 2.0 * M_PI * i / MO_CPG_INPUTS);
+  s->generators_dt_s = dt_s;
+}
+
 /* What of `bytes` the buffers may take, each a little larger than it is asked to be. */
 uint64_t share_of(uint64_t bytes)
 {
@@ -481,11 +548,7 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
   uint64_t budget = share_of(free_bytes + s->held());
   if (memory_bytes > 0)
     budget = std::min(budget, memory_bytes);
-  std::vector<float> generators((size_t)n_steps * MO_CPG_INPUTS);
-  for (uint32_t step = 0; step < n_steps; step++)
-    for (int i = 0; i < MO_CPG_INPUTS; i++)
-      generators[(size_t)step * MO_CPG_INPUTS + i] =
-          (float)sin(MO_CPG_RAD_PER_S * (step * call->physics.dt_s) + 2.0 * M_PI * i / MO_CPG_INPUTS);
+  make_generators(s, n_steps, call->physics.dt_s);
   for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
     work w = {};
     w.s = s;
@@ -499,19 +562,15 @@ int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &p
     w.k.n_steps = n_steps;
     w.k.part_steps = PART_STEPS;
     const double since = now_s();
-    r = upload_pass(w, generators);
+    r = upload_pass(w);
     if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
       cudaStreamSynchronize(s->stream);
       mo_cuda_gradient_trim(s);
-      r = upload_pass(w, generators);
+      r = upload_pass(w);
     }
     s->profile.upload_s += now_s() - since;
     if (r == MO_OK)
-      r = forward(w);
-    if (r == MO_OK)
-      r = walk_until_finite(w);
-    if (r == MO_OK)
-      r = collect(w);
+      r = compute(w);
     if (r < 0) {
       cudaStreamSynchronize(s->stream);
       return r;
@@ -549,6 +608,11 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
   if (s == nullptr)
     return MO_ERR_NO_MEMORY;
   s->device = device;
+  s->generators = new (std::nothrow) std::vector<float>();
+  if (s->generators == nullptr) {
+    free(s);
+    return MO_ERR_NO_MEMORY;
+  }
   cudaError_t status = cudaSetDevice(device);
   if (status == cudaSuccess)
     status = open_kernels(device, &s->shared_bytes);
@@ -556,6 +620,9 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->beside, cudaStreamNonBlocking);
+  for (cudaEvent_t &mark : s->marks)
+    if (status == cudaSuccess)
+      status = cudaEventCreate(&mark);
   if (status == cudaSuccess)
     status = cudaMalloc((void **)&s->cancel, sizeof(*s->cancel));
   if (status != cudaSuccess) {
@@ -581,15 +648,97 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   if (s == nullptr)
     return;
   mo_cuda_gradient_trim(s);
-  mo_gradient_plan_free(&s->plan);
+  mo_cuda_gradient_layout_free(s->layout);
+  delete s->generators;
   cudaFree(s->weights.at);
-  cudaFreeHost(s->pinned.at);
+  cudaFreeHost(s->sums.at);
+  cudaFreeHost(s->results.at);
+  cudaFreeHost(s->parameters.at);
   cudaFree(s->cancel);
+  for (cudaEvent_t mark : s->marks)
+    if (mark != nullptr)
+      cudaEventDestroy(mark);
   if (s->beside != nullptr)
     cudaStreamDestroy(s->beside);
   if (s->stream != nullptr)
     cudaStreamDestroy(s->stream);
   free(s);
+}
+
+/* A word in front of it says how it is to be given back. */
+enum { HEADER_BYTES = 256 };
+
+void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t bytes)
+{
+  void *memory = nullptr;
+  cudaError_t status = cudaSetDevice(s->device);
+  if (status == cudaSuccess)
+    status = cudaHostAlloc(&memory, bytes + HEADER_BYTES, cudaHostAllocPortable);
+  const bool is_plain = status != cudaSuccess;
+  if (is_plain) {
+    (void)cudaGetLastError();
+    memory = aligned_alloc(HEADER_BYTES, (bytes + 2 * HEADER_BYTES - 1) / HEADER_BYTES * HEADER_BYTES);
+  }
+  if (memory == nullptr)
+    return nullptr;
+  *(bool *)memory = is_plain;
+  return (char *)memory + HEADER_BYTES;
+}
+
+void mo_cuda_gradient_release(void *memory)
+{
+  if (memory == nullptr)
+    return;
+  void *const all = (char *)memory - HEADER_BYTES;
+  if (*(const bool *)all)
+    free(all);
+  else
+    cudaFreeHost(all);
+}
+
+static void *allocate_table(void *state, size_t bytes)
+{
+  return mo_cuda_gradient_allocate((const mo_cuda_gradient_state *)state, bytes);
+}
+
+int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *s, const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics, struct mo_device_layout **ret)
+{
+  mo_device_layout *layout = *ret;
+  if (robots == nullptr || n == 0 || mo_physics_check(physics, nullptr) != MO_OK)
+    return MO_ERR_INVALID;
+  if (layout == nullptr) {
+    layout = *ret = (mo_device_layout *)calloc(1, sizeof(*layout));
+    if (layout == nullptr)
+      return MO_ERR_NO_MEMORY;
+    layout->plan.allocate = allocate_table;
+    layout->plan.release = mo_cuda_gradient_release;
+    layout->plan.context = (void *)s;
+  }
+  const mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
+                                 std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
+  layout->robots = nullptr;
+  const int r = mo_gradient_plan_make(robots, n, physics, &options, &layout->plan);
+  if (r < 0)
+    return r;
+  layout->shared_bytes = s->shared_bytes;
+  layout->robots = robots;
+  layout->n = n;
+  return MO_OK;
+}
+
+void mo_cuda_gradient_layout_free(struct mo_device_layout *layout)
+{
+  if (layout == nullptr)
+    return;
+  mo_gradient_plan_free(&layout->plan);
+  free(layout);
+}
+
+/* Physics is compared by the caller, who says that it is the same; a device with another size of shared memory forms other groups. */
+static bool is_of(const mo_device_layout *layout, const mo_cuda_gradient_state *s, const mo_device_gradient *call)
+{
+  return layout->robots == call->robots && layout->n == call->n && layout->shared_bytes == s->shared_bytes;
 }
 
 int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_gradient *call, uint64_t memory_bytes)
@@ -617,15 +766,17 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
     if (r < 0)
       return r;
   }
-  mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
-                           std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
-  mo_gradient_plan &plan = s->plan;
-  int r = mo_gradient_plan_make(call->robots, call->n, &call->physics, &options, &plan);
+  mo_device_layout *layout = call->layout;
+  int r = MO_OK;
+  if (layout == nullptr || !is_of(layout, s, call)) {
+    r = mo_cuda_gradient_lay_out(s, call->robots, call->n, &call->physics, &s->layout);
+    layout = s->layout;
+  }
   if (r < 0)
     return r;
   s->profile.plan_s = now_s() - since;
   try {
-    r = run(s, call, plan, memory_bytes);
+    r = run(s, call, layout->plan, memory_bytes);
   } catch (const std::bad_alloc &) { /* of the host */
     cudaStreamSynchronize(s->stream);
     r = MO_ERR_NO_MEMORY;

@@ -21,11 +21,17 @@ void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
 /* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
 int mo_cuda_gradient_run(struct mo_cuda_gradient_state *state, struct mo_device_gradient *gradient,
                          uint64_t memory_bytes);
+/* mo_device_module.lay_out, .layout_free, .allocate, .release. */
+int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *state, const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics, struct mo_device_layout **layout);
+void mo_cuda_gradient_layout_free(struct mo_device_layout *layout);
+void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *state, size_t bytes);
+void mo_cuda_gradient_release(void *memory);
 const char *mo_cuda_gradient_error(const struct mo_cuda_gradient_state *state); /* text of the last failure */
 
 /* Of the last call. */
 struct mo_cuda_gradient_profile {
-  double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device */
+  double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device, by its clock */
   uint64_t device_bytes;                                             /* held */
   uint32_t passes, groups, walks; /* parts in which the call went; groups; ways back */
 };

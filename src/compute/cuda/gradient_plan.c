@@ -50,6 +50,20 @@ static void *reserve(struct mo_gp_memory *m, uint64_t bytes)
   return m->at;
 }
 
+static void *reserve_table(struct mo_gradient_plan *plan, int table, uint64_t bytes)
+{
+  struct mo_gp_memory *m = &plan->memory[table];
+  if (plan->allocate == NULL || table == STARTS)
+    return reserve(m, bytes);
+  if (m->bytes < bytes) {
+    plan->release(m->at);
+    const uint64_t wanted = bytes + bytes / 8 + 64;
+    m->at = plan->allocate(plan->context, wanted);
+    m->bytes = m->at != NULL ? wanted : 0;
+  }
+  return m->at;
+}
+
 /* ---- groups ---- */
 
 /* The i-th of a group of n, of the shard's robots. */
@@ -403,11 +417,11 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
     plan->n_masses += s->n_masses;
     plan->n_chunks += s->n_chunks;
   }
-  plan->groups = reserve(&plan->memory[GROUPS], plan->n_groups * sizeof(*plan->groups));
-  plan->rows = reserve(&plan->memory[ROWS], plan->n_rows * sizeof(*plan->rows));
-  plan->position = reserve(&plan->memory[POSITION], plan->n_masses * 3 * sizeof(*plan->position));
-  plan->input = reserve(&plan->memory[INPUT], plan->n_masses);
-  plan->springs = reserve(&plan->memory[SPRINGS], plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+  plan->groups = reserve_table(plan, GROUPS, plan->n_groups * sizeof(*plan->groups));
+  plan->rows = reserve_table(plan, ROWS, plan->n_rows * sizeof(*plan->rows));
+  plan->position = reserve_table(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
+  plan->input = reserve_table(plan, INPUT, plan->n_masses);
+  plan->springs = reserve_table(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
   const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL && plan->input != NULL &&
                    plan->springs != NULL;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
@@ -484,6 +498,6 @@ void mo_gradient_plan_free(struct mo_gradient_plan *plan)
       free(shards[i].memory[m].at);
   free(shards);
   for (size_t m = 0; m < sizeof(plan->memory) / sizeof(*plan->memory); m++)
-    free(plan->memory[m].at);
+    (plan->release != NULL && m != STARTS ? plan->release : free)(plan->memory[m].at);
   *plan = (struct mo_gradient_plan){0};
 }

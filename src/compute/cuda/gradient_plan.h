@@ -175,6 +175,10 @@ struct mo_gradient_plan {
   /* What holds all that, and the shards before they are put together: used again by the next batch, since new memory of 80 MB takes longer
    * to be had than to be filled. */
   struct mo_gp_memory memory[6], shards;
+  /* Where the tables' memory comes from; NULL: malloc and free. Set once, while the rest is zeros. */
+  void *(*allocate)(void *context, size_t bytes);
+  void (*release)(void *memory);
+  void *context;
 };
 
 /* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the

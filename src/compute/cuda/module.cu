@@ -90,6 +90,14 @@ cudaError_t set_up(mo_device *device)
   return status;
 }
 
+int open_gradient(mo_device *device)
+{
+  const int status = mo_cuda_gradient_create(device->index, &device->gradient);
+  if (status != MO_OK)
+    snprintf(device->error, sizeof(device->error), "opening: gradient");
+  return status;
+}
+
 int open(uint32_t index, mo_device **ret)
 {
   uint32_t n = 0;
@@ -101,7 +109,9 @@ int open(uint32_t index, mo_device **ret)
   if (device == nullptr)
     return MO_ERR_NO_MEMORY;
   device->index = ordinal;
-  const int status = mo_cuda_check(device, set_up(device), "opening");
+  int status = mo_cuda_check(device, set_up(device), "opening");
+  if (status == MO_OK)
+    status = open_gradient(device);
   if (status != MO_OK)
     close(device);
   else
@@ -156,7 +166,7 @@ int upload(mo_device *device, const mo_controller *controller, int precision, ch
   int status = mo_weights_pack(controller, exact, packed);
   if (status == MO_OK) {
     status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
-    if (status == MO_ERR_NO_MEMORY && device->gradient != nullptr) {
+    if (status == MO_ERR_NO_MEMORY) {
       mo_cuda_gradient_trim(device->gradient);
       status = mo_cuda_check(device, cudaMalloc((void **)weights, bytes), "weights");
     }
@@ -192,7 +202,7 @@ int score(mo_device *device, mo_device_score *score)
   int status = mo_cuda_check(device, cudaSetDevice(device->index), "device");
   if (status == MO_OK)
     status = mo_cuda_score_rows(device, score);
-  if (status != MO_ERR_NO_MEMORY || device->gradient == nullptr || device->lost)
+  if (status != MO_ERR_NO_MEMORY || device->lost)
     return status;
   mo_cuda_gradient_trim(device->gradient); /* its tape is most of what is taken */
   return mo_cuda_score_rows(device, score);
@@ -202,16 +212,22 @@ int gradient(mo_device *device, mo_device_gradient *gradient)
 {
   if (device->lost)
     return MO_ERR_DEVICE;
-  int status = MO_OK;
-  if (device->gradient == nullptr)
-    status = mo_cuda_gradient_create(device->index, &device->gradient);
-  if (status == MO_OK)
-    status = mo_cuda_gradient_run(device->gradient, gradient, 0);
+  const int status = mo_cuda_gradient_run(device->gradient, gradient, 0);
   if (status < 0)
-    snprintf(device->error, sizeof(device->error), "%s",
-             device->gradient != nullptr ? mo_cuda_gradient_error(device->gradient) : "gradient: no stream");
+    snprintf(device->error, sizeof(device->error), "%s", mo_cuda_gradient_error(device->gradient));
   device->lost = status == MO_ERR_DEVICE;
   return status;
+}
+
+int lay_out(const mo_device *device, const mo_robot *robots, uint32_t n, const mo_physics *physics,
+            mo_device_layout **layout)
+{
+  return mo_cuda_gradient_lay_out(device->gradient, robots, n, physics, layout);
+}
+
+void *allocate(const mo_device *device, size_t bytes)
+{
+  return mo_cuda_gradient_allocate(device->gradient, bytes);
 }
 
 const char *error(const mo_device *device)
@@ -224,8 +240,24 @@ const char *error(const mo_device *device)
 extern "C" const struct mo_device_module *mo_device_module(void)
 {
   static const struct mo_device_module module = {
-      MO_DEVICE_ABI,   "cuda", "score 1", "fast 1", MO_CUDA_GRADIENT_CODE, count, open, close, info, controller_create,
-      controller_free, score,  gradient,  error,
+      MO_DEVICE_ABI,
+      "cuda",
+      "score 1",
+      "fast 1",
+      MO_CUDA_GRADIENT_CODE,
+      count,
+      open,
+      close,
+      info,
+      controller_create,
+      controller_free,
+      score,
+      gradient,
+      lay_out,
+      mo_cuda_gradient_layout_free,
+      allocate,
+      mo_cuda_gradient_release,
+      error,
   };
   return &module;
 }

@@ -22,7 +22,7 @@ static struct mo_block blocks[DESIGNS];
 static int setup(void)
 {
   static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS",
-                                      "LOSE",    "SHUT", "FULL",   "ABI"};
+                                      "LOSE",    "SHUT", "FULL",   "ABI",     "HASTE"};
   struct mo_body_stream *stream = NULL;
   for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
     char name[64];
@@ -171,7 +171,7 @@ static void says_what_cannot_be_loaded(void)
   expect_refusal("/no/such/file.so", NULL, 0, MO_ERR_NOT_FOUND, "/no/such/file.so");
   expect_refusal(other, NULL, 0, MO_ERR_UNSUPPORTED, "meson.build");
   set("MORPHO_FAKE_ABI", "7");
-  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED, "another version of this program (interface 7, not 1)");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED, "another version of this program (interface 7, not 2)");
   REQUIRE(setup());
   set("MORPHO_FAKE_DEVICES", "0");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
@@ -568,7 +568,8 @@ struct gradient {
   struct mo_gradient_counts counts;
 };
 
-static struct gradient differentiate(struct mo_compute *compute, enum mo_back_end back_end, const volatile int *cancel)
+static struct gradient differentiate_with(struct mo_gradient_state *state, enum mo_back_end back_end,
+                                          const volatile int *cancel)
 {
   struct gradient gradient = {.d_parameters = calloc(controller->n_parameters, sizeof(double)),
                               .outcomes = calloc(ROBOTS, sizeof(struct mo_outcome))};
@@ -581,12 +582,18 @@ static struct gradient differentiate(struct mo_compute *compute, enum mo_back_en
                                     .cancel = cancel,
                                     .d_parameters = gradient.d_parameters,
                                     .outcomes = gradient.outcomes};
-  struct mo_gradient_state *state = NULL;
   batch.physics.n_steps = ROBOT_STEPS;
-  CHECK_INT(mo_gradient_state_create(compute, &state), MO_OK);
   gradient.status = mo_compute_gradient(state, &batch);
   gradient.computed_on = batch.computed_on;
   gradient.counts = batch.counts;
+  return gradient;
+}
+
+static struct gradient differentiate(struct mo_compute *compute, enum mo_back_end back_end, const volatile int *cancel)
+{
+  struct mo_gradient_state *state = NULL;
+  CHECK_INT(mo_gradient_state_create(compute, &state), MO_OK);
+  const struct gradient gradient = differentiate_with(state, back_end, cancel);
   mo_gradient_state_free(state);
   return gradient;
 }
@@ -651,6 +658,50 @@ static void gradients_do_not_depend_on_devices(void)
   free_gradient(&on_workers);
 }
 
+/* A batch that was laid out ahead, on so many devices, is computed from that, and gives the same; what is forgotten or of other robots is not. */
+static void gradients_are_laid_out_ahead(void)
+{
+  static struct mo_robot others[ROBOTS];
+  struct mo_physics physics = mo_default_physics();
+  physics.n_steps = ROBOT_STEPS;
+  REQUIRE(setup());
+  struct mo_compute *compute = open_devices("1");
+  struct gradient plain = differentiate(compute, MO_ON_DEVICE, NULL);
+  mo_compute_free(compute);
+  for (uint32_t i = 0; i < ROBOTS; i++)
+    others[i] = robots[ROBOTS - 1 - i];
+  for (uint32_t n = 1; n <= 3; n++) {
+    const char number[] = {(char)('0' + n), 0};
+    REQUIRE(setup());
+    set("MORPHO_FAKE_HASTE", "1");
+    compute = open_devices(number);
+    struct mo_gradient_state *state = NULL;
+    REQUIRE(mo_gradient_state_create(compute, &state) == MO_OK);
+    for (int i = 0; i < 3; i++) {
+      CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK); /* the newest counts */
+      CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
+      struct gradient ahead = differentiate_with(state, MO_ON_DEVICE, NULL);
+      CHECK_INT(ahead.status, MO_OK);
+      expect_same(&plain, &ahead);
+      free_gradient(&ahead);
+    }
+    CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
+    mo_compute_gradient_forget(state);
+    struct gradient forgotten = differentiate_with(state, MO_ON_DEVICE, NULL);
+    CHECK_INT(forgotten.status, MO_ERR_INVALID); /* in haste the module takes nothing that is not laid out */
+    CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK);
+    struct gradient other = differentiate_with(state, MO_ON_DEVICE, NULL);
+    CHECK_INT(other.status, MO_ERR_INVALID);
+    CHECK_INT(mo_compute_gradient_lay_out(state, robots, 0, &physics), MO_ERR_RANGE);
+    CHECK_INT(mo_compute_gradient_lay_out(state, NULL, ROBOTS, &physics), MO_ERR_INVALID);
+    free_gradient(&forgotten);
+    free_gradient(&other);
+    mo_gradient_state_free(state);
+    mo_compute_free(compute);
+  }
+  free_gradient(&plain);
+}
+
 static void gradients_say_what_failed(void)
 {
   static const volatile int cancelled = 1;
@@ -698,6 +749,7 @@ static const struct check_case cases[] = {
     {"devices are shared by weight", devices_are_shared_by_weight},
     {"urgent blocks go first", urgent_blocks_go_first},
     {"gradients do not depend on devices", gradients_do_not_depend_on_devices},
+    {"gradients are laid out ahead", gradients_are_laid_out_ahead},
     {"gradients say what failed", gradients_say_what_failed},
 };
 CHECK_MAIN(cases)

@@ -334,6 +334,21 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
                       1e-3 * (double)controller->parameters[i];
 }
 
+int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
+                                const struct mo_physics *physics)
+{
+  (void)state;
+  (void)robots;
+  (void)n;
+  (void)physics;
+  return MO_OK;
+}
+
+void mo_compute_gradient_forget(struct mo_gradient_state *state)
+{
+  (void)state;
+}
+
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   int delay_us = atomic_load(&fake_plan.gradient_delay_us);
