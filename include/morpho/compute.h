@@ -117,6 +117,11 @@ void mo_compute_share_get_stats(const struct mo_compute_share *share,
  * MO_ERR_DEVICE when none works. */
 int mo_compute_submit(struct mo_compute *compute, struct mo_block *block);
 
+/* Whoever submits many blocks one after the other says so before and after: devices wait for the last of them (50 ms at most), rather than
+ * take the few that are there first. */
+void mo_compute_begin_blocks(struct mo_compute *compute);
+void mo_compute_end_blocks(struct mo_compute *compute);
+
 /* Submits blocks and waits for all of them; returns the first error by position. For tools and tests. */
 int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n);
 

@@ -238,14 +238,14 @@ static void end_block(struct mo_devices *devices, struct mo_block *block, int st
 
 void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
 {
-  if (chunk->task == NULL)
-    for (uint32_t i = 0; i < chunk->n_active; i++) {
-      mo_body_free(chunk->bodies[i]);
-      chunk->bodies[i] = NULL;
-    }
+  const uint32_t n_bodies = chunk->task == NULL ? chunk->n_active : 0;
   for (uint32_t i = 0; i < chunk->n_blocks; i++)
     if (chunk->blocks[i] != NULL)
       end_block(devices, chunk->blocks[i], chunk->status[i],
                 chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i] : NULL);
+  for (uint32_t i = 0; i < n_bodies; i++) { /* of which nobody but this chunk knows */
+    mo_body_free(chunk->bodies[i]);
+    chunk->bodies[i] = NULL;
+  }
   chunk->n_blocks = chunk->n_active = 0;
 }

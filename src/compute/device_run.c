@@ -1,7 +1,8 @@
 /* device_run.c: the two threads of a device.
  *
  * The gatherer takes a chunk when work waits, while the device is still busy with the one before, and builds its bodies. Submitters hand over
- * one block at a time, and a device takes as long for one as for a thousand: so it waits until no more come, a few milliseconds. It also watches
+ * one block at a time, and a device takes as long for one as for a thousand: so it waits while somebody says that there are more, and
+ * then until no more come, a few milliseconds. It also watches
  * whether somebody still wants what runs.
  *
  * The runner calls the module. What the module has no memory for it gets in halves, and it gets more again after a while; what it does not support is
@@ -23,7 +24,7 @@ enum {
   LINGER_BUSY_MS = 10, /* … and one that has */
   LINGER_MAX_MS = 50,  /* however steadily they come */
   WATCH_MS = 20,
-  BUILD_THREADS_MAX = 8,
+  BUILD_THREADS_MAX = 16,
   GROW_AFTER = 8 /* chunks without want of memory */
 };
 
@@ -70,9 +71,14 @@ static void linger(struct mo_unit *unit)
   const uint64_t enough = (uint64_t)MO_CHUNK_ROWS / 8 * devices->n;
   const uint64_t end_ns = mo_clock_ns() + UINT64_C(1000000) * LINGER_MAX_MS;
   uint64_t before = 0, waiting = atomic_load(&devices->fair.waiting), since_ns = mo_clock_ns();
+  bool were_submitting = false;
   while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit) && mo_clock_ns() < end_ns) {
     const uint64_t patience_ns = UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
-    if (waiting > before)
+    const bool are_submitting = atomic_load(&devices->submitting) > 0;
+    if (were_submitting && !are_submitting)
+      return; /* that was the last */
+    were_submitting = are_submitting;
+    if (waiting > before || are_submitting)
       since_ns = mo_clock_ns();
     else if (mo_clock_ns() - since_ns >= patience_ns)
       return;

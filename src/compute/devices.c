@@ -214,6 +214,20 @@ static struct mo_compute_share *share_of(struct mo_devices *devices, const struc
   return block->share != NULL ? block->share->on_devices : &devices->own;
 }
 
+void mo_compute_begin_blocks(struct mo_compute *compute)
+{
+  struct mo_devices *devices = mo_compute_get_devices(compute);
+  if (devices != NULL)
+    atomic_fetch_add(&devices->submitting, 1);
+}
+
+void mo_compute_end_blocks(struct mo_compute *compute)
+{
+  struct mo_devices *devices = mo_compute_get_devices(compute);
+  if (devices != NULL)
+    atomic_fetch_sub(&devices->submitting, 1);
+}
+
 int mo_devices_submit(struct mo_devices *devices, struct mo_block *block)
 {
   int status = MO_OK;

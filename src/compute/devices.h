@@ -68,6 +68,7 @@ struct mo_devices {
   struct mo_compute_share own, urgent; /* of blocks that name none; of interactive ones */
   bool stopping;
   uint32_t tasks_waiting; /* gradients */
+  atomic_uint submitting; /* callers that have more blocks to come */
   atomic_uint n_working;
   uint32_t n;
   struct mo_unit *units; /* (n) */

@@ -5,13 +5,15 @@
  * So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its generations are
  * committed, or when no child can be found any more: the generation that found none is not committed. */
 #include "jobs/campaign_run.h"
+#include "base/parallel.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define PROGRESS_EVERY_US INT64_C(1000000)
-#define HISTORY_ROWS      64
+#define PROGRESS_EVERY_US   INT64_C(1000000)
+#define HISTORY_ROWS        64
+#define CHILDREN_PER_THREAD 1024 /* a millisecond */
 
 static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
 {
@@ -266,22 +268,38 @@ static int make_first(struct mo_campaign_run *run, uint32_t *n)
   return error;
 }
 
-/* The children as the store and the back end need them. */
-static int describe_children(struct mo_campaign_run *run)
+struct describing {
+  struct mo_campaign_run *run;
+  atomic_int error;
+};
+
+static void describe_some(void *context, size_t first, size_t end)
 {
-  int error = MO_OK;
-  for (uint32_t i = 0; i < run->n_children && error == MO_OK; i++) {
+  struct describing *describing = context;
+  struct mo_campaign_run *run = describing->run;
+  for (uint32_t i = (uint32_t)first; i < end; i++) {
     const uint32_t place = run->n_parents + i;
-    error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place), MO_DEFAULT_WORKSPACE,
-                             run->bits[place].words);
-    if (error != MO_OK)
-      break;
+    int error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place), MO_DEFAULT_WORKSPACE,
+                                 run->bits[place].words);
+    if (error != MO_OK) {
+      atomic_store(&describing->error, error);
+      return;
+    }
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, run->bits[place].words, run->forms[i].words);
     error = mo_design_size(run->jobs->lattice, run->bits[place].words, &run->sizes[place]);
     run->numbers[place] = (uint32_t)(run->n_designs + i);
     run->born[place] = run->generation;
+    if (error != MO_OK)
+      atomic_store(&describing->error, error);
   }
-  return error;
+}
+
+/* The children as the store and the back end need them. */
+static int describe_children(struct mo_campaign_run *run)
+{
+  struct describing describing = {.run = run};
+  mo_parallel(1 + run->n_children / CHILDREN_PER_THREAD, run->n_children, describe_some, &describing);
+  return atomic_load(&describing.error);
 }
 
 static int vary(struct mo_campaign_run *run)

@@ -9,10 +9,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/parallel.h"
 #include "jobs/campaign_run.h"
 
-#define SAVED_AT_ONCE 1024
-#define RATE_AFTER_US INT64_C(500000)
+#define SAVED_AT_ONCE           1024
+#define RATE_AFTER_US           INT64_C(500000)
+#define LOOK_UP_THREADS         4 /* the store has some more connections, which others want, too */
+#define LOOK_UPS_WORTH_A_THREAD 1024
 
 /* One block in the back end. */
 struct flight {
@@ -91,30 +94,58 @@ static int read_saved(struct mo_campaign_run *run)
   return error;
 }
 
+/* Looking up thousands of bodies takes some tens of milliseconds: on several of the store's connections at once. */
+struct looking {
+  struct mo_campaign_run *run;
+  const struct mo_bits *asked;    /* (n) */
+  struct mo_campaign_loss *known; /* (n) of each part, those that were found, from the part's first on */
+  uint32_t *n_known;              /* (n) at the first of each part */
+  atomic_int error;
+};
+
+static void look_up(void *context, size_t first, size_t end)
+{
+  struct looking *looking = context;
+  struct mo_campaign_run *run = looking->run;
+  const int64_t found =
+      mo_store_campaign_known(run->jobs->store, run->id, mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+                              looking->asked + first, (uint32_t)(end - first), looking->known + first);
+  if (found < 0)
+    atomic_store(&looking->error, (int)found);
+  else
+    looking->n_known[first] = (uint32_t)found;
+  for (int64_t i = 0; i < found; i++)
+    looking->known[first + (size_t)i].place += (uint32_t)first;
+}
+
 /* Zero-shot: bodies that an evaluation, or another campaign, has scored. */
 static int read_known(struct mo_campaign_run *run)
 {
   struct mo_bits *asked = calloc((size_t)run->n_scored + 1, sizeof(*asked));
   uint32_t *places = calloc((size_t)run->n_scored + 1, sizeof(*places)), n = 0;
   struct mo_campaign_loss *known = calloc((size_t)run->n_scored + 1, sizeof(*known));
-  int64_t found = asked == NULL || places == NULL || known == NULL ? MO_ERR_NO_MEMORY : 0;
-  for (uint32_t i = 0; i < run->n_scored && found == 0; i++)
+  uint32_t *n_known = calloc((size_t)run->n_scored + 1, sizeof(*n_known));
+  struct looking looking = {.run = run, .asked = asked, .known = known, .n_known = n_known};
+  int error = asked == NULL || places == NULL || known == NULL || n_known == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  for (uint32_t i = 0; i < run->n_scored && error == MO_OK; i++)
     if (run->left[i] > 0) {
       asked[n] = run->bits[run->first_scored + i];
       places[n++] = i;
     }
-  if (found == 0 && n > 0)
-    found = mo_store_campaign_known(run->jobs->store, run->id,
-                                    mo_back_end_fingerprint(run->jobs, run->status.job.back_end), asked, n, known);
-  for (int64_t i = 0; i < found; i++)
-    if (known[i].place < n) {
+  if (error == MO_OK) {
+    mo_parallel(n < LOOK_UPS_WORTH_A_THREAD ? 1 : LOOK_UP_THREADS, n, look_up, &looking);
+    error = atomic_load(&looking.error);
+  }
+  for (uint32_t first = 0; first < n && error == MO_OK; first++)
+    for (uint32_t i = first; i < first + n_known[first]; i++) {
       know(run, places[known[i].place], &known[i]);
       run->n_cached++;
     }
   free(asked);
   free(places);
   free(known);
-  return found < 0 ? (int)found : MO_OK;
+  free(n_known);
+  return error;
 }
 
 /* ---- saving ---- */
@@ -221,6 +252,7 @@ static int fill(struct scoring *scoring)
 {
   const struct mo_campaign_run *run = scoring->run;
   int error = MO_OK;
+  mo_compute_begin_blocks(run->jobs->compute);
   while (error == MO_OK && scoring->n_in_flight < scoring->window) {
     while (scoring->place < run->n_scored && run->left[scoring->place] == 0)
       scoring->place++;
@@ -228,6 +260,7 @@ static int fill(struct scoring *scoring)
       break;
     error = launch(scoring);
   }
+  mo_compute_end_blocks(run->jobs->compute);
   return error;
 }
 

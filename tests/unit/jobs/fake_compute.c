@@ -334,6 +334,16 @@ void fake_gradient(const struct mo_controller *controller, const struct mo_robot
                       1e-3 * (double)controller->parameters[i];
 }
 
+void mo_compute_begin_blocks(struct mo_compute *compute)
+{
+  (void)compute;
+}
+
+void mo_compute_end_blocks(struct mo_compute *compute)
+{
+  (void)compute;
+}
+
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
                                 const struct mo_physics *physics)
 {
