@@ -31,7 +31,7 @@ extern "C" {
 
 #define MO_DEVICE_ABI      2
 #define MO_DEVICE_SHARD    1024 /* consecutive robots of a batch whose gradients are one float32 sum */
-#define MO_DEVICE_ROWS_MAX 65536
+#define MO_DEVICE_ROWS_MAX 131072
 
 struct mo_device;            /* one opened device */
 struct mo_device_controller; /* weights on a device */

@@ -64,7 +64,10 @@ static bool fits(const struct mo_block *block, void *context)
 static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
                           const struct mo_block *first)
 {
-  const uint64_t most = unit->row_limit < MO_CHUNK_ROWS ? unit->row_limit : MO_CHUNK_ROWS;
+  const bool is_alone =
+      unit->devices->last == share && atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->waiting);
+  const uint32_t limit = is_alone ? MO_CHUNK_ROWS : MO_CHUNK_ROWS_SHARED;
+  const uint64_t most = unit->row_limit < limit ? unit->row_limit : limit;
   const uint64_t n_working = atomic_load(&unit->devices->n_working), n_devices = n_working > 0 ? n_working : 1;
   const uint64_t waiting = (1 + atomic_load(&share->waiting)) * first->n_environments;
   const uint64_t rounds = (waiting + most * n_devices - 1) / (most * n_devices);
@@ -88,9 +91,11 @@ bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
   chunk->n_rows = 0;
   if (block->shards != NULL) {
     unit->devices->tasks_waiting--;
+    unit->devices->last = chunk->charge.share;
     return true;
   }
   room.rows = even_rows(unit, chunk->charge.share, block) - block->n_environments;
+  unit->devices->last = chunk->charge.share;
   while ((block = mo_fair_take_more(fair, &chunk->charge, fits, &room)) != NULL) {
     room.rows -= block->n_environments;
     chunk->status[chunk->n_blocks] = MO_CHUNK_NOT_DONE;

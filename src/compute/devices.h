@@ -8,7 +8,10 @@
 #include "compute/device.h"
 #include "compute/fair.h"
 
-#define MO_CHUNK_ROWS 32768 /* most rollouts of one call of a module: some tenths of a second */
+/* Most rollouts of one call of a module: a second or two. Each call ends with some tenths of a second in which ever fewer multiprocessors have
+ * work, so the fewer calls the better; but while others use the devices, too, a call takes some tenths of a second. */
+#define MO_CHUNK_ROWS        98304
+#define MO_CHUNK_ROWS_SHARED 32768
 
 enum { MO_CHUNK_NOT_DONE = 1, MO_CHUNK_TO_WORKERS = 2 };
 
@@ -66,6 +69,7 @@ struct mo_devices {
   pthread_cond_t wake;
   struct mo_fair fair;
   struct mo_compute_share own, urgent; /* of blocks that name none; of interactive ones */
+  const struct mo_compute_share *last; /* of which a chunk was taken last; only compared */
   bool stopping;
   uint32_t tasks_waiting; /* gradients */
   atomic_uint submitting; /* callers that have more blocks to come */

@@ -4,7 +4,7 @@
  * not be a function of its settings any more. So a job whose devices are gone waits for them, paused. */
 #include "jobs/internal.h"
 
-#define BLOCKS_A_DEVICE 8192 /* two calls and more, at ten environments a block */
+#define BLOCKS_A_DEVICE 16384 /* more than a call, at ten environments a block */
 #define BLOCKS_A_WORKER 2
 
 int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large, enum mo_back_end *back_end,
