@@ -357,7 +357,9 @@ MO_BOTH void mo_move_back(const struct mo_lane_physics *l, const float *heights,
 MO_BOTH float mo_inverse_root(float x)
 {
 #ifdef __CUDA_ARCH__
-  return rsqrtf(x);
+  float root; /* x is no subnormal number, which rsqrtf would ask */
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(x));
+  return root;
 #else
   return 1.0f / sqrtf(x);
 #endif

@@ -4,23 +4,40 @@
 #include "compute/cuda/gradient_back.cuh"
 #include "compute/cuda/gradient_back_physics.cuh"
 
-/* ∂loss/∂ outputs to global memory, and their sums over rows: each thread has the same columns at every step. */
-template <int MT> __device__ __forceinline__ void back<MT>::keep_outputs(uint32_t step, float2 (&bias)[2])
+/* A round's ∂loss/∂ outputs to the tape: sixteen bytes for each thread. `round` counts eights of tiles, of which `before` are left out before
+ * the first. */
+template <int MT> __device__ __forceinline__ uint4 back<MT>::read_outputs(int round, int before) const
 {
-  const int words = n_outputs * 8;
-  __nv_bfloat162 *to = (__nv_bfloat162 *)(tape + output_at) + (size_t)step * ROWS * words;
+  const int row = (int)threadIdx.x / 16, column = round * 128 - before * 16 + (int)threadIdx.x % 16 * 8;
+  return row < ROWS && column >= 0 ? *(const uint4 *)(outputs + row * width + column) : make_uint4(0, 0, 0, 0);
+}
+template <int MT>
+__device__ __forceinline__ void back<MT>::keep_outputs(uint32_t step, int round, int before, const uint4 &eight) const
+{
+  const int row = (int)threadIdx.x / 16, column = round * 128 - before * 16 + (int)threadIdx.x % 16 * 8;
+  if (row < ROWS && column >= 0)
+    __stcs((uint4 *)(tape + output_at + (((size_t)step * ROWS + row) * n_outputs * MO_GP_TILE + column) * 2), eight);
+}
+
+/* Their sums over rows: products with ones, of each sixteenth tile. */
+template <int MT> __device__ __forceinline__ void back<MT>::sum_outputs() const
+{
+  const uint32_t ones = 0x3f803f80;
+  float *to = k.sums + g.sum_at + mo_gp_sum_of(&g).output_bias + (lane >> 2);
+  const uint32_t from =
+      shared_address(outputs) + (uint32_t)((lane & 7) + (lane >> 4) * 8) * width * 2 + (uint32_t)(lane >> 3 & 1) * 16;
+#pragma unroll 1
+  for (int tile = warp; tile < n_outputs; tile += MO_GP_WARPS) {
+    float sum[4] = {0, 0, 0, 0};
 #pragma unroll
-  for (int half = 0; half < 2; half++) {
-    const int at = (int)threadIdx.x + half * MO_GK_THREADS;
-    if (at >= words)
-      continue;
-#pragma unroll 8
-    for (int row = 0; row < ROWS; row++) {
-      const __nv_bfloat162 d = *(const __nv_bfloat162 *)(outputs + row * width + 2 * at);
-      const float2 f = __bfloat1622float2(d);
-      to[row * words + at] = d;
-      bias[half].x += f.x;
-      bias[half].y += f.y;
+    for (int m = 0; m < MT; m++) {
+      uint32_t a[4];
+      load_matrices_transposed(a, from + (uint32_t)(m * 16) * width * 2 + (uint32_t)tile * 32);
+      multiply<true>(sum, a, ones, ones);
+    }
+    if ((lane & 3) == 0) {
+      atomicAdd(to + tile * MO_GP_TILE, sum[0]);
+      atomicAdd(to + tile * MO_GP_TILE + 8, sum[2]);
     }
   }
 }
@@ -37,8 +54,11 @@ __device__ __forceinline__ void back<MT>::load_normal(int layer, uint32_t step, 
 #pragma unroll
     for (int h = 0; h < 2; h++) {
       const int row = m * 16 + h * 8 + (lane >> 2);
-      factor[m][h] = __ldg(scale + row);
-      const uint2 two = __ldcg(normal + row * (MO_HIDDEN / 4) + (column >> 2));
+      uint2 two;
+      asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
+                   : "=r"(two.x), "=r"(two.y)
+                   : "l"(normal + row * (MO_HIDDEN / 4) + (column >> 2)));
+      asm volatile("ld.global.nc.f32 %0, [%1];" : "=f"(factor[m][h]) : "l"(scale + row));
       n[m][h][0] = *(const __half2 *)&two.x;
       n[m][h][1] = *(const __half2 *)&two.y;
     }
@@ -52,7 +72,7 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
 {
   const int column = warp * 16 + 4 * (lane & 3);
   uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-  float2 s[MT][2];
+  float2 s[MT][2], d_shifts[2], d_gains[2];
   float *bias = norms + layer * 3 * MO_HIDDEN + column, *gain_sum = bias + MO_HIDDEN, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
   for (int m = 0; m < MT; m++)
@@ -80,11 +100,11 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
         s[m][h].x += e0 + e1;
         s[m][h].y += fmaf(e0, at.x, e1 * at.y);
       }
-    add_columns(shift_sum + 2 * j, d_shift.x);
-    add_columns(shift_sum + 2 * j + 1, d_shift.y);
-    add_columns(gain_sum + 2 * j, d_gain.x);
-    add_columns(gain_sum + 2 * j + 1, d_gain.y);
+    d_shifts[j] = d_shift;
+    d_gains[j] = d_gain;
   }
+  add_columns(shift_sum, d_shifts);
+  add_columns(gain_sum, d_gains);
   sum_rows<MT>(part, warp, lane, s);
   float2 d_bias[2] = {{0, 0}, {0, 0}};
 #pragma unroll
@@ -94,66 +114,128 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
       const int row = m * 16 + h * 8 + (lane >> 2);
       const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN), along = s[m][h].y * (1.0f / MO_HIDDEN);
       float2 d[2];
+      bool sound = true;
 #pragma unroll
       for (int j = 0; j < 2; j++) {
         const float2 at = __half22float2(n[m][h][j]);
         d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
                            factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
-        if (!(fabsf(d[j].x) <= MO_GK_LARGE) || !(fabsf(d[j].y) <= MO_GK_LARGE))
-          atomicOr(failed + row, 1);
+        sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
         d_bias[j].x += d[j].x;
         d_bias[j].y += d[j].y;
       }
+      if (!sound)
+        failed[row] = 1;
       const uint2 both = four(__float22bfloat162_rn(d[0]), __float22bfloat162_rn(d[1]));
       *(uint2 *)(left + row * MO_GK_ROW + column) = both;
-      dense[row * (MO_HIDDEN / 4) + (column >> 2)] = both;
+      __stcs(dense + row * (MO_HIDDEN / 4) + (column >> 2), both);
     }
-#pragma unroll
-  for (int j = 0; j < 2; j++) {
-    add_columns(bias + 2 * j, d_bias[j].x);
-    add_columns(bias + 2 * j + 1, d_bias[j].y);
-  }
+  add_columns(bias, d_bias);
   __syncthreads();
 }
 
-/* Where the tiles are is known a round before they are asked for, so that nothing keeps a load from its place (see add_tiles). */
+/* As load_weights, and where it is written: the compiler would put loads last, to have their registers for something else. */
+static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
+{
+  uint4 w;
+  asm volatile("ld.global.L1::no_allocate.v4.u32 {%0,%1,%2,%3}, [%4];"
+               : "=r"(w.x), "=r"(w.y), "=r"(w.z), "=r"(w.w)
+               : "l"(p));
+  __syncwarp();
+  return w;
+}
+
+/* A tile's activations, and what is multiplied with them. */
+template <int MT> struct left_tile {
+  uint32_t a[MT][4];
+  __device__ __forceinline__ void load(uint32_t left, uint32_t row_bytes)
+  {
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+      load_matrices(a[m], left + (uint32_t)m * 16 * row_bytes);
+  }
+  __device__ __forceinline__ void add(warp_sums<MT> &sums, const uint4 &w) const
+  {
+#pragma unroll
+    for (int m = 0; m < MT; m++) {
+      multiply<true>(sums.c[m][0], a[m], w.x, w.y);
+      multiply<true>(sums.c[m][1], a[m], w.z, w.w);
+    }
+  }
+};
+
+/* add_tiles of gradient_kernels.cuh with such loads. */
+template <int MT, bool MORE, int N>
+static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
+                                                   uint32_t row_bytes, const uint4 *now, const uint4 *next)
+{
+  left_tile<MT> a[2];
+  a[0].load(left, row_bytes);
+#pragma unroll
+  for (int k = 0; k < 16; k++) {
+    if (k + 1 < 16)
+      a[(k + 1) % 2].load(left + (uint32_t)(k + 1) * 32, row_bytes);
+    a[k % 2].add(sums, ahead.w[k % N]);
+    if (k + N < 16)
+      ahead.w[k % N] = load_weights_here(now + (k + N) * 32);
+    else if (MORE)
+      ahead.w[k % N] = load_weights_here(next + (k + N - 16) * 32);
+  }
+}
+
+/* The tile whose number is the k-th byte of `four`. */
+static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t four, int k)
+{
+  return load_weights_here((const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
+}
+
+/* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
 template <int MT>
-__device__ __forceinline__ void back<MT>::add_last(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+template <bool FIRST>
+__device__ __forceinline__ void back<MT>::add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                                    left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                                    const uint2 &then, int before)
+{
+#pragma unroll
+  for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
+    a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32, width * 2); /* beyond the last: not used */
+    if (!FIRST || i >= before)
+      a[i % 2].add(sums, ahead.w[i]);
+    ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
+  }
+}
+
+/* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
+template <int MT>
+__device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> &sums,
+                                                   weights_ahead<MO_GK_AHEAD_BACK> &ahead)
 {
   enum { N = MO_GK_AHEAD_BACK };
-  const uint32_t left_at = left_address(outputs, width * 2, lane);
-  const uint4 *hidden = hidden_tiles(2), *last = k.weights.back[3] + (uint32_t)warp * MO_GP_OUTPUT_TILES * 32 + lane;
   const int before = lead();
-  int at = -before;
-  uint32_t next[N];
-#pragma unroll
-  for (int i = 0; i < N; i++)
-    next[i] = output_tile[max(at + N + i, 0)] * 32u;
+  uint32_t left_at = left_address(outputs, width * 2, lane) - (uint32_t)before * 32;
+  const uint2 *numbers = (const uint2 *)output_tile + 1;
+  const uint4 *last = last_tiles(), *hidden = hidden_tiles(2);
+  const int n = (before + n_outputs) / N;
+  int round = 0;
+  uint2 then = numbers[0];
+  left_tile<MT> a[2];
+  a[0].load(left_at, width * 2);
   if (before > 0) {
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      if (i >= before)
-        add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
-      ahead.w[i] = load_weights(at + N < n_outputs ? last + next[i] : hidden + i * 32);
-      next[i] = output_tile[at + 2 * N + i] * 32u;
-    }
-    at += N;
+    const uint4 eight = read_outputs(0, before);
+    add_round<true>(sums, ahead, a, left_at, n > 1 ? last : hidden, then, before);
+    keep_outputs(step, 0, before, eight);
+    left_at += N * 32;
+    then = *++numbers;
+    round++;
   }
 #pragma unroll 1
-  for (; at + N < n_outputs; at += N) {
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
-      ahead.w[i] = load_weights(last + next[i]);
-      next[i] = output_tile[at + 2 * N + i] * 32u; /* beyond the last: not used */
-    }
-  }
-  if (at < n_outputs) {
-#pragma unroll
-    for (int i = 0; i < N; i++) {
-      add_tile<MT, true>(sums, left_at + (uint32_t)(at + i) * 32, width * 2, ahead.w[i]);
-      ahead.w[i] = load_weights(hidden + i * 32);
-    }
+  for (; round < n; round++) {
+    const uint2 after = *++numbers;
+    const uint4 eight = read_outputs(round, before);
+    add_round<false>(sums, ahead, a, left_at, round + 1 < n ? last : hidden, then, 0);
+    keep_outputs(step, round, before, eight);
+    left_at += N * 32;
+    then = after;
   }
 }
 
@@ -168,20 +250,21 @@ __device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ah
   warp_sums<MT> sums;
   norm_columns columns;
   sums.clear();
-  add_last(sums, ahead);
-  columns.load(k.weights, 2, column);
   load_normal(2, step, n, factors);
+  add_last(step, sums, ahead);
+  sum_outputs();
+  columns.load(k.weights, 2, column);
   norm_relu_back(2, step, sums, n, factors, columns);
 #pragma unroll 1
   for (int layer = 2; layer > 0; layer--) {
-    columns.load(k.weights, layer - 1, column);
-    load_normal(layer - 1, step, n, factors);
     sums.clear();
-    add_tiles<MT, true, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
+    load_normal(layer - 1, step, n, factors);
+    add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
+    columns.load(k.weights, layer - 1, column);
     norm_relu_back(layer - 1, step, sums, n, factors, columns);
   }
   sums.clear();
-  add_tiles<MT, true, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
+  add_sixteen<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
   __syncthreads();
 #pragma unroll
   for (int m = 0; m < MT; m++)
@@ -196,11 +279,13 @@ __device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ah
 /* What the step before this one will read. */
 template <int MT> __device__ __forceinline__ void back<MT>::fetch_step(uint32_t step)
 {
-  fetch(tape + position_at + (size_t)step * n_masses * 12, (size_t)n_masses * 12);
-  fetch(tape + velocity_at + (size_t)step * n_masses * 12, (size_t)n_masses * 12);
-  fetch(tape + activation_at + (size_t)step * n_chunks * 64, (size_t)n_chunks * 64);
+  const uint32_t masses = 12 * n_masses, chunks = 64 * n_chunks, normals = ROWS * MO_HIDDEN * 2;
+  fetch(tape + position_at + (size_t)step * masses, masses);
+  fetch(tape + velocity_at + (size_t)step * masses, masses);
+  fetch(tape + activation_at + (size_t)step * chunks, chunks);
+#pragma unroll 1
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
-    fetch(tape + normal_at + l * layer_bytes + (size_t)step * ROWS * MO_HIDDEN * 2, ROWS * MO_HIDDEN * 2);
+    fetch(tape + normal_at + l * layer_bytes + (size_t)step * normals, normals);
 }
 
 template <int MT> __device__ __forceinline__ void back<MT>::run()
@@ -213,6 +298,9 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
     ((uint32_t *)outputs)[i] = 0;
   for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
     norms[i] = 0;
+  if (is_first)
+    for (int i = threadIdx.x; i < n_outputs * MO_GP_TILE; i += MO_GK_THREADS)
+      k.sums[g.sum_at + mo_gp_sum_of(&g).output_bias + i] = 0;
   if (threadIdx.x < ROWS)
     failed[threadIdx.x] = 0;
 #pragma unroll
@@ -220,8 +308,9 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
     const mo_gk_result &before = k.results[first_row + warp + 16 * r];
     excluded[r] = before.diverged || before.excluded || before.zeroed;
     if (lane == 0) {
+      const double start_m = k.rows[first_row + warp + 16 * r].start_m;
       const back_row now = {
-          k.rows[first_row + warp + 16 * r].start_m, before.largest, before.steps, before.clipped, before.zeroed, 0};
+          start_m * start_m, before.largest * before.largest, before.steps, before.clipped, before.zeroed, 0};
       result[warp + 16 * r] = now;
     }
   }
@@ -234,24 +323,27 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
       ((float *)(mass + first + i / 3))[3 + i % 3] = k.velocity[state + i];
     }
   __syncwarp();
-  float2 bias[2] = {{0, 0}, {0, 0}};
+  uint32_t inputs = 0;
+#pragma unroll
+  for (int i = 0; i < HELD; i++)
+    if (lane + 32 * i < n0 + n1)
+      inputs |= (uint32_t)__ldg(input + lane + 32 * i) << 8 * i;
   for (uint32_t step = end_step; step-- > first_step;) {
-    const float *kept = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
-    for (int m = lane; m < n0 + n1; m += 32) {
-      mass[first + m].xy = make_float2(__ldg(kept + m), __ldg(kept + n_masses + m));
-      mass[first + m].z_gx.x = __ldg(kept + 2 * n_masses + m);
-    }
+    held h;
+    forget();
+    hold(step, h);
     if (step > 0)
       fetch_step(step - 1);
-    __syncwarp();
-    move_back(step);
+    move_back(step, h);
     springs_back(step);
+    forget();
     weights_ahead<MO_GK_AHEAD_BACK> ahead;
     start_ahead(ahead);
     __syncthreads();
-    keep_outputs(step, bias);
+    fetch(k.springs + g.first_chunk * 32, 128 * n_chunks); /* they may be gone until the next step */
     control_back(step, ahead);
-    sense_back();
+    forget();
+    sense_back(inputs);
   }
   for (int i = lane; i < n; i += 32) {
     k.position[state + i] = own_gx[i];
@@ -263,7 +355,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
     if (lane == 0) {
       const int row = warp + 16 * r;
       mo_gk_result &after = k.results[first_row + row];
-      after.largest = result[row].largest;
+      after.largest = sqrt(result[row].largest);
       after.steps = result[row].steps;
       after.clipped = result[row].clipped;
       after.zeroed = result[row].zeroed || (failed[row] && !excluded[r]);
@@ -273,15 +365,6 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
   __syncthreads();
   for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
     sums[place.bias[0] + i] = norms[i] + (is_first ? 0.0f : sums[place.bias[0] + i]);
-#pragma unroll
-  for (int half = 0; half < 2; half++) {
-    const int at = (int)threadIdx.x + half * MO_GK_THREADS;
-    if (at < (int)g.n_outputs * 8) {
-      float2 *to = (float2 *)(sums + place.output_bias) + at;
-      const float2 before = is_first ? make_float2(0, 0) : *to;
-      *to = make_float2(before.x + bias[half].x, before.y + bias[half].y);
-    }
-  }
 }
 
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __grid_constant__ mo_gk k)

@@ -7,7 +7,7 @@
 
 /* What a launch finds out about a row. */
 struct back_row {
-  double start_m, largest;
+  double start_squared, largest; /* squares, too: largest of the adjoints' norms times start_m */
   uint32_t steps, clipped;
   int zeroed, padding;
 };
@@ -17,11 +17,17 @@ struct back_mass {
   float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
 };
 
+template <int MT> struct left_tile;
+
 template <int MT> struct back {
-  enum { ROWS = 16 * MT };
+  enum { ROWS = 16 * MT, HELD = 4 };
+  /* The first of a lane's masses, on their way from the tape. */
+  struct held {
+    float v[HELD][3];
+  };
   const mo_gk &k;
   const mo_gp_group &g;
-  const int warp, lane;
+  int warp, lane;
   /* Copies of what the group says: a store might change the original, as far as the compiler knows. */
   int n_masses, n_chunks, first, n0, n1, own_chunks;
   uint32_t first_row;
@@ -73,8 +79,10 @@ template <int MT> struct back {
     width = g.n_outputs * MO_GP_TILE + 8;
     n_outputs = (int)g.n_outputs;
     output_tile = shared;
-    if (threadIdx.x < MO_GP_OUTPUT_TILES)
-      output_tile[threadIdx.x] = g.output_tile[threadIdx.x];
+    if ((int)threadIdx.x < n_outputs)
+      output_tile[lead() + threadIdx.x] = g.output_tile[threadIdx.x];
+    if (threadIdx.x < MO_GK_AHEAD_BACK)
+      output_tile[lead() + n_outputs + threadIdx.x] = (uint8_t)threadIdx.x; /* then the first of a hidden layer */
     shared += 128;
     left = (__nv_bfloat16 *)shared;
     shared += ROWS * MO_GK_ROW * 2;
@@ -95,6 +103,14 @@ template <int MT> struct back {
     gx = (float *)(mass + n_masses);
   }
 
+  /* What follows from these is made again where it is needed: the compiler would make it before the first step, and have no registers for it. */
+  __device__ __forceinline__ void forget()
+  {
+    asm volatile(""
+                 : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0), "+r"(n1),
+                   "+r"(n_outputs));
+  }
+
   __device__ __forceinline__ int own_masses(int r) const
   {
     return r == 0 ? n0 : n1;
@@ -102,22 +118,44 @@ template <int MT> struct back {
 
   __device__ __forceinline__ void start();
 
-  __device__ __forceinline__ float clip(int r, int from);
+  __device__ __forceinline__ void hold(uint32_t step, held &h);
 
-  __device__ __forceinline__ void move_back(uint32_t step);
+  __device__ __forceinline__ void clip(float (&scale)[2]);
+
+  /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
+  __device__ __forceinline__ uint16_t *aside(int i)
+  {
+    return (uint16_t *)left + (warp + 16 * (i >> 8)) * MO_GK_ROW + (i & 255);
+  }
+
+  __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2]);
+
+  __device__ __forceinline__ void move_one(int m, const float *v, const float (&scale)[2], int &n_aside);
+
+  __device__ __forceinline__ void move_back(uint32_t step, const held &h);
 
   __device__ __forceinline__ void springs_back(uint32_t step);
 
-  __device__ __forceinline__ void keep_outputs(uint32_t step, float2 (&bias)[2]);
+  __device__ __forceinline__ uint4 read_outputs(int round, int before) const;
 
-  /* Sums over rows of three values per column, added to the sums of this launch. */
-  __device__ __forceinline__ void add_columns(float *to, float value)
+  __device__ __forceinline__ void keep_outputs(uint32_t step, int round, int before, const uint4 &eight) const;
+
+  __device__ __forceinline__ void sum_outputs() const;
+
+  /* Sums over rows of this lane's four columns, added to the sums of this launch. Lanes 4, 8 and 16 apart have other rows of the same columns;
+   * each of them ends with one column. */
+  __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[2])
   {
-    value += __shfl_xor_sync(0xffffffffu, value, 4);
-    value += __shfl_xor_sync(0xffffffffu, value, 8);
-    value += __shfl_xor_sync(0xffffffffu, value, 16);
-    if (lane < 4)
-      *to += value;
+    const bool odd = lane & 4, second = lane & 8;
+    float2 own = odd ? make_float2(d[0].y, d[1].y) : make_float2(d[0].x, d[1].x);
+    const float2 far = odd ? make_float2(d[0].x, d[1].x) : make_float2(d[0].y, d[1].y);
+    own.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
+    own.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
+    float sum = second ? own.y : own.x;
+    sum += __shfl_xor_sync(0xffffffffu, second ? own.x : own.y, 8);
+    sum += __shfl_xor_sync(0xffffffffu, sum, 16);
+    if (lane < 16)
+      to[2 * second + odd] += sum;
   }
 
   __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2], float (&factor)[MT][2]);
@@ -126,10 +164,10 @@ template <int MT> struct back {
                                                  const __half2 (&n)[MT][2][2], const float (&factors)[MT][2],
                                                  const norm_columns &columns);
 
-  /* A tile of springs for this warp's neurons; the first of its sixteen tiles of a hidden layer. */
-  __device__ __forceinline__ const uint4 *last_tile(int i) const
+  /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden layer. */
+  __device__ __forceinline__ const uint4 *last_tiles() const
   {
-    return k.weights.back[3] + ((uint32_t)warp * MO_GP_OUTPUT_TILES + output_tile[i]) * 32 + lane;
+    return k.weights.back[3] + (uint32_t)warp * MO_GP_OUTPUT_TILES * 32 + lane;
   }
   __device__ __forceinline__ const uint4 *hidden_tiles(int layer) const
   {
@@ -142,21 +180,39 @@ template <int MT> struct back {
     return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
   }
 
+  /* The ring's first places are those left out, or hold nothing that is used. */
   __device__ __forceinline__ void start_ahead(weights_ahead<MO_GK_AHEAD_BACK> &ahead) const
   {
     const int before = lead();
-    ahead.start([&](int i) { return last_tile(max(i - before, 0)); });
+    ahead.start([&](int i) { return last_tiles() + (i < before ? 0 : output_tile[i] * 32); });
   }
 
-  __device__ __forceinline__ void add_last(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead);
+  template <bool FIRST>
+  __device__ __forceinline__ void add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                            left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                            const uint2 &then, int before);
+
+  __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead);
 
   __device__ __forceinline__ void control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead);
 
-  __device__ __forceinline__ void sense_back();
+  __device__ __forceinline__ void sense_back(uint32_t inputs);
 
-  static __device__ __forceinline__ void fetch(const void *from, size_t bytes)
+  __device__ __forceinline__ void push_back(int m, float d, const float (&mean)[2]);
+
+  static __device__ __forceinline__ void copy_ahead(uint32_t to, const float *from)
   {
-    for (size_t i = (size_t)threadIdx.x * 128; i < bytes; i += (size_t)MO_GK_THREADS * 128)
+    asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(to), "l"(from) : "memory");
+  }
+  static __device__ __forceinline__ void wait_copies()
+  {
+    asm volatile("cp.async.wait_all;" ::: "memory");
+  }
+
+  static __device__ __forceinline__ void fetch(const void *from, uint32_t bytes)
+  {
+#pragma unroll 1
+    for (uint32_t i = threadIdx.x * 128; i < bytes; i += MO_GK_THREADS * 128)
       asm volatile("prefetch.global.L2 [%0];" ::"l"((const char *)from + i));
   }
 

@@ -28,76 +28,210 @@ template <int MT> __device__ __forceinline__ void back<MT>::start()
   }
 }
 
-/* Measures the adjoint of the state after `step` steps, says by what to scale it. */
-template <int MT> __device__ __forceinline__ float back<MT>::clip(int r, int from)
-{
-  const int n = own_masses(r);
-  double sum_x = 0, sum_v = 0;
-  for (int i = lane; i < 3 * n; i += 32) {
-    const double a = gx[3 * from + i];
-    sum_x += a * a;
-  }
-  for (int m = lane; m < n; m += 32) {
-    const double a = mass[from + m].z_gx.y;
-    const float2 yz = mass[from + m].gyz;
-    const double b = yz.x, c = yz.y;
-    sum_v += a * a + (b * b + c * c);
-  }
-  sum_x = sum_lanes(sum_x);
-  sum_v = sum_lanes(sum_v);
-  if (excluded[r] || n == 0)
-    return 0;
-  back_row &own = result[warp + 16 * r]; /* all lanes have the same to write: the first does */
-  const double m = own.start_m * fmax(sqrt(sum_x), MO_ADJOINT_RATE_PER_S * sqrt(sum_v));
-  const bool bad = !(sum_x < 1e300) || !(sum_v < 1e300) || failed[warp + 16 * r];
-  const bool scaled = !bad && k.bound > 0 && m > k.bound;
-  __syncwarp();
-  if (lane == 0) {
-    own.steps++;
-    own.clipped += scaled;
-    if (bad)
-      own.zeroed = 1;
-    else
-      own.largest = fmax(own.largest, m);
-  }
-  if (bad) {
-    excluded[r] = true;
-    return 0;
-  }
-  if (scaled)
-    return (float)(k.bound / m);
-  return 1;
-}
-
-template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t step)
+/* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
+template <int MT> __device__ __forceinline__ void back<MT>::hold(uint32_t step, held &h)
 {
   const int n = n0 + n1;
+  const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
   const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
-  const float scale[2] = {clip(0, first), MT > 1 ? clip(MT - 1, first + n0) : 0.0f};
-  __syncwarp();
+#pragma unroll
+  for (int i = 0; i < HELD; i++) {
+    const int m = lane + 32 * i;
+#pragma unroll
+    for (int axis = 0; axis < 3; axis++)
+      h.v[i][axis] = m < n ? __ldg(velocity + axis * n_masses + m) : 0.0f;
+  }
+#pragma unroll 1
   for (int m = lane; m < n; m += 32) {
+    const uint32_t to = shared_address(&mass[first + m]);
+    copy_ahead(to, position + m);
+    copy_ahead(to + 4, position + n_masses + m);
+    copy_ahead(to + 8, position + 2 * n_masses + m);
+  }
+}
+
+/* Measures the adjoints of both rows' states, says by what to scale them. Compared are squares. */
+template <int MT> __device__ __forceinline__ void back<MT>::clip(float (&scale)[2])
+{
+  double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
+  const int n = n0 + n1;
+#pragma unroll 1
+  for (int m = lane; m < n; m += 32) {
+    const float *a = gx + 3 * (first + m);
+    const float2 yz = mass[first + m].gyz;
+    const double x = a[0], y = a[1], z = a[2], u = mass[first + m].z_gx.y, v = yz.x, w = yz.y;
+    const double of_x = fma(x, x, fma(y, y, z * z)), of_v = fma(u, u, fma(v, v, w * w));
+    if (MT > 1 && m >= n0) {
+      sum_x[1] += of_x;
+      sum_v[1] += of_v;
+    } else {
+      sum_x[0] += of_x;
+      sum_v[0] += of_v;
+    }
+  }
+#pragma unroll
+  for (int far = 16; far > 0; far >>= 1)
+#pragma unroll
+    for (int r = 0; r < MT; r++) {
+      sum_x[r] += __shfl_xor_sync(0xffffffffu, sum_x[r], far);
+      sum_v[r] += __shfl_xor_sync(0xffffffffu, sum_v[r], far);
+    }
+  scale[0] = scale[1] = 0;
+#pragma unroll
+  for (int r = 0; r < MT; r++) {
+    if (excluded[r] || own_masses(r) == 0)
+      continue;
+    back_row &own = result[warp + 16 * r]; /* all lanes have the same to write: the first does */
+    const double square = own.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
+    const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[warp + 16 * r];
+    const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;
+    __syncwarp();
+    if (lane == 0) {
+      own.steps++;
+      own.clipped += scaled;
+      if (bad)
+        own.zeroed = 1;
+      else
+        own.largest = fmax(own.largest, square);
+    }
+    if (bad) {
+      excluded[r] = true;
+      continue;
+    }
+    scale[r] = scaled ? (float)(k.bound / sqrt(square)) : 1.0f;
+  }
+}
+
+/* The masses that strike the ground, of which all are known: each lane has one. */
+template <int MT> __device__ __forceinline__ void back<MT>::strikes_back(uint32_t step, int n, const float (&scale)[2])
+{
+  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
+#pragma unroll 1
+  for (int i = lane; i < n; i += 32) {
+    const int m = *aside(i);
+    const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
     const bool second = m >= n0;
     const lane_row &own = rows[warp + (second ? 16 : 0)];
-    const int at = 3 * (first + m);
-    const back_mass own_mass = mass[first + m];
-    float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
     const float s = second ? scale[1] : scale[0];
-    if (s > 0) {
-      const float p[3] = {own_mass.xy.x, own_mass.xy.y, own_mass.z_gx.x};
-      const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
-      dv[0] = s * own_mass.z_gx.y;
-      dv[1] = s * own_mass.gyz.x;
-      dv[2] = s * own_mass.gyz.y;
-      for (int axis = 0; axis < 3; axis++)
-        dp[axis] = s * gx[at + axis];
-      mo_move_back(&k.physics, own.heights, own.highest, p, v, dp, dv);
-    }
+    back_mass &to = mass[first + m];
+    float *d = gx + 3 * (first + m);
+    const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
+    float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
+    mo_move_back(&k.physics, own.heights, own.highest, p, v, dp, dv);
     for (int axis = 0; axis < 3; axis++)
-      gx[at + axis] = dp[axis];
-    mass[first + m].z_gx.y = dv[0];
-    mass[first + m].gyz = make_float2(dv[1], dv[2]);
+      d[axis] = dp[axis];
+    to.z_gx.y = dv[0];
+    to.gyz = make_float2(dv[1], dv[2]);
+  }
+}
+
+/* A mass that does not strike; one that does is put aside: few do, and it takes long. */
+template <int MT>
+__device__ __forceinline__ void back<MT>::move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
+{
+  bool struck = false;
+  if (m < n0 + n1) {
+    const bool second = m >= n0;
+    const lane_row &own = rows[warp + (second ? 16 : 0)];
+    const float s = second ? scale[1] : scale[0];
+    float *d = gx + 3 * (first + m);
+    back_mass &to = mass[first + m];
+    const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
+    float next[3];
+    mo_ground g;
+    struck = s > 0 && mo_strikes(&k.physics, own.heights, own.highest, p, v, next, &g);
+    if (!struck) {
+      float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
+      if (s > 0) {
+        const float2 yz = to.gyz;
+        const float before[3] = {s * to.z_gx.y, s * yz.x, s * yz.y};
+        for (int axis = 0; axis < 3; axis++) {
+          dp[axis] = s * d[axis];
+          dv[axis] = fmaf(k.physics.dt, dp[axis], before[axis]);
+        }
+      }
+      for (int axis = 0; axis < 3; axis++)
+        d[axis] = dp[axis];
+      to.z_gx.y = dv[0];
+      to.gyz = make_float2(dv[1], dv[2]);
+    }
+  }
+  const uint32_t which = __ballot_sync(0xffffffffu, struck);
+  if (struck)
+    *aside(n_aside + __popc(which & ((1u << lane) - 1))) = (uint16_t)m;
+  n_aside += __popc(which);
+}
+
+template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t step, const held &h)
+{
+  const int n = n0 + n1;
+  float scale[2];
+  int n_aside = 0;
+  clip(scale);
+  wait_copies();
+  __syncwarp();
+#pragma unroll
+  for (int i = 0; i < HELD; i++)
+    move_one(lane + 32 * i, h.v[i], scale, n_aside);
+#pragma unroll 1
+  for (int base = 32 * HELD; base < n; base += 32) {
+    const int m = base + lane;
+    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first + m;
+    float v[3];
+    for (int axis = 0; axis < 3; axis++)
+      v[axis] = m < n ? __ldg(velocity + axis * n_masses) : 0.0f;
+    move_one(m, v, scale, n_aside);
   }
   __syncwarp();
+  strikes_back(step, n_aside, scale);
+  __syncwarp();
+}
+
+/* Read once: the first-level cache is left to others. */
+static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
+{
+  uint32_t x;
+  asm volatile("ld.global.nc.L1::no_allocate.u32 %0, [%1];" : "=r"(x) : "l"(p));
+  return x;
+}
+static __device__ __forceinline__ int16_t load_once(const int16_t *p)
+{
+  int16_t x;
+  asm volatile("ld.global.nc.L1::no_allocate.s16 %0, [%1];" : "=h"(x) : "l"(p));
+  return x;
+}
+
+/* A number that stays in a register: the compiler would make it again each time. */
+static __device__ __forceinline__ uint32_t kept_value(uint32_t x)
+{
+  asm volatile("" : "+r"(x));
+  return x;
+}
+
+static __device__ __forceinline__ back_mass load_mass(uint32_t from, uint32_t m)
+{
+  back_mass b;
+  const uint32_t at = from + m * (uint32_t)sizeof(back_mass);
+  asm volatile("ld.shared.v2.f32 {%0, %1}, [%2];" : "=f"(b.xy.x), "=f"(b.xy.y) : "r"(at));
+  asm volatile("ld.shared.v2.f32 {%0, %1}, [%2 + 8];" : "=f"(b.z_gx.x), "=f"(b.z_gx.y) : "r"(at));
+  asm volatile("ld.shared.v2.f32 {%0, %1}, [%2 + 16];" : "=f"(b.gyz.x), "=f"(b.gyz.y) : "r"(at));
+  return b;
+}
+
+static __device__ __forceinline__ void add_shared(uint32_t at, float x)
+{
+  float sum;
+  asm volatile("ld.shared.f32 %0, [%1];" : "=f"(sum) : "r"(at));
+  asm volatile("st.shared.f32 [%0], %1;" ::"r"(at), "f"(sum + x) : "memory");
+}
+
+/* As bfloat16. */
+static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uint32_t to, float x)
+{
+  asm volatile(
+      "{ .reg .pred p; .reg .b16 h; setp.lt.u32 p, %0, %1; cvt.rn.bf16.f32 h, %3; @p st.shared.b16 [%2], h; }" ::"r"(a),
+      "r"(b), "r"(to), "f"(x)
+      : "memory");
 }
 
 /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
@@ -108,15 +242,20 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
   const int n = own_chunks;
   if (n == 0)
     return;
+  const uint32_t own_mass = kept_value(shared_address(mass + first)),
+                 own_gx = kept_value(shared_address(gx + 3 * first));
+  const uint32_t to = kept_value(shared_address(outputs + warp * width)), to_second = kept_value(16 * width * 2);
+  uint32_t bad = 0;
   uint32_t ahead[N];
   int16_t kept_ahead[N];
 #pragma unroll
   for (int i = 0; i < N; i++) {
-    ahead[i] = __ldg(list + 32 * i);
-    kept_ahead[i] = __ldg(kept + 32 * i);
+    ahead[i] = load_once(list + 32 * i);
+    kept_ahead[i] = load_once(kept + 32 * i);
   }
   uint32_t s = ahead[0], own = MO_GP_SPRING_OWN(s);
-  back_mass other = mass[first + MO_GP_SPRING_OTHER(s)], here = mass[first + (own == MO_GP_NO_MASS ? 0 : own)];
+  back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
+            here = load_mass(own_mass, own == MO_GP_NO_MASS ? 0 : own);
   float sum[3] = {0, 0, 0};
   for (int c = 0;; c += N) {
     const uint32_t *far = list + 32 * (c + N);
@@ -124,10 +263,10 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
 #pragma unroll
     for (int i = 0; i < N; i++) {
       const uint32_t next = c + i + 1 < n ? ahead[(i + 1) % N] : s;
-      const back_mass next_other = mass[first + MO_GP_SPRING_OTHER(next)];
+      const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
       const float a = (float)kept_ahead[i] * (1.0f / 32767.0f);
-      ahead[i] = __ldg(far + 32 * i);
-      kept_ahead[i] = __ldg(kept_far + 32 * i);
+      ahead[i] = load_once(far + 32 * i);
+      kept_ahead[i] = load_once(kept_far + 32 * i);
       const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
       const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
       const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
@@ -135,21 +274,23 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
       const float d_sum = mo_spring_pull_back(&k.physics, rest, a, d, across, dd) * fmaf(-a, a, 1.0f);
       for (int axis = 0; axis < 3; axis++)
         sum[axis] += dd[axis];
-      if (own < MO_GP_SPRING_OTHER(s)) {
-        const int row = warp + 16 * (int)MO_GP_SPRING_ROW(s);
-        if (!(fabsf(d_sum) <= MO_GK_LARGE))
-          atomicOr(failed + row, 1);
-        outputs[row * width + MO_GP_SPRING_OUTPUT(s)] = __float2bfloat16_rn(d_sum);
-      }
+      const uint32_t row = MO_GP_SPRING_ROW(s);
+      if (!(fabsf(d_sum) <= MO_GK_LARGE))
+        bad |= 1 + row;
+      store_if_less(own, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
       if (s & MO_GP_SPRING_LAST) {
         if (own != MO_GP_NO_MASS)
           for (int axis = 0; axis < 3; axis++)
-            gx[3 * (first + own) + axis] += sum[axis];
+            add_shared(own_gx + 12 * own + 4 * axis, sum[axis]);
         own = MO_GP_SPRING_OWN(next);
-        here = mass[first + (own == MO_GP_NO_MASS ? 0 : own)];
+        here = load_mass(own_mass, own == MO_GP_NO_MASS ? 0 : own);
         sum[0] = sum[1] = sum[2] = 0;
       }
       if (c + i + 1 == n) {
+        if (bad & 1)
+          atomicOr(failed + warp, 1);
+        if (bad & 2)
+          atomicOr(failed + warp + 16, 1);
         __syncwarp();
         return;
       }
@@ -159,39 +300,56 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
   }
 }
 
-template <int MT> __device__ __forceinline__ void back<MT>::sense_back()
+/* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses, their places among the network's inputs. */
+template <int MT> __device__ __forceinline__ void back<MT>::sense_back(uint32_t inputs)
 {
-  int from = 0;
+  const int n = n0 + n1;
+  const __nv_bfloat16 *own = left + warp * MO_GK_ROW;
+  float d[HELD], sum[2] = {0, 0};
+  const auto sensed = [&](int m, uint32_t at) { return __bfloat162float(own[(m >= n0 ? 16 * MO_GK_ROW : 0) + at]); };
 #pragma unroll
-  for (int r = 0; r < MT; r++) {
-    const int row = warp + 16 * r, n = own_masses(r);
-    const lane_row &own = rows[row];
-    float d[8], sum = 0;
-#pragma unroll
-    for (int j = 0; j < 8; j++) {
-      const int m = lane + 32 * j;
-      d[j] = m < n ? __bfloat162float(left[row * MO_GK_ROW + __ldg(input + from + m)]) : 0.0f;
-      sum += d[j];
-    }
-    const float mean = sum_lanes(sum) / (float)max(n, 1);
-#pragma unroll
-    for (int j = 0; j < 8; j++) {
-      const int m = lane + 32 * j;
-      if (m < n) {
-        const int at = 3 * (first + from + m);
-        back_mass &own_mass = mass[first + from + m];
-        const float2 z_gx = own_mass.z_gx, gyz = own_mass.gyz;
-        const float away[3] = {own_mass.xy.x - own.light[0], own_mass.xy.y - own.light[1], z_gx.x - own.light[2]};
-        const float push = (d[j] - mean) * mo_light_slope(&k.physics, away);
-        for (int axis = 0; axis < 3; axis++)
-          gx[at + axis] = fmaf(push, away[axis], gx[at + axis]);
-        own_mass.z_gx.y = z_gx.y * k.physics.keep;
-        own_mass.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
-      }
-    }
-    from += n;
+  for (int i = 0; i < HELD; i++) {
+    const int m = lane + 32 * i;
+    d[i] = m < n ? sensed(m, inputs >> 8 * i & 0xffu) : 0.0f;
+    sum[0] += m < n0 ? d[i] : 0.0f;
+    sum[1] += m < n0 ? 0.0f : d[i];
   }
+#pragma unroll 1
+  for (int m = lane + 32 * HELD; m < n; m += 32) {
+    const float more = sensed(m, __ldg(input + m));
+    sum[0] += m < n0 ? more : 0.0f;
+    sum[1] += m < n0 ? 0.0f : more;
+  }
+#pragma unroll
+  for (int k = 16; k > 0; k >>= 1)
+#pragma unroll
+    for (int r = 0; r < MT; r++)
+      sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], k);
+  const float mean[2] = {sum[0] / (float)max(n0, 1), sum[1] / (float)max(n1, 1)};
+#pragma unroll
+  for (int i = 0; i < HELD; i++)
+    if (lane + 32 * i < n)
+      push_back(lane + 32 * i, d[i], mean);
+#pragma unroll 1
+  for (int m = lane + 32 * HELD; m < n; m += 32)
+    push_back(m, sensed(m, __ldg(input + m)), mean);
   __syncwarp();
+}
+
+/* To the mass's adjoint, whose velocity then goes back through drag. */
+template <int MT> __device__ __forceinline__ void back<MT>::push_back(int m, float d, const float (&mean)[2])
+{
+  const bool second = m >= n0;
+  const lane_row &own = rows[warp + (second ? 16 : 0)];
+  back_mass &to = mass[first + m];
+  float *d_place = gx + 3 * (first + m);
+  const float2 z_gx = to.z_gx, gyz = to.gyz;
+  const float away[3] = {to.xy.x - own.light[0], to.xy.y - own.light[1], z_gx.x - own.light[2]};
+  const float push = (d - (second ? mean[1] : mean[0])) * mo_light_slope(&k.physics, away);
+  for (int axis = 0; axis < 3; axis++)
+    d_place[axis] = fmaf(push, away[axis], d_place[axis]);
+  to.z_gx.y = z_gx.y * k.physics.keep;
+  to.gyz = make_float2(gyz.x * k.physics.keep, gyz.y * k.physics.keep);
 }
 
 #endif
