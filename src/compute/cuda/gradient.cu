@@ -79,6 +79,7 @@ struct mo_cuda_gradient_state {
   double generators_dt_s; /* of the steps that `generators` has */
   mo_gk_weights tiles;
   uint32_t shared_bytes;
+  uint64_t total_bytes; /* of the device's memory */
   char error[256];
   mo_cuda_gradient_profile profile;
 
@@ -534,20 +535,35 @@ uint64_t share_of(uint64_t bytes)
   return bytes > RESERVE_BYTES ? (bytes - RESERVE_BYTES) / 65 * 64 : 0;
 }
 
+/* What a pass may take of the device's memory. The driver is asked only where the buffers may have to grow: now and then it takes
+ * ten milliseconds to answer. */
+int find_budget(mo_cuda_gradient_state *s, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most, uint64_t *budget)
+{
+  mo_gradient_pass all = {};
+  *budget = share_of(s->held());
+  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK && all.end == plan.n_groups)
+    return MO_OK;
+  size_t free_bytes = 0, total = 0;
+  const cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
+  if (status != cudaSuccess)
+    return s->fail(status, "device");
+  *budget = share_of(free_bytes + s->held());
+  if (most > 0)
+    *budget = std::min(*budget, most);
+  return MO_OK;
+}
+
 int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
 {
   const uint32_t n_steps = call->physics.n_steps;
-  size_t free_bytes = 0, total = 0;
-  cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
-  if (status != cudaSuccess)
-    return s->fail(status, "device");
-  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(total))) {
+  uint64_t budget = 0;
+  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(s->total_bytes))) {
     snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
     return MO_ERR_UNSUPPORTED;
   }
-  uint64_t budget = share_of(free_bytes + s->held());
-  if (memory_bytes > 0)
-    budget = std::min(budget, memory_bytes);
+  int found = find_budget(s, plan, n_steps, memory_bytes, &budget);
+  if (found < 0)
+    return found;
   make_generators(s, n_steps, call->physics.dt_s);
   for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
     work w = {};
@@ -616,6 +632,10 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
   cudaError_t status = cudaSetDevice(device);
   if (status == cudaSuccess)
     status = open_kernels(device, &s->shared_bytes);
+  size_t free_bytes = 0, total_bytes = 0;
+  if (status == cudaSuccess)
+    status = cudaMemGetInfo(&free_bytes, &total_bytes);
+  s->total_bytes = total_bytes;
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
   if (status == cudaSuccess)
