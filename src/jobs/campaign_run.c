@@ -487,6 +487,7 @@ static void free_run(struct mo_campaign_run *run)
   mo_campaign_free_scores(run);
   mo_campaign_free_learning(run);
   mo_share_close(run->jobs, run->id);
+  mo_compute_controller_free(run->frozen);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
   mo_exclusion_release(run->jobs, run->exclusion);

@@ -51,6 +51,8 @@ struct mo_campaign_run {
 
   /* Scores (campaign_score.c): of the candidates from `first_scored` on. */
   uint32_t first_scored, n_scored;
+  struct mo_compute_controller
+      *frozen;                     /* zero-shot: the weights, ready for the back end; NULL before the first scores */
   struct mo_campaign_loss *losses; /* (n_scored) */
   uint8_t *left;                   /* (n_scored) blocks of the candidate that are not done */
   uint32_t *unsaved;               /* (n_scored) places whose losses are to be saved */

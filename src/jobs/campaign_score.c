@@ -2,9 +2,10 @@
  *
  * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end, of devices
  * some thousands.
- * Losses of a candidate are known when all its blocks are; they are saved at once, several candidates in one transaction where they come faster
- * than the disk writes. What a crash costs is the blocks in flight and those that wait for their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
+ * Losses of a candidate are known when all its blocks are; they are saved at once, of devices as soon as no more come, several candidates in one
+ * transaction where they come faster than the disk writes. What a crash costs is the blocks in flight and those that wait for their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
  * this controller, is not computed again. */
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,6 +15,7 @@
 
 #define SAVED_AT_ONCE           1024
 #define RATE_AFTER_US           INT64_C(500000)
+#define QUIET_US                INT64_C(20000)
 #define LOOK_UP_THREADS         4 /* the store has some more connections, which others want, too */
 #define LOOK_UPS_WORTH_A_THREAD 1024
 
@@ -293,6 +295,28 @@ static int land(struct scoring *scoring, struct flight *flight)
   return error;
 }
 
+/* Whether no more blocks come for now. */
+static bool is_quiet(struct scoring *scoring)
+{
+  const int64_t end_us = mo_jobs_clock_us() + QUIET_US;
+  const struct timespec deadline = {.tv_sec = end_us / 1000000, .tv_nsec = (end_us % 1000000) * 1000};
+  int status = 0;
+  pthread_mutex_lock(&scoring->mutex);
+  while (scoring->finished == NULL && status != ETIMEDOUT)
+    status = pthread_cond_timedwait(&scoring->news, &scoring->mutex, &deadline);
+  const bool quiet = scoring->finished == NULL;
+  pthread_mutex_unlock(&scoring->mutex);
+  return quiet;
+}
+
+/* A device hands back thousands of candidates within milliseconds: those that end a generation are in its commit. */
+static int save_what_came(struct scoring *scoring)
+{
+  struct mo_campaign_run *run = scoring->run;
+  const bool on_device = run->status.job.back_end == MO_ON_DEVICE;
+  return run->n_unsaved > 0 && on_device && !is_quiet(scoring) ? MO_OK : mo_campaign_save_losses(run);
+}
+
 /* Waits for a block, and takes in those that are finished. A wish ends all of them soon. */
 static int take_in(struct scoring *scoring)
 {
@@ -337,7 +361,7 @@ static int compute(struct scoring *scoring)
     if (scoring->n_in_flight == 0) /* what is not saved yet commits with the generation */
       return error;
     if (error == MO_OK)
-      error = mo_campaign_save_losses(scoring->run);
+      error = save_what_came(scoring);
     landed = take_in(scoring);
     if (error == MO_OK)
       error = landed;
@@ -350,8 +374,12 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
   const uint32_t window = mo_back_end_window(run->jobs, run->status.job.back_end);
   const uint32_t all = blocks_per_candidate(run) * (run->n_scored > 0 ? run->n_scored : 1);
   *scoring = (struct scoring){.run = run, .window = window < all ? window : all, .begin_us = mo_jobs_clock_us()};
+  pthread_condattr_t monotonic;
+  pthread_condattr_init(&monotonic);
+  pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_mutex_init(&scoring->mutex, NULL);
-  pthread_cond_init(&scoring->news, NULL);
+  pthread_cond_init(&scoring->news, &monotonic);
+  pthread_condattr_destroy(&monotonic);
   scoring->flights = calloc(scoring->window, sizeof(*scoring->flights));
   if (scoring->flights == NULL)
     return MO_ERR_NO_MEMORY;
@@ -360,15 +388,22 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
     scoring->flights[i].next = scoring->free;
     scoring->free = &scoring->flights[i];
   }
-  return mo_compute_controller_create(run->jobs->compute,
-                                      run->learner.training != NULL ? mo_training_controller(run->learner.training)
-                                                                    : run->controller,
-                                      &scoring->controller);
+  if (run->learner.training != NULL)
+    return mo_compute_controller_create(run->jobs->compute, mo_training_controller(run->learner.training),
+                                        &scoring->controller);
+  if (run->frozen == NULL) { /* as long as the campaign runs: devices have copies of it */
+    const int error = mo_compute_controller_create(run->jobs->compute, run->controller, &run->frozen);
+    if (error != MO_OK)
+      return error;
+  }
+  scoring->controller = run->frozen;
+  return MO_OK;
 }
 
 static void close_scoring(struct scoring *scoring)
 {
-  mo_compute_controller_free(scoring->controller);
+  if (scoring->controller != scoring->run->frozen)
+    mo_compute_controller_free(scoring->controller);
   free(scoring->flights);
   pthread_mutex_destroy(&scoring->mutex);
   pthread_cond_destroy(&scoring->news);
