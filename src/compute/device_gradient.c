@@ -66,13 +66,28 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
   free(gradients);
 }
 
+/* The p-th of those that work; NULL: there are fewer. */
+static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
+{
+  const struct mo_device *found = NULL;
+  pthread_mutex_lock(&devices->mutex);
+  for (uint32_t i = 0; i < devices->n && found == NULL; i++)
+    if (devices->units[i].status.state == MO_DEVICE_WORKS && p-- == 0)
+      found = devices->units[i].device;
+  pthread_mutex_unlock(&devices->mutex);
+  return found;
+}
+
 static int reserve(struct mo_device_gradients *gradients, size_t n)
 {
-  const struct mo_devices *devices = gradients->devices;
+  struct mo_devices *devices = gradients->devices;
+  const struct mo_device *device = working_device(devices, 0);
   if (n <= gradients->room)
     return MO_OK;
+  if (device == NULL)
+    return MO_ERR_DEVICE;
   devices->module->release(gradients->shards);
-  gradients->shards = devices->module->allocate(devices->units[0].device, n * sizeof(float));
+  gradients->shards = devices->module->allocate(device, n * sizeof(float));
   gradients->room = gradients->shards != NULL ? n : 0;
   return gradients->shards != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }
@@ -111,7 +126,7 @@ void mo_device_gradients_forget(struct mo_device_gradients *gradients)
 int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots, uint32_t n,
                        const struct mo_physics *physics)
 {
-  const struct mo_devices *devices = gradients->devices;
+  struct mo_devices *devices = gradients->devices;
   struct laid_out *batch = NULL;
   int status = MO_OK;
   mo_device_gradients_forget(gradients);
@@ -130,8 +145,10 @@ int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_ro
   batch->n_parts = parts_of(devices, n);
   for (uint32_t p = 0; p < batch->n_parts && status == MO_OK; p++) {
     const struct part part = part_of(n, batch->n_parts, p);
-    status = devices->module->lay_out(devices->units[p].device, robots + part.first, part.end - part.first, physics,
-                                      &batch->parts[p]);
+    const struct mo_device *device = working_device(devices, p);
+    status = device == NULL ? MO_ERR_DEVICE
+                            : devices->module->lay_out(device, robots + part.first, part.end - part.first, physics,
+                                                       &batch->parts[p]);
   }
   pthread_mutex_lock(&gradients->mutex);
   batch->state = status == MO_OK ? READY : FREE;
@@ -273,9 +290,10 @@ int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradien
   if (n_parts == 0)
     return MO_ERR_DEVICE;
   struct mo_device_task *parts = calloc(n_parts, sizeof(*parts));
-  if (parts == NULL || reserve(gradients, n_shards * n_parameters) != MO_OK) {
+  const int reserved = parts == NULL ? MO_ERR_NO_MEMORY : reserve(gradients, n_shards * n_parameters);
+  if (reserved != MO_OK) {
     free(parts);
-    return MO_ERR_NO_MEMORY;
+    return reserved;
   }
   struct laid_out *laid = take(gradients, batch, n_parts);
   submit(gradients, batch, laid, parts, n_parts, &waiter);
