@@ -4,26 +4,33 @@
 #include "compute/cuda/gradient_back.cuh"
 #include "compute/cuda/gradient_back_physics.cuh"
 
-/* A round's ∂loss/∂ outputs to the tape: sixteen bytes for each thread. `round` counts eights of tiles, of which `before` are left out before
- * the first. */
-template <int MT> __device__ __forceinline__ uint4 back<MT>::read_outputs(int round, int before) const
-{
-  const int row = (int)threadIdx.x / 16, column = round * 128 - before * 16 + (int)threadIdx.x % 16 * 8;
-  return row < ROWS && column >= 0 ? *(const uint4 *)(outputs + row * width + column) : make_uint4(0, 0, 0, 0);
-}
-template <int MT>
-__device__ __forceinline__ void back<MT>::keep_outputs(uint32_t step, int round, int before, const uint4 &eight) const
-{
-  const int row = (int)threadIdx.x / 16, column = round * 128 - before * 16 + (int)threadIdx.x % 16 * 8;
-  if (row < ROWS && column >= 0)
-    __stcs((uint4 *)(tape + output_at + (((size_t)step * ROWS + row) * n_outputs * MO_GP_TILE + column) * 2), eight);
-}
+/* ∂loss/∂ outputs on their way to the tape: of each eight tiles, sixteen bytes for each thread. */
+struct output_copy {
+  uint32_t from; /* in shared memory */
+  uint4 *to;
+  uint4 eight;
+
+  __device__ __forceinline__ void read(bool any)
+  {
+    if (any)
+      asm volatile("ld.shared.v4.u32 {%0,%1,%2,%3}, [%4];"
+                   : "=r"(eight.x), "=r"(eight.y), "=r"(eight.z), "=r"(eight.w)
+                   : "r"(from));
+    from += 256;
+  }
+  __device__ __forceinline__ void write(bool any)
+  {
+    if (any)
+      __stcs(to, eight);
+    to += 16;
+  }
+};
 
 /* Their sums over rows: products with ones, of each sixteenth tile. */
 template <int MT> __device__ __forceinline__ void back<MT>::sum_outputs() const
 {
   const uint32_t ones = 0x3f803f80;
-  float *to = k.sums + g.sum_at + mo_gp_sum_of(&g).output_bias + (lane >> 2);
+  float *to = output_sums + (lane >> 2);
   const uint32_t from =
       shared_address(outputs) + (uint32_t)((lane & 7) + (lane >> 4) * 8) * width * 2 + (uint32_t)(lane >> 3 & 1) * 16;
 #pragma unroll 1
@@ -75,14 +82,9 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
   float2 s[MT][2], d_shifts[2], d_gains[2];
   float *bias = norms + layer * 3 * MO_HIDDEN + column, *gain_sum = bias + MO_HIDDEN, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
-  for (int m = 0; m < MT; m++)
-#pragma unroll
-    for (int h = 0; h < 2; h++)
-      s[m][h] = make_float2(0, 0);
-#pragma unroll
   for (int j = 0; j < 2; j++) {
     const float2 gain = columns.gain[j], shift = columns.shift[j];
-    float2 d_shift = {0, 0}, d_gain = {0, 0};
+    float2 d_shift, d_gain;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -90,15 +92,15 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
         const float2 at = __half22float2(n[m][h][j]);
         const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
         const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
-        d_shift.x += d0;
-        d_shift.y += d1;
-        d_gain.x = fmaf(d0, at.x, d_gain.x);
-        d_gain.y = fmaf(d1, at.y, d_gain.y);
+        const bool begins = m == 0 && h == 0;
+        d_shift = begins ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
+        d_gain = begins ? make_float2(d0 * at.x, d1 * at.y)
+                        : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
         const float e0 = d0 * gain.x, e1 = d1 * gain.y;
         sums.c[m][j][2 * h] = e0;
         sums.c[m][j][2 * h + 1] = e1;
-        s[m][h].x += e0 + e1;
-        s[m][h].y += fmaf(e0, at.x, e1 * at.y);
+        const float2 part_of = make_float2(e0 + e1, fmaf(e0, at.x, e1 * at.y));
+        s[m][h] = j == 0 ? part_of : make_float2(s[m][h].x + part_of.x, s[m][h].y + part_of.y);
       }
     d_shifts[j] = d_shift;
     d_gains[j] = d_gain;
@@ -106,7 +108,7 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
   add_columns(shift_sum, d_shifts);
   add_columns(gain_sum, d_gains);
   sum_rows<MT>(part, warp, lane, s);
-  float2 d_bias[2] = {{0, 0}, {0, 0}};
+  float2 d_bias[2];
 #pragma unroll
   for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -121,8 +123,7 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
         d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
                            factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
         sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
-        d_bias[j].x += d[j].x;
-        d_bias[j].y += d[j].y;
+        d_bias[j] = m == 0 && h == 0 ? d[j] : make_float2(d_bias[j].x + d[j].x, d_bias[j].y + d[j].y);
       }
       if (!sound)
         failed[row] = 1;
@@ -153,6 +154,7 @@ template <int MT> struct left_tile {
 #pragma unroll
     for (int m = 0; m < MT; m++)
       load_matrices(a[m], left + (uint32_t)m * 16 * row_bytes);
+    __syncwarp(); /* as load_weights_here */
   }
   __device__ __forceinline__ void add(warp_sums<MT> &sums, const uint4 &w) const
   {
@@ -219,11 +221,16 @@ __device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> 
   int round = 0;
   uint2 then = numbers[0];
   left_tile<MT> a[2];
+  const int row = warp * 2 + lane / 16, part_of = lane % 16;
+  const bool any = row < ROWS;
+  output_copy copy = {shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
+                      (uint4 *)(tape + output_at + ((size_t)step * ROWS + row) * (n_outputs * MO_GP_TILE * 2)) +
+                          part_of - 2 * before};
   a[0].load(left_at, width * 2);
   if (before > 0) {
-    const uint4 eight = read_outputs(0, before);
+    copy.read(any && part_of >= 2 * before);
     add_round<true>(sums, ahead, a, left_at, n > 1 ? last : hidden, then, before);
-    keep_outputs(step, 0, before, eight);
+    copy.write(any && part_of >= 2 * before);
     left_at += N * 32;
     then = *++numbers;
     round++;
@@ -231,9 +238,9 @@ __device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> 
 #pragma unroll 1
   for (; round < n; round++) {
     const uint2 after = *++numbers;
-    const uint4 eight = read_outputs(round, before);
+    copy.read(any);
     add_round<false>(sums, ahead, a, left_at, round + 1 < n ? last : hidden, then, 0);
-    keep_outputs(step, round, before, eight);
+    copy.write(any);
     left_at += N * 32;
     then = after;
   }
@@ -300,7 +307,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
     norms[i] = 0;
   if (is_first)
     for (int i = threadIdx.x; i < n_outputs * MO_GP_TILE; i += MO_GK_THREADS)
-      k.sums[g.sum_at + mo_gp_sum_of(&g).output_bias + i] = 0;
+      output_sums[i] = 0;
   if (threadIdx.x < ROWS)
     failed[threadIdx.x] = 0;
 #pragma unroll

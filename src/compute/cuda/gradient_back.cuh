@@ -46,6 +46,7 @@ template <int MT> struct back {
   int *failed;  /* (rows) */
   lane_row *rows;
   uint8_t *output_tile;
+  float *output_sums; /* of all steps */
   int n_outputs;
   bool excluded[2];
   back_row *result;              /* (rows) */
@@ -91,6 +92,7 @@ template <int MT> struct back {
     rows = (lane_row *)shared;
     shared += ROWS * sizeof(lane_row);
     load_rows(rows, k.rows + g.first_row, ROWS);
+    output_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).output_bias;
     outputs = (__nv_bfloat16 *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
     norms = (float *)shared;
@@ -135,10 +137,6 @@ template <int MT> struct back {
   __device__ __forceinline__ void move_back(uint32_t step, const held &h);
 
   __device__ __forceinline__ void springs_back(uint32_t step);
-
-  __device__ __forceinline__ uint4 read_outputs(int round, int before) const;
-
-  __device__ __forceinline__ void keep_outputs(uint32_t step, int round, int before, const uint4 &eight) const;
 
   __device__ __forceinline__ void sum_outputs() const;
 

@@ -191,13 +191,13 @@ template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t s
 static __device__ __forceinline__ uint32_t load_once(const uint32_t *p)
 {
   uint32_t x;
-  asm volatile("ld.global.nc.L1::no_allocate.u32 %0, [%1];" : "=r"(x) : "l"(p));
+  asm volatile("ld.global.L1::no_allocate.u32 %0, [%1];" : "=r"(x) : "l"(p));
   return x;
 }
 static __device__ __forceinline__ int16_t load_once(const int16_t *p)
 {
   int16_t x;
-  asm volatile("ld.global.nc.L1::no_allocate.s16 %0, [%1];" : "=h"(x) : "l"(p));
+  asm volatile("ld.global.L1::no_allocate.s16 %0, [%1];" : "=h"(x) : "l"(p));
   return x;
 }
 
@@ -237,7 +237,7 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
 /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
 template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_t step)
 {
-  enum { N = MO_GK_SPRINGS_AHEAD };
+  enum { N = MO_GK_SPRINGS_AHEAD_BACK };
   const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
   const int n = own_chunks;
   if (n == 0)
@@ -246,14 +246,14 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
                  own_gx = kept_value(shared_address(gx + 3 * first));
   const uint32_t to = kept_value(shared_address(outputs + warp * width)), to_second = kept_value(16 * width * 2);
   uint32_t bad = 0;
-  uint32_t ahead[N];
-  int16_t kept_ahead[N];
+  uint32_t now[N], then[N];
+  int16_t kept_now[N], kept_then[N];
 #pragma unroll
   for (int i = 0; i < N; i++) {
-    ahead[i] = load_once(list + 32 * i);
-    kept_ahead[i] = load_once(kept + 32 * i);
+    now[i] = load_once(list + 32 * i);
+    kept_now[i] = load_once(kept + 32 * i);
   }
-  uint32_t s = ahead[0], own = MO_GP_SPRING_OWN(s);
+  uint32_t s = now[0], own = MO_GP_SPRING_OWN(s);
   back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
             here = load_mass(own_mass, own == MO_GP_NO_MASS ? 0 : own);
   float sum[3] = {0, 0, 0};
@@ -262,11 +262,15 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
     const int16_t *kept_far = kept + 32 * (c + N);
 #pragma unroll
     for (int i = 0; i < N; i++) {
-      const uint32_t next = c + i + 1 < n ? ahead[(i + 1) % N] : s;
+      then[i] = load_once(far + 32 * i);
+      kept_then[i] = load_once(kept_far + 32 * i);
+    }
+    __syncwarp(); /* here, not where they are needed */
+#pragma unroll
+    for (int i = 0; i < N; i++) {
+      const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
       const back_mass next_other = load_mass(own_mass, MO_GP_SPRING_OTHER(next));
-      const float a = (float)kept_ahead[i] * (1.0f / 32767.0f);
-      ahead[i] = load_once(far + 32 * i);
-      kept_ahead[i] = load_once(kept_far + 32 * i);
+      const float a = (float)kept_now[i] * (1.0f / 32767.0f);
       const float d[3] = {here.xy.x - other.xy.x, here.xy.y - other.xy.y, here.z_gx.x - other.z_gx.x};
       const float across[3] = {other.z_gx.y - here.z_gx.y, other.gyz.x - here.gyz.x, other.gyz.y - here.gyz.y};
       const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
@@ -297,6 +301,11 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
       s = next;
       other = next_other;
     }
+#pragma unroll
+    for (int i = 0; i < N; i++) {
+      now[i] = then[i];
+      kept_now[i] = kept_then[i];
+    }
   }
 }
 
@@ -321,10 +330,10 @@ template <int MT> __device__ __forceinline__ void back<MT>::sense_back(uint32_t 
     sum[1] += m < n0 ? 0.0f : more;
   }
 #pragma unroll
-  for (int k = 16; k > 0; k >>= 1)
+  for (int far = 16; far > 0; far >>= 1)
 #pragma unroll
     for (int r = 0; r < MT; r++)
-      sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], k);
+      sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], far);
   const float mean[2] = {sum[0] / (float)max(n0, 1), sum[1] / (float)max(n1, 1)};
 #pragma unroll
   for (int i = 0; i < HELD; i++)

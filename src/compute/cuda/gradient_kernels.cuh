@@ -15,11 +15,12 @@
 
 enum {
   MO_GK_THREADS = MO_GP_WARPS * MO_GP_LANES,
-  MO_GK_AHEAD = 8,             /* tiles of weights on their way, forward */
-  MO_GK_AHEAD_BACK = 8,        /* and back, where registers are fewer */
-  MO_GK_SPRINGS_AHEAD = 8,     /* chunks of springs */
-  MO_GK_ROW = MO_HIDDEN + 8,   /* of activations in shared memory: rows start in different banks */
-  MO_GK_PART = MO_GP_WARPS + 2 /* of a row's partial sums: likewise */
+  MO_GK_AHEAD = 8,              /* tiles of weights on their way, forward */
+  MO_GK_AHEAD_BACK = 8,         /* and back, where registers are fewer */
+  MO_GK_SPRINGS_AHEAD = 8,      /* chunks of springs, forward */
+  MO_GK_SPRINGS_AHEAD_BACK = 4, /* and back: as many at once */
+  MO_GK_ROW = MO_HIDDEN + 8,    /* of activations in shared memory: rows start in different banks */
+  MO_GK_PART = MO_GP_WARPS + 2  /* of a row's partial sums: likewise */
 };
 #define MO_GK_LARGE 1e30f /* a larger ∂loss/∂ something counts as not finite: sums of smaller ones stay finite */
 
