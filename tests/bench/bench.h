@@ -49,6 +49,8 @@ struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int n
 struct bench_sgemm {
   float *a, *b, *c;
 };
+/* Starts the program again if OpenBLAS has taken kernels that are not for this processor. Call it before anything else. */
+void bench_sgemm_choose(char **argv);
 void bench_sgemm_create(struct bench_sgemm *sgemm);
 void bench_sgemm_free(struct bench_sgemm *sgemm);
 /* Best rate of OpenBLAS on this thread over square sizes from 256 to 1024, FLOP per second. */

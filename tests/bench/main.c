@@ -64,6 +64,7 @@ int main(int argc, char **argv)
   struct bench_options options = {
       .seed = 1, .isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
   const char *morphod = "build/src/daemon/morphod";
+  bench_sgemm_choose(argv);
   if (argc > 1 && strcmp(argv[1], "learning") == 0) /* has options of its own */
     return bench_learning(argc - 1, argv + 1);
   if (argc > 1 && strcmp(argv[1], "evolution") == 0)
