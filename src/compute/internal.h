@@ -11,7 +11,7 @@
  * tests/unit/rollout/bits.c notices such a change. */
 #define MO_KERNEL_VERSION 1
 /* The same for gradients: tests/unit/rollout/gradient-bits.c. */
-#define MO_GRADIENT_VERSION 2
+#define MO_GRADIENT_VERSION 3
 
 /* The pack of one precision, made at first use; waits while another thread makes it. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
 int mo_compute_controller_pack(struct mo_compute_controller *controller, enum mo_precision precision,

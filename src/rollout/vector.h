@@ -52,6 +52,36 @@ MO_INLINE void v_store(REAL *p, V v)
   *(V *)p = v;
 }
 
+/* Loads into a register even what is used only twice: compilers fold it into both operations, and load it twice. */
+MO_INLINE V v_load_once(const REAL *p)
+{
+  V v = *(const V *)p;
+#if defined(__AVX512F__)
+  __asm__("" : "+v"(v));
+#else
+  __asm__("" : "+x"(v));
+#endif
+  return v;
+}
+
+/* For what is not read again soon: past the caches where the instruction set has such a store of the vector's width. p: aligned. */
+MO_INLINE void v_stream(REAL *p, V v)
+{
+#if MO_VBYTES == 64 && MO_FAST_DOUBLE
+  _mm512_stream_pd(p, (__m512d)v);
+#elif MO_VBYTES == 64
+  _mm512_stream_ps(p, (__m512)v);
+#elif MO_VBYTES == 32 && MO_FAST_DOUBLE
+  _mm256_stream_pd(p, (__m256d)v);
+#elif MO_VBYTES == 32
+  _mm256_stream_ps(p, (__m256)v);
+#elif MO_FAST_DOUBLE
+  _mm_stream_pd(p, (__m128d)v);
+#else
+  _mm_stream_ps(p, (__m128)v);
+#endif
+}
+
 MO_INLINE V v_set(REAL x)
 {
   return x - (V){0};
