@@ -4,10 +4,13 @@ import pathlib
 import random
 import time
 
-from daemon import Daemon, bodies, check_database, open_database
+import pytest
+from daemon import BUILD, Daemon, bodies, check_database, open_database
 from test_disk import fill
 
 CHECKPOINT_BYTES = 12.4e6
+# Who computes: with devices a training writes while the next gradient is computed.
+WHERE = {"cpu": {}, "cuda": {"devices": "auto", "compute_module": BUILD / "tests" / "device" / "fake-device.so"}}
 
 
 def pretraining(seed, steps, **more):
@@ -166,16 +169,17 @@ def test_finetuning_survives(daemon, seed):
     assert results[0] == results[1]
 
 
-def test_full_disk_at_a_checkpoint(training_disk, daemon, seed):
+@pytest.mark.parametrize("device", WHERE)
+def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
     """No room for a checkpoint: it waits, says so, can be cancelled, and goes on by itself with the same result."""
-    request = pretraining(seed, 30, checkpoint={"every_steps": 10, "every_s": 0, "keep": 1})
-    quiet = daemon("roomy")
+    request = pretraining(seed, 30, checkpoint={"every_steps": 10, "every_s": 0, "keep": 1}, device=device)
+    quiet = daemon("roomy", **WHERE[device])
     with quiet:
         job = train(quiet, request)
         finish(quiet, job)
         expected = weights(quiet, job)
         assert quiet.stop()[0] == 0
-    one = Daemon(training_disk + "/d")
+    one = Daemon(training_disk + "/d", **WHERE[device])
     one.log = pathlib.Path(training_disk).parent / "log"
     one.port_file = pathlib.Path(training_disk).parent / "address"
     try:
@@ -231,9 +235,10 @@ def fill_again(filler):
     return filler.stat().st_size - before
 
 
-def test_stop_on_a_full_disk(training_disk, seed):
+@pytest.mark.parametrize("device", WHERE)
+def test_stop_on_a_full_disk(training_disk, seed, device):
     """A stop does not wait for room; the next start goes on from the last checkpoint."""
-    one = Daemon(training_disk + "/d")
+    one = Daemon(training_disk + "/d", **WHERE[device])
     one.log = pathlib.Path(training_disk).parent / "log"
     one.port_file = pathlib.Path(training_disk).parent / "address"
     try:
@@ -241,7 +246,7 @@ def test_stop_on_a_full_disk(training_disk, seed):
         filler = fill(training_disk)
         with open(filler, "r+b") as file:
             file.truncate(filler.stat().st_size - 4_000_000)
-        job = train(one, pretraining(seed, 20, checkpoint={"every_steps": 10, "every_s": 0, "keep": 1}))
+        job = train(one, pretraining(seed, 20, checkpoint={"every_steps": 10, "every_s": 0, "keep": 1}, device=device))
         await_training(one, job, lambda now: now["state"] == "paused")
         status, seconds = one.stop()
         assert status == 0 and seconds < 10, (status, seconds, one.tail())
