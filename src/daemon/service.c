@@ -213,7 +213,21 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
          LOG_REAL("seconds", entry->duration_s));
 }
 
-/* The controller of the first start, under both its names. */
+enum { CONTROLLER_NAME_BYTES = 128 };
+
+/* The name of a file without folder and ".safetensors"; "default" where that is no name for a controller. */
+static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTES])
+{
+  static const char ending[] = ".safetensors";
+  const char *slash = strrchr(path, '/');
+  snprintf(name, CONTROLLER_NAME_BYTES, "%s", slash != NULL ? slash + 1 : path);
+  const size_t length = strlen(name);
+  if (length > strlen(ending) && strcmp(name + length - strlen(ending), ending) == 0)
+    name[length - strlen(ending)] = '\0';
+  return mo_controller_name_check(name) == MO_OK ? name : "default";
+}
+
+/* The controller of the first start: "default", and by the name of its file, which stays when "default" is replaced. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
@@ -245,7 +259,8 @@ static int store_default_controller(struct service *service, const struct settin
     }
     fclose(file);
   }
-  static const char *const names[] = {"bootstrap", "default"};
+  char own_name[CONTROLLER_NAME_BYTES];
+  const char *const names[] = {name_of_file(path, own_name), "default"};
   for (size_t i = 0; i < 2 && status == MO_OK; i++) {
     bool created;
     status = mo_store_controller_put(service->store, names[i], bytes, size, controller, &record, &created);

@@ -145,3 +145,11 @@ def test_upload_limits(start):
     assert running.request("PUT", "/v1/controllers/big", body=bytes(4 << 20), headers=FILE).status == 413
     assert running.request("PUT", "/v1/controllers/fits", body=BYTES, headers=FILE).status == 201
     assert running.request("PUT", "/v1/controllers/x", body=BYTES, headers={"Content-Type": "application/json"}).status == 415
+
+
+@pytest.mark.parametrize("file, names", [("slow-gait.safetensors", ["default", "slow-gait"]), ("Not a Name.safetensors", ["default"])])
+def test_name_of_the_first(start, tmp_path, file, names):
+    (tmp_path / file).write_bytes(BYTES)
+    service = start(f"--default-controller={tmp_path / file}")
+    items = service.request("GET", "/v1/controllers").json()["items"]
+    assert [item["name"] for item in items] == names and len({item["sha256"] for item in items}) == 1
