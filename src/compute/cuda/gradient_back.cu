@@ -166,7 +166,8 @@ template <int MT> struct left_tile {
   }
 };
 
-/* add_tiles of gradient_kernels.cuh with such loads. */
+/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them, and in the end those from `next` on
+ * (MORE). */
 template <int MT, bool MORE, int N>
 static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
                                                    uint32_t row_bytes, const uint4 *now, const uint4 *next)

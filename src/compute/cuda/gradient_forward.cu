@@ -34,7 +34,6 @@ template <int MT> struct forward {
   /* Copies of what the group says: a store to the tape might change the original, as far as the compiler knows. */
   int n_masses, n_chunks, first, n0, n1, own_chunks;
   uint32_t first_row;
-  const uint8_t *input;
   const uint32_t *list; /* this lane's springs */
   uint32_t chunk_at;
   unsigned char *tape;
@@ -42,6 +41,7 @@ template <int MT> struct forward {
       scale_at;         /* on the group's tape, in bytes */
   uint32_t layer_bytes; /* from one layer to the next */
   uint32_t width;       /* of the outputs in shared memory */
+  float *norms;         /* (layers, 3, 256) biases, gains, shifts */
   float4 *x;            /* (n_masses) */
   float *v;             /* (n_masses, 3) as the springs find it, after drag and gravity */
   int16_t *outputs;
@@ -49,6 +49,7 @@ template <int MT> struct forward {
   float2 *part;
   lane_row *rows;
   uint8_t *output_tile;
+  uint8_t *input; /* (n_masses) each mass's place among the inputs */
   int n_outputs;
   bool dead[2];                  /* rows of this warp whose rollout has ended */
   uint32_t first_step, end_step; /* of this part */
@@ -65,7 +66,6 @@ template <int MT> struct forward {
     n1 = MT > 1 ? (int)pair.n_masses[1] : 0;
     own_chunks = (int)pair.n_chunks;
     first_row = g.first_row;
-    input = k.input + g.first_mass + first;
     list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
     chunk_at = pair.first_chunk * 32 + lane;
     const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
@@ -93,8 +93,20 @@ template <int MT> struct forward {
     load_rows(rows, k.rows + g.first_row, ROWS);
     outputs = (int16_t *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
+    norms = (float *)shared;
+    for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++)
+      for (int i = threadIdx.x; i < MO_HIDDEN; i += MO_GK_THREADS) {
+        float *to = norms + 3 * MO_HIDDEN * layer + i;
+        to[0] = k.weights.bias[layer][i];
+        to[MO_HIDDEN] = k.weights.gain[layer][i];
+        to[2 * MO_HIDDEN] = k.weights.shift[layer][i];
+      }
+    shared += MO_HIDDEN_LAYERS * 3 * MO_HIDDEN * 4;
     x = (float4 *)shared;
     v = (float *)(x + n_masses);
+    input = (uint8_t *)(v + 3 * n_masses);
+    for (int i = threadIdx.x; i < n_masses; i += MO_GK_THREADS)
+      input[i] = k.input[g.first_mass + i];
   }
 
   __device__ __forceinline__ int own_masses(int r) const
@@ -131,7 +143,7 @@ template <int MT> struct forward {
         for (int j = 0; j < 8; j++) {
           const int m = lane + 32 * j;
           if (m < n)
-            to[__ldg(input + from + m)] = __float2half_rn(light[j] - mean);
+            to[input[first + from + m]] = __float2half_rn(light[j] - mean);
         }
       }
       if (lane < MO_CPG_INPUTS)
@@ -140,26 +152,31 @@ template <int MT> struct forward {
     }
   }
 
-  __device__ __forceinline__ void keep_inputs(uint32_t step)
+  /* What a layer is given, to the tape at `to`: (rows, 256) bfloat16. A warp writes whole rows. */
+  __device__ __forceinline__ void keep_left(unsigned char *to) const
   {
-    const int words = MO_GP_INPUTS / 2;
-    __nv_bfloat162 *to = (__nv_bfloat162 *)(tape + input_at) + (size_t)step * ROWS * words;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       const int row = warp + 16 * r;
-      for (int at = lane; at < words; at += 32)
-        to[row * words + at] = __float22bfloat162_rn(__half22float2(((const __half2 *)(left + row * MO_GK_ROW))[at]));
+      const uint4 from = *(const uint4 *)(left + row * MO_GK_ROW + 8 * lane);
+      const uint32_t words[4] = {from.x, from.y, from.z, from.w};
+      __nv_bfloat162 kept[4];
+#pragma unroll
+      for (int i = 0; i < 4; i++)
+        kept[i] = __float22bfloat162_rn(__half22float2(*(const __half2 *)&words[i]));
+      const uint2 low = four(kept[0], kept[1]), high = four(kept[2], kept[3]);
+      *(uint4 *)(to + row * (MO_HIDDEN * 2) + 16 * lane) = make_uint4(low.x, low.y, high.x, high.y);
     }
   }
 
-  __device__ __forceinline__ void norm_relu(int layer, uint32_t step, warp_sums<MT> &sums, const norm_columns &columns,
-                                            const float2 (&biases)[2])
+  __device__ __forceinline__ void norm_relu(int layer, uint32_t step, warp_sums<MT> &sums)
   {
     const int column = warp * 16 + 4 * (lane & 3);
+    const float *columns = norms + 3 * MO_HIDDEN * layer + column;
     float2 s[MT][2];
 #pragma unroll
     for (int j = 0; j < 2; j++) {
-      const float2 bias = biases[j];
+      const float2 bias = *(const float2 *)(columns + 2 * j);
 #pragma unroll
       for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -177,8 +194,8 @@ template <int MT> struct forward {
         s[m][h] = make_float2((a + b) + (c + d), fmaf(a, a, b * b) + fmaf(c, c, d * d));
       }
     sum_rows<MT>(part, warp, lane, s);
+    const float4 gain = *(const float4 *)(columns + MO_HIDDEN), shift = *(const float4 *)(columns + 2 * MO_HIDDEN);
     uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-    uint2 *hidden = (uint2 *)(tape + hidden_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
     float *scale = (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
@@ -192,12 +209,11 @@ template <int MT> struct forward {
 #pragma unroll
         for (int j = 0; j < 2; j++) {
           n[j] = make_float2((sums.c[m][j][2 * h] - mean) * factor, (sums.c[m][j][2 * h + 1] - mean) * factor);
-          y[j] = make_float2(fmaxf(fmaf(n[j].x, columns.gain[j].x, columns.shift[j].x), 0.0f),
-                             fmaxf(fmaf(n[j].y, columns.gain[j].y, columns.shift[j].y), 0.0f));
         }
+        y[0] = make_float2(fmaxf(fmaf(n[0].x, gain.x, shift.x), 0.0f), fmaxf(fmaf(n[0].y, gain.y, shift.y), 0.0f));
+        y[1] = make_float2(fmaxf(fmaf(n[1].x, gain.z, shift.z), 0.0f), fmaxf(fmaf(n[1].y, gain.w, shift.w), 0.0f));
         *(uint2 *)(left + row * MO_GK_ROW + column) = four(__float22half2_rn(y[0]), __float22half2_rn(y[1]));
         normal[at] = four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
-        hidden[at] = four(__float22bfloat162_rn(y[0]), __float22bfloat162_rn(y[1]));
         if (warp == 0 && (lane & 3) == 0)
           scale[row] = factor;
       }
@@ -209,54 +225,114 @@ template <int MT> struct forward {
   {
     return k.weights.forward[layer] + (uint32_t)warp * (16 * 32) + lane;
   }
-  /* And of its i-th tile of springs. */
-  __device__ __forceinline__ const uint4 *last_tiles(int i) const
+  /* And of a tile of springs. */
+  __device__ __forceinline__ const uint4 *output_tiles(int u) const
   {
-    return k.weights.forward[3] + (uint32_t)output_tile[min(warp + i * MO_GP_WARPS, n_outputs - 1)] * (16 * 32) + lane;
+    return k.weights.forward[3] + (uint32_t)output_tile[min(u, n_outputs - 1)] * (16 * 32) + lane;
   }
 
-  __device__ __forceinline__ void load_layer(int layer, int column, norm_columns &columns, float2 (&biases)[2]) const
+  /* The weights of T tiles, whose parts come in turn. */
+  template <int T> struct in_turn {
+    const uint4 *at[T];
+    __device__ __forceinline__ const uint4 *operator()(int i) const
+    {
+      return at[i % T] + (i / T) * 32;
+    }
+  };
+
+  /* Multiplies T tiles of columns, sixteen tiles deep, whose first weights the ring has; in the end it has those of coming() (MORE). What the layer
+   * is given is loaded once for all T, and one tile ahead: to load it for each took longer than to load the weights. All of it is one run of
+   * instructions, so that loads stand about where they are written. */
+  template <int T, bool MORE, class Next>
+  __device__ __forceinline__ void add_run(warp_sums<MT> (&sums)[T], weights_ahead<MO_GK_AHEAD> &ahead, uint32_t left_at,
+                                          const in_turn<T> &now, const Next &coming)
   {
-    columns.load(k.weights, layer, column);
-    const float4 b = __ldg((const float4 *)(k.weights.bias[layer] + column));
-    biases[0] = make_float2(b.x, b.y);
-    biases[1] = make_float2(b.z, b.w);
+#pragma unroll
+    for (int t = 0; t < T; t++)
+      sums[t].clear();
+    uint32_t a[2][MT][4];
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+      load_matrices(a[0][m], left_at + (uint32_t)m * 16 * MO_GK_ROW * 2);
+#pragma unroll
+    for (int i = 0; i < 16 * T; i++) {
+      const int k = i / T;
+      if (i % T == 0 && k + 1 < 16) {
+#pragma unroll
+        for (int m = 0; m < MT; m++)
+          load_matrices(a[(k + 1) % 2][m], left_at + (uint32_t)(k + 1) * 32 + (uint32_t)m * 16 * MO_GK_ROW * 2);
+      }
+      const uint4 &w = ahead.w[i % MO_GK_AHEAD];
+#pragma unroll
+      for (int m = 0; m < MT; m++) {
+        multiply<false>(sums[i % T].c[m][0], a[k % 2][m], w.x, w.y);
+        multiply<false>(sums[i % T].c[m][1], a[k % 2][m], w.z, w.w);
+      }
+      if (i + MO_GK_AHEAD < 16 * T)
+        ahead.w[i % MO_GK_AHEAD] = load_weights(now(i + MO_GK_AHEAD));
+      else if (MORE) {
+        const auto next = coming();
+        ahead.w[i % MO_GK_AHEAD] = load_weights(next(i + MO_GK_AHEAD - 16 * T));
+      }
+    }
+  }
+
+  /* What a tile of springs does. */
+  __device__ __forceinline__ void act(int u, const warp_sums<MT> &sums)
+  {
+    const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
+#pragma unroll
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const int row = m * 16 + h * 8 + (lane >> 2);
+        const uint32_t a = activations(sums.c[m][0][2 * h] + bias.x, sums.c[m][0][2 * h + 1] + bias.y);
+        const uint32_t c = activations(sums.c[m][1][2 * h] + bias.z, sums.c[m][1][2 * h + 1] + bias.w);
+        *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = make_uint2(a, c);
+      }
   }
 
   /* `ahead` has the first layer's first weights. */
   __device__ __forceinline__ void control(uint32_t step, weights_ahead<MO_GK_AHEAD> &ahead)
   {
     const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
-    const int column = warp * 16 + 4 * (lane & 3);
-    warp_sums<MT> sums;
 #pragma unroll 1
     for (int layer = 0; layer < MO_HIDDEN_LAYERS; layer++) {
-      norm_columns columns;
-      float2 biases[2];
-      load_layer(layer, column, columns, biases);
-      sums.clear();
-      add_tiles<MT, false, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer),
-                                 layer + 1 < MO_HIDDEN_LAYERS ? hidden_tiles(layer + 1) : last_tiles(0));
-      norm_relu(layer, step, sums, columns, biases);
-    }
-#pragma unroll 1
-    for (int i = 0; warp + i * MO_GP_WARPS < n_outputs; i++) {
-      const int u = warp + i * MO_GP_WARPS;
-      const float4 bias = __ldg((const float4 *)(k.weights.bias[3] + output_tile[u] * MO_GP_TILE + 4 * (lane & 3)));
-      sums.clear();
-      if (u + MO_GP_WARPS < n_outputs)
-        add_tiles<MT, false, true>(sums, ahead, left_at, MO_GK_ROW * 2, last_tiles(i), last_tiles(i + 1));
+      warp_sums<MT> sums[1];
+      if (layer + 1 < MO_HIDDEN_LAYERS)
+        add_run<1, true>(sums, ahead, left_at, in_turn<1>{hidden_tiles(layer)},
+                         [&] { return in_turn<1>{hidden_tiles(layer + 1)}; });
       else
-        add_tiles<MT, false, false>(sums, ahead, left_at, MO_GK_ROW * 2, last_tiles(i), nullptr);
-#pragma unroll
-      for (int m = 0; m < MT; m++)
-#pragma unroll
-        for (int h = 0; h < 2; h++) {
-          const int row = m * 16 + h * 8 + (lane >> 2);
-          const uint32_t a = activations(sums.c[m][0][2 * h] + bias.x, sums.c[m][0][2 * h + 1] + bias.y);
-          const uint32_t c = activations(sums.c[m][1][2 * h] + bias.z, sums.c[m][1][2 * h + 1] + bias.w);
-          *(uint2 *)(outputs + row * width + u * 16 + 4 * (lane & 3)) = make_uint2(a, c);
-        }
+        add_run<1, true>(sums, ahead, left_at, in_turn<1>{hidden_tiles(layer)}, [&] {
+          return in_turn<2>{output_tiles(warp), output_tiles(warp + MO_GP_WARPS)};
+        });
+      norm_relu(layer, step, sums[0]);
+      keep_left(tape + hidden_at + layer * layer_bytes + (size_t)step * ROWS * (MO_HIDDEN * 2));
+    }
+    int u = warp;
+#pragma unroll 1
+    for (; u + 3 * MO_GP_WARPS < n_outputs; u += 2 * MO_GP_WARPS) {
+      warp_sums<MT> sums[2];
+      add_run<2, true>(sums, ahead, left_at, in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)}, [&] {
+        return in_turn<2>{output_tiles(u + 2 * MO_GP_WARPS), output_tiles(u + 3 * MO_GP_WARPS)};
+      });
+      act(u, sums[0]);
+      act(u + MO_GP_WARPS, sums[1]);
+    }
+    /* One to three tiles are left. Where it is one, another is multiplied with it for nothing. */
+    if (u < n_outputs) {
+      warp_sums<MT> sums[2];
+      add_run<2, true>(sums, ahead, left_at, in_turn<2>{output_tiles(u), output_tiles(u + MO_GP_WARPS)},
+                       [&] { return in_turn<1>{output_tiles(u + 2 * MO_GP_WARPS)}; });
+      act(u, sums[0]);
+      if (u + MO_GP_WARPS < n_outputs)
+        act(u + MO_GP_WARPS, sums[1]);
+    }
+    if (u + 2 * MO_GP_WARPS < n_outputs) {
+      warp_sums<MT> sums[1];
+      add_run<1, false>(sums, ahead, left_at, in_turn<1>{output_tiles(u + 2 * MO_GP_WARPS)},
+                        [&] { return in_turn<1>{nullptr}; });
+      act(u + 2 * MO_GP_WARPS, sums[0]);
     }
   }
 
@@ -288,8 +364,8 @@ template <int MT> struct forward {
     return p;
   }
 
-  /* The chunks' springs come in a ring (see weights_ahead: nothing is copied before it is needed), some of it beyond the pair's own; what they
-   * ask for in shared memory is fetched while the springs before them are computed. */
+  /* The chunks' springs come N at a time, some of them beyond the pair's own, while those before are computed: one of several loads under way is
+   * not had before the last of them. What they ask for in shared memory is fetched one chunk ahead. */
   __device__ __forceinline__ void springs(uint32_t step)
   {
     enum { N = MO_GK_SPRINGS_AHEAD };
@@ -297,21 +373,24 @@ template <int MT> struct forward {
     const int n = own_chunks;
     if (n == 0)
       return;
-    uint32_t ahead[N];
+    uint32_t now[N], then[N];
 #pragma unroll
     for (int i = 0; i < N; i++)
-      ahead[i] = __ldg(list + 32 * i);
-    uint32_t s = ahead[0], own = MO_GP_SPRING_OWN(s);
+      now[i] = __ldg(list + 32 * i);
+    uint32_t s = now[0], own = MO_GP_SPRING_OWN(s);
     spring p = spring_of(s);
     float4 here = x[first + (own == MO_GP_NO_MASS ? 0 : own)];
     float sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
-      const uint32_t *far = list + 32 * (c + N);
+      if (c + N < n) {
+#pragma unroll
+        for (int i = 0; i < N; i++)
+          then[i] = __ldg(list + 32 * (c + N + i));
+      }
 #pragma unroll
       for (int i = 0; i < N; i++) {
-        const uint32_t next = c + i + 1 < n ? ahead[(i + 1) % N] : s;
+        const uint32_t next = c + i + 1 < n ? (i + 1 < N ? now[(i + 1) % N] : then[0]) : s;
         const spring q = spring_of(next);
-        ahead[i] = __ldg(far + 32 * i);
         keep[(c + i) * 32] = p.a;
         const float d[3] = {here.x - p.other.x, here.y - p.other.y, here.z - p.other.z};
         const float rest = MO_GP_SPRING_DIAGONAL(s) ? (float)(MO_VOXEL_M * 1.41421356237309504880) : (float)MO_VOXEL_M;
@@ -333,6 +412,9 @@ template <int MT> struct forward {
         s = next;
         p = q;
       }
+#pragma unroll
+      for (int i = 0; i < N; i++)
+        now[i] = then[i];
     }
   }
 
@@ -444,7 +526,6 @@ template <int MT> struct forward {
     __syncthreads();
     for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead<MO_GK_AHEAD> ahead;
-      ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
       float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
       for (int m = lane; m < n0 + n1; m += 32) {
         const float4 p = x[first + m];
@@ -453,8 +534,9 @@ template <int MT> struct forward {
         keep[2 * n_masses + m] = p.z;
       }
       sense(step);
+      ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
       __syncthreads();
-      keep_inputs(step);
+      keep_left(tape + input_at + (size_t)step * ROWS * (MO_GP_INPUTS * 2));
       control(step, ahead);
       __syncthreads();
       springs(step);

@@ -150,38 +150,7 @@ template <int N> struct weights_ahead {
   }
 };
 
-/* One tile: `left` is this lane's address of its activations (see left_address), `row_bytes` the length of a row of them. */
-template <int MT, bool BF>
-static __device__ __forceinline__ void add_tile(warp_sums<MT> &sums, uint32_t left, uint32_t row_bytes, const uint4 &w)
-{
-  uint32_t a[MT][4];
-#pragma unroll
-  for (int m = 0; m < MT; m++)
-    load_matrices(a[m], left + (uint32_t)m * 16 * row_bytes);
-#pragma unroll
-  for (int m = 0; m < MT; m++) {
-    multiply<BF>(sums.c[m][0], a[m], w.x, w.y);
-    multiply<BF>(sums.c[m][1], a[m], w.z, w.w);
-  }
-}
-
-/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them and then those from `next` on. All of
- * it is one run of instructions, so that loads stand where they are written: where the compiler could, it put them last, and each round waited
- * for the second-level cache (half of the time of all products). MORE: whether there is a next. */
-template <int MT, bool BF, bool MORE, int N>
-static __device__ __forceinline__ void add_tiles(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
-                                                 uint32_t row_bytes, const uint4 *now, const uint4 *next)
-{
-#pragma unroll
-  for (int k = 0; k < 16; k++) {
-    add_tile<MT, BF>(sums, left + (uint32_t)k * 32, row_bytes, ahead.w[k % N]);
-    if (k + N < 16)
-      ahead.w[k % N] = load_weights(now + (k + N) * 32);
-    else if (MORE)
-      ahead.w[k % N] = load_weights(next + (k + N - 16) * 32);
-  }
-}
-
+/* This lane's address of activations whose rows are `row_bytes` long. */
 static __device__ __forceinline__ uint32_t left_address(const void *activations, uint32_t row_bytes, int lane)
 {
   return shared_address(activations) + (uint32_t)(lane & 15) * row_bytes + (uint32_t)(lane >> 4) * 16;
