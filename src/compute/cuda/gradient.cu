@@ -1,157 +1,12 @@
-/* gradient.cu: a call for gradients, from rows to shards' sums.
- *
- * The call is cut into passes of whole shards that fit the device's memory; nearly always it is one. A pass runs forward over all steps, back
- * again, which leaves what the products need where the tape was, and takes the products. A row whose adjoint turns out not to be finite was added
- * until then: both ways are walked again without it. That is rare. */
-#include "compute/cuda/gradient.h"
-#include "compute/cuda/gradient_kernels.cuh"
-#include "compute/cuda/gradient_pass.h"
-extern "C" {
-#include "rollout/scene.h"
-}
+/* gradient.cu: calls for gradients, and what they need of a device: checked here, laid out by gradient_layout.cu, run by gradient_run.cu. */
+#include "compute/cuda/gradient_state.cuh"
 
-#include <cuda_runtime.h>
-
-#include <chrono>
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include <algorithm>
 #include <new>
-#include <thread>
 #include <vector>
-
-namespace {
-
-/* Of a task on the way forward or back; of a launch of products: shorter ones take longer. */
-enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
-
-struct buffer {
-  void *at = nullptr;
-  uint64_t bytes = 0;
-};
-
-enum place {
-  GROUPS,
-  ROWS,
-  ORDER,
-  INPUT,
-  SPRINGS,
-  GENERATORS,
-  TAPE,
-  SUMS,
-  POSITION,
-  VELOCITY,
-  RESULTS,
-  TICKETS,
-  JOBS,
-  SHARDS,
-  PARAMETERS,
-  D_PARAMETERS,
-  PLACES
-};
-
-double now_s()
-{
-  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
-}
-
-} // namespace
-
-struct mo_device_layout {
-  uint32_t shared_bytes;  /* of the devices that it is for */
-  const mo_robot *robots; /* NULL: of none */
-  uint32_t n;
-  mo_gradient_plan plan;
-};
-
-struct mo_cuda_gradient_state {
-  int device;
-  cudaStream_t stream, beside; /* beside: for the flag alone */
-  cudaEvent_t marks[5];        /* before and after each part of a pass */
-  buffer buffers[PLACES], weights;
-  buffer sums, results, parameters; /* pinned memory of the host */
-  int *cancel;                      /* on the device; read by the kernels */
-  mo_device_layout *layout;         /* of calls that bring none */
-  std::vector<float> *generators;
-  double generators_dt_s; /* of the steps that `generators` has */
-  mo_gk_weights tiles;
-  uint32_t shared_bytes;
-  uint64_t total_bytes; /* of the device's memory */
-  char error[256];
-  mo_cuda_gradient_profile profile;
-
-  int fail(cudaError_t status, const char *what)
-  {
-    snprintf(error, sizeof(error), "%s: %s", what, cudaGetErrorString(status));
-    if (status == cudaErrorMemoryAllocation) {
-      (void)cudaGetLastError();
-      return MO_ERR_NO_MEMORY;
-    }
-    return MO_ERR_DEVICE;
-  }
-
-  int reserve(place p, uint64_t bytes)
-  {
-    buffer &b = buffers[p];
-    if (b.bytes >= bytes)
-      return MO_OK;
-    cudaFree(b.at);
-    b = buffer();
-    /* Bodies differ from step to step: so that the next batches fit, too. To give back and get a tape takes as long as a way through it. */
-    const uint64_t wanted[] = {bytes + bytes / 8 + 4096, bytes + bytes / 64 + 4096};
-    cudaError_t status = cudaErrorMemoryAllocation;
-    for (int i = 0; i < 2 && status == cudaErrorMemoryAllocation; i++) {
-      (void)cudaGetLastError();
-      status = cudaMalloc(&b.at, wanted[i]);
-      b.bytes = wanted[i];
-    }
-    if (status != cudaSuccess) {
-      b = buffer();
-      return fail(status, "device memory");
-    }
-    return MO_OK;
-  }
-
-  int reserve_pinned(buffer &b, uint64_t bytes)
-  {
-    if (b.bytes >= bytes)
-      return MO_OK;
-    cudaFreeHost(b.at);
-    b = buffer();
-    const cudaError_t status = cudaHostAlloc(&b.at, bytes, cudaHostAllocDefault);
-    if (status != cudaSuccess) {
-      b.at = nullptr;
-      return fail(status, "pinned memory");
-    }
-    b.bytes = bytes;
-    return MO_OK;
-  }
-
-  int upload(place p, const void *from, uint64_t bytes)
-  {
-    const int r = reserve(p, bytes);
-    if (r < 0)
-      return r;
-    const cudaError_t status = cudaMemcpyAsync(buffers[p].at, from, bytes, cudaMemcpyHostToDevice, stream);
-    return status == cudaSuccess ? MO_OK : fail(status, "copy to the device");
-  }
-
-  template <class T> T *of(place p) const
-  {
-    return (T *)buffers[p].at;
-  }
-
-  uint64_t held() const
-  {
-    uint64_t sum = weights.bytes;
-    for (const buffer &b : buffers)
-      sum += b.bytes;
-    return sum;
-  }
-};
 
 namespace {
 
@@ -162,7 +17,7 @@ int place_weights(mo_cuda_gradient_state *s)
   s->weights.bytes = 2 * tiles * tile + floats * sizeof(float);
   const cudaError_t status = cudaMalloc(&s->weights.at, s->weights.bytes);
   if (status != cudaSuccess) {
-    s->weights = buffer();
+    s->weights = mo_gradient_buffer();
     return s->fail(status, "device memory");
   }
   uint4 *at = (uint4 *)s->weights.at;
@@ -183,287 +38,6 @@ int place_weights(mo_cuda_gradient_state *s)
     }
   }
   return MO_OK;
-}
-
-struct work {
-  mo_cuda_gradient_state *s;
-  mo_device_gradient *call;
-  const mo_gradient_plan *plan;
-  mo_gradient_pass p;
-  mo_gk k;
-  uint32_t n_jobs;
-  mo_gk_result *results; /* (n_rows) in pinned memory */
-};
-
-int upload_pass(work &w)
-{
-  mo_cuda_gradient_state *s = w.s;
-  const mo_gradient_plan &plan = *w.plan;
-  const uint32_t n = w.p.end - w.p.first;
-  std::vector<uint32_t> order(n), jobs, shards;
-  for (uint32_t i = 0; i < n; i++) {
-    const mo_gp_group &g = plan.groups[w.p.first + i];
-    order[i] = w.p.first + i;
-    while (shards.size() <= g.shard - w.p.first_shard)
-      shards.push_back(w.p.first + i);
-  }
-  shards.push_back(w.p.end);
-  std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) {
-    return mo_gradient_cost(&plan.groups[a]) > mo_gradient_cost(&plan.groups[b]);
-  });
-  for (uint32_t i : order) {
-    const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
-    for (uint32_t b = 0; b < blocks; b++)
-      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_OUTPUT, b));
-    for (uint32_t b = 0; b < MO_HIDDEN / MO_GK_JOB_COLUMNS; b++) {
-      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_HIDDEN_2, b));
-      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_HIDDEN_1, b));
-      jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_INPUT, b));
-    }
-  }
-  w.n_jobs = (uint32_t)jobs.size();
-  const mo_controller *controller = w.call->controller;
-  const uint64_t parameters_bytes = controller->n_parameters * 4, results_bytes = plan.n_rows * sizeof(mo_gk_result);
-  int r = s->reserve_pinned(s->results, results_bytes);
-  if (r == MO_OK)
-    r = s->reserve_pinned(s->parameters, parameters_bytes);
-  if (r < 0)
-    return r;
-  w.results = (mo_gk_result *)s->results.at;
-  memset(w.results, 0, results_bytes);
-  memcpy(s->parameters.at, controller->parameters, parameters_bytes);
-  const struct {
-    place p;
-    const void *from;
-    uint64_t bytes;
-  } parts[] = {{GROUPS, plan.groups, plan.n_groups * sizeof(*plan.groups)},
-               {ROWS, plan.rows, plan.n_rows * sizeof(*plan.rows)},
-               {POSITION, plan.position, plan.n_masses * 12},
-               {INPUT, plan.input, plan.n_masses},
-               {SPRINGS, plan.springs, plan.n_chunks * 128},
-               {ORDER, order.data(), order.size() * 4},
-               {JOBS, jobs.data(), jobs.size() * 4},
-               {SHARDS, shards.data(), shards.size() * 4},
-               {GENERATORS, s->generators->data(), s->generators->size() * 4},
-               {RESULTS, w.results, results_bytes},
-               {PARAMETERS, s->parameters.at, parameters_bytes}};
-  for (const auto &part : parts)
-    if (r == MO_OK)
-      r = s->upload(part.p, part.from, part.bytes);
-  if (r == MO_OK)
-    r = s->reserve(VELOCITY, plan.n_masses * 12);
-  if (r == MO_OK)
-    r = s->reserve(TAPE, w.p.tape);
-  if (r == MO_OK)
-    r = s->reserve(TICKETS, (plan.n_groups + (uint64_t)1) * 4);
-  if (r == MO_OK)
-    r = s->reserve(SUMS, 4 * w.p.sums);
-  if (r == MO_OK)
-    r = s->reserve(D_PARAMETERS, (uint64_t)(w.p.end_shard - w.p.first_shard) * w.call->controller->n_parameters * 4);
-  if (r < 0)
-    return r;
-  w.k.groups = s->of<mo_gp_group>(GROUPS);
-  w.k.rows = s->of<mo_gp_row>(ROWS);
-  w.k.order = s->of<uint32_t>(ORDER);
-  w.k.input = s->of<uint8_t>(INPUT);
-  w.k.springs = s->of<uint32_t>(SPRINGS);
-  w.k.generators = s->of<float>(GENERATORS);
-  w.k.tape = s->of<unsigned char>(TAPE);
-  w.k.sums = s->of<float>(SUMS);
-  w.k.position = s->of<float>(POSITION);
-  w.k.velocity = s->of<float>(VELOCITY);
-  w.k.results = s->of<mo_gk_result>(RESULTS);
-  w.k.weights = s->tiles;
-  w.k.n_groups = n;
-  w.k.tickets = s->of<uint32_t>(TICKETS);
-  w.k.cancel = s->cancel;
-  /* The vectors end here: copies from pageable memory are staged before cudaMemcpyAsync returns. What is pinned stays until the pass ends. */
-  const int status = mo_gk_pack(s->of<float>(PARAMETERS), &s->tiles, s->stream);
-  return status == 0 ? MO_OK : s->fail((cudaError_t)status, "weights");
-}
-
-bool cancelled(const work &w)
-{
-  return w.call->cancel != nullptr && *w.call->cancel != 0;
-}
-
-/* Waits for the device; passes the caller's flag on to it. */
-int finish(work &w)
-{
-  mo_cuda_gradient_state *s = w.s;
-  bool told = false;
-  cudaError_t status;
-  while ((status = cudaStreamQuery(s->stream)) == cudaErrorNotReady) {
-    if (!told && cancelled(w)) {
-      told = true;
-      cudaMemsetAsync(s->cancel, 1, sizeof(*s->cancel), s->beside);
-    }
-    std::this_thread::sleep_for(std::chrono::microseconds(50));
-  }
-  if (status != cudaSuccess)
-    return s->fail(status, "kernel");
-  return told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
-}
-
-int check(mo_cuda_gradient_state *s, int status, const char *what)
-{
-  return status == 0 ? MO_OK : s->fail((cudaError_t)status, what);
-}
-
-/* A way through all steps: no task has been handed out, and none is done. */
-int walk(work &w, int (*way)(const mo_gk *k, uint32_t shared_bytes, void *stream), cudaEvent_t after, const char *what)
-{
-  mo_cuda_gradient_state *s = w.s;
-  int r = check(s, cudaMemsetAsync(s->buffers[TICKETS].at, 0, (w.plan->n_groups + (size_t)1) * 4, s->stream), what);
-  if (r == MO_OK)
-    r = check(s, way(&w.k, w.p.shared, s->stream), what);
-  if (r == MO_OK)
-    r = check(s, cudaEventRecord(after, s->stream), what);
-  return r;
-}
-
-int multiply(work &w, cudaEvent_t after)
-{
-  mo_cuda_gradient_state *s = w.s;
-  int r = MO_OK;
-  for (uint32_t first = 0; first < w.k.n_steps && r == MO_OK; first += PRODUCT_STEPS) {
-    const uint32_t end = std::min<uint32_t>(first + PRODUCT_STEPS, w.k.n_steps);
-    r = check(s, mo_gk_products(&w.k, s->of<uint32_t>(JOBS), w.n_jobs, first, end, s->stream), "products");
-  }
-  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "products") : r;
-}
-
-/* Memory that the device writes to while the host does something else. */
-bool is_pinned(const void *memory)
-{
-  cudaPointerAttributes attributes = {};
-  const bool known = cudaPointerGetAttributes(&attributes, memory) == cudaSuccess;
-  (void)cudaGetLastError();
-  return known && attributes.type == cudaMemoryTypeHost;
-}
-
-/* Sums of the shards, and what came of the rows, to the host. */
-int collect(work &w, float *to, cudaEvent_t after)
-{
-  mo_cuda_gradient_state *s = w.s;
-  const uint32_t n = w.p.end_shard - w.p.first_shard;
-  const uint64_t bytes = n * w.call->controller->n_parameters * 4;
-  int r =
-      check(s, mo_gk_collect(&w.k, s->of<uint32_t>(SHARDS), n, w.call->weight, s->of<float>(D_PARAMETERS), s->stream),
-            "sums");
-  if (r == MO_OK)
-    r = check(s, cudaMemcpyAsync(to, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream),
-              "copy from the device");
-  if (r == MO_OK)
-    r = check(s,
-              cudaMemcpyAsync(w.results, s->buffers[RESULTS].at, w.plan->n_rows * sizeof(mo_gk_result),
-                              cudaMemcpyDeviceToHost, s->stream),
-              "copy from the device");
-  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
-}
-
-/* All of a pass, one after the other on the device: it never waits for the host. */
-int run_pass(work &w, float *to)
-{
-  mo_cuda_gradient_state *s = w.s;
-  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s, &s->profile.collect_s};
-  s->profile.walks++;
-  int r = check(s, cudaEventRecord(s->marks[0], s->stream), "device");
-  if (r == MO_OK)
-    r = walk(w, mo_gk_forward, s->marks[1], "rollouts");
-  if (r == MO_OK)
-    r = walk(w, mo_gk_back, s->marks[2], "way back");
-  if (r == MO_OK)
-    r = multiply(w, s->marks[3]);
-  if (r == MO_OK)
-    r = collect(w, to, s->marks[4]);
-  if (r == MO_OK)
-    r = finish(w);
-  for (int i = 0; i < 4 && r == MO_OK; i++) {
-    float ms = 0;
-    r = check(s, cudaEventElapsedTime(&ms, s->marks[i], s->marks[i + 1]), "clock");
-    *parts[i] += 1e-3 * (double)ms;
-  }
-  return r;
-}
-
-/* Again until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
-int run_until_finite(work &w, float *to)
-{
-  std::vector<mo_gk_result> before;
-  for (;;) {
-    int r = run_pass(w, to);
-    if (r < 0)
-      return r;
-    bool more = false;
-    for (uint32_t i = 0; i < w.plan->n_rows; i++) {
-      const bool known = !before.empty() && before[i].zeroed;
-      if (known)
-        w.results[i] = before[i]; /* counted when it was found */
-      more |= w.results[i].zeroed && !known;
-    }
-    if (!more)
-      return MO_OK;
-    before.assign(w.results, w.results + w.plan->n_rows);
-    std::vector<mo_gk_result> again = before;
-    for (mo_gk_result &x : again) {
-      x.steps = x.clipped = 0;
-      x.largest = 0;
-      x.diverged = 0;
-    }
-    r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
-    if (r == MO_OK)
-      r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
-    if (r < 0)
-      return r;
-  }
-}
-
-/* The pass's sums to their place in the caller's memory, through memory of one's own where that is not pinned. */
-int compute(work &w)
-{
-  mo_cuda_gradient_state *s = w.s;
-  const uint64_t n_parameters = w.call->controller->n_parameters;
-  const uint64_t bytes = (w.p.end_shard - w.p.first_shard) * n_parameters * 4;
-  float *const to = w.call->d_parameters + w.p.first_shard * n_parameters;
-  if (is_pinned(to))
-    return run_until_finite(w, to);
-  int r = s->reserve_pinned(s->sums, bytes);
-  if (r == MO_OK)
-    r = run_until_finite(w, (float *)s->sums.at);
-  if (r == MO_OK)
-    memcpy(to, s->sums.at, bytes);
-  return r;
-}
-
-void report(work &w)
-{
-  mo_gradient_counts counts = {};
-  for (uint32_t i = w.p.first; i < w.p.end; i++) {
-    const mo_gp_group &g = w.plan->groups[i];
-    for (uint32_t j = g.first_row; j < g.first_row + g.n_rows; j++) {
-      const mo_gp_row &row = w.plan->rows[j];
-      const mo_gk_result &result = w.results[j];
-      if (row.robot == MO_GP_NO_ROBOT)
-        continue;
-      mo_outcome &o = w.call->outcomes[row.robot];
-      o = w.plan->starts[row.robot];
-      o.diverged_step = result.diverged;
-      for (int axis = 0; axis < 3; axis++)
-        o.com_end_m[axis] = result.com_end[axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0);
-      o.loss = result.diverged
-                   ? (double)INFINITY
-                   : mo_scene_loss(o.com_start_m, o.com_end_m, w.call->robots[row.robot].environment->light_xy_m);
-      counts.robots++;
-      counts.steps += result.steps;
-      counts.clipped_steps += result.clipped;
-      counts.clipped_robots += result.clipped > 0;
-      counts.diverged_robots += result.diverged != 0;
-      counts.zeroed_robots += result.zeroed != 0;
-      counts.largest = fmax(counts.largest, result.largest);
-    }
-  }
-  mo_gradient_counts_add(&w.call->counts, &counts);
 }
 
 /* float16 holds the weights, and what the hidden layers can come to; no bias is so large that LayerNorm's squares leave float32. */
@@ -498,106 +72,6 @@ bool is_valid(const mo_device_gradient *call)
 bool is_default(mo_workspace w)
 {
   return w.nx == 6 && w.ny == 6 && w.nz == 4;
-}
-
-mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
-{
-  mo_lane_physics l = {};
-  l.dt = (float)p.dt_s;
-  l.friction = (float)p.friction;
-  l.friction_cap = (float)p.friction_cap;
-  l.bisections = p.impact == MO_IMPACT_BISECTION ? (int)p.bisections : 0;
-  l.keep = (float)exp(-p.drag_per_s * p.dt_s);
-  l.fall = (float)(p.gravity_m_per_s2 * p.dt_s);
-  l.pull = (float)(p.dt_s * p.stiffness_n_per_m / p.mass_kg);
-  l.actuation = (float)p.actuation;
-  l.inverse_square = sensor == MO_SENSOR_INVERSE_SQUARE;
-  return l;
-}
-
-/* sin(10 t + 2πk/5) of so many steps. */
-void make_generators(mo_cuda_gradient_state *s, uint32_t n_steps, double dt_s)
-{
-  const size_t n = (size_t)n_steps * MO_CPG_INPUTS;
-  if (s->generators_dt_s == dt_s && s->generators->size() == n)
-    return;
-  s->generators->resize(n);
-  for (uint32_t step = 0; step < n_steps; step++)
-    for (int i = 0; i < MO_CPG_INPUTS; i++)
-      (*s->generators)[(size_t)step * MO_CPG_INPUTS + i] =
-          (float)sin(MO_CPG_RAD_PER_S * (step * dt_s) + 2.0 * M_PI * i / MO_CPG_INPUTS);
-  s->generators_dt_s = dt_s;
-}
-
-/* What of `bytes` the buffers may take, each a little larger than it is asked to be. */
-uint64_t share_of(uint64_t bytes)
-{
-  return bytes > RESERVE_BYTES ? (bytes - RESERVE_BYTES) / 65 * 64 : 0;
-}
-
-/* What a pass may take of the device's memory. The driver is asked only where the buffers may have to grow: now and then it takes
- * ten milliseconds to answer. */
-int find_budget(mo_cuda_gradient_state *s, mo_gradient_plan &plan, uint32_t n_steps, uint64_t most, uint64_t *budget)
-{
-  mo_gradient_pass all = {};
-  *budget = share_of(s->held());
-  if (most == 0 && mo_gradient_pass_next(&plan, 0, 0, n_steps, *budget, &all) == MO_OK && all.end == plan.n_groups)
-    return MO_OK;
-  size_t free_bytes = 0, total = 0;
-  const cudaError_t status = cudaMemGetInfo(&free_bytes, &total);
-  if (status != cudaSuccess)
-    return s->fail(status, "device");
-  *budget = share_of(free_bytes + s->held());
-  if (most > 0)
-    *budget = std::min(*budget, most);
-  return MO_OK;
-}
-
-int run(mo_cuda_gradient_state *s, mo_device_gradient *call, mo_gradient_plan &plan, uint64_t memory_bytes)
-{
-  const uint32_t n_steps = call->physics.n_steps;
-  uint64_t budget = 0;
-  if (!mo_gradient_can_be_held(&plan, n_steps, share_of(s->total_bytes))) {
-    snprintf(s->error, sizeof(s->error), "a tape of %u steps is too long for this device", (unsigned)n_steps);
-    return MO_ERR_UNSUPPORTED;
-  }
-  int found = find_budget(s, plan, n_steps, memory_bytes, &budget);
-  if (found < 0)
-    return found;
-  make_generators(s, n_steps, call->physics.dt_s);
-  for (uint32_t group = 0, shard = 0; group < plan.n_groups;) {
-    work w = {};
-    w.s = s;
-    w.call = call;
-    w.plan = &plan;
-    int r = mo_gradient_pass_next(&plan, shard, group, n_steps, budget, &w.p);
-    if (r < 0)
-      return r;
-    w.k.physics = lane_physics(call->physics, call->controller->sensor);
-    w.k.bound = call->adjoint_bound;
-    w.k.n_steps = n_steps;
-    w.k.part_steps = PART_STEPS;
-    const double since = now_s();
-    r = upload_pass(w);
-    if (r == MO_ERR_NO_MEMORY) { /* larger buffers of earlier calls are in the way: all go, and are asked for again */
-      cudaStreamSynchronize(s->stream);
-      mo_cuda_gradient_trim(s);
-      r = upload_pass(w);
-    }
-    s->profile.upload_s += now_s() - since;
-    if (r == MO_OK)
-      r = compute(w);
-    if (r < 0) {
-      cudaStreamSynchronize(s->stream);
-      return r;
-    }
-    report(w);
-    s->profile.passes++;
-    s->profile.groups += w.p.end - w.p.first;
-    group = w.p.end;
-    shard = w.p.end_shard;
-  }
-  return MO_OK;
 }
 
 } // namespace
@@ -657,9 +131,9 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
 void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *s)
 {
   cudaSetDevice(s->device);
-  for (buffer &b : s->buffers) {
+  for (mo_gradient_buffer &b : s->buffers) {
     cudaFree(b.at);
-    b = buffer();
+    b = mo_gradient_buffer();
   }
 }
 
@@ -683,82 +157,6 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   if (s->stream != nullptr)
     cudaStreamDestroy(s->stream);
   free(s);
-}
-
-/* A word in front of it says how it is to be given back. */
-enum { HEADER_BYTES = 256 };
-
-void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t bytes)
-{
-  void *memory = nullptr;
-  cudaError_t status = cudaSetDevice(s->device);
-  if (status == cudaSuccess)
-    status = cudaHostAlloc(&memory, bytes + HEADER_BYTES, cudaHostAllocPortable);
-  const bool is_plain = status != cudaSuccess;
-  if (is_plain) {
-    (void)cudaGetLastError();
-    memory = aligned_alloc(HEADER_BYTES, (bytes + 2 * HEADER_BYTES - 1) / HEADER_BYTES * HEADER_BYTES);
-  }
-  if (memory == nullptr)
-    return nullptr;
-  *(bool *)memory = is_plain;
-  return (char *)memory + HEADER_BYTES;
-}
-
-void mo_cuda_gradient_release(void *memory)
-{
-  if (memory == nullptr)
-    return;
-  void *const all = (char *)memory - HEADER_BYTES;
-  if (*(const bool *)all)
-    free(all);
-  else
-    cudaFreeHost(all);
-}
-
-static void *allocate_table(void *state, size_t bytes)
-{
-  return mo_cuda_gradient_allocate((const mo_cuda_gradient_state *)state, bytes);
-}
-
-int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *s, const struct mo_robot *robots, uint32_t n,
-                             const struct mo_physics *physics, struct mo_device_layout **ret)
-{
-  mo_device_layout *layout = *ret;
-  if (robots == nullptr || n == 0 || mo_physics_check(physics, nullptr) != MO_OK)
-    return MO_ERR_INVALID;
-  if (layout == nullptr) {
-    layout = *ret = (mo_device_layout *)calloc(1, sizeof(*layout));
-    if (layout == nullptr)
-      return MO_ERR_NO_MEMORY;
-    layout->plan.allocate = allocate_table;
-    layout->plan.release = mo_cuda_gradient_release;
-    layout->plan.context = (void *)s;
-  }
-  const mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
-                                 std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
-  layout->robots = nullptr;
-  const int r = mo_gradient_plan_make(robots, n, physics, &options, &layout->plan);
-  if (r < 0)
-    return r;
-  layout->shared_bytes = s->shared_bytes;
-  layout->robots = robots;
-  layout->n = n;
-  return MO_OK;
-}
-
-void mo_cuda_gradient_layout_free(struct mo_device_layout *layout)
-{
-  if (layout == nullptr)
-    return;
-  mo_gradient_plan_free(&layout->plan);
-  free(layout);
-}
-
-/* Physics is compared by the caller, who says that it is the same; a device with another size of shared memory forms other groups. */
-static bool is_of(const mo_device_layout *layout, const mo_cuda_gradient_state *s, const mo_device_gradient *call)
-{
-  return layout->robots == call->robots && layout->n == call->n && layout->shared_bytes == s->shared_bytes;
 }
 
 int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_gradient *call, uint64_t memory_bytes)
@@ -788,7 +186,7 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
   }
   mo_device_layout *layout = call->layout;
   int r = MO_OK;
-  if (layout == nullptr || !is_of(layout, s, call)) {
+  if (layout == nullptr || !mo_gradient_layout_is_of(layout, s, call)) {
     r = mo_cuda_gradient_lay_out(s, call->robots, call->n, &call->physics, &s->layout);
     layout = s->layout;
   }
@@ -796,7 +194,7 @@ int mo_cuda_gradient_run(struct mo_cuda_gradient_state *s, struct mo_device_grad
     return r;
   s->profile.plan_s = now_s() - since;
   try {
-    r = run(s, call, layout->plan, memory_bytes);
+    r = mo_gradient_run_plan(s, call, layout->plan, memory_bytes);
   } catch (const std::bad_alloc &) { /* of the host */
     cudaStreamSynchronize(s->stream);
     r = MO_ERR_NO_MEMORY;

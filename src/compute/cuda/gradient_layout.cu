@@ -1,0 +1,85 @@
+/* gradient_layout.cu: batches laid out before their weights are known, in memory that devices reach faster. Any thread may do that, while the device is
+ * in a call: of the device it asks for constants alone. */
+#include "compute/cuda/gradient_state.cuh"
+
+#include <stdlib.h>
+
+#include <algorithm>
+#include <thread>
+
+/* A word in front of it says how it is to be given back. */
+enum { HEADER_BYTES = 256 };
+
+void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t bytes)
+{
+  void *memory = nullptr;
+  cudaError_t status = cudaSetDevice(s->device);
+  if (status == cudaSuccess)
+    status = cudaHostAlloc(&memory, bytes + HEADER_BYTES, cudaHostAllocPortable);
+  const bool is_plain = status != cudaSuccess;
+  if (is_plain) {
+    (void)cudaGetLastError();
+    memory = aligned_alloc(HEADER_BYTES, (bytes + 2 * HEADER_BYTES - 1) / HEADER_BYTES * HEADER_BYTES);
+  }
+  if (memory == nullptr)
+    return nullptr;
+  *(bool *)memory = is_plain;
+  return (char *)memory + HEADER_BYTES;
+}
+
+void mo_cuda_gradient_release(void *memory)
+{
+  if (memory == nullptr)
+    return;
+  void *const all = (char *)memory - HEADER_BYTES;
+  if (*(const bool *)all)
+    free(all);
+  else
+    cudaFreeHost(all);
+}
+
+static void *allocate_table(void *state, size_t bytes)
+{
+  return mo_cuda_gradient_allocate((const mo_cuda_gradient_state *)state, bytes);
+}
+
+int mo_cuda_gradient_lay_out(const struct mo_cuda_gradient_state *s, const struct mo_robot *robots, uint32_t n,
+                             const struct mo_physics *physics, struct mo_device_layout **ret)
+{
+  mo_device_layout *layout = *ret;
+  if (robots == nullptr || n == 0 || mo_physics_check(physics, nullptr) != MO_OK)
+    return MO_ERR_INVALID;
+  if (layout == nullptr) {
+    layout = *ret = (mo_device_layout *)calloc(1, sizeof(*layout));
+    if (layout == nullptr)
+      return MO_ERR_NO_MEMORY;
+    layout->plan.allocate = allocate_table;
+    layout->plan.release = mo_cuda_gradient_release;
+    layout->plan.context = (void *)s;
+  }
+  const mo_gp_options options = {MO_DEVICE_SHARD, s->shared_bytes,
+                                 std::min(8u, std::max(1u, std::thread::hardware_concurrency()))};
+  layout->robots = nullptr;
+  const int r = mo_gradient_plan_make(robots, n, physics, &options, &layout->plan);
+  if (r < 0)
+    return r;
+  layout->shared_bytes = s->shared_bytes;
+  layout->robots = robots;
+  layout->n = n;
+  return MO_OK;
+}
+
+void mo_cuda_gradient_layout_free(struct mo_device_layout *layout)
+{
+  if (layout == nullptr)
+    return;
+  mo_gradient_plan_free(&layout->plan);
+  free(layout);
+}
+
+/* Physics is compared by the caller, who says that it is the same; a device with another size of shared memory forms other groups. */
+bool mo_gradient_layout_is_of(const mo_device_layout *layout, const mo_cuda_gradient_state *s,
+                              const mo_device_gradient *call)
+{
+  return layout->robots == call->robots && layout->n == call->n && layout->shared_bytes == s->shared_bytes;
+}
