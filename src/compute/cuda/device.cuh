@@ -18,6 +18,7 @@ struct mo_cuda_gradient_state; /* gradient.cu's own */
 struct mo_device {
   int index, multiprocessors;
   bool lost;
+  bool wide; /* which of the kernels scores rows */
   char error[256];
   cudaStream_t stream;
   cudaEvent_t begin, end;

@@ -28,7 +28,7 @@ int find(uint32_t index, int *ordinal, uint32_t *n)
       cudaGetLastError();
       continue;
     }
-    if (major < kMajor || shared_bytes < MO_CUDA_SCORE_SHARED_BYTES)
+    if (major < kMajor || shared_bytes < MO_CUDA_SCORE_NARROW_BYTES)
       continue;
     if (*n == index)
       *ordinal = i;
@@ -68,6 +68,19 @@ void close(mo_device *device)
   delete device;
 }
 
+/* Whether the device scores rows by the wide kernel. */
+cudaError_t find_kernel(int index, bool *ret_wide)
+{
+  int major = 0, minor = 0, bytes = 0;
+  cudaError_t status = cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index);
+  if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index);
+  *ret_wide = 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY && bytes >= MO_CUDA_SCORE_WIDE_BYTES;
+  return status;
+}
+
 cudaError_t set_up(mo_device *device)
 {
   cudaError_t status = cudaSetDevice(device->index);
@@ -86,7 +99,9 @@ cudaError_t set_up(mo_device *device)
     status = cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
   }
   if (status == cudaSuccess)
-    status = mo_cuda_score_prepare();
+    status = find_kernel(device->index, &device->wide);
+  if (status == cudaSuccess)
+    status = mo_cuda_score_prepare(device->wide);
   return status;
 }
 
@@ -235,6 +250,18 @@ const char *error(const mo_device *device)
   return device->error;
 }
 
+/* The two kernels that score rows differ in the last digits: it is the first device's that counts. */
+bool is_wide()
+{
+  uint32_t n = 0;
+  int ordinal = 0;
+  bool wide = false;
+  find(0, &ordinal, &n);
+  if (n > 0 && find_kernel(ordinal, &wide) != cudaSuccess)
+    cudaGetLastError(); /* opening will tell */
+  return wide;
+}
+
 } // namespace
 
 extern "C" const struct mo_device_module *mo_device_module(void)
@@ -242,8 +269,8 @@ extern "C" const struct mo_device_module *mo_device_module(void)
   static const struct mo_device_module module = {
       MO_DEVICE_ABI,
       "cuda",
-      "score 1",
-      "fast 1",
+      is_wide() ? "score 2 wide" : "score 2",
+      is_wide() ? "fast 2 wide" : "fast 2",
       MO_CUDA_GRADIENT_CODE,
       count,
       open,

@@ -182,12 +182,12 @@ static void lay_out(struct mo_plan *plan)
   block->links = place(&used, n_quads, MO_PLAN_LINKS * sizeof(uint32_t));
   block->masses = place(&used, n_masses, sizeof(uint32_t));
   block->ranks = place(&used, n_masses, 1);
-  block->inputs = place(&used, n_masses, 1);
+  block->inputs = place(&used, plan->n_bodies, MO_PLAN_INPUTS);
   block->groups = place(&used, plan->n_groups, sizeof(struct mo_plan_group));
   block->parts = place(&used, plan->n_parts, sizeof(struct mo_plan_part));
   block->rows = place(&used, plan->n, sizeof(struct mo_plan_row));
   block->tiles = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(struct mo_plan_tile));
-  block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, 1);
+  block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(uint16_t));
   block->bytes = used;
 }
 
@@ -458,10 +458,11 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     more = (uint16_t)(more + with);
   }
   uint8_t listed[MO_DEFAULT_MASSES];
+  memset(inputs, 0, MO_PLAN_INPUTS);
   for (uint32_t m = 0; m < n; m++) {
     ranks[m] = (uint8_t)begin[degree[m]]++;
     listed[ranks[m]] = (uint8_t)m;
-    inputs[ranks[m]] = order->input[body->mass_lattice[m]];
+    inputs[MO_PLAN_INPUT_OF(ranks[m])] = order->input[body->mass_lattice[m]];
   }
   uint32_t quad = 0;
   for (uint32_t rank = 0; rank < n; rank++) {
@@ -486,7 +487,7 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
 /* The pairs of a group, by the columns that have them: patterns in the order of a Gray code, so that a tile that holds the end of one and
  * the start of the next wastes little. */
 static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_group *group, struct mo_plan_tile *tiles,
-                           uint8_t *columns)
+                           uint16_t *columns)
 {
   uint32_t has[MO_PLAN_COLUMNS_MAX][MO_PLAN_PAIR_WORDS] = {{0}};
   for (uint32_t p = 0; p < group->n_parts; p++) {
@@ -497,7 +498,7 @@ static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_grou
         has[c][w] |= plan->pairs[part->body].has[w];
   }
   uint16_t list[MO_PLAN_PAIRS];
-  uint8_t pattern_of[MO_PLAN_PAIRS];
+  uint16_t pattern_of[MO_PLAN_PAIRS];
   uint32_t n = 0, count[PATTERNS] = {0}, next[PATTERNS];
   for (uint32_t w = 0; w < MO_PLAN_PAIR_WORDS; w++) {
     uint32_t any = 0;
@@ -509,7 +510,7 @@ static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_grou
       for (int c = 0; c < MO_PLAN_COLUMNS_MAX; c++)
         pattern |= (uint32_t)(has[c][w] >> bit & 1) << c;
       list[n] = (uint16_t)(w * 32 + (uint32_t)bit);
-      pattern_of[n++] = (uint8_t)pattern;
+      pattern_of[n++] = (uint16_t)pattern;
       count[pattern]++;
     }
   }
@@ -519,7 +520,7 @@ static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_grou
     first += count[pattern];
   }
   const uint32_t n_tiles = (n + MO_PLAN_TILE - 1) / MO_PLAN_TILE;
-  memset(columns, 0, MO_PLAN_TILES_MAX);
+  memset(columns, 0, MO_PLAN_TILES_MAX * sizeof(*columns));
   memset(tiles, 0xff, MO_PLAN_TILES_MAX * sizeof(*tiles));
   for (uint32_t i = 0; i < n; i++) {
     const uint32_t at = next[pattern_of[i]]++;
@@ -554,7 +555,7 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
     const struct mo_plan_body header = plan->headers[b];
     fill_body(plan->bodies[b], &order, plan->slots, plan->pairs + b, links + (size_t)MO_PLAN_LINKS * header.first_quad,
-              masses + header.first_mass, ranks + header.first_mass, inputs + header.first_mass);
+              masses + header.first_mass, ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
     bodies[b] = header;
   }
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
@@ -566,7 +567,7 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {
     struct mo_plan_group group = plan->groups[g];
     group.n_tiles = fill_tiles(plan, &group, (struct mo_plan_tile *)(void *)(base + block->tiles) + group.first_tile,
-                               (uint8_t *)(base + block->columns) + group.first_tile);
+                               (uint16_t *)(void *)(base + block->columns) + group.first_tile);
     group.input_tiles = input_tiles_of(plan, &group, &order);
     groups[g] = group;
   }

@@ -22,7 +22,7 @@ extern "C" {
 #endif
 
 #define MO_PLAN_COLUMN      8 /* rows of a column: the width of a matrix instruction */
-#define MO_PLAN_COLUMNS_MAX 5
+#define MO_PLAN_COLUMNS_MAX 10
 #define MO_PLAN_ROWS_MAX    (MO_PLAN_COLUMN * MO_PLAN_COLUMNS_MAX)
 #define MO_PLAN_TILE        8   /* pairs of springs of a tile */
 #define MO_PLAN_PAIRS       824 /* of the lattice's 1648 springs */
@@ -102,12 +102,13 @@ struct mo_plan_block {
   size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
   size_t masses;       /* uint32_t (all bodies' masses) */
   size_t ranks;        /* uint8_t (likewise): the device's number of the body's mass i */
-  size_t inputs;       /* uint8_t (all bodies' masses): place of the mass's sensor among the first layer's inputs */
-  size_t groups;       /* struct mo_plan_group (n_groups) */
-  size_t parts;        /* struct mo_plan_part */
-  size_t rows;         /* struct mo_plan_row (n) */
-  size_t tiles;        /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
-  size_t columns;      /* uint8_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's springs */
+  size_t
+      inputs; /* uint8_t (n_bodies, MO_PLAN_INPUTS): at MO_PLAN_INPUT_OF, place of the mass's sensor among the first layer's inputs */
+  size_t groups;  /* struct mo_plan_group (n_groups) */
+  size_t parts;   /* struct mo_plan_part */
+  size_t rows;    /* struct mo_plan_row (n) */
+  size_t tiles;   /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
+  size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's springs */
   size_t bytes;
 };
 
@@ -160,6 +161,9 @@ void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t share, uint3
 /* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen places are masses that tend to be
  * used together, those in the middle of the lattice's floor first. */
 int mo_plan_input_mass(uint32_t input);
+
+/* Where a body's list of inputs has the device's mass m: sixteen lanes sense a row, of which lane l has masses l, l + 16, … side by side. */
+#define MO_PLAN_INPUT_OF(m) ((m) % 16 * 16 + (m) / 16)
 
 /* Slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */
 int mo_plan_slots(uint16_t *slots);

@@ -33,12 +33,12 @@ struct mo_cuda_score {
   const mo_plan_part *parts;
   const mo_plan_row *rows;
   const mo_plan_tile *tiles;
-  const uint8_t *columns;
-  const char *weights;      /* NULL: passive bodies */
-  const float *generators;  /* (n_steps, MO_CPG_INPUTS) */
-  float *velocities;        /* (blocks, max_places, 3) */
+  const uint16_t *columns;
+  const char *weights;       /* NULL: passive bodies */
+  const float *generators;   /* (n_steps, MO_CPG_INPUTS) */
+  float *velocities;         /* (blocks, max_places, 3) */
   mo_cuda_outcome *outcomes; /* by the caller's row */
-  uint32_t *next_group;     /* 0 before the launch */
+  uint32_t *next_group;      /* 0 before the launch */
   const volatile int *cancel;
   struct mo_weights_layout layout;
   mo_cuda_constants constants;
@@ -46,17 +46,30 @@ struct mo_cuda_score {
   uint32_t n_environments, n_groups, n_steps, max_places;
 };
 
-/* Dynamic shared memory of a block; of it, what a plan may give to columns and places. */
-#define MO_CUDA_SCORE_SHARED_BYTES (113 * 1024)
-size_t mo_cuda_score_group_bytes();
-size_t mo_cuda_score_column_bytes(bool exact);
+/* What a kernel takes: rows of a group, blocks on a multiprocessor, and what a plan is cut by (mo_plan_options). */
+struct mo_cuda_score_shape {
+  uint32_t rows, blocks;
+  size_t group_bytes, column_bytes;
+};
 #define MO_CUDA_SCORE_PLACE_BYTES  12
 #define MO_CUDA_SCORE_PART_BYTES   sizeof(mo_plan_pairs)
 #define MO_CUDA_SCORE_LENGTH_BYTES 4
-#define MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR 2
 
+/* Dynamic shared memory of a block. */
+#define MO_CUDA_SCORE_NARROW_BYTES (113 * 1024)
+#define MO_CUDA_SCORE_WIDE_BYTES   (227 * 1024)
+/* Of which capability the wide kernel is. */
+#define MO_CUDA_SCORE_WIDE_CAPABILITY 90
+
+mo_cuda_score_shape mo_cuda_score_shape_of(bool wide, bool exact);
 /* Once per device. */
-cudaError_t mo_cuda_score_prepare();
-cudaError_t mo_cuda_score_launch(const mo_cuda_score &score, bool exact, uint32_t blocks, cudaStream_t stream);
+cudaError_t mo_cuda_score_prepare(bool wide);
+cudaError_t mo_cuda_score_launch(const mo_cuda_score &score, bool wide, bool exact, uint32_t blocks,
+                                 cudaStream_t stream);
+
+/* The wide kernel's own. */
+mo_cuda_score_shape mo_cuda_score_wide_shape(bool exact);
+cudaError_t mo_cuda_score_wide_prepare();
+cudaError_t mo_cuda_score_wide_launch(const mo_cuda_score &score, bool exact, uint32_t blocks, cudaStream_t stream);
 
 #endif

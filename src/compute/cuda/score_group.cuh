@@ -1,4 +1,5 @@
-/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and end. */
+/* score_group.cuh: a group of rows in the memory of its block: what it is, how its lives begin and end. The network of one kind of device,
+ * network_narrow.cuh or network_wide.cuh, is included before. */
 #ifndef MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 #define MORPHO_COMPUTE_CUDA_SCORE_GROUP_CUH
 
@@ -7,8 +8,8 @@
 
 namespace {
 
-constexpr uint32_t kRows = MO_PLAN_ROWS_MAX;
-constexpr uint32_t kChunks = 352; /* of 32 places: more than fit the shared memory */
+constexpr uint32_t kRows = MO_CUDA_ROWS;
+constexpr uint32_t kChunks = MO_CUDA_CHUNKS;
 constexpr uint32_t kCancelSteps = 16;
 constexpr unsigned kAll = 0xffffffffu;
 
@@ -32,7 +33,6 @@ struct __align__(8) Home
 
 struct Shared {
   float first[MO_HIDDEN]; /* what the first layer's sums start from */
-  float2 partial[MO_CUDA_WARPS * kRows];
   float4 light[kRows];    /* and the terrain's highest point */
   float com[2][kRows][3]; /* at the start of even and odd steps */
   Part parts[kRows];
@@ -45,6 +45,8 @@ struct Shared {
   uint32_t input_units; /* bits: units of the first layer that may not be 0 */
   int cancelled;
   mo_plan_group plan;
+  mo_weights_scalars scalars;
+  mo_cuda_score score; /* a copy: what reads it here holds no registers for it (score_think_wide.cuh) */
 };
 
 constexpr size_t kSharedBytes = (sizeof(Shared) + 127) / 128 * 128;
@@ -134,12 +136,69 @@ __device__ __forceinline__ float rest_length(bool is_edge)
 
 /* What lies behind the block's Shared. */
 struct Memory {
-  char *x;              /* activations: (columns) of COLUMN_BYTES */
+  mo_cuda_activations x;
   float *position;      /* (places, 3) */
   mo_plan_pairs *pairs; /* (parts + 1): the last has none */
   float *lengths;       /* that springs want to have (lengths) */
+  float2 *partial;      /* what LayerNorm sums up: before there are lengths, in their place */
   float *velocity;      /* (places, 3), in global memory */
 };
+
+extern __shared__ __align__(128) char block_memory[];
+
+__device__ __forceinline__ Shared &shared_of_block()
+{
+  return *reinterpret_cast<Shared *>(block_memory);
+}
+
+/* Of the group that the block has. */
+template <bool EXACT> __device__ __forceinline__ Memory memory_of(const mo_cuda_score &score)
+{
+  const mo_plan_group &plan = shared_of_block().plan;
+  const uint32_t columns = (plan.n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN;
+  Memory memory;
+  memory.x = mo_cuda_activations_of(block_memory + kSharedBytes, columns);
+  memory.position = reinterpret_cast<float *>(memory.x.memory + columns * mo_cuda_network<EXACT>::COLUMN_BYTES +
+                                              MO_CUDA_PAD_BYTES(mo_cuda_network<EXACT>::UNITS));
+  memory.pairs = reinterpret_cast<mo_plan_pairs *>(memory.position + 3 * plan.n_places);
+  memory.lengths = reinterpret_cast<float *>(memory.pairs + plan.n_parts + 1);
+  /* There is room: a group that fills the memory has at least as many bytes of lengths as of positions. */
+  const uint32_t behind = (uint32_t)(reinterpret_cast<char *>(memory.lengths) - block_memory);
+  memory.partial = reinterpret_cast<float2 *>(block_memory + (behind + 15) / 16 * 16);
+  memory.velocity = score.velocities + (size_t)blockIdx.x * 3 * score.max_places;
+  return memory;
+}
+
+/* Orders the chunks by falling number of links, then there and back, so that the warps, which take them in turn, have equally many. */
+__device__ void deal_chunks(const mo_cuda_score &score, Shared &shared)
+{
+  constexpr uint32_t kCost = 24, kTurns = (MO_CUDA_CHUNKS + MO_CUDA_THREADS - 1) / MO_CUDA_THREADS;
+  const uint32_t n = shared.n_chunks;
+  uint32_t chunk[kTurns], place[kTurns];
+  for (uint32_t c = threadIdx.x; c < n; c += MO_CUDA_THREADS) {
+    const Part &part = shared.parts[shared.chunks[c] >> 16];
+    const uint32_t mass = (shared.chunks[c] & 0xffffu) * 32 / part.n_rows; /* those after it have no more */
+    shared.chunks[c] |= MO_PLAN_MASS_QUADS(__ldg(score.masses + part.first_mass + mass)) << kCost;
+  }
+  __syncthreads();
+#pragma unroll
+  for (uint32_t i = 0; i < kTurns; i++) {
+    const uint32_t c = threadIdx.x + i * MO_CUDA_THREADS;
+    uint32_t before = 0;
+    chunk[i] = c < n ? shared.chunks[c] : 0;
+    for (uint32_t k = 0; c < n && k < n; k++) {
+      const uint32_t cost = shared.chunks[k] >> kCost, own = chunk[i] >> kCost;
+      before += cost > own || (cost == own && k < c);
+    }
+    const uint32_t turn = before / MO_CUDA_WARPS, last = turn * MO_CUDA_WARPS + MO_CUDA_WARPS - 1;
+    place[i] = turn % 2 == 1 && last < n ? last - before % MO_CUDA_WARPS : before;
+  }
+  __syncthreads();
+#pragma unroll
+  for (uint32_t i = 0; i < kTurns; i++)
+    if (threadIdx.x + i * MO_CUDA_THREADS < n)
+      shared.chunks[place[i]] = chunk[i] & ((1u << kCost) - 1);
+}
 
 /* What the group's rows and parts are, once per group. */
 __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t units, const Memory &memory)
@@ -186,6 +245,8 @@ __device__ void begin_group(const mo_cuda_score &score, Shared &shared, uint32_t
     for (uint32_t tile = 0; tile < MO_WEIGHTS_TILES; tile++)
       shared.input_units |= (plan.input_tiles >> tile & 1u) << tile * units / MO_WEIGHTS_TILES;
   }
+  __syncthreads();
+  deal_chunks(score, shared);
   for (uint32_t r = warp; r < plan.n_rows; r += MO_CUDA_WARPS)
     place_row(score, shared, r, memory.position, lane);
   for (uint32_t k = thread; k < 3 * plan.n_places; k += MO_CUDA_THREADS)

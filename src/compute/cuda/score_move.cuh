@@ -30,29 +30,38 @@ __device__ __forceinline__ float3 load_velocity(const float *v)
   return make_float3(__ldcg(v), __ldcg(v + 1), __ldcg(v + 2));
 }
 
+/* What the links of a mass in a row count from, and how far it is from one mass or length to the next, in bytes. */
+struct Reach {
+  const char *masses, *lengths;
+  uint32_t mass_stride, length_stride;
+};
+
 /* Lengths that the springs of four links want to have. */
-__device__ __forceinline__ void load_lengths(const uint4 &quad, const float *lengths, uint32_t stride,
-                                             float (&length)[MO_PLAN_LINKS])
+__device__ __forceinline__ void load_lengths(const uint4 &quad, const Reach &reach, float (&length)[MO_PLAN_LINKS])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++)
-    length[i] = lengths[MO_PLAN_LINK_SLOT(link[i]) * stride];
+    length[i] = *reinterpret_cast<const float *>(reach.lengths + MO_PLAN_LINK_SLOT(link[i]) * reach.length_stride);
 }
 
 /* Four links of a mass at p: adds up what their springs pull. */
-__device__ __forceinline__ void pull_four(const uint4 &quad, const float *first, uint32_t stride,
-                                          const float (&length)[MO_PLAN_LINKS], const float (&p)[3], float (&j)[3])
+__device__ __forceinline__ void pull_four(const uint4 &quad, const Reach &reach, const float (&length)[MO_PLAN_LINKS],
+                                          const float (&p)[3], float (&j)[3])
 {
   const uint32_t link[MO_PLAN_LINKS] = {quad.x, quad.y, quad.z, quad.w};
+  float d[MO_PLAN_LINKS][3];
 #pragma unroll
   for (int i = 0; i < MO_PLAN_LINKS; i++) {
-    const float *other = first + MO_PLAN_LINK_MASS(link[i]) * stride;
-    const float d[3] = {other[0] - p[0], other[1] - p[1], other[2] - p[2]};
-    const float q = mo_cuda_spring(d[0], d[1], d[2], length[i]);
-    j[0] = fmaf(q, d[0], j[0]);
-    j[1] = fmaf(q, d[1], j[1]);
-    j[2] = fmaf(q, d[2], j[2]);
+    const float *other = reinterpret_cast<const float *>(reach.masses + MO_PLAN_LINK_MASS(link[i]) * reach.mass_stride);
+    for (int axis = 0; axis < 3; axis++)
+      d[i][axis] = other[axis] - p[axis];
+  }
+#pragma unroll
+  for (int i = 0; i < MO_PLAN_LINKS; i++) {
+    const float q = mo_cuda_spring(d[i][0], d[i][1], d[i][2], length[i]);
+    for (int axis = 0; axis < 3; axis++)
+      j[axis] = fmaf(q, d[i][axis], j[axis]);
   }
 }
 
@@ -69,56 +78,76 @@ __device__ __forceinline__ Item item_at(const Shared &shared, uint32_t c, uint32
   return item;
 }
 
-/* What is loaded for one chunk hides behind the computing of another: of the next chunk, the mass, then its first links; of the next four
- * links, their lengths. */
-__device__ __forceinline__ void pull(const mo_cuda_score &score, const Shared &shared, const float *position,
-                                     const float *all_lengths, float *velocity)
+/* A pointer of the call, read anew: else it is computed once and kept in local memory, which is farther away. */
+template <typename T> __device__ __forceinline__ T anew(T const &pointer)
 {
-  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5;
+  return *const_cast<T const volatile *>(&pointer);
+}
+
+/* All links of a mass, four at a time; those that it has not are its last ones again. */
+constexpr int kTurns = (MO_PLAN_DEGREES_MAX + MO_PLAN_LINKS - 1) / MO_PLAN_LINKS;
+
+__device__ __forceinline__ void load_links(const uint32_t *links, const Part &part, uint32_t mass,
+                                           uint4 (&quad)[kTurns])
+{
+  const uint4 *quads = reinterpret_cast<const uint4 *>(links) + part.first_quad + MO_PLAN_MASS_QUAD(mass);
+  const uint32_t last = MO_PLAN_MASS_QUADS(mass) - 1;
+#pragma unroll
+  for (uint32_t i = 0; i < kTurns; i++)
+    quad[i] = __ldg(quads + min(i, last));
+}
+
+/* What is loaded for one chunk hides behind the computing of those before: the links of the next one, the mass of the one after it. */
+__device__ __forceinline__ void pull(const Shared &shared, const float *position, const float *all_lengths,
+                                     float *velocity)
+{
+  const mo_cuda_score &score = shared.score;
+  const uint32_t lane = threadIdx.x & 31, warp = threadIdx.x >> 5, n = shared.n_chunks;
   const mo_cuda_constants &k = score.constants;
-  const uint4 *links = reinterpret_cast<const uint4 *>(score.links);
   const Part *part, *next_part;
-  Item item = item_at(shared, warp, lane, &part);
+  Item item = item_at(shared, warp, lane, &part), next = item_at(shared, warp + MO_CUDA_WARPS, lane, &next_part);
   uint32_t mass = __ldg(score.masses + part->first_mass + item.mass);
-  uint4 quad = __ldg(links + part->first_quad + MO_PLAN_MASS_QUAD(mass));
-  for (uint32_t c = warp; c < shared.n_chunks; c += MO_CUDA_WARPS) {
-    const uint4 *quads = links + part->first_quad + MO_PLAN_MASS_QUAD(mass);
-    const float *lengths = all_lengths + part->first_length + item.row;
-    const float *own = position + 3 * item.place, *first = position + 3 * (part->first_place + item.row);
+  uint32_t next_mass = __ldg(score.masses + next_part->first_mass + next.mass);
+  uint4 quad[kTurns], next_quad[kTurns];
+  load_links(score.links, *part, mass, quad);
+#pragma unroll 1
+  for (uint32_t c = warp; c < n; c += MO_CUDA_WARPS) {
+    const uint32_t last = MO_PLAN_MASS_QUADS(mass) - 1, n_rows = part->n_rows;
+    const float *own = position + 3 * item.place;
+    Reach reach = {reinterpret_cast<const char *>(position + 3 * (part->first_place + item.row)),
+                   reinterpret_cast<const char *>(all_lengths + part->first_length + item.row), 12 * n_rows,
+                   4 * n_rows};
+    asm("" : "+r"(reach.mass_stride), "+r"(reach.length_stride)); /* one multiplication per address */
     float *v = velocity + 3 * item.place;
-    uint32_t left = MO_PLAN_MASS_QUADS(mass);
-    const uint32_t n_rows = part->n_rows, stride = 3 * n_rows;
-    float length[MO_PLAN_LINKS], ahead[MO_PLAN_LINKS];
-    load_lengths(quad, lengths, n_rows, length);
-    quads += left > 1;
-    uint4 following = __ldg(quads);
-    const Item next = item_at(shared, c + MO_CUDA_WARPS, lane, &next_part);
-    mass = __ldg(score.masses + next_part->first_mass + next.mass);
     const float3 before = load_velocity(v);
+    load_links(anew(score.links), *next_part, next_mass, next_quad);
+    const Part *after_part;
+    const Item after = item_at(shared, c + 2 * MO_CUDA_WARPS, lane, &after_part);
+    const uint32_t after_mass = __ldg(anew(score.masses) + after_part->first_mass + after.mass);
     const float p[3] = {own[0], own[1], own[2]};
     float j[3] = {0.0f, 0.0f, 0.0f};
-    while (left > 1) {
-      load_lengths(following, lengths, n_rows, ahead);
-      quads += left > 2;
-      const uint4 after = __ldg(quads);
-      pull_four(quad, first, stride, length, p, j);
-      quad = following;
-      following = after;
 #pragma unroll
-      for (int i = 0; i < MO_PLAN_LINKS; i++)
-        length[i] = ahead[i];
-      left--;
+    for (int i = 0; i < kTurns; i++) {
+      if (i > 0 && (uint32_t)i > last)
+        break;
+      float length[MO_PLAN_LINKS];
+      load_lengths(quad[i], reach, length);
+      pull_four(quad[i], reach, length, p, j);
     }
-    const uint4 next_quad = __ldg(links + next_part->first_quad + MO_PLAN_MASS_QUAD(mass));
-    pull_four(quad, first, stride, length, p, j);
     if (item.used) {
       v[0] = fmaf(j[0], k.pull, before.x * k.keep);
       v[1] = fmaf(j[1], k.pull, before.y * k.keep);
       v[2] = fmaf(j[2], k.pull, fmaf(before.z, k.keep, -k.fall));
     }
-    quad = next_quad;
+#pragma unroll
+    for (int i = 0; i < kTurns; i++)
+      quad[i] = next_quad[i];
     item = next;
     part = next_part;
+    mass = next_mass;
+    next = after;
+    next_part = after_part;
+    next_mass = after_mass;
   }
 }
 

@@ -26,9 +26,9 @@ double now_s()
 }
 
 /* Rows of a group: few enough that all blocks have work, and that the last of several rounds of groups is a full one. */
-uint32_t rows_wanted(uint32_t n, uint32_t blocks)
+uint32_t rows_wanted(uint32_t n, uint32_t blocks, uint32_t most)
 {
-  const uint64_t round = (uint64_t)blocks * MO_PLAN_ROWS_MAX, rounds = (n + round - 1) / round;
+  const uint64_t round = (uint64_t)blocks * most, rounds = (n + round - 1) / round;
   const uint64_t rows = (n + blocks * rounds - 1) / (blocks * rounds);
   return (uint32_t)((rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN * MO_PLAN_COLUMN);
 }
@@ -127,7 +127,7 @@ mo_cuda_score arguments(const mo_device *device, const mo_plan &plan, const mo_d
   s.parts = (const mo_plan_part *)(base + block.parts);
   s.rows = (const mo_plan_row *)(base + block.rows);
   s.tiles = (const mo_plan_tile *)(base + block.tiles);
-  s.columns = (const uint8_t *)(base + block.columns);
+  s.columns = (const uint16_t *)(base + block.columns);
   s.weights = score->controller == nullptr ? nullptr : score->controller->weights[score->precision];
   s.generators = (const float *)device->generators.memory;
   s.velocities = (float *)device->velocities.memory;
@@ -181,8 +181,8 @@ int run(mo_device *device, const mo_plan &plan, const mo_device_score *score, ui
   if (error == cudaSuccess)
     error = cudaMemsetAsync(device->counter.memory, 0, sizeof(uint32_t), device->stream);
   if (error == cudaSuccess)
-    error = mo_cuda_score_launch(arguments(device, plan, score, places), score->precision == MO_DEVICE_EXACT, blocks,
-                                 device->stream);
+    error = mo_cuda_score_launch(arguments(device, plan, score, places), device->wide,
+                                 score->precision == MO_DEVICE_EXACT, blocks, device->stream);
   if (error == cudaSuccess)
     error = cudaMemcpyAsync(device->staged_outcomes.memory, device->outcomes.memory, plan.n * sizeof(mo_cuda_outcome),
                             cudaMemcpyDeviceToHost, device->stream);
@@ -214,11 +214,12 @@ int mo_cuda_score_rows(mo_device *device, mo_device_score *score)
   const double start_s = now_s();
   if (!is_valid(score))
     return MO_ERR_INVALID;
-  const uint32_t blocks = (uint32_t)device->multiprocessors * MO_CUDA_SCORE_BLOCKS_PER_MULTIPROCESSOR;
+  const mo_cuda_score_shape shape = mo_cuda_score_shape_of(device->wide, score->precision == MO_DEVICE_EXACT);
+  const uint32_t blocks = (uint32_t)device->multiprocessors * shape.blocks;
   mo_plan_options options = {};
-  options.rows = rows_wanted(score->n, blocks);
-  options.group_bytes = mo_cuda_score_group_bytes();
-  options.column_bytes = mo_cuda_score_column_bytes(score->precision == MO_DEVICE_EXACT);
+  options.rows = rows_wanted(score->n, blocks, shape.rows);
+  options.group_bytes = shape.group_bytes;
+  options.column_bytes = shape.column_bytes;
   options.part_bytes = MO_CUDA_SCORE_PART_BYTES;
   options.place_bytes = MO_CUDA_SCORE_PLACE_BYTES;
   options.length_bytes = MO_CUDA_SCORE_LENGTH_BYTES;

@@ -43,7 +43,8 @@ struct filled {
   const struct mo_plan_body *bodies;
   const struct mo_plan_pairs *pairs;
   const uint32_t *links, *masses;
-  const uint8_t *ranks, *inputs, *columns;
+  const uint8_t *ranks, *inputs;
+  const uint16_t *columns;
   const struct mo_plan_group *groups;
   const struct mo_plan_part *parts;
   const struct mo_plan_row *rows;
@@ -200,7 +201,7 @@ static void links(void)
       CHECK_INT(MO_PLAN_MASS_Y(mass), body->mass_xyz[3 * m + 1]);
       CHECK_INT(MO_PLAN_MASS_Z(mass), body->mass_xyz[3 * m + 2]);
       CHECK(ranks[m] == 0 || MO_PLAN_MASS_QUADS(masses[ranks[m] - 1]) >= MO_PLAN_MASS_QUADS(mass));
-      CHECK_INT(mo_plan_input_mass(f.inputs[header->first_mass + ranks[m]]), body->mass_lattice[m]);
+      CHECK_INT(mo_plan_input_mass(f.inputs[b * MO_PLAN_INPUTS + MO_PLAN_INPUT_OF(ranks[m])]), body->mass_lattice[m]);
     }
   }
   release(&f);
@@ -266,7 +267,7 @@ static void tiles(void)
           CHECK(f.columns[group->first_tile + (uint32_t)tile_of[pair]] >> r / MO_PLAN_COLUMN & 1);
       }
       for (uint32_t m = 0; m < body->n_masses; m++)
-        inputs |= UINT32_C(1) << f.inputs[f.bodies[part->body].first_mass + m] / 16;
+        inputs |= UINT32_C(1) << f.inputs[part->body * MO_PLAN_INPUTS + MO_PLAN_INPUT_OF(m)] / 16;
     }
     CHECK_INT(listed, needed);
     CHECK_INT(group->input_tiles, inputs);

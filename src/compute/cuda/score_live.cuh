@@ -1,0 +1,108 @@
+/* score_live.cuh: whole rollouts in one kernel.
+ *
+ * A block takes a group of rows and lives its lives from the first step to the last, then takes the next group. Positions, activations and
+ * the springs' lengths stay in shared memory; velocities are the block's own in global memory, and seldom leave the caches. A step:
+ *   sense    sixteen lanes per row: the light's mean, then the inputs of the first layer
+ *   think    three hidden layers, then tiles of springs: the length that each wants to have
+ *   pull     a thread per mass and row adds its springs up, each seen from both of its ends: no two threads write one number
+ *   move     the same thread moves the mass
+ * A row's numbers come from its own inputs in a fixed order, wherever it stands.
+ *
+ * There are two of it. For any device: 256 threads and at most 40 rows, two blocks on a multiprocessor, so that one's physics runs beside
+ * the other's products (score_think_narrow.cuh, which is included before). For capability 9.0: 512 threads and at most 80 rows, for which
+ * the weights are loaded once, not twice (score_think_wide.cuh). */
+#ifndef MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
+#define MORPHO_COMPUTE_CUDA_SCORE_LIVE_CUH
+
+#include "compute/cuda/score_move.cuh"
+
+namespace {
+
+template <bool EXACT>
+__global__ void __launch_bounds__(MO_CUDA_THREADS, MO_CUDA_BLOCKS) live(const __grid_constant__ mo_cuda_score score)
+{
+  Shared &shared = shared_of_block();
+  const uint32_t thread = threadIdx.x;
+  if (thread == 0) {
+    shared.cancelled = 0;
+    shared.score = score;
+    shared.scalars = score.weights == nullptr
+                         ? mo_weights_scalars{}
+                         : *reinterpret_cast<const mo_weights_scalars *>(score.weights + score.layout.scalars);
+  }
+  for (;;) {
+    __syncthreads();
+    if (thread == 0)
+      shared.group = atomicAdd(score.next_group, 1u);
+    __syncthreads();
+    if (shared.group >= score.n_groups || shared.cancelled)
+      return;
+    if (thread == 0)
+      shared.plan = score.groups[shared.group];
+    __syncthreads();
+    const uint32_t n_rows = shared.plan.n_rows;
+    const Memory memory = memory_of<EXACT>(score);
+    const mo_sensor sensor = (mo_sensor)shared.scalars.sensor;
+    begin_group(score, shared, mo_cuda_network<EXACT>::UNITS, memory);
+    for (uint32_t step = 0; step < score.n_steps; step++) {
+      const Start start = score.weights != nullptr && thread < MO_HIDDEN ? load_start(score, step) : Start{};
+      sense<EXACT>(score, shared, sensor, memory.position, memory.x, step);
+      if (score.weights != nullptr) {
+        if (thread < MO_HIDDEN)
+          shared.first[thread] = start_of_first_layer(start);
+        mo_cuda_activations_written();
+        __syncthreads();
+        think<EXACT>(score, shared, memory);
+        __syncthreads();
+      }
+      pull(shared, memory.position, memory.lengths, memory.velocity);
+      if (thread == 0 && step % kCancelSteps == 0 && *score.cancel != 0)
+        shared.cancelled = 1;
+      if (!__syncthreads_or(thread < n_rows && shared.diverged[thread] == 0) || shared.cancelled)
+        break;
+      move(score, shared, memory.position, memory.velocity);
+      __syncthreads();
+      if (thread < n_rows && shared.insane[thread] != 0 && shared.diverged[thread] == 0) {
+        shared.diverged[thread] = (int)(step + 1);
+        mo_cuda_outcome *outcome = score.outcomes + score.rows[shared.plan.first_row + thread].row;
+        for (int axis = 0; axis < 3; axis++)
+          outcome->com_end_m[axis] = (double)shared.com[step & 1][thread][axis] + (axis < 2 ? MO_WORLD_CENTRE_M : 0.0);
+      }
+    }
+    __syncthreads();
+    end_group(score, shared, memory.position);
+  }
+}
+
+cudaError_t prepare_live()
+{
+  const cudaError_t status =
+      cudaFuncSetAttribute(live<true>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+  if (status != cudaSuccess)
+    return status;
+  return cudaFuncSetAttribute(live<false>, cudaFuncAttributeMaxDynamicSharedMemorySize, MO_CUDA_BYTES);
+}
+
+mo_cuda_score_shape shape_of_live(bool exact)
+{
+  mo_cuda_score_shape shape = {};
+  const size_t units = exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST;
+  shape.rows = MO_CUDA_ROWS;
+  shape.blocks = MO_CUDA_BLOCKS;
+  shape.group_bytes = MO_CUDA_BYTES - kSharedBytes - sizeof(mo_plan_pairs) - MO_CUDA_PAD_BYTES(units);
+  shape.column_bytes = units * MO_CUDA_UNIT_BYTES;
+  return shape;
+}
+
+cudaError_t launch_live(const mo_cuda_score &score, bool exact, uint32_t blocks, cudaStream_t stream)
+{
+  if (exact)
+    live<true><<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
+  else
+    live<false><<<blocks, MO_CUDA_THREADS, MO_CUDA_BYTES, stream>>>(score);
+  return cudaGetLastError();
+}
+
+} // namespace
+
+#endif
