@@ -2,8 +2,8 @@
  * deal longer. */
 #include "base/parallel.h"
 
-#include <pthread.h>
-#include <signal.h>
+#include "base/thread.h"
+
 #include <stdbool.h>
 
 struct range {
@@ -32,16 +32,12 @@ void mo_parallel(uint32_t n_threads, size_t n, void (*part)(void *context, size_
       part(context, 0, n);
     return;
   }
-  sigset_t all, before;
-  sigfillset(&all);
-  pthread_sigmask(SIG_SETMASK, &all, &before);
   for (size_t i = 0; i < n_ranges; i++) {
     const size_t rest = n % n_ranges; /* the first ones take one more */
     ranges[i] = (struct range){.part = part, .context = context, .first = n / n_ranges * i + (i < rest ? i : rest)};
     ranges[i].end = ranges[i].first + n / n_ranges + (i < rest);
-    ranges[i].started = i > 0 && pthread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
+    ranges[i].started = i > 0 && mo_thread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
   }
-  pthread_sigmask(SIG_SETMASK, &before, NULL);
   for (size_t i = 0; i < n_ranges; i++)
     if (!ranges[i].started)
       run(&ranges[i]);

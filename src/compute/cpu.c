@@ -14,10 +14,10 @@
 #include <morpho/error.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 
 #include <pthread.h>
 #include <sched.h>
-#include <signal.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -328,22 +328,6 @@ static void *work(void *argument)
   return NULL;
 }
 
-/* The service decides where other signals go. */
-int mo_compute_thread(pthread_t *thread, const char *name, void *(*run)(void *context), void *context)
-{
-  static const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
-  sigset_t blocked, before;
-  sigfillset(&blocked);
-  for (size_t i = 0; i < sizeof(faults) / sizeof(faults[0]); i++)
-    sigdelset(&blocked, faults[i]);
-  pthread_sigmask(SIG_SETMASK, &blocked, &before);
-  const int error = pthread_create(thread, NULL, run, context);
-  pthread_sigmask(SIG_SETMASK, &before, NULL);
-  if (error == 0)
-    (void)pthread_setname_np(*thread, name);
-  return error;
-}
-
 static int start_worker(struct mo_compute *compute, struct worker *worker, uint32_t number)
 {
   worker->compute = compute;
@@ -352,7 +336,7 @@ static int start_worker(struct mo_compute *compute, struct worker *worker, uint3
       return MO_ERR_NO_MEMORY;
   char name[16];
   snprintf(name, sizeof(name), "mo-worker-%u", number % 10000);
-  if (mo_compute_thread(&worker->thread, name, work, worker) != 0)
+  if (mo_thread_create(&worker->thread, name, work, worker) != 0)
     return MO_ERR_NO_MEMORY;
   compute->n_workers++;
   return MO_OK;

@@ -9,6 +9,7 @@
 #include <unistd.h>
 
 #include "base/clock.h"
+#include "base/thread.h"
 
 #define DEVICES_MAX 64
 /* Estimates of a rollout step before anything was measured. */
@@ -130,9 +131,9 @@ static int start(struct mo_devices *devices)
   for (uint32_t i = 0; i < devices->n; i++) {
     struct mo_unit *unit = &devices->units[i];
     snprintf(name, sizeof(name), "mo-gather-%u", (unsigned)i % 10000);
-    unit->has_gatherer = mo_compute_thread(&unit->gatherer, name, mo_unit_gather, unit) == 0;
+    unit->has_gatherer = mo_thread_create(&unit->gatherer, name, mo_unit_gather, unit) == 0;
     snprintf(name, sizeof(name), "mo-device-%u", (unsigned)i % 10000);
-    unit->has_runner = unit->has_gatherer && mo_compute_thread(&unit->runner, name, mo_unit_run, unit) == 0;
+    unit->has_runner = unit->has_gatherer && mo_thread_create(&unit->runner, name, mo_unit_run, unit) == 0;
     if (!unit->has_runner)
       return MO_ERR_NO_MEMORY;
   }

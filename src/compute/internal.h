@@ -59,8 +59,6 @@ struct mo_devices;
 struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
 void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices);
 const struct mo_controller *mo_compute_controller_weights(const struct mo_compute_controller *controller);
-/* Threads that compute: a thread that takes no signals but those of its own faults. 0 or what pthread_create gives. */
-int mo_compute_thread(pthread_t *thread, const char *name, void *(*run)(void *context), void *context);
 void mo_compute_set_tag(int64_t tag); /* of the calling thread; −1: none */
 
 #endif

@@ -5,10 +5,10 @@
  * it: losses wait for it, and checkpoints, the next commit, the end and a pause wait until it is there. What a crash costs is one generation
  * that was not committed, and it gives the same again. */
 #include <math.h>
-#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "jobs/campaign_run.h"
 
 /* Rows in the store's order, of a generation that nothing changes any more. */
@@ -308,7 +308,6 @@ static void *write_beside(void *context)
 int mo_campaign_commit(struct mo_campaign_run *run)
 {
   struct mo_campaign_writing *writing = run->writing;
-  sigset_t all, before;
   int error = mo_campaign_settle(run);
   if (error != MO_OK)
     return error;
@@ -322,10 +321,7 @@ int mo_campaign_commit(struct mo_campaign_run *run)
   run->n_unsaved = 0; /* losses are in the commit */
   writing->is_pending = writing->was_tried = true;
   atomic_store(&writing->ended, false);
-  sigfillset(&all);
-  pthread_sigmask(SIG_SETMASK, &all, &before);
-  writing->has_thread = pthread_create(&writing->thread, NULL, write_beside, writing) == 0;
-  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  writing->has_thread = mo_thread_create(&writing->thread, NULL, write_beside, writing) == 0;
   writing->was_tried = writing->has_thread;
   return writing->has_thread ? MO_OK : mo_campaign_settle(run);
 }

@@ -3,10 +3,9 @@
  * A device computes the gradient of a thousand robots in the time that a processor needs to draw them. So while it does, a thread of this
  * step draws the robots of the next one and has them laid out, and the thread of the job writes what there is to write. On the workers,
  * where a gradient takes a hundred times as long, that would gain nothing. */
-#include <pthread.h>
-#include <signal.h>
 #include <stdlib.h>
 
+#include "base/thread.h"
 #include "jobs/internal.h"
 
 #define THREADS_MAX 16
@@ -17,6 +16,7 @@ static void *draw_ahead(void *context)
   struct mo_learner *learner = context;
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
   const struct mo_robot *robots = NULL;
+  mo_runner_tag = learner->batch.tag;
   if (mo_training_draw_ahead(learner->training, learner->batch.cancel) == MO_OK)
     robots = mo_training_robots_ahead(learner->training);
   if (robots != NULL)
@@ -61,7 +61,6 @@ void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots,
                       struct mo_compute_share *share, const volatile int *cancel)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
-  sigset_t all, before;
   learner->batch = (struct mo_gradient_batch){.controller = mo_training_controller(learner->training),
                                               .robots = robots,
                                               .n = settings->batch,
@@ -78,11 +77,8 @@ void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots,
   learner->computes = learner->draws = false;
   if (learner->back_end != MO_ON_DEVICE)
     return;
-  sigfillset(&all);
-  pthread_sigmask(SIG_SETMASK, &all, &before);
-  learner->computes = pthread_create(&learner->computing, NULL, compute, learner) == 0;
-  learner->draws = pthread_create(&learner->drawing, NULL, draw_ahead, learner) == 0;
-  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  learner->computes = mo_thread_create(&learner->computing, NULL, compute, learner) == 0;
+  learner->draws = mo_thread_create(&learner->drawing, NULL, draw_ahead, learner) == 0;
 }
 
 int mo_learner_wait(struct mo_learner *learner)

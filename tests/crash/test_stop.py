@@ -9,7 +9,7 @@ import subprocess
 import time
 
 import pytest
-from daemon import MORPHOCTL, bodies, check_database
+from daemon import BUILD, MORPHOCTL, bodies, check_database
 
 LONG = {"n_steps": 1000}
 
@@ -165,6 +165,22 @@ def test_crash_counts_against_its_job(daemon, seed):
     assert one.score({"designs": bodies(seed + 2, 1), "physics": {"n_steps": 100}})["state"] == "succeeded"
     assert one.stop()[0] == 0
     check_database(one.state)
+
+
+def test_crash_beside_a_gradient_counts(daemon, monkeypatch):
+    """So does a fault on the thread that lays out the next robots while a device computes."""
+    monkeypatch.setenv("MORPHO_FAKE_FAULT", "1")
+    one = daemon("beside", devices="auto", compute_module=BUILD / "tests" / "device" / "fake-device.so")
+    one.start()
+    request = {"kind": "pretrain", "steps": 5, "batch": 32, "physics": {"n_steps": 20}, "device": "cuda"}
+    guilty = one.session.post(one.address + "/v1/trainings", json=request, timeout=30).json()["id"]
+    assert one.process.wait(20) == -signal.SIGSEGV
+    marker = (one.state / "crash-marker").read_text()
+    assert marker.split()[0] == guilty, marker
+    monkeypatch.delenv("MORPHO_FAKE_FAULT")
+    one.start()
+    assert one.get(f"/v1/jobs/{guilty}").json()["attempts"] == 1
+    assert one.stop()[0] == 0
 
 
 def test_watchdog_and_readiness(daemon):

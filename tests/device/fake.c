@@ -8,9 +8,11 @@
  *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
  *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory to be opened
  *   MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
+ *   MORPHO_FAKE_FAULT         laying out robots is a fault of memory
  *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
+#include <signal.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -191,6 +193,8 @@ static int fake_lay_out(const struct mo_device *device, const struct mo_robot *r
 {
   (void)device;
   (void)physics;
+  if (number("MORPHO_FAKE_FAULT", 0) > 0)
+    raise(SIGSEGV);
   if (*layout == NULL && (*layout = malloc(sizeof(**layout))) == NULL)
     return MO_ERR_NO_MEMORY;
   **layout = (struct mo_device_layout){robots, n, springs_of(robots, n)};

@@ -1,0 +1,19 @@
+/* thread.c: see thread.h. The program decides where other signals go. */
+#include "base/thread.h"
+
+#include <signal.h>
+
+int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context), void *context)
+{
+  static const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
+  sigset_t blocked, before;
+  sigfillset(&blocked);
+  for (size_t i = 0; i < sizeof(faults) / sizeof(faults[0]); i++)
+    sigdelset(&blocked, faults[i]);
+  pthread_sigmask(SIG_SETMASK, &blocked, &before);
+  const int error = pthread_create(thread, NULL, run, context);
+  pthread_sigmask(SIG_SETMASK, &before, NULL);
+  if (error == 0 && name != NULL)
+    (void)pthread_setname_np(*thread, name);
+  return error;
+}
