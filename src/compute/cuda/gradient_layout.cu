@@ -7,7 +7,11 @@
 #include <algorithm>
 #include <thread>
 
-/* A word in front of it says how it is to be given back. */
+/* In front of what is handed out: how it is to be given back. */
+struct header {
+  bool is_plain;
+  int device;
+};
 enum { HEADER_BYTES = 256 };
 
 void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t bytes)
@@ -23,7 +27,7 @@ void *mo_cuda_gradient_allocate(const struct mo_cuda_gradient_state *s, size_t b
   }
   if (memory == nullptr)
     return nullptr;
-  *(bool *)memory = is_plain;
+  *(header *)memory = header{is_plain, s->device};
   return (char *)memory + HEADER_BYTES;
 }
 
@@ -32,10 +36,13 @@ void mo_cuda_gradient_release(void *memory)
   if (memory == nullptr)
     return;
   void *const all = (char *)memory - HEADER_BYTES;
-  if (*(const bool *)all)
+  const header of = *(const header *)all;
+  if (of.is_plain) {
     free(all);
-  else
-    cudaFreeHost(all);
+    return;
+  }
+  cudaSetDevice(of.device); /* a thread that has called no device yet would open the first, which may not be ours */
+  cudaFreeHost(all);
 }
 
 static void *allocate_table(void *state, size_t bytes)
