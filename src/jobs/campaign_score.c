@@ -2,9 +2,9 @@
  *
  * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end, of devices
  * some thousands.
- * Losses of a candidate are known when all its blocks are; they are saved at once, of devices as soon as no more come, several candidates in one
- * transaction where they come faster than the disk writes. What a crash costs is the blocks in flight and those that wait for their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under
- * this controller, is not computed again. */
+ * Losses of a candidate are known when all its blocks are; they are saved at once, of devices as soon as no more come, or after a second, several
+ * candidates in one transaction where they come faster than the disk writes. What a crash costs is the blocks in flight and those that wait for
+ * their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under this controller, is not computed again. */
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
@@ -16,6 +16,7 @@
 #define SAVED_AT_ONCE           1024
 #define RATE_AFTER_US           INT64_C(500000)
 #define QUIET_US                INT64_C(20000)
+#define SAVED_AFTER_US          INT64_C(1000000)
 #define LOOK_UP_THREADS         4 /* the store has some more connections, which others want, too */
 #define LOOK_UPS_WORTH_A_THREAD 1024
 
@@ -34,7 +35,8 @@ struct scoring {
   uint32_t n_in_flight, window;
   uint32_t place, environment; /* next to be computed */
   int64_t begin_us;
-  uint64_t computed; /* rollouts, in this call */
+  int64_t unsaved_us; /* since when there have been losses that are not saved; 0: there are none */
+  uint64_t computed;  /* rollouts, in this call */
   /* Shared with the workers. */
   pthread_mutex_t mutex;
   pthread_cond_t news;
@@ -309,12 +311,20 @@ static bool is_quiet(struct scoring *scoring)
   return quiet;
 }
 
-/* A device hands back thousands of candidates within milliseconds: those that end a generation are in its commit. */
+/* A device hands back thousands of candidates within milliseconds: those that end a generation are in its commit. Workers that compute for it what
+ * it does not support hand back one after the other, and may never be quiet. */
 static int save_what_came(struct scoring *scoring)
 {
   struct mo_campaign_run *run = scoring->run;
-  const bool on_device = run->status.job.back_end == MO_ON_DEVICE;
-  return run->n_unsaved > 0 && on_device && !is_quiet(scoring) ? MO_OK : mo_campaign_save_losses(run);
+  const int64_t now_us = mo_jobs_clock_us();
+  if (run->n_unsaved == 0)
+    return MO_OK;
+  if (scoring->unsaved_us == 0)
+    scoring->unsaved_us = now_us;
+  if (run->status.job.back_end == MO_ON_DEVICE && now_us - scoring->unsaved_us < SAVED_AFTER_US && !is_quiet(scoring))
+    return MO_OK;
+  scoring->unsaved_us = 0;
+  return mo_campaign_save_losses(run);
 }
 
 /* Waits for a block, and takes in those that are finished. A wish ends all of them soon. */
