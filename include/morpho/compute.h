@@ -166,7 +166,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
 /* Lays out the robots of a gradient that devices are to compute next, before the weights are known: so that they need not wait for it. For another
  * thread, while mo_compute_gradient computes the one before. Robots and what they point to stay as they are until their gradient was
  * computed, or forgotten; only the newest that were laid out are kept. Changes no bit; without devices it does nothing. MO_ERR_RANGE,
- * MO_ERR_INVALID, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED: the gradient will find them as if it had not been called. */
+ * MO_ERR_INVALID, MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED, MO_ERR_DEVICE: the gradient will find them as if it had not been called. */
 int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
                                 const struct mo_physics *physics);
 void mo_compute_gradient_forget(struct mo_gradient_state *state); /* robots that were laid out will change */

@@ -9,7 +9,8 @@
  * the call, nor on the device's number; two runs give the same bits.
  *
  * Errors: MO_ERR_NO_MEMORY   of the device or the host: the caller tries again with fewer rows
- *         MO_ERR_DEVICE      the device is lost or has failed: nothing more is asked of it but `error`, `controller_free` and `close`
+ *         MO_ERR_DEVICE      the device is lost or has failed: nothing more is asked of it but `error`, `controller_free` and `close`, and by
+ *                            a thread that did not know yet, `lay_out` and `allocate`; its layouts and memory are given back
  *         MO_ERR_CANCELLED   the flag `cancel` was seen
  *         MO_ERR_UNSUPPORTED a workspace, sensor or option that the kernels do not do: the caller takes the CPU
  *         MO_ERR_INVALID     something missing or not finite
