@@ -68,8 +68,8 @@ void close(mo_device *device)
   delete device;
 }
 
-/* Whether the device scores rows by the wide kernel. */
-cudaError_t find_kernel(int index, bool *ret_wide)
+/* Whether the device can score rows by the wide kernel. */
+bool can_wide(int index)
 {
   int major = 0, minor = 0, bytes = 0;
   cudaError_t status = cudaDeviceGetAttribute(&major, cudaDevAttrComputeCapabilityMajor, index);
@@ -77,8 +77,31 @@ cudaError_t find_kernel(int index, bool *ret_wide)
     status = cudaDeviceGetAttribute(&minor, cudaDevAttrComputeCapabilityMinor, index);
   if (status == cudaSuccess)
     status = cudaDeviceGetAttribute(&bytes, cudaDevAttrMaxSharedMemoryPerBlockOptin, index);
-  *ret_wide = 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY && bytes >= MO_CUDA_SCORE_WIDE_BYTES;
-  return status;
+  if (status != cudaSuccess)
+    cudaGetLastError(); /* opening will tell */
+  return status == cudaSuccess && 10 * major + minor == MO_CUDA_SCORE_WIDE_CAPABILITY &&
+         bytes >= MO_CUDA_SCORE_WIDE_BYTES;
+}
+
+bool all_can_wide()
+{
+  uint32_t n = 0, again = 0;
+  int ordinal = 0;
+  bool all = true;
+  find(UINT32_MAX, &ordinal, &n);
+  for (uint32_t i = 0; i < n && all; i++) {
+    find(i, &ordinal, &again);
+    all = can_wide(ordinal);
+  }
+  return n > 0 && all;
+}
+
+/* The two kernels that score rows differ in the last digits, and a score must not depend on the device's number: all devices of a machine have
+ * the same one. */
+bool is_wide()
+{
+  static const bool wide = all_can_wide();
+  return wide;
 }
 
 cudaError_t set_up(mo_device *device)
@@ -98,8 +121,7 @@ cudaError_t set_up(mo_device *device)
     *device->cancel = 0;
     status = cudaHostGetDevicePointer((void **)&device->cancel_on_device, device->cancel, 0);
   }
-  if (status == cudaSuccess)
-    status = find_kernel(device->index, &device->wide);
+  device->wide = is_wide();
   if (status == cudaSuccess)
     status = mo_cuda_score_prepare(device->wide);
   return status;
@@ -248,18 +270,6 @@ void *allocate(const mo_device *device, size_t bytes)
 const char *error(const mo_device *device)
 {
   return device->error;
-}
-
-/* The two kernels that score rows differ in the last digits: it is the first device's that counts. */
-bool is_wide()
-{
-  uint32_t n = 0;
-  int ordinal = 0;
-  bool wide = false;
-  find(0, &ordinal, &n);
-  if (n > 0 && find_kernel(ordinal, &wide) != cudaSuccess)
-    cudaGetLastError(); /* opening will tell */
-  return wide;
 }
 
 } // namespace
