@@ -141,11 +141,12 @@ int mo_training_draw(struct mo_training *training, const volatile int *cancel, v
 
 /* The robots of the step after the current one, made before the current one is applied: the draw after that finds them. For a thread that
  * has nothing else to do while the gradient of the current robots, which stay as they are, is computed: no other call for this training
- * meanwhile, but mo_training_controller, _step, _settings_of and _encode. MO_OK, too, when there is no such step. Errors as of a draw; an error changes nothing that counts. */
+ * meanwhile, but mo_training_controller, _step, _settings_of and _encode. MO_OK, too, when there is no such step. Errors as of a draw; an
+ * error changes nothing that counts. */
 int mo_training_draw_ahead(struct mo_training *training, const volatile int *cancel);
 const struct mo_robot *mo_training_robots_ahead(struct mo_training *training); /* that it made; NULL: none */
-/* Threads that make the robots of a step and apply its gradient (1 at first); they live inside a call. What comes of it is the same. Worth while from a thousand
- * robots on: one thread makes about 30,000 in a second. */
+/* Threads that make the robots of a step and apply its gradient (1 at first); they live inside a call. What comes of it is the same. Worth
+ * while from a thousand robots on: one thread makes about 30,000 in a second. */
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
 /* For a finetuning whose designs change between steps, as those of a campaign do: from the current step on it learns on these (copied; as in

@@ -1,9 +1,9 @@
 /* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until somebody wants something else.
  *
- * A generation: children, learning, scores, selection, one commit, which is written while the next generation is under way. Everything before the commit can be repeated and gives the same: children
- * follow from the population and from what was ever born, learning from its checkpoint, and losses that were saved are read again.
- * So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its generations are
- * committed, or when no child can be found any more: the generation that found none is not committed. */
+ * A generation: children, learning, scores, selection, one commit, which is written while the next generation is under way. Everything before
+ * the commit can be repeated and gives the same: children follow from the population and from what was ever born, learning from its checkpoint,
+ * and losses that were saved are read again. So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its
+ * generations are committed, or when no child can be found any more: the generation that found none is not committed. */
 #include "jobs/campaign_run.h"
 #include "base/parallel.h"
 
