@@ -54,8 +54,10 @@ const struct setting settings_table[] = {
              "the processors' in the last digits."),
     PATH_ROW("compute_module", compute_module, "", "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
-    PATH_ROW("default_controller", default_controller, "", "bootstrap.safetensors of the installation", false,
-             "Controller file that is stored at the first start, as \"default\" and under its own name."),
+    PATH_ROW(
+        "default_controller", default_controller, "", "bootstrap.safetensors of the installation", false,
+        "Controller file that is stored at the first start: as \"default\", and by its own name where that can name a "
+        "controller."),
     PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,
              "File with bearer tokens, one per line. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
