@@ -194,6 +194,7 @@ int watch_campaign(struct ctl *ctl, const char *id)
   struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
   int64_t newest = -1;
   snprintf(view.campaign.id, sizeof(view.campaign.id), "%s", id);
+  catch_interrupts(); /* before anything is shown */
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
     status = load_and_tell(&view);
@@ -207,7 +208,6 @@ int watch_campaign(struct ctl *ctl, const char *id)
                           .broken = look_again,
                           .ended = is_finished,
                           .context = &view};
-  catch_interrupts();
   if (status == STATUS_OK && !view.finished)
     status = follow_events(&follow);
   if (status == STATUS_INTERRUPTED && !ctl->quiet)

@@ -232,6 +232,7 @@ int watch_training(struct ctl *ctl, const char *id)
   struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
   int64_t newest = -1;
   snprintf(view.training.id, sizeof(view.training.id), "%s", id);
+  catch_interrupts(); /* before anything is shown */
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
     status = load(&view);
@@ -251,7 +252,6 @@ int watch_training(struct ctl *ctl, const char *id)
                           .broken = look_again,
                           .ended = is_finished,
                           .context = &view};
-  catch_interrupts();
   if (status == STATUS_OK && !view.finished)
     status = follow_events(&follow);
   if (status == STATUS_INTERRUPTED)
