@@ -301,9 +301,10 @@ int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t
   if (status == MO_OK)
     status = find(plan, &bodies, &environments);
   if (status == MO_OK) {
-    plan->headers = malloc(plan->n_bodies * sizeof(*plan->headers));
-    plan->pairs = malloc(plan->n_bodies * sizeof(*plan->pairs));
-    plan->keys = malloc(plan->n_bodies * sizeof(*plan->keys));
+    const size_t room = plan->n_bodies > 0 ? plan->n_bodies : 1; /* malloc(0) may give NULL */
+    plan->headers = malloc(room * sizeof(*plan->headers));
+    plan->pairs = malloc(room * sizeof(*plan->pairs));
+    plan->keys = malloc(room * sizeof(*plan->keys));
     if (plan->headers == NULL || plan->pairs == NULL || plan->keys == NULL)
       status = MO_ERR_NO_MEMORY;
   }
