@@ -78,6 +78,16 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
   return status;
 }
 
+/* A generation that was committed between the two requests counts for both. */
+static void keep_up(struct campaign *campaign)
+{
+  json_t *progress = json_object_get(campaign->json, "progress");
+  const json_t *generation = json_object_get(progress, "generation");
+  const int64_t newest = campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1;
+  if (newest >= 0 && (!json_is_integer(generation) || json_integer_value(generation) < newest))
+    (void)json_object_set_new(progress, "generation", json_integer(newest));
+}
+
 int campaign_load(struct ctl *ctl, struct campaign *campaign)
 {
   char path[64];
@@ -88,7 +98,9 @@ int campaign_load(struct ctl *ctl, struct campaign *campaign)
     return status;
   json_decref(campaign->json);
   campaign->json = json;
-  return load_rows(ctl, campaign);
+  status = load_rows(ctl, campaign);
+  keep_up(campaign);
+  return status;
 }
 
 void campaign_free(struct campaign *campaign)

@@ -540,6 +540,15 @@ def test_watch_tells_of_trainings():
                                                "training.other  job 7"], out
 
 
+def test_campaign_whose_generation_is_committed_between_two_requests():
+    campaign = {"id": "7", "mode": "zero-shot", "state": "running", "phase": "scoring", "progress": {"generation": None, "generations": 3}}
+    rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "more": False}
+    with Server([reply(200, campaign), reply(200, rows), reply(200, {"items": [], "more": False})]) as server:
+        status, out, err = run(server, "campaign", "show", "7")
+        assert status == 0 and "generation 0 of 3" in out and "before generation" not in out, (status, out, err)
+        assert [path for _, path, _, _ in server.seen] == ["/v1/campaigns/7", "/v1/campaigns/7/generations?limit=1000"]
+
+
 def test_job_lists_name_trainings():
     short = {**{k: TRAINING[k] for k in ("id", "state", "priority", "label", "created_at", "started_at", "finished_at", "attempts", "error", "reason")},
              "kind": "training", "training": {"kind": "finetune", "name": "walker", "step": 350, "steps": 1400}}
