@@ -215,34 +215,26 @@ static bool checkpoint_is_due(const struct mo_campaign_run *run)
   return every_s > 0 && mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
 }
 
-static int write_what_is_due(struct mo_campaign_run *run)
+static int write_what_is_due(void *context)
 {
+  struct mo_campaign_run *run = context;
   const int error = checkpoint_is_due(run) ? mo_campaign_save_learning(run) : MO_OK;
   return error == MO_OK ? tell(run) : error;
-}
-
-/* A device computes while this thread writes. */
-static int compute(struct mo_campaign_run *run, const struct mo_robot *robots)
-{
-  const bool beside = run->learner.back_end == MO_ON_DEVICE;
-  int written = beside ? MO_OK : write_what_is_due(run), computed;
-  if (written != MO_OK)
-    return written;
-  mo_learner_begin(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                   &run->attempt.runner->interrupt);
-  if (beside)
-    written = write_what_is_due(run);
-  computed = mo_learner_wait(&run->learner);
-  return written != MO_OK ? written : computed;
 }
 
 static int step(struct mo_campaign_run *run)
 {
   struct mo_campaign_step *row = &run->steps[run->step];
   const struct mo_robot *robots = NULL;
+  const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
+                                       .tag = run->id,
+                                       .share = run->share,
+                                       .cancel = &run->attempt.runner->interrupt,
+                                       .write = write_what_is_due,
+                                       .context = run};
   int error = mo_training_draw(run->learner.training, NULL, NULL, &robots);
   if (error == MO_OK)
-    error = compute(run, robots);
+    error = mo_learner_gradient(&run->learner, robots, &turn);
   if (error == MO_OK)
     error = mo_learner_apply(&run->learner, &row->report, &row->seconds);
   if (error != MO_OK)

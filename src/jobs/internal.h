@@ -337,11 +337,19 @@ struct mo_learner {
 int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct mo_learner *learner);
 /* The training's own, where what is laid out ahead has to be forgotten. */
 int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n, struct mo_message *message);
-/* A step: the gradient of the robots that were drawn, then their application. Whoever begins waits, whatever happens between, in which the
- * state of the training may be read and written to the store; the robots of the step after it are drawn then. seconds: of the whole step. */
-void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
-                      struct mo_compute_share *share, const volatile int *cancel);
-int mo_learner_wait(struct mo_learner *learner);
+/* A step: the gradient of the robots that were drawn, then their application. `write` writes what is due of the steps before, and may read the
+ * state of the training. On devices it is called while they compute, and the robots of the step after are drawn then; workers, on which a gradient
+ * takes a hundred times as long and which would not gain by it, begin after it, if it succeeded. Its error comes before that of the gradient.
+ * seconds: of the whole step. */
+struct mo_learner_turn {
+  enum mo_urgency urgency;
+  int64_t tag;
+  struct mo_compute_share *share;
+  const volatile int *cancel;
+  int (*write)(void *context);
+  void *context;
+};
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, const struct mo_learner_turn *turn);
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds);
 void mo_learner_free(struct mo_learner *learner); /* the training, too */
 

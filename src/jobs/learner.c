@@ -57,22 +57,8 @@ int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, 
   return mo_training_set_designs(learner->training, designs, n, message);
 }
 
-void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots, enum mo_urgency urgency, int64_t tag,
-                      struct mo_compute_share *share, const volatile int *cancel)
+static void begin(struct mo_learner *learner)
 {
-  const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
-  learner->batch = (struct mo_gradient_batch){.controller = mo_training_controller(learner->training),
-                                              .robots = robots,
-                                              .n = settings->batch,
-                                              .physics = settings->physics,
-                                              .adjoint_bound = settings->adjoint_bound,
-                                              .urgency = urgency,
-                                              .cancel = cancel,
-                                              .tag = tag,
-                                              .share = share,
-                                              .back_end = learner->back_end,
-                                              .d_parameters = learner->d_parameters,
-                                              .outcomes = learner->outcomes};
   learner->start_us = mo_jobs_clock_us();
   learner->computes = learner->draws = false;
   if (learner->back_end != MO_ON_DEVICE)
@@ -81,7 +67,7 @@ void mo_learner_begin(struct mo_learner *learner, const struct mo_robot *robots,
   learner->draws = mo_thread_create(&learner->drawing, NULL, draw_ahead, learner) == 0;
 }
 
-int mo_learner_wait(struct mo_learner *learner)
+static int wait_for_both(struct mo_learner *learner)
 {
   if (learner->computes)
     pthread_join(learner->computing, NULL);
@@ -91,6 +77,32 @@ int mo_learner_wait(struct mo_learner *learner)
     pthread_join(learner->drawing, NULL);
   learner->computes = learner->draws = false;
   return mo_back_end_error(learner->back_end, learner->status);
+}
+
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, const struct mo_learner_turn *turn)
+{
+  const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
+  const bool beside = learner->back_end == MO_ON_DEVICE;
+  int written = beside ? MO_OK : turn->write(turn->context), computed;
+  if (written != MO_OK)
+    return written;
+  learner->batch = (struct mo_gradient_batch){.controller = mo_training_controller(learner->training),
+                                              .robots = robots,
+                                              .n = settings->batch,
+                                              .physics = settings->physics,
+                                              .adjoint_bound = settings->adjoint_bound,
+                                              .urgency = turn->urgency,
+                                              .cancel = turn->cancel,
+                                              .tag = turn->tag,
+                                              .share = turn->share,
+                                              .back_end = learner->back_end,
+                                              .d_parameters = learner->d_parameters,
+                                              .outcomes = learner->outcomes};
+  begin(learner);
+  if (beside)
+    written = turn->write(turn->context);
+  computed = wait_for_both(learner);
+  return written != MO_OK ? written : computed;
 }
 
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds)

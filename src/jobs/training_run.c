@@ -297,8 +297,9 @@ static bool checkpoint_is_due(const struct run *run)
 }
 
 /* What is due to be written of the steps applied so far. */
-static int write_what_is_due(struct run *run)
+static int write_what_is_due(void *context)
 {
+  struct run *run = context;
   if (checkpoint_is_due(run))
     return save(run);
   if (run->n_rows == ROWS_MAX || mo_jobs_clock_us() - run->rows_us >= ROWS_EVERY_US)
@@ -306,29 +307,20 @@ static int write_what_is_due(struct run *run)
   return MO_OK;
 }
 
-/* A device computes while this thread writes; workers would not gain by it. */
-static int compute(struct run *run, const struct mo_robot *robots)
-{
-  const bool beside = run->learner.back_end == MO_ON_DEVICE;
-  int written = beside ? MO_OK : write_what_is_due(run), computed;
-  if (written != MO_OK)
-    return written;
-  mo_learner_begin(&run->learner, robots, run->status.job.priority, run->id, run->share,
-                   &run->attempt.runner->interrupt);
-  if (beside)
-    written = write_what_is_due(run);
-  computed = mo_learner_wait(&run->learner);
-  return written != MO_OK ? written : computed;
-}
-
 static int step(struct run *run)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
   const struct mo_robot *robots = NULL;
+  const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
+                                       .tag = run->id,
+                                       .share = run->share,
+                                       .cancel = &run->attempt.runner->interrupt,
+                                       .write = write_what_is_due,
+                                       .context = run};
   struct mo_training_step_row *row;
   int error = draw(run, &robots);
   if (error == MO_OK)
-    error = compute(run, robots);
+    error = mo_learner_gradient(&run->learner, robots, &turn);
   if (error == MO_OK)
     error = note_code(run);
   row = &run->rows[run->n_rows];
