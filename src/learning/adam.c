@@ -110,7 +110,7 @@ static void move(void *context, size_t from, size_t end)
 }
 
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
-                    const double *gradient, float *weights, size_t n, uint32_t *bounded)
+                    const double *gradient, float *weights, size_t n, uint32_t n_threads, uint32_t *bounded)
 {
   const double power1 = adam->beta1_power * settings->beta1;
   const double power2 = adam->beta2_power * settings->beta2;
@@ -119,10 +119,10 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
       .gradient = gradient,
       .weights = weights,
       .c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate, 1.0 - power1, 1.0 - power2}};
-  mo_parallel(adam->n_threads, n, look, &update);
+  mo_parallel(n_threads, n, look, &update);
   if (atomic_load(&update.is_infinite))
     return false;
-  mo_parallel(adam->n_threads, n, move, &update);
+  mo_parallel(n_threads, n, move, &update);
   *bounded += atomic_load(&update.bounded);
   adam->beta1_power = power1;
   adam->beta2_power = power2;

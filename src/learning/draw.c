@@ -207,7 +207,7 @@ struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step)
 
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads)
 {
-  training->n_threads = training->adam.n_threads = n_threads > 1 ? n_threads : 1;
+  training->n_threads = n_threads > 1 ? n_threads : 1;
   if (training->stream != NULL)
     (void)mo_body_stream_set_threads(training->stream, training->n_threads);
 }

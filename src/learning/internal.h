@@ -10,7 +10,6 @@ struct mo_training {
   struct mo_adam {
     double *first, *second;          /* (n_parameters) moments */
     double beta1_power, beta2_power; /* β^updates */
-    uint32_t n_threads;              /* of an update; 0 counts as 1 */
   } adam;
   uint32_t step;    /* applied */
   uint32_t skipped; /* of these, the ones that changed no weight; the others are Adam's updates */
@@ -19,7 +18,7 @@ struct mo_training {
   uint64_t draws;    /* pretrain: of the stream, up to the current step; what a replay must arrive at */
 
   /* Made at the first draw; not part of a checkpoint. */
-  uint32_t n_threads; /* that draw */
+  uint32_t n_threads; /* that draw, and apply a gradient */
   struct mo_lattice *lattice;
   struct mo_body_stream *stream;
   uint64_t taken; /* bodies taken from the stream */
@@ -60,7 +59,7 @@ void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *sett
 double mo_gradient_norm(const double *gradient, size_t n);
 /* One update with gradient · scale. Returns false, and changes nothing, if any new moment or weight were not finite. */
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
-                    const double *gradient, float *weights, size_t n, uint32_t *bounded);
+                    const double *gradient, float *weights, size_t n, uint32_t n_threads, uint32_t *bounded);
 
 /* checksum.c: CRC-64/XZ: finds every error within 64 bits in a row, and others but for 1 in 2^64. */
 uint64_t mo_checksum(const uint8_t *bytes, size_t n);

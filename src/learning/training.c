@@ -227,7 +227,7 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters, 
   const double scale = limit > 0.0 && norm > limit ? limit / norm : 1.0;
   made.skipped = !isfinite(norm) || (uint64_t)made.diverged + made.zeroed >= settings->batch ||
                  !mo_adam_update(&training->adam, settings, made.rate, scale, d_parameters, controller->parameters,
-                                 controller->n_parameters, &made.bounded);
+                                 controller->n_parameters, training->n_threads, &made.bounded);
   made.gradient_norm = made.skipped ? 0.0 : norm;
   training->skipped += made.skipped;
   training->draws = hand->draws;
