@@ -150,32 +150,27 @@ static void compare(const char *name, int bounded, const struct mo_outcome *outc
 
 /* ---- agreement ---- */
 
-/* The golden lives under both kinds of impact. They are few and chaotic: which way one goes is decided by the last bit, and the mean of a mode
- * by a few of them. So all of them together are judged, and each mode is printed. */
 static void check_golden(struct mo_device_controller *controller)
 {
   const uint32_t n = (uint32_t)golden.n;
   struct mo_robot *robots = calloc(n, sizeof(*robots));
-  struct mo_outcome *outcomes = calloc(GOLDEN_MODES * (size_t)n, sizeof(*outcomes));
-  double *truth = calloc(GOLDEN_MODES * (size_t)n, sizeof(*truth));
+  struct mo_outcome *outcomes = calloc(n, sizeof(*outcomes));
+  double *truth = calloc(n, sizeof(*truth));
   must(robots == NULL || outcomes == NULL || truth == NULL ? MO_ERR_NO_MEMORY : MO_OK, "golden");
   for (uint32_t i = 0; i < n; i++)
     robots[i] = (struct mo_robot){golden.cases[i].body, &golden.cases[i].environment};
-  for (int precision = 0; precision < 2; precision++) {
-    char name[64];
-    for (uint32_t mode = 0; mode < GOLDEN_MODES; mode++) {
+  for (int mode = 0; mode < GOLDEN_MODES; mode++)
+    for (int precision = 0; precision < 2; precision++) {
       struct mo_physics physics = mo_default_physics();
       physics.impact = mode == 0 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
       for (uint32_t i = 0; i < n; i++)
-        truth[mode * n + i] = golden.cases[i].loss[mode];
-      run(controller, robots, n, &physics, (enum mo_device_precision)precision, outcomes + mode * n);
+        truth[i] = golden.cases[i].loss[mode];
+      run(controller, robots, n, &physics, (enum mo_device_precision)precision, outcomes);
+      char name[64];
       snprintf(name, sizeof(name), "golden, %s, %s", mode == 0 ? "exact impact" : "bisection8",
                precision_names[precision]);
-      compare(name, 0, outcomes + mode * n, truth + mode * n, n);
+      compare(name, precision == MO_DEVICE_EXACT, outcomes, truth, n);
     }
-    snprintf(name, sizeof(name), "golden, both, %s", precision_names[precision]);
-    compare(name, precision == MO_DEVICE_EXACT, outcomes, truth, GOLDEN_MODES * n);
-  }
   free(truth);
   free(outcomes);
   free(robots);
