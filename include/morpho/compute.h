@@ -134,6 +134,7 @@ struct mo_gradient_batch {
   uint32_t n;                    /* 1 … MO_GRADIENT_BATCH_MAX */
   struct mo_physics physics;
   double adjoint_bound; /* ≥ 0; 0: off */
+  enum mo_adjoint_rule adjoint_rule;
   enum mo_urgency
       urgency; /* MO_INTERACTIVE: goes before all batch blocks that wait, without interrupting one that runs */
   const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */

@@ -82,6 +82,7 @@ struct mo_campaign_settings {
   uint32_t batch;                     /* 0: the population */
   struct mo_schedule schedule;        /* few-shot: within each generation; simultaneous: over the campaign */
   double beta1, beta2, epsilon, norm_limit, adjoint_bound;
+  enum mo_adjoint_rule adjoint_rule;
   enum mo_sensor sensor; /* simultaneous without a controller */
   struct mo_physics physics;
 };

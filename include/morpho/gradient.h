@@ -7,7 +7,11 @@
  * A rollout is a long chain of contacts, along which the adjoint (∂loss/∂state) can grow exponentially. The bound tames it:
  * at every step of the way back, with the adjoint of all masses' positions and velocities,
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂),   d0 = distance in x, y to the light at the start + 1e-8 m,
- * both are scaled by bound/m where m > bound. m has no unit. */
+ * is held against the bound. m has no unit. Where m > bound,
+ *   MO_ADJOINT_CLIP     both are scaled by bound/m;
+ *   MO_ADJOINT_RESTART  both begin anew, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is that of the distance to the light, over d0,
+ *                       with the centre of mass where it was one step before. What the state did to the time after it is left out;
+ *                       what the parameters did to it, on the way back so far, is kept. */
 #ifndef MORPHO_GRADIENT_H
 #define MORPHO_GRADIENT_H
 
@@ -26,21 +30,28 @@ extern "C" {
 #define MO_ADJOINT_BOUND      2.0
 #define MO_ADJOINT_RATE_PER_S 15.0
 
+/* Stored by these numbers. */
+enum mo_adjoint_rule { MO_ADJOINT_CLIP = 0, MO_ADJOINT_RESTART = 1 };
+const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule); /* "clip", "restart"; "?" for another number */
+/* MO_ERR_INVALID: no rule has that name. */
+int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule);
+
 struct mo_gradient_options {
   double adjoint_bound; /* ≥ 0; 0: off */
   double weight;        /* finite; factor of this rollout's gradient in the sum: 1/B for the mean over a batch of B */
+  enum mo_adjoint_rule adjoint_rule;
 };
-struct mo_gradient_options mo_default_gradient_options(void); /* MO_ADJOINT_BOUND, 1 */
+struct mo_gradient_options mo_default_gradient_options(void); /* MO_ADJOINT_BOUND, 1, MO_ADJOINT_CLIP */
 
 /* What happened, added up over calls; start from {0}. */
 struct mo_gradient_counts {
   uint64_t robots;          /* calls that returned MO_OK */
   uint64_t steps;           /* of the way back, over all robots */
-  uint64_t clipped_steps;   /* of these, those that were scaled */
+  uint64_t clipped_steps;   /* of these, those where m was above the bound */
   uint64_t clipped_robots;  /* robots with at least one of them */
   uint64_t zeroed_robots;   /* contributed nothing: an adjoint, or a parameter's gradient, was not finite */
   uint64_t diverged_robots; /* contributed nothing: the rollout itself diverged */
-  double largest;           /* m before scaling; where it was not finite it is not counted here */
+  double largest;           /* m as measured; where it was not finite it is not counted here */
 };
 void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_gradient_counts *counts);
 
@@ -54,7 +65,7 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_grad
  * borrowed for the call. Memory, freed on return: n_parameters doubles and about sqrt(n_steps) steps: 7.5 MB for the full
  * default workspace and 1000 steps. Costs about three rollouts.
  *
- * MO_ERR_INVALID: no controller, one of another workspace, or an option that is not finite; MO_ERR_RANGE: a bound below 0;
+ * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or no such rule; MO_ERR_RANGE: a bound below 0;
  * MO_ERR_NO_MEMORY. On error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
                           const struct mo_environment *environment, const struct mo_physics *physics,

@@ -81,9 +81,10 @@ struct mo_training_settings {
   uint32_t n_steps; /* 1 … MO_TRAINING_STEPS_MAX */
   uint32_t batch;   /* robots of a step, 1 … MO_TRAINING_BATCH_MAX */
   struct mo_schedule schedule;
-  double beta1, beta2, epsilon; /* of Adam: 0.9, 0.999, 1e-8 */
-  double norm_limit;            /* of the batch gradient's global L2 norm; 1; 0: off */
-  double adjoint_bound;         /* per robot; MO_ADJOINT_BOUND; 0: off */
+  double beta1, beta2, epsilon;      /* of Adam: 0.9, 0.999, 1e-8 */
+  double norm_limit;                 /* of the batch gradient's global L2 norm; 1; 0: off */
+  double adjoint_bound;              /* per robot; MO_ADJOINT_BOUND; 0: off */
+  enum mo_adjoint_rule adjoint_rule; /* above it; MO_ADJOINT_CLIP */
   struct mo_physics physics;
   enum mo_sensor sensor; /* of a controller that starts from random weights; ignored with a parent */
   /* Validation scores these designs in these environments with the controller as it is. Pretraining: the first

@@ -30,7 +30,7 @@
 extern "C" {
 #endif
 
-#define MO_DEVICE_ABI      2
+#define MO_DEVICE_ABI      3
 #define MO_DEVICE_SHARD    1024 /* consecutive robots of a batch whose gradients are one float32 sum */
 #define MO_DEVICE_ROWS_MAX 131072
 
@@ -72,7 +72,8 @@ struct mo_device_gradient {
   struct mo_physics physics;              /* checked */
   struct mo_device_layout *layout; /* NULL, or of these very robots and physics: the call finds its rows laid out */
   double adjoint_bound, weight;    /* as in mo_gradient_options */
-  const volatile int *cancel;      /* as above */
+  enum mo_adjoint_rule adjoint_rule;
+  const volatile int *cancel; /* as above */
   /* Results. */
   float *
       d_parameters; /* (shards, n_parameters) each shard's own sum; robots that diverged or were zeroed count as 0; faster in memory

@@ -236,6 +236,7 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
                                        .n = part.end - part.first,
                                        .layout = laid != NULL ? laid->parts[p] : NULL,
                                        .adjoint_bound = batch->adjoint_bound,
+                                       .adjoint_rule = batch->adjoint_rule,
                                        .weight = 1.0 / batch->n,
                                        .stop = &waiter->stop,
                                        .outcomes = batch->outcomes + part.first,

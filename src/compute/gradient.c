@@ -82,7 +82,8 @@ static int check(const struct mo_compute *compute, const struct mo_gradient_batc
   if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
     return MO_ERR_RANGE;
   if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL || batch->outcomes == NULL ||
-      !isfinite(batch->adjoint_bound) || (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
+      !isfinite(batch->adjoint_bound) || mo_adjoint_rule_name(batch->adjoint_rule)[0] == '?' ||
+      (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
       mo_physics_check(&batch->physics, NULL) != MO_OK)
     return MO_ERR_INVALID;
   if (batch->adjoint_bound < 0)
@@ -169,7 +170,8 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
   task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
   for (uint32_t i = 0; i < task->n; i++)
     task->robots[i] = batch->robots[state->order[first + i]];
-  task->options = (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound, .weight = 1.0 / batch->n};
+  task->options = (struct mo_gradient_options){
+      .adjoint_bound = batch->adjoint_bound, .weight = 1.0 / batch->n, .adjoint_rule = batch->adjoint_rule};
   task->stop = &state->stop;
   task->counts = (struct mo_gradient_counts){0};
   task->profile = (struct mo_gradient_profile){0};

@@ -10,9 +10,28 @@
 #include <stdlib.h>
 #include <string.h>
 
+static const char *const rule_names[] = {[MO_ADJOINT_CLIP] = "clip", [MO_ADJOINT_RESTART] = "restart"};
+enum { RULES = sizeof(rule_names) / sizeof(rule_names[0]) };
+
+const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule)
+{
+  return (unsigned)rule < RULES ? rule_names[rule] : "?";
+}
+
+int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule)
+{
+  for (unsigned k = 0; k < RULES; k++)
+    if (strcmp(name, rule_names[k]) == 0) {
+      *rule = (enum mo_adjoint_rule)k;
+      return MO_OK;
+    }
+  return MO_ERR_INVALID;
+}
+
 struct mo_gradient_options mo_default_gradient_options(void)
 {
-  return (struct mo_gradient_options){.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1.0};
+  return (struct mo_gradient_options){
+      .adjoint_bound = MO_ADJOINT_BOUND, .weight = 1.0, .adjoint_rule = MO_ADJOINT_CLIP};
 }
 
 struct gradient {
@@ -125,8 +144,24 @@ static double norm(const double *x, size_t n)
   return sqrt(sum);
 }
 
-/* Measures the adjoint of the state after `step` steps and scales it into the bound. False: it is not finite. */
-static bool clip(struct gradient *g, uint32_t step, bool *clipped)
+/* Above the bound by m / bound. before_m: where the masses were one step earlier. */
+static void take_back(struct gradient *g, double m, const double *before_m)
+{
+  if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
+    double com_m[3];
+    mo_scene_com(before_m, g->reference.body->n_masses, com_m);
+    mo_adjoint_start(&g->reference, com_m, g->scale_m, &g->adjoint);
+    return;
+  }
+  const double scale = g->options->adjoint_bound / m;
+  for (size_t i = 0; i < g->n_state / 2; i++) {
+    g->adjoint.d_position[i] *= scale;
+    g->adjoint.d_velocity[i] *= scale;
+  }
+}
+
+/* Measures the adjoint of the state after `step` steps and takes it back into the bound. False: it is not finite. */
+static bool limit(struct gradient *g, uint32_t step, const double *before_m, bool *clipped)
 {
   const size_t n = g->n_state / 2;
   double *dx = g->adjoint.d_position, *dv = g->adjoint.d_velocity;
@@ -138,11 +173,7 @@ static bool clip(struct gradient *g, uint32_t step, bool *clipped)
   const double m = fmax(x, v), bound = g->options->adjoint_bound;
   g->counts.largest = fmax(g->counts.largest, m);
   if (bound > 0 && m > bound) {
-    const double scale = bound / m;
-    for (size_t i = 0; i < n; i++) {
-      dx[i] *= scale;
-      dv[i] *= scale;
-    }
+    take_back(g, m, before_m);
     g->counts.clipped_steps++;
     *clipped = true;
   }
@@ -156,14 +187,14 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;
   bool clipped = false;
-  mo_adjoint_start(r, outcome, &g->adjoint);
+  mo_adjoint_start(r, outcome->com_end_m, g->scale_m, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
     const uint32_t n = r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
     replay(g, first, n);
     for (uint32_t s = n; s-- > 0;) {
       g->counts.steps++;
-      if (!clip(g, first + s + 1, &clipped)) {
+      if (!limit(g, first + s + 1, g->steps[s].position_m, &clipped)) {
         g->counts.clipped_robots += clipped;
         return false;
       }
@@ -195,7 +226,8 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
                        const struct mo_gradient_options *options, const struct mo_gradient_probe *probe,
                        struct mo_outcome *outcome, double *d_parameters, struct mo_gradient_counts *counts)
 {
-  if (controller == NULL || !isfinite(options->adjoint_bound) || !isfinite(options->weight))
+  if (controller == NULL || !isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
+      (unsigned)options->adjoint_rule >= RULES)
     return MO_ERR_INVALID;
   if (options->adjoint_bound < 0)
     return MO_ERR_RANGE;

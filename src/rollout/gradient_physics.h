@@ -96,11 +96,12 @@ static void phys_finish(const struct phys_robot *robot, const REAL *state, struc
 
 /* ---- backwards ---- */
 
-/* ∂loss/∂ the final state. */
-static void phys_back_start(const struct phys_robot *robot, const struct mo_outcome *outcome, REAL *adjoint);
-/* Measures the adjoint (*m: mo_gradient_counts.largest) and scales it into the bound (0: none); *clipped says whether.
- * False: it is not finite. */
-static bool phys_clip(const struct phys_robot *robot, double bound, REAL *adjoint, double *m, bool *clipped);
+/* ∂loss/∂ the final state, with its centre of mass there, of which x and y count. */
+static void phys_back_start(const struct phys_robot *robot, const double *com_m, REAL *adjoint);
+/* Measures the adjoint of the state after the step of `record` (*m: mo_gradient_counts.largest) and takes it back into the bound by the
+ * rule; *clipped says whether it had to be. False: it is not finite. */
+static bool phys_limit(const struct phys_robot *robot, const struct mo_gradient_options *options, const REAL *record,
+                       REAL *adjoint, double *m, bool *clipped);
 /* From the adjoint of the state after the step of `record` to that of the state before it, but for what goes through the
  * activations: that is in d_slots then. */
 static void phys_step_back(const struct phys_robot *robot, const REAL *record, const REAL *slots, REAL *adjoint,

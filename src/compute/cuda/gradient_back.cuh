@@ -118,11 +118,15 @@ template <int MT> struct back {
     return r == 0 ? n0 : n1;
   }
 
+  __device__ __forceinline__ void aim(int r, double dx, double dy);
+
   __device__ __forceinline__ void start();
+
+  __device__ __forceinline__ void restart(int r);
 
   __device__ __forceinline__ void hold(uint32_t step, held &h);
 
-  __device__ __forceinline__ void clip(float (&scale)[2]);
+  __device__ __forceinline__ uint32_t limit(float (&scale)[2]);
 
   /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
   __device__ __forceinline__ uint16_t *aside(int i)

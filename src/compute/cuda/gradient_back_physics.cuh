@@ -4,28 +4,51 @@
 
 #include "compute/cuda/gradient_back.cuh"
 
-/* ∂loss/∂ the final state. */
+/* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light. */
+template <int MT> __device__ __forceinline__ void back<MT>::aim(int r, double dx, double dy)
+{
+  const int n = own_masses(r), from = first + (r == 0 ? 0 : n0);
+  const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + warp + 16 * r].start_m;
+  const double scale = far > 0 && !excluded[r] && n > 0 ? 1.0 / (far * start_m * n) : 0.0;
+#pragma unroll 1
+  for (int m = lane; m < n; m += 32) {
+    float *p = gx + 3 * (from + m);
+    p[0] = (float)(dx * scale);
+    p[1] = (float)(dy * scale);
+    p[2] = 0;
+    mass[from + m].z_gx.y = 0;
+    mass[from + m].gyz = make_float2(0, 0);
+  }
+}
+
 template <int MT> __device__ __forceinline__ void back<MT>::start()
 {
-  int from = first;
 #pragma unroll
   for (int r = 0; r < MT; r++) {
-    const int n = own_masses(r);
     const mo_gp_row &own = k.rows[first_row + warp + 16 * r];
     const mo_gk_result &end = k.results[first_row + warp + 16 * r];
-    const double dx = end.com_end[0] - own.light_m[0], dy = end.com_end[1] - own.light_m[1];
-    const double far = sqrt(dx * dx + dy * dy);
-    const double scale = far > 0 && !excluded[r] && n > 0 ? 1.0 / (far * own.start_m * n) : 0.0;
-    for (int m = lane; m < n; m += 32) {
-      float *p = gx + 3 * (from + m);
-      p[0] = (float)(dx * scale);
-      p[1] = (float)(dy * scale);
-      p[2] = 0;
-      mass[from + m].z_gx.y = 0;
-      mass[from + m].gyz = make_float2(0, 0);
-    }
-    from += n;
+    aim(r, end.com_end[0] - own.light_m[0], end.com_end[1] - own.light_m[1]);
   }
+}
+
+/* Row r's adjoint begins anew, with the masses where they are before the step: rare, and small rather than fast. */
+template <int MT> __device__ __forceinline__ void back<MT>::restart(int r)
+{
+  const int n = own_masses(r), from = first + (r == 0 ? 0 : n0);
+  const lane_row &own = rows[warp + 16 * r];
+  double dx = 0, dy = 0;
+#pragma unroll 1
+  for (int m = lane; m < n; m += 32) {
+    const float2 xy = mass[from + m].xy;
+    dx += (double)xy.x - (double)own.light[0];
+    dy += (double)xy.y - (double)own.light[1];
+  }
+#pragma unroll 1
+  for (int far = 16; far > 0; far >>= 1) {
+    dx += __shfl_xor_sync(0xffffffffu, dx, far);
+    dy += __shfl_xor_sync(0xffffffffu, dy, far);
+  }
+  aim(r, dx / n, dy / n);
 }
 
 /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
@@ -50,9 +73,10 @@ template <int MT> __device__ __forceinline__ void back<MT>::hold(uint32_t step, 
   }
 }
 
-/* Measures the adjoints of both rows' states, says by what to scale them. Compared are squares. */
-template <int MT> __device__ __forceinline__ void back<MT>::clip(float (&scale)[2])
+/* Measures the adjoints of both rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
+template <int MT> __device__ __forceinline__ uint32_t back<MT>::limit(float (&scale)[2])
 {
+  uint32_t anew = 0;
   double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
   const int n = n0 + n1;
 #pragma unroll 1
@@ -98,8 +122,10 @@ template <int MT> __device__ __forceinline__ void back<MT>::clip(float (&scale)[
       excluded[r] = true;
       continue;
     }
-    scale[r] = scaled ? (float)(k.bound / sqrt(square)) : 1.0f;
+    scale[r] = scaled && !k.restarts ? (float)(k.bound / sqrt(square)) : 1.0f;
+    anew |= scaled && k.restarts ? 1u << r : 0u;
   }
+  return anew;
 }
 
 /* The masses that strike the ground, of which all are known: each lane has one. */
@@ -167,9 +193,16 @@ template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t s
   const int n = n0 + n1;
   float scale[2];
   int n_aside = 0;
-  clip(scale);
+  const uint32_t anew = limit(scale);
   wait_copies();
   __syncwarp();
+  if (anew != 0) {
+#pragma unroll
+    for (int r = 0; r < MT; r++)
+      if (anew >> r & 1)
+        restart(r);
+    __syncwarp();
+  }
 #pragma unroll
   for (int i = 0; i < HELD; i++)
     move_one(lane + 32 * i, h.v[i], scale, n_aside);

@@ -55,6 +55,7 @@ struct mo_gk {
   struct mo_gk_weights weights;
   struct mo_lane_physics physics;
   double bound;
+  bool restarts; /* MO_ADJOINT_RESTART */
   uint32_t n_steps, n_groups;
   uint32_t part_steps; /* of a task */
   uint32_t *tickets;   /* tasks handed out, then (of all groups) parts done; 0 before a launch */

@@ -105,7 +105,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   for (uint32_t v = 0; v < r->n_vectors; v++)
     s->hits += (uint32_t)__builtin_popcount(record_hits(r, k.records)[v]);
 
-  phys_back_start(r, &outcome, k.adjoint); /* 0 where there is no mass */
+  phys_back_start(r, outcome.com_end_m, k.adjoint); /* 0 where there is no mass */
   put(&k, s->d_position, 0, k.adjoint);
   put(&k, s->d_velocity, 0, k.adjoint + 3 * (size_t)r->n_sites);
   phys_step_back(r, k.records, k.slots, k.adjoint, k.d_slots, k.scratch);
@@ -150,7 +150,7 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
       life->outcome.diverged_step = (int32_t)n + 1;
   }
   phys_finish(r, k.state, &life->outcome);
-  phys_back_start(r, &life->outcome, k.adjoint);
+  phys_back_start(r, life->outcome.com_end_m, k.adjoint);
   life->finite = life->outcome.diverged_step == 0;
   life->largest = 0;
   life->clipped = 0;
@@ -162,13 +162,15 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
     }
     double m;
     bool clipped;
-    life->finite = phys_clip(r, life->bound, k.adjoint, &m, &clipped);
+    const REAL *record = k.records + (n - 1) * r->n_record_reals;
+    const struct mo_gradient_options options = {.adjoint_bound = life->bound, .adjoint_rule = life->rule};
+    life->finite = phys_limit(r, &options, record, k.adjoint, &m, &clipped);
     if (!life->finite)
       break;
     life->largest = fmax(life->largest, m);
     life->clipped += clipped;
     put_slots(&k, life->activation + (size_t)(n - 1) * r->n_springs);
-    phys_step_back(r, k.records + (n - 1) * r->n_record_reals, k.slots, k.adjoint, k.d_slots, k.scratch);
+    phys_step_back(r, record, k.slots, k.adjoint, k.d_slots, k.scratch);
   }
   free(d);
   destroy(&k);
@@ -184,7 +186,8 @@ static bool clip(const struct physics_scene *scene, double bound, double *d_posi
   memset(k.adjoint, 0, k.robot.n_state_reals * sizeof(REAL));
   put(&k, d_position, 0, k.adjoint);
   put(&k, d_velocity, 0, k.adjoint + 3 * (size_t)k.robot.n_sites);
-  *finite = phys_clip(&k.robot, bound, k.adjoint, m, clipped);
+  const struct mo_gradient_options options = {.adjoint_bound = bound};
+  *finite = phys_limit(&k.robot, &options, k.records, k.adjoint, m, clipped);
   get(&k, k.adjoint, 0, d_position);
   get(&k, k.adjoint + 3 * (size_t)k.robot.n_sites, 0, d_velocity);
   destroy(&k);
@@ -199,7 +202,7 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
   phys_start(&k.robot, k.state, outcome);
   get(&k, k.state, MO_WORLD_CENTRE_M, position_m);
   phys_finish(&k.robot, k.state, outcome);
-  phys_back_start(&k.robot, outcome, k.adjoint);
+  phys_back_start(&k.robot, outcome->com_end_m, k.adjoint);
   get(&k, k.adjoint, 0, d_position);
   destroy(&k);
   return true;
@@ -240,14 +243,15 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
       sum[1] += __rdtsc() - t1;
     }
     phys_finish(r, k.state, &outcome);
-    phys_back_start(r, &outcome, k.adjoint);
+    phys_back_start(r, outcome.com_end_m, k.adjoint);
+    const struct mo_gradient_options options = mo_default_gradient_options();
     for (uint32_t n = n_steps; n-- > 0;) {
       const REAL *record = k.records + n * r->n_record_reals;
       double m;
       bool clipped;
       put_slots(&k, activation + (size_t)n * r->n_springs);
       const uint64_t t0 = __rdtsc();
-      phys_clip(r, 2, k.adjoint, &m, &clipped);
+      phys_limit(r, &options, record, k.adjoint, &m, &clipped);
       const uint64_t t1 = __rdtsc();
       phys_step_back(r, record, k.slots, k.adjoint, k.d_slots, k.scratch);
       const uint64_t t2 = __rdtsc();

@@ -32,6 +32,7 @@ struct physics_step {
 struct physics_life {
   const float *activation;
   double bound;
+  enum mo_adjoint_rule rule;
   void (*adjoint)(void *context, uint32_t step, double *d_position, double *d_velocity);
   void *context;
   struct mo_outcome outcome;
