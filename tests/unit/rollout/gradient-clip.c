@@ -24,10 +24,14 @@ void *__wrap_calloc(size_t count, size_t size)
   return __real_calloc(count, size);
 }
 
+enum { STEPS_MAX = 200 };
+
 struct watch {
   const struct gradient_case *c;
+  enum mo_adjoint_rule rule;
+  double com_m[STEPS_MAX + 1][2]; /* after so many steps */
   double scale_m, bound, largest_before, largest_after, factor;
-  double kept[2][3 * MO_DEFAULT_MASSES];    /* the adjoint before it was clipped */
+  double kept[2][3 * MO_DEFAULT_MASSES];    /* what the adjoint is to be after it was held against the bound */
   uint32_t calls, above, astray, inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0: none */
 };
 
@@ -49,8 +53,18 @@ static void before(void *context, uint32_t step, double *dx, double *dv)
   w->above += w->bound > 0 && m > w->bound;
   w->largest_before = fmax(w->largest_before, m);
   w->factor = w->bound > 0 && m > w->bound ? w->bound / m : 1;
-  memcpy(w->kept[0], dx, 3 * w->c->body->n_masses * sizeof(double));
-  memcpy(w->kept[1], dv, 3 * w->c->body->n_masses * sizeof(double));
+  const uint32_t n = w->c->body->n_masses;
+  memcpy(w->kept[0], dx, 3 * n * sizeof(double));
+  memcpy(w->kept[1], dv, 3 * n * sizeof(double));
+  if (w->factor < 1 && w->rule == MO_ADJOINT_RESTART) { /* as at the end of a rollout that stops there */
+    const double *light = w->c->environment.light_xy_m, *com = w->com_m[step - 1];
+    const double far = hypot(com[0] - light[0], com[1] - light[1]);
+    w->factor = 1;
+    memset(w->kept, 0, sizeof(w->kept));
+    for (uint32_t i = 0; i < n; i++)
+      for (uint32_t axis = 0; axis < 2; axis++)
+        w->kept[0][3 * i + axis] = (com[axis] - light[axis]) / (far * n * w->scale_m);
+  }
   if (step == w->inject_at)
     dv[1] = (double)NAN;
 }
@@ -66,24 +80,41 @@ static void after(void *context, uint32_t step, double *dx, double *dv)
   }
 }
 
+/* Where the centre of mass is on the way forward. */
+static bool go(struct watch *w)
+{
+  const struct gradient_case *c = w->c;
+  struct mo_reference r;
+  if (c->physics.n_steps > STEPS_MAX || mo_reference_init(&r, c->body, c->controller, &c->environment, &c->physics) < 0)
+    return false;
+  for (uint32_t step = 0; step <= c->physics.n_steps; step++) {
+    for (uint32_t i = 0; i < c->body->n_masses; i++)
+      for (uint32_t axis = 0; axis < 2; axis++)
+        w->com_m[step][axis] += r.position_m[3 * i + axis] / c->body->n_masses;
+    mo_reference_step(&r, step);
+  }
+  mo_reference_done(&r);
+  w->scale_m = hypot(w->com_m[0][0] - c->environment.light_xy_m[0], w->com_m[0][1] - c->environment.light_xy_m[1]);
+  return true;
+}
+
+static int run_by(enum mo_adjoint_rule rule, const struct gradient_case *c, double bound, uint32_t inject_at,
+                  struct watch *w, double *gradient, struct mo_gradient_counts *counts)
+{
+  struct mo_outcome outcome;
+  const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 0.25, .adjoint_rule = rule};
+  const struct mo_gradient_probe probe = {before, after, w};
+  *w = (struct watch){.c = c, .rule = rule, .bound = bound, .inject_at = inject_at};
+  if (!go(w))
+    return -1;
+  return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome, gradient,
+                            counts);
+}
+
 static int run(const struct gradient_case *c, double bound, uint32_t inject_at, struct watch *w, double *gradient,
                struct mo_gradient_counts *counts)
 {
-  struct mo_outcome outcome;
-  const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 0.25};
-  const struct mo_gradient_probe probe = {before, after, w};
-  double com[2] = {0, 0};
-  struct mo_reference start;
-  if (mo_reference_init(&start, c->body, c->controller, &c->environment, &c->physics) < 0)
-    return -1;
-  for (uint32_t i = 0; i < c->body->n_masses; i++)
-    for (int axis = 0; axis < 2; axis++)
-      com[axis] += start.position_m[3 * i + (uint32_t)axis] / c->body->n_masses;
-  mo_reference_done(&start);
-  *w = (struct watch){.c = c, .bound = bound, .inject_at = inject_at};
-  w->scale_m = hypot(com[0] - c->environment.light_xy_m[0], com[1] - c->environment.light_xy_m[1]);
-  return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome, gradient,
-                            counts);
+  return run_by(MO_ADJOINT_CLIP, c, bound, inject_at, w, gradient, counts);
 }
 
 /* A case whose adjoint exceeds 1, and its gradient without a bound. */
@@ -129,6 +160,41 @@ static void bounds_every_step(void)
     CHECK_INT(counts.zeroed_robots, 0);
     CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0)); /* out of reach: the same bits as off */
   }
+  free(gradient);
+  free(unbounded);
+  gradient_case_free(&c);
+}
+
+static void begins_anew(void)
+{
+  struct gradient_case c;
+  struct watch free_run, bounded;
+  double *unbounded = prepare(&c, 200, &free_run);
+  REQUIRE(unbounded != NULL);
+  const size_t n = c.controller->n_parameters;
+  double *gradient = malloc(n * sizeof(double)), *clipped = calloc(n, sizeof(double));
+  REQUIRE(gradient != NULL && clipped != NULL);
+  const double fresh = 1 / sqrt(c.body->n_masses); /* m at the end of a rollout */
+  /* Out of reach; passed now and then; passed by an adjoint that has just begun: every step begins anew. */
+  const double bounds[] = {2 * free_run.largest_before, 2 * fresh, 0.5 * fresh};
+  for (int k = 0; k < 3; k++) {
+    struct mo_gradient_counts counts = {0};
+    memset(gradient, 0, n * sizeof(double));
+    REQUIRE(run_by(MO_ADJOINT_RESTART, &c, bounds[k], 0, &bounded, gradient, &counts) == MO_OK);
+    printf("# bound %g: %llu of %llu steps begin anew, m up to %g before and %g after\n", bounds[k],
+           (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps, bounded.largest_before,
+           bounded.largest_after);
+    CHECK(bounded.largest_after <= fmax(bounds[k], fresh) * (1 + 1e-7));
+    CHECK_INT(counts.steps, 200);
+    CHECK_INT(counts.clipped_steps, bounded.above);
+    CHECK_INT(bounded.astray, 0);
+    CHECK(k == 0 ? bounded.above == 0 : k == 1 ? bounded.above > 0 && bounded.above < 100 : bounded.above == 200);
+    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0));
+  }
+  struct mo_gradient_counts counts = {0};
+  REQUIRE(run(&c, bounds[1], 0, &bounded, clipped, &counts) == MO_OK);
+  CHECK(memcmp(gradient, clipped, n * sizeof(double)) != 0);
+  free(clipped);
   free(gradient);
   free(unbounded);
   gradient_case_free(&c);
@@ -196,6 +262,19 @@ static void adds_up(void)
   gradient_case_free(&c);
 }
 
+static void names_rules(void)
+{
+  enum mo_adjoint_rule rule = MO_ADJOINT_CLIP;
+  CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_CLIP), "clip") == 0);
+  CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_RESTART), "restart") == 0);
+  CHECK(strcmp(mo_adjoint_rule_name((enum mo_adjoint_rule)2), "?") == 0);
+  CHECK(mo_adjoint_rule_from_name("restart", &rule) == MO_OK && rule == MO_ADJOINT_RESTART);
+  CHECK_INT(mo_adjoint_rule_from_name("Clip", &rule), MO_ERR_INVALID);
+  CHECK_INT(mo_adjoint_rule_from_name("", &rule), MO_ERR_INVALID);
+  CHECK(rule == MO_ADJOINT_RESTART);
+  CHECK(mo_adjoint_rule_from_name("clip", &rule) == MO_OK && rule == MO_ADJOINT_CLIP);
+}
+
 static void refuses(void)
 {
   struct gradient_case c, other;
@@ -209,17 +288,21 @@ static void refuses(void)
     const struct mo_controller *controller;
     double bound, weight;
     int code;
+    enum mo_adjoint_rule rule;
   } faults[] = {
-      {NULL, 2, 1, MO_ERR_INVALID},
-      {other.controller, 2, 1, MO_ERR_INVALID},
-      {c.controller, -1, 1, MO_ERR_RANGE},
-      {c.controller, (double)NAN, 1, MO_ERR_INVALID},
-      {c.controller, (double)INFINITY, 1, MO_ERR_INVALID},
-      {c.controller, 2, (double)NAN, MO_ERR_INVALID},
+      {NULL, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
+      {other.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
+      {c.controller, -1, 1, MO_ERR_RANGE, MO_ADJOINT_CLIP},
+      {c.controller, (double)NAN, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
+      {c.controller, (double)INFINITY, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
+      {c.controller, 2, (double)NAN, MO_ERR_INVALID, MO_ADJOINT_CLIP},
+      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule)2},
+      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule) - 1},
   };
   c.physics.n_steps = 3;
   for (size_t k = 0; k < sizeof(faults) / sizeof(faults[0]); k++) {
-    const struct mo_gradient_options options = {.adjoint_bound = faults[k].bound, .weight = faults[k].weight};
+    const struct mo_gradient_options options = {
+        .adjoint_bound = faults[k].bound, .weight = faults[k].weight, .adjoint_rule = faults[k].rule};
     CHECK_INT(mo_gradient_reference(c.body, faults[k].controller, &c.environment, &c.physics, &options, &outcome,
                                     gradient, &counts),
               faults[k].code);
@@ -307,6 +390,8 @@ static void cost(void)
 
 static const struct check_case cases[] = {
     {"the bound holds at every step, and is exact about it", bounds_every_step},
+    {"where it is passed, the adjoint begins anew from where the robot is", begins_anew},
+    {"rules have names", names_rules},
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},
     {"memory is bounded, and may run out", memory},

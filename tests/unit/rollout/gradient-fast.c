@@ -146,6 +146,7 @@ struct comparison {
   uint32_t n;
   const struct mo_physics *physics;
   double bound, tolerance;
+  enum mo_adjoint_rule rule;
   /* Of the reference. */
   double *d;
   struct mo_outcome outcomes[ROBOTS];
@@ -155,7 +156,7 @@ struct comparison {
 /* Each tensor of the block's gradient against the sum of the robots' references. */
 static void compare_on(enum mo_isa isa, const struct comparison *c)
 {
-  const struct mo_gradient_options options = {.adjoint_bound = c->bound, .weight = 0.25};
+  const struct mo_gradient_options options = {.adjoint_bound = c->bound, .weight = 0.25, .adjoint_rule = c->rule};
   struct tensor list_of[MO_CONTROLLER_TENSORS];
   struct result fast =
       block(c->controller, isa, c->robots, c->n, c->physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
@@ -176,6 +177,11 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
   printf("# %-40s %-7s worst tensor's relative error %.2e\n", c->name, mo_isa_name(isa), worst);
   CHECK_INT(fast.counts.robots, c->counts.robots);
   CHECK_INT(fast.counts.steps, c->counts.steps);
+  if (c->rule == MO_ADJOINT_RESTART) {
+    CHECK(c->counts.clipped_steps > 0);
+    CHECK_INT(fast.counts.clipped_steps, c->counts.clipped_steps);
+    CHECK_INT(fast.counts.clipped_robots, c->counts.clipped_robots);
+  }
   CHECK_INT(fast.counts.diverged_robots, c->counts.diverged_robots);
   CHECK_INT(fast.counts.zeroed_robots, c->counts.zeroed_robots);
   CHECK_INT(fast.profile.robot_steps, (uint64_t)c->n * c->physics->n_steps);
@@ -185,7 +191,7 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
 /* On the instruction sets from `first` on. */
 static void compare(enum mo_isa first, struct comparison c)
 {
-  const struct mo_gradient_options options = {.adjoint_bound = c.bound, .weight = 0.25};
+  const struct mo_gradient_options options = {.adjoint_bound = c.bound, .weight = 0.25, .adjoint_rule = c.rule};
   c.d = calloc(c.controller->n_parameters, sizeof(double));
   REQUIRE(c.d != NULL);
   for (uint32_t i = 0; i < c.n; i++)
@@ -198,17 +204,21 @@ static void compare(enum mo_isa first, struct comparison c)
 
 static void agrees_on_few_steps(void)
 {
-  struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1), bisection = physics_of(40);
+  struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1), bisection = physics_of(40),
+                    forty_steps = physics_of(40);
   bisection.impact = MO_IMPACT_BISECTION;
   REQUIRE(setup());
   const struct comparison list[] = {
-      {"32 robots, random weights", fresh, robots, ROBOTS, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4},
-      {"32 robots, trained", shipped, robots, ROBOTS, &chunk_and_part, 0, 2e-4},
-      {"one voxel", fresh, robots, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4},
-      {"all voxels", fresh, robots + ROBOTS - 1, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4},
-      {"5 robots", shipped, robots + 7, 5, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4},
-      {"1 step", fresh, robots, 17, &one_step, MO_ADJOINT_BOUND, 2e-4},
-      {"bisection", shipped, robots + 3, 4, &bisection, MO_ADJOINT_BOUND, 2e-2}};
+      {"32 robots, random weights", fresh, robots, ROBOTS, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"32 robots, trained", shipped, robots, ROBOTS, &chunk_and_part, 0, 2e-4, MO_ADJOINT_CLIP},
+      {"one voxel", fresh, robots, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"all voxels", fresh, robots + ROBOTS - 1, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"5 robots", shipped, robots + 7, 5, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"1 step", fresh, robots, 17, &one_step, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"bisection", shipped, robots + 3, 4, &bisection, MO_ADJOINT_BOUND, 2e-2, MO_ADJOINT_CLIP},
+      {"beginning anew at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4, MO_ADJOINT_RESTART},
+      {"beginning anew now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4, MO_ADJOINT_RESTART},
+      {"beginning anew, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, MO_ADJOINT_RESTART}};
   for (size_t i = 0; i < sizeof(list) / sizeof(list[0]); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
