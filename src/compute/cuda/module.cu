@@ -279,7 +279,7 @@ extern "C" const struct mo_device_module *mo_device_module(void)
   static const struct mo_device_module module = {
       MO_DEVICE_ABI,
       "cuda",
-      is_wide() ? "score 2 wide" : "score 2",
+      is_wide() ? "score 3 wide" : "score 3",
       is_wide() ? "fast 2 wide" : "fast 2",
       MO_CUDA_GRADIENT_CODE,
       count,

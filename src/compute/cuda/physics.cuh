@@ -90,11 +90,13 @@ MO_CUDA_INLINE float mo_cuda_light(enum mo_sensor sensor, float squared)
 }
 
 /* Change of velocity per metre of (dx, dy, dz), the way from a mass to the other end of a spring that wants to be `wanted` long, over
- * constants' pull: 1 − wanted / L, which is (L − wanted)/(L + 1e-8) to 1e-8 / L; finite where both ends are in one place. */
+ * constants' pull: (L − wanted)/(L + 1e-8), with 1/(L + 1e-8) to first order; 0 for ends within 1e-8 m. */
 MO_CUDA_INLINE float mo_cuda_spring(float dx, float dy, float dz, float wanted)
 {
-  const float squared = fmaf(dx, dx, fmaf(dy, dy, fmaf(dz, dz, MO_CUDA_SMALLEST)));
-  return fmaf(-wanted, MO_CUDA_RSQRT(squared), 1.0f);
+  const float squared = fmaf(dx, dx, fmaf(dy, dy, dz * dz));
+  const float inverse = MO_CUDA_RSQRT(fmaxf(squared, MO_CUDA_SMALLEST));
+  const float length = squared * inverse;
+  return (length - wanted) * (inverse * fmaxf(fmaf(-1e-8f, inverse, 1.0f), 0.0f));
 }
 
 /* ---- contact: rollout/contact.c has the algebra ---- */
