@@ -111,6 +111,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .epsilon = 1e-8,
       .norm_limit = 1.0,
       .adjoint_bound = MO_ADJOINT_BOUND,
+      .adjoint_rule = MO_ADJOINT_CLIP,
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .physics = mo_default_physics(),
   };
@@ -236,6 +237,9 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
   if (settings->sensor != MO_SENSOR_INVERSE_SQRT && settings->sensor != MO_SENSOR_INVERSE_SQUARE)
     return mo_fail(message, MO_ERR_INVALID, "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
                    (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT, (int)MO_SENSOR_INVERSE_SQUARE);
+  if (mo_adjoint_rule_name(settings->adjoint_rule)[0] == '?')
+    return mo_fail(message, MO_ERR_INVALID, "adjoint_rule is %d; it must be %d (clip) or %d (restart)",
+                   (int)settings->adjoint_rule, (int)MO_ADJOINT_CLIP, (int)MO_ADJOINT_RESTART);
   int r = check_steps(settings, message);
   if (r == MO_OK)
     r = check_numbers(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
@@ -280,6 +284,7 @@ struct mo_training_settings mo_campaign_training(const struct mo_campaign_settin
   training.epsilon = settings->epsilon;
   training.norm_limit = settings->norm_limit;
   training.adjoint_bound = settings->adjoint_bound;
+  training.adjoint_rule = settings->adjoint_rule;
   training.physics = settings->physics;
   training.sensor = settings->sensor;
   training.held_out_designs = 0;

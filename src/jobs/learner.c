@@ -91,6 +91,7 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
                                               .n = settings->batch,
                                               .physics = settings->physics,
                                               .adjoint_bound = settings->adjoint_bound,
+                                              .adjoint_rule = settings->adjoint_rule,
                                               .urgency = turn->urgency,
                                               .cancel = turn->cancel,
                                               .tag = turn->tag,

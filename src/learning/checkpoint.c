@@ -2,8 +2,9 @@
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the order of header() below, then
  * designs (24 bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything before it. The
- * same list of fields is written and read by one function. Nothing is trusted when it is read: sizes must agree to the byte,
- * settings pass the checks of a new training, and numbers are finite. */
+ * same list of fields is written and read by one function. Version 1, which is still read, has no rule of the adjoint: it clips.
+ * Nothing is trusted when it is read: sizes must agree to the byte, settings pass the checks of a new training, and numbers are
+ * finite. */
 #include "learning/internal.h"
 
 #include "base/file.h"
@@ -16,8 +17,9 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
-#define VERSION      1
-#define HEADER_BYTES 228
+#define VERSION      2
+#define HEADER_BYTES 232
+#define RULE_BYTES   sizeof(int) /* what version 1 is shorter by */
 #define SUM_BYTES    sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
@@ -105,6 +107,8 @@ static void header(struct codec *codec, struct mo_training_settings *settings, s
   field_f64(codec, &settings->epsilon);
   field_f64(codec, &settings->norm_limit);
   field_f64(codec, &settings->adjoint_bound);
+  if (counters->version > 1)
+    settings->adjoint_rule = (enum mo_adjoint_rule)field_kind(codec, (int)settings->adjoint_rule);
   physics_fields(codec, &settings->physics);
   settings->sensor = (enum mo_sensor)field_kind(codec, (int)settings->sensor);
   field_u32(codec, &settings->held_out_designs);
@@ -230,19 +234,21 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
 {
   if (size < sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training");
-  if (size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
+  if (size < sizeof(magic) + HEADER_BYTES - RULE_BYTES + SUM_BYTES)
     return damaged(message, "it is too short");
   uint32_t version;
   memcpy(&version, bytes + sizeof(magic), sizeof(version));
-  if (version != VERSION)
-    return mo_fail(message, MO_ERR_FORMAT, "the checkpoint is of version %" PRIu32 "; this program reads version %d",
-                   version, VERSION);
+  if (version < 1 || version > VERSION)
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the checkpoint is of version %" PRIu32 "; this program reads versions 1 to %d", version, VERSION);
+  if (version == VERSION && size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
+    return damaged(message, "it is too short");
   uint64_t sum;
   memcpy(&sum, bytes + size - SUM_BYTES, SUM_BYTES);
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {0};
+  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP};
   struct counters counters = {0};
   header(&codec, &settings, &counters);
   const int r = check_header(&settings, &counters, message);

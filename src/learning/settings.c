@@ -21,6 +21,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .epsilon = 1e-8,
       .norm_limit = 1.0,
       .adjoint_bound = MO_ADJOINT_BOUND,
+      .adjoint_rule = MO_ADJOINT_CLIP,
       .physics = mo_default_physics(),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .held_out_designs = 64,
@@ -88,6 +89,9 @@ int mo_training_settings_check(const struct mo_training_settings *settings, stru
   if (settings->sensor != MO_SENSOR_INVERSE_SQRT && settings->sensor != MO_SENSOR_INVERSE_SQUARE)
     return mo_fail(message, MO_ERR_INVALID, "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
                    (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT, (int)MO_SENSOR_INVERSE_SQUARE);
+  if (mo_adjoint_rule_name(settings->adjoint_rule)[0] == '?')
+    return mo_fail(message, MO_ERR_INVALID, "adjoint_rule is %d; it must be %d (clip) or %d (restart)",
+                   (int)settings->adjoint_rule, (int)MO_ADJOINT_CLIP, (int)MO_ADJOINT_RESTART);
   int r = check_counts(settings, message);
   if (r == MO_OK)
     r = check_numbers(settings, message);

@@ -128,9 +128,23 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
-/* Version 1: the byte 1; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth, warm-up, held-out designs,
+/* Settings of version 2 end with the rule of the adjoint, a 32-bit word; those of version 1 end before it, and clip. `now`: the size of
+ * version 2. */
+static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule)
+{
+  const bool first = size == now - 4;
+  uint32_t word = MO_ADJOINT_CLIP;
+  if (bytes == NULL || (!first && size != now) || bytes[0] != (first ? 1 : 2))
+    return MO_ERR_CORRUPT;
+  if (!first)
+    word = mo_decode_u32(bytes + size - 4);
+  *rule = (enum mo_adjoint_rule)word;
+  return word > MO_ADJOINT_RESTART ? MO_ERR_CORRUPT : MO_OK;
+}
+
+/* Version 2: the byte 2; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth, warm-up, held-out designs,
  * held-out environments, impact's bisections; the 64-bit seed; doubles peak, floor, decay, beta1, beta2, epsilon, norm limit,
- * adjoint bound; physics with precision and sensor. */
+ * adjoint bound; physics with precision and sensor; the 32-bit adjoint rule. */
 void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
@@ -141,13 +155,14 @@ void mo_encode_training(const struct mo_training_settings *settings, uint8_t byt
   const double values[8] = {schedule->peak,  schedule->floor,   schedule->decay,      settings->beta1,
                             settings->beta2, settings->epsilon, settings->norm_limit, settings->adjoint_bound};
   uint8_t *at = bytes;
-  *at++ = 1;
+  *at++ = 2;
   for (size_t i = 0; i < 10; i++, at += 4)
     mo_encode_u32(words[i], at);
   mo_encode_u32((uint32_t)settings->seed, at);
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, 8, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * 8);
+  mo_encode_u32((uint32_t)settings->adjoint_rule, at + 8 + 8 * 8 + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings)
@@ -155,11 +170,13 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   uint32_t words[10];
   double values[8];
   enum mo_precision precision;
-  const uint8_t *at = bytes + 1;
+  enum mo_adjoint_rule rule;
+  const uint8_t *at;
   uint64_t seed;
-  int error;
-  if (size != MO_TRAINING_BYTES || bytes[0] != 1)
-    return MO_ERR_CORRUPT;
+  int error = decode_rule(bytes, size, MO_TRAINING_BYTES, &rule);
+  if (error != MO_OK)
+    return error;
+  at = bytes + 1;
   for (size_t i = 0; i < 10; i++, at += 4)
     words[i] = mo_decode_u32(at);
   seed = (uint64_t)mo_decode_u32(at + 4) << 32 | mo_decode_u32(at);
@@ -183,6 +200,7 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   settings->epsilon = values[5];
   settings->norm_limit = values[6];
   settings->adjoint_bound = values[7];
+  settings->adjoint_rule = rule;
   settings->held_out_designs = words[7];
   settings->held_out_environments = words[8];
   error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision, &settings->sensor);
@@ -193,10 +211,10 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
 #define CAMPAIGN_WORDS  19
 #define CAMPAIGN_VALUES 13
 
-/* Version 1: the byte 1; 32-bit words mode, workspace x, y, z, population, generations, selection kind, tournament size, layers, age
+/* Version 2: the byte 2; 32-bit words mode, workspace x, y, z, population, generations, selection kind, tournament size, layers, age
  * gap, exclude pretraining, parent steps, child steps, batch, schedule kind, cycle steps, cycle growth, warm-up, impact's
  * bisections; the 64-bit seed; doubles mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1,
- * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor. */
+ * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor; the 32-bit adjoint rule. */
 void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
@@ -213,13 +231,14 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t byt
       settings->beta1,          settings->beta2,         settings->epsilon,         settings->norm_limit,
       settings->adjoint_bound};
   uint8_t *at = bytes;
-  *at++ = 1;
+  *at++ = 2;
   for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
     mo_encode_u32(words[i], at);
   mo_encode_u32((uint32_t)settings->seed, at);
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, CAMPAIGN_VALUES, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * CAMPAIGN_VALUES);
+  mo_encode_u32((uint32_t)settings->adjoint_rule, at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings)
@@ -227,10 +246,12 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
   uint32_t words[CAMPAIGN_WORDS];
   double values[CAMPAIGN_VALUES];
   enum mo_precision precision;
-  const uint8_t *at = bytes + 1;
-  int error;
-  if (size != MO_CAMPAIGN_BYTES || bytes == NULL || bytes[0] != 1)
-    return MO_ERR_CORRUPT;
+  enum mo_adjoint_rule rule;
+  const uint8_t *at;
+  int error = decode_rule(bytes, size, MO_CAMPAIGN_BYTES, &rule);
+  if (error != MO_OK)
+    return error;
+  at = bytes + 1;
   for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
     words[i] = mo_decode_u32(at);
   mo_decode_doubles(at + 8, CAMPAIGN_VALUES, values);
@@ -264,6 +285,7 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
       .epsilon = values[10],
       .norm_limit = values[11],
       .adjoint_bound = values[12],
+      .adjoint_rule = rule,
   };
   error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics, &precision,
                             &settings->sensor);

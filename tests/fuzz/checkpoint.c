@@ -1,8 +1,9 @@
 /* checkpoint.c: the reader of a training's checkpoints.
  *
- * Byte 0 even: the rest is a file. Odd: the rest is the 228 bytes of a header and then designs; the file is made whole with as many
- * weights and moments as a checkpoint has, zeros but for the first of each kind, which bits 1 to 3 choose, and a right
- * checksum. What the reader refuses it must explain; what it accepts must be sound and come back the same from the writer. */
+ * Byte 0 even: the rest is a file. Odd: the rest is a header, of 228 bytes in version 1 and of 232 otherwise, and then designs; the
+ * file is made whole with as many weights and moments as a checkpoint has, zeros but for the first of each kind, which bits 1 to 3
+ * choose, and a right checksum. What the reader refuses it must explain; what it accepts must be sound and come back the same from
+ * the writer, or, of version 1, the same but for the version and the rule. */
 #include "target.h"
 
 #include "learning/internal.h"
@@ -10,8 +11,24 @@
 #include <math.h>
 #include <string.h>
 
-enum { MAGIC = 8, HEADER = 228, DESIGNS_AT = 216, DESIGN = 24, DESIGNS_MAX = 64 };
+enum { MAGIC = 8, HEADER_1 = 228, RULE = 104, RULE_BYTES = 4, N_DESIGNS_BACK = 12, DESIGN = 24, DESIGNS_MAX = 64 };
 #define PARAMETERS UINT64_C(620912)
+
+static bool is_first(const uint8_t *version)
+{
+  return version[0] == 1 && version[1] + version[2] + version[3] == 0;
+}
+
+/* Whether `written` is the file, or the file of version 1 with the version, the rule and the checksum of version 2. */
+static bool same(const uint8_t *written, size_t n, const uint8_t *data, size_t size)
+{
+  enum { TO = MAGIC + RULE, FROM = MAGIC + 4, SUM = 8 };
+  if (!is_first(data + MAGIC))
+    return n == size && memcmp(written, data, size) == 0;
+  return n == size + RULE_BYTES && memcmp(written + FROM, data + FROM, TO - FROM) == 0 &&
+         memcmp(written + TO, "\0\0\0", RULE_BYTES) == 0 &&
+         memcmp(written + TO + RULE_BYTES, data + TO, size - TO - SUM) == 0;
+}
 
 static void check_training(const struct mo_training *training, const uint8_t *data, size_t size)
 {
@@ -25,7 +42,7 @@ static void check_training(const struct mo_training *training, const uint8_t *da
                  training->adam.second[i] >= 0.0);
   }
   if (mo_training_encode(training, &bytes, &again) == MO_OK) {
-    FUZZ_PROMISE(again == size && memcmp(bytes, data, size) == 0);
+    FUZZ_PROMISE(same(bytes, again, data, size));
     free(bytes);
   }
 }
@@ -48,7 +65,8 @@ static void read_file(const uint8_t *data, size_t size)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
   static const double firsts[8] = {0.0, 1e-3, -1.5, NAN, INFINITY, 2e6, -0.0, 1e-310};
-  if (size == 0 || (data[0] % 2 != 0 && size < 1 + HEADER)) {
+  const size_t header = size > 4 && is_first(data + 1) ? HEADER_1 : HEADER_1 + RULE_BYTES;
+  if (size == 0 || (data[0] % 2 != 0 && size < 1 + header)) {
     return 0;
   }
   if (data[0] % 2 == 0) {
@@ -56,19 +74,19 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     return 0;
   }
   uint32_t n_designs;
-  memcpy(&n_designs, data + 1 + DESIGNS_AT, sizeof(n_designs));
+  memcpy(&n_designs, data + 1 + header - N_DESIGNS_BACK, sizeof(n_designs));
   size_t designs = (n_designs < DESIGNS_MAX ? n_designs : DESIGNS_MAX) * (size_t)DESIGN;
-  size_t given = size - 1 - HEADER < designs ? size - 1 - HEADER : designs;
-  size_t whole = MAGIC + HEADER + designs + PARAMETERS * 20 + sizeof(uint64_t);
+  size_t given = size - 1 - header < designs ? size - 1 - header : designs;
+  size_t whole = MAGIC + header + designs + PARAMETERS * 20 + sizeof(uint64_t);
   uint8_t *file = calloc(1, whole);
   if (file == NULL) {
     return 0;
   }
   memcpy(file, "morpho\r\n", MAGIC);
-  memcpy(file + MAGIC, data + 1, HEADER + given);
+  memcpy(file + MAGIC, data + 1, header + given);
   const double first = firsts[data[0] >> 1 & 7];
   const float weight = (float)first;
-  uint8_t *weights = file + MAGIC + HEADER + designs;
+  uint8_t *weights = file + MAGIC + header + designs;
   memcpy(weights, &weight, sizeof(weight));
   memcpy(weights + PARAMETERS * 4, &first, sizeof(first));
   memcpy(weights + PARAMETERS * 12, &first, sizeof(first));

@@ -41,6 +41,7 @@ static void presets(void)
       CHECK(s.workspace.nx == 6 && s.workspace.ny == 6 && s.workspace.nz == 4);
       CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
       CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 && s.adjoint_bound == MO_ADJOINT_BOUND);
+      CHECK_INT(s.adjoint_rule, MO_ADJOINT_CLIP);
     }
 }
 
@@ -68,6 +69,7 @@ static void refused(void)
     EPSILON,
     NORM,
     BOUND,
+    RULE,
     SENSOR,
     PEAK,
     DT
@@ -121,6 +123,9 @@ static void refused(void)
       {MO_FEW_SHOT, NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
       {MO_FEW_SHOT, BOUND, -1, MO_ERR_RANGE, "adjoint_bound is -1"},
       {MO_FEW_SHOT, BOUND, 0, MO_OK, ""},
+      {MO_FEW_SHOT, RULE, 2, MO_ERR_INVALID, "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
+      {MO_FEW_SHOT, RULE, MO_ADJOINT_RESTART, MO_OK, ""},
+      {MO_ZERO_SHOT, RULE, 2, MO_OK, ""},
       {MO_SIMULTANEOUS, SENSOR, 2, MO_ERR_INVALID, "sensor is 2"},
       {MO_SIMULTANEOUS, PEAK, -1, MO_ERR_RANGE, "peak is -1"},
       {MO_ZERO_SHOT, DT, 1, MO_ERR_RANGE, "dt_s is 1"},
@@ -151,6 +156,7 @@ static void refused(void)
     case EPSILON: s.epsilon = value; break;
     case NORM: s.norm_limit = value; break;
     case BOUND: s.adjoint_bound = value; break;
+    case RULE: s.adjoint_rule = (enum mo_adjoint_rule)value; break;
     case SENSOR: s.sensor = (enum mo_sensor)value; break;
     case PEAK: s.schedule.peak = value; break;
     case DT: s.physics.dt_s = value; break;
@@ -193,6 +199,9 @@ static void few_shot(void)
   CHECK(mo_campaign_training(&s, 3).seed != seeds[3]);
   s.batch = 100;
   s.child_steps = 5;
+  CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_CLIP);
+  s.adjoint_rule = MO_ADJOINT_RESTART;
+  CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_RESTART);
   CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
 }
 

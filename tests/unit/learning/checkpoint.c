@@ -111,6 +111,7 @@ static void settings_kept(void)
                                    .epsilon = 1e-7,
                                    .norm_limit = 2.5,
                                    .adjoint_bound = 3.5,
+                                   .adjoint_rule = MO_ADJOINT_RESTART,
                                    .physics = mo_default_physics(),
                                    .sensor = MO_SENSOR_INVERSE_SQUARE,
                                    .held_out_designs = 12,
@@ -132,14 +133,61 @@ static void settings_kept(void)
   CHECK(k->schedule.cycle_steps == 11 && k->schedule.cycle_growth == 3 && k->schedule.warmup_steps == 4);
   CHECK(k->beta1 == s.beta1 && k->beta2 == s.beta2 && k->epsilon == s.epsilon);
   CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound && k->sensor == s.sensor);
+  CHECK_INT(k->adjoint_rule, MO_ADJOINT_RESTART);
   CHECK(k->held_out_designs == 12 && k->held_out_environments == 13);
   const struct mo_physics *p = &k->physics, *q = &s.physics;
   CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps && p->stiffness_n_per_m == q->stiffness_n_per_m);
   CHECK(p->mass_kg == q->mass_kg && p->drag_per_s == q->drag_per_s && p->gravity_m_per_s2 == q->gravity_m_per_s2);
   CHECK(p->actuation == q->actuation && p->friction == q->friction && p->friction_cap == q->friction_cap);
   CHECK(p->drop_height_m == q->drop_height_m && p->impact == q->impact && p->bisections == q->bisections);
+  struct mo_controller *exported = NULL;
+  REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
+  CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
+               "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"physics\"") != NULL);
+  mo_controller_free(exported);
   free(blob.bytes);
   mo_training_free(training);
+}
+
+/* A checkpoint as version 1 wrote it: it had no rule. */
+static void as_version_1(struct blob *blob)
+{
+  enum { VERSION = 8, RULE = 112 };
+  const uint32_t version = 1;
+  blob->size -= 4;
+  memmove(blob->bytes + RULE, blob->bytes + RULE + 4, blob->size - RULE);
+  memcpy(blob->bytes + VERSION, &version, 4);
+  const uint64_t sum = mo_checksum(blob->bytes, blob->size - 8);
+  memcpy(blob->bytes + blob->size - 8, &sum, 8);
+}
+
+/* One of version 1 goes on as what it was, and clips; what is written of it is of the new version. */
+static void first_version(void)
+{
+  for (int kind = MO_TRAINING_PRETRAIN; kind <= MO_TRAINING_FINETUNE; kind++) {
+    struct mo_training *training = begin((enum mo_training_kind)kind);
+    struct made_up made_up;
+    REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
+    REQUIRE(advance_one(training, &made_up) == MO_OK);
+    struct blob now = encoded(training), old = encoded(training);
+    as_version_1(&old);
+    struct mo_training *read = decoded(&old);
+    REQUIRE(read != NULL);
+    CHECK_INT(mo_training_settings_of(read)->adjoint_rule, MO_ADJOINT_CLIP);
+    struct blob again = encoded(read);
+    CHECK(same(&now, &again));
+    CHECK(advance_one(training, &made_up) == MO_OK && advance_one(read, &made_up) == MO_OK);
+    free(now.bytes);
+    free(again.bytes);
+    now = encoded(training), again = encoded(read);
+    CHECK(same(&now, &again));
+    free(now.bytes);
+    free(again.bytes);
+    free(old.bytes);
+    made_up_free(&made_up);
+    mo_training_free(read);
+    mo_training_free(training);
+  }
 }
 
 static void expect_refused(const uint8_t *bytes, size_t size, const char *says)
@@ -164,14 +212,14 @@ static void damaged(void)
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
     expect_refused(blob.bytes, blob.size,
                    i < 8    ? "not a checkpoint"
-                   : i < 12 ? "this program reads version 1"
+                   : i < 12 ? "this program reads versions 1 to 2"
                             : "checksum is wrong");
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
   }
   blob.bytes[blob.size - 1] ^= 128;
   expect_refused(blob.bytes, blob.size, "checksum is wrong");
   blob.bytes[blob.size - 1] ^= 128;
-  const size_t cuts[] = {0, 7, 8, 100, 243, 244, 5000, blob.size / 2, blob.size - 1};
+  const size_t cuts[] = {0, 7, 8, 100, 243, 244, 247, 248, 5000, blob.size / 2, blob.size - 1};
   for (size_t i = 0; i < sizeof(cuts) / sizeof(cuts[0]); i++) {
     uint8_t *cut = malloc(cuts[i] + 1); /* of its size, for the sanitizer */
     REQUIRE(cut != NULL);
@@ -189,7 +237,7 @@ static void damaged(void)
 /* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile file. */
 static void wrong_contents(void)
 {
-  enum { STEP = 208, SKIPPED = 212, DRAWS = 216, N_DESIGNS = 224, N_PARAMETERS = 228, ARRAYS = 236 };
+  enum { RULE = 112, STEP = 212, SKIPPED = 216, DRAWS = 220, N_DESIGNS = 228, N_PARAMETERS = 232, ARRAYS = 240 };
   const size_t designs = (size_t)4 * MO_DEFAULT_WORDS * 8;
   const size_t n = 620912, first = ARRAYS + designs + 4 * n, second = first + 8 * n;
   const double nan = NAN, minus = -1.0;
@@ -205,6 +253,7 @@ static void wrong_contents(void)
       {24, 4, &zero, "steps: 0"},
       {28, 4, &most, "batch: 4294967295"},
       {36, 8, &nan, "peak is not finite"},
+      {RULE, 4, &kind, "adjoint_rule is 2"},
       {STEP, 4, &many, "more steps than its training"},
       {SKIPPED, 4, &many, "more steps than its training"},
       {DRAWS, 8, &one, "stream of bodies"},
@@ -335,13 +384,13 @@ static void lineage(void)
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.seed"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.step"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.version"), "1.2.3");
-  CHECK_TEXT(
-      mo_controller_get_metadata(c, "morphod.settings"),
-      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
-      "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
-      "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"physics\":{\"dt_s\":0.004,\"n_steps\":1000,"
-      "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
-      "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.settings"),
+             "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
+             "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
+             "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":\"clip\",\"physics\":{"
+             "\"dt_s\":0.004,\"n_steps\":1000,"
+             "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
+             "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.code"), "[{\"from_step\":0,\"fingerprint\":null}]");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);
@@ -391,6 +440,7 @@ static void lineage(void)
 static const struct check_case cases[] = {
     {"saved and restored at every step, the same bytes at the end", resume},
     {"every setting survives", settings_kept},
+    {"the first version is read", first_version},
     {"the checksum", checksum},
     {"damaged bytes are refused", damaged},
     {"wrong contents under a right checksum are refused", wrong_contents},

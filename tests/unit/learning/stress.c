@@ -231,6 +231,7 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state, st
                                     .n = ROBOTS,
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
+                                    .adjoint_rule = settings->adjoint_rule,
                                     .d_parameters = run->gradient,
                                     .outcomes = run->outcomes};
   REQUIRE(mo_compute_gradient(state, &batch) == MO_OK);

@@ -39,6 +39,7 @@ static inline struct mo_campaign_submission campaign_submission(enum mo_campaign
                                                                  .epsilon = 1e-8,
                                                                  .norm_limit = 1,
                                                                  .adjoint_bound = 2,
+                                                                 .adjoint_rule = MO_ADJOINT_RESTART,
                                                                  .sensor = MO_SENSOR_INVERSE_SQUARE,
                                                                  .physics = mo_default_physics()},
                                                     .name = "walker",

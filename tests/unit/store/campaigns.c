@@ -40,11 +40,18 @@ static void encodes_every_setting(void)
   CHECK(back.schedule.warmup_steps == 3 && back.beta1 == 0.9 && back.beta2 == 0.999 && back.epsilon == 1e-8);
   CHECK(back.norm_limit == 1 && back.adjoint_bound == 2 && back.sensor == MO_SENSOR_INVERSE_SQUARE);
   CHECK(back.physics.n_steps == settings.physics.n_steps && back.physics.bisections == 3);
+  CHECK_INT(back.adjoint_rule, MO_ADJOINT_RESTART);
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 1, &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_campaign(NULL, 0, &back), MO_ERR_CORRUPT);
-  bytes[0] = 2;
+  bytes[0] = 1; /* the first version ended before the rule: it clipped */
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
-  bytes[0] = 1;
+  CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 4, &back), MO_OK);
+  CHECK_INT(back.adjoint_rule, MO_ADJOINT_CLIP);
+  back.adjoint_rule = settings.adjoint_rule;
+  CHECK(same_settings(&back, &settings));
+  bytes[0] = 3;
+  CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
+  bytes[0] = 2;
   /* Whichever byte changes: refused, or other settings. */
   for (size_t i = 1; i < sizeof(bytes); i++) {
     bytes[i] ^= 1;

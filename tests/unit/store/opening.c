@@ -1,5 +1,6 @@
 /* opening.c: which databases the store opens, how it notices damage, and the way there from older ones; backups. */
 #include "by_hand.h"
+#include "campaign_fixture.h"
 #include "training_fixture.h"
 
 static void opens_and_locks(void)
@@ -18,7 +19,7 @@ static void opens_and_locks(void)
   mo_store_close(fixture.store);
   fixture.store = NULL;
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 6);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 7);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
   CHECK_INT(outside_integer(&fixture,
                             "SELECT count(*) FROM sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'"
@@ -41,7 +42,7 @@ static void refuses_what_is_not_ours(void)
   REQUIRE(outside(&fixture, "PRAGMA user_version=99") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
   CHECK(strstr(fixture.message.text, "99") != NULL);
-  REQUIRE(outside(&fixture, "PRAGMA user_version=6; PRAGMA application_id=7") == SQLITE_OK);
+  REQUIRE(outside(&fixture, "PRAGMA user_version=7; PRAGMA application_id=7") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
   REQUIRE(outside(&fixture, "PRAGMA application_id=1836216424") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
@@ -100,8 +101,10 @@ static char *read_text(const char *path)
 /* Makes the database one of schema `version` with the same data: the first migrations alone, and of every row what it had then. */
 static int downgrade(const struct fixture *fixture, int version)
 {
-  static const char *const files[] = {"0001_initial", "0002_trainings"};
-  char now[512], old[512], migration[512], sql[1024];
+  static const char *const files[] = {"0001_initial",       "0002_trainings", "0003_weights",
+                                      "0004_training_code", "0005_campaigns", "0006_devices"};
+  static const char *const settings_of[] = {"trainings", "campaigns"};
+  char now[512], old[512], migration[512], sql[2048];
   sqlite3 *db = NULL;
   sqlite3_stmt *tables = NULL;
   int result;
@@ -131,6 +134,12 @@ static int downgrade(const struct fixture *fixture, int version)
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_finalize(tables);
+  /* Settings of version 1: without the four bytes of the rule at their end. */
+  for (int i = 0; i < (version >= 5 ? 2 : version >= 2 ? 1 : 0) && result == SQLITE_OK; i++) {
+    snprintf(sql, sizeof(sql), "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-5) AS BLOB)",
+             settings_of[i]);
+    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
+  }
   sqlite3_close(db);
   return result == SQLITE_OK && rename(old, now) == 0 ? SQLITE_OK : SQLITE_ERROR;
 }
@@ -217,6 +226,40 @@ static void migrates_a_training(void)
   fixture_end(&fixture);
 }
 
+/* Settings from before there were rules of the adjoint are read: they clip. Those that come to them keep theirs. */
+static void migrates_settings(void)
+{
+  struct fixture fixture;
+  struct mo_training_submission training = submission_of(100);
+  struct mo_campaign_submission campaign = campaign_submission(MO_SIMULTANEOUS, 10, 30);
+  struct mo_training_status status;
+  struct mo_campaign_status evolved;
+  int64_t trained[2], bred[2];
+  REQUIRE(fixture_start(&fixture) == 0);
+  trained[0] = submit(&fixture, &training);
+  bred[0] = campaign_submit(&fixture, &campaign);
+  REQUIRE(trained[0] > 0 && bred[0] > 0);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  REQUIRE(downgrade(&fixture, 6) == SQLITE_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  trained[1] = submit(&fixture, &training);
+  bred[1] = campaign_submit(&fixture, &campaign);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 7);
+  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM trainings WHERE substr(settings,1,1)=x'01'"), 1);
+  for (int i = 0; i < 2; i++) {
+    const enum mo_adjoint_rule rule = i == 0 ? MO_ADJOINT_CLIP : MO_ADJOINT_RESTART;
+    CHECK_INT(mo_store_training(fixture.store, trained[i], &status), MO_OK);
+    CHECK_INT(status.record.settings.adjoint_rule, rule);
+    CHECK(status.record.settings.adjoint_bound == 2 && status.record.settings.n_steps == 100);
+    CHECK_INT(mo_store_campaign(fixture.store, bred[i], &evolved), MO_OK);
+    CHECK_INT(evolved.record.settings.adjoint_rule, rule);
+    CHECK(evolved.record.settings.adjoint_bound == 2 && evolved.record.settings.population == 10);
+  }
+  fixture_end(&fixture);
+}
+
 static void backs_up(void)
 {
   struct fixture fixture, copy;
@@ -299,6 +342,7 @@ static const struct check_case cases[] = {
     {"notices damage after an unclean stop", notices_damage_after_an_unclean_stop},
     {"migrates an old database", migrates_an_old_database},
     {"migrates a training", migrates_a_training},
+    {"migrates settings", migrates_settings},
     {"backs up", backs_up},
     {"reports what contradicts itself", reports_what_contradicts_itself},
 };

@@ -1,5 +1,6 @@
 /* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states and results. */
 #include "by_hand.h"
+#include "store/encode.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
@@ -22,9 +23,30 @@ static bool same_settings(const struct mo_training_settings *a, const struct mo_
          a->schedule.cycle_steps == b->schedule.cycle_steps && a->schedule.cycle_growth == b->schedule.cycle_growth &&
          a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 && a->beta2 == b->beta2 &&
          a->epsilon == b->epsilon && a->norm_limit == b->norm_limit && a->adjoint_bound == b->adjoint_bound &&
-         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
-         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
-         a->held_out_designs == b->held_out_designs && a->held_out_environments == b->held_out_environments;
+         a->adjoint_rule == b->adjoint_rule && a->physics.n_steps == b->physics.n_steps &&
+         a->physics.dt_s == b->physics.dt_s && a->physics.bisections == b->physics.bisections &&
+         a->sensor == b->sensor && a->held_out_designs == b->held_out_designs &&
+         a->held_out_environments == b->held_out_environments;
+}
+
+/* The first version of the settings ended before the rule: it clipped. */
+static void reads_the_first_version(void)
+{
+  struct mo_training_settings settings = submission_of(10).record.settings, back;
+  uint8_t bytes[MO_TRAINING_BYTES];
+  mo_encode_training(&settings, bytes);
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_OK);
+  CHECK(same_settings(&back, &settings));
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - 4, &back), MO_ERR_CORRUPT);
+  bytes[0] = 1;
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - 4, &back), MO_OK);
+  settings.adjoint_rule = MO_ADJOINT_CLIP;
+  CHECK(same_settings(&back, &settings));
+  bytes[0] = 2;
+  bytes[sizeof(bytes) - 4] = 2; /* no such rule */
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
+  CHECK_INT(mo_decode_training(NULL, 0, &back), MO_ERR_CORRUPT);
 }
 
 static void submits_and_reads_back(void)
@@ -446,6 +468,7 @@ static void parks_and_requeues(void)
 }
 
 static const struct check_case cases[] = {
+    {"reads the first version of its settings", reads_the_first_version},
     {"submits and reads back", submits_and_reads_back},
     {"keeps the queues apart", keeps_the_queues_apart},
     {"keeps the learning curve", keeps_the_curve},
