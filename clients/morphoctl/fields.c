@@ -92,6 +92,7 @@ int fill_optimizer(const struct ctl *ctl, json_t *object)
       {"epsilon", "adam.epsilon", FIELD_REAL},
       {"gradient-norm-limit", "gradient_norm_limit", FIELD_REAL},
       {"adjoint-bound", "adjoint_bound", FIELD_REAL},
+      {"adjoint-rule", "adjoint_rule", FIELD_WORD},
   };
   return fill_fields(ctl, object, fields, N_OF(fields));
 }

@@ -165,7 +165,7 @@ struct mo_training_report {
   double mean_loss;     /* over the robots that did not diverge; NaN when all did */
   double rate;          /* learning rate */
   double gradient_norm; /* of the batch gradient before the norm clip; 0 when skipped */
-  double clipped_share; /* of backward steps whose adjoint was scaled */
+  double clipped_share; /* of backward steps whose adjoint was above the bound */
   double clipped_robots_share;
   uint32_t diverged, zeroed;
   bool skipped; /* the gradient or the new weights were not finite, or no robot contributed: weights and moments stay as

@@ -148,6 +148,15 @@ void mo_read_adam(struct mo_json *json, double *beta1, double *beta2, double *ep
   }
 }
 
+/* ---- the way back ---- */
+
+void mo_read_adjoint_rule(struct mo_json *json, enum mo_adjoint_rule *rule)
+{
+  int choice;
+  if (mo_read_choice(json, "clip", "restart", &choice))
+    *rule = choice ? MO_ADJOINT_RESTART : MO_ADJOINT_CLIP;
+}
+
 /* ---- the controller ---- */
 
 void mo_read_sensor(struct mo_json *json, enum mo_sensor *sensor)

@@ -16,6 +16,9 @@ void mo_read_schedule(struct mo_json *json, struct mo_schedule *schedule);
 /* The fields that are given; the others stay. */
 void mo_read_adam(struct mo_json *json, double *beta1, double *beta2, double *epsilon);
 
+/* clip or restart. */
+void mo_read_adjoint_rule(struct mo_json *json, enum mo_adjoint_rule *rule);
+
 /* inverse_sqrt or inverse_square. */
 void mo_read_sensor(struct mo_json *json, enum mo_sensor *sensor);
 

@@ -84,6 +84,9 @@ INVALID = {
     "norm limit negative": (with_field("gradient_norm_limit", -1), ["/gradient_norm_limit"]),
     "adjoint bound negative": (with_field("adjoint_bound", -2), ["/adjoint_bound"]),
     "adjoint bound a word": (with_field("adjoint_bound", "off"), ["/adjoint_bound"]),
+    "adjoint rule unknown": (with_field("adjoint_rule", "scale"), ["/adjoint_rule"]),
+    "adjoint rule a number": (with_field("adjoint_rule", 1), ["/adjoint_rule"]),
+    "adjoint rule null": (with_field("adjoint_rule", None), ["/adjoint_rule"]),
     "time step zero": (with_field("physics", {"dt_s": 0}), ["/physics/dt_s"]),
     "unknown physics": (with_field("physics", {"wind": 0}), ["/physics/wind"]),
     "validation of no designs": (with_field("validation", {"designs": 0}), ["/validation/designs"]),
@@ -193,6 +196,7 @@ def test_settings_are_told_with_their_defaults(trained):
     settings = trained["settings"]
     assert settings["schedule"] == {"kind": "restarts", "peak": 0.001, "floor": 1e-05, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 0}
     assert settings["adam"] == {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08} and settings["adjoint_bound"] == 2
+    assert settings["adjoint_rule"] == "clip"
     assert settings["sensor"] == "inverse_sqrt" and settings["physics"]["n_steps"] == 30 and settings["physics"]["dt_s"] == 0.004
     assert settings["seed"] == 1 and settings["n_designs"] is None and settings["population"] is None
     assert trained["name"] == "small" and trained["label"] == "première" and trained["parent"] is None
@@ -213,6 +217,19 @@ def test_the_end(service, trained):
     assert service.request("GET", f"/v1/trainings/{trained['id']}", headers={"If-None-Match": whole.headers["ETag"]}).status == 304
     scores = service.evaluate({"designs": [DESIGN], "controller": "small", "physics": SHORT}).json()
     assert scores["state"] == "succeeded" and scores["controller"]["sha256"] == trained["controller"]["sha256"]
+
+
+def test_the_rule_of_the_adjoint(service):
+    """It is told, stands in the lineage, and decides what is learned: a bound this low is passed at once."""
+    files = []
+    for rule in ("clip", "restart", "restart"):
+        reply = service.request("POST", "/v1/trainings", {**TRAIN, "adjoint_bound": 0.1, "adjoint_rule": rule})
+        assert reply.status == 202, reply.body
+        done = finished(service, reply.json()["id"]).json()
+        assert done["state"] == "succeeded" and done["settings"]["adjoint_rule"] == rule and done["progress"]["clipped_share"] > 0
+        files.append(service.request("GET", done["links"]["controller"]).body)
+        assert json.loads(metadata(files[-1])["morphod.settings"])["adjoint_rule"] == rule
+    assert files[1] == files[2] and files[0][-1000000:] != files[1][-1000000:]
 
 
 def test_curve(service, trained):

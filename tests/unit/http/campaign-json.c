@@ -112,6 +112,10 @@ static void ended(void)
   CHECK(json_is_true(at("newest", "exhausted")) && json_is_true(at("newest", "collapse")));
   CHECK(json_real_value(json_object_get(at("newest", "learning"), "last_loss")) == 0.5);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "sensor")), "inverse_sqrt");
+  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "clip");
+  status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
+  write(false);
+  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "restart");
   struct mo_text text = {0};
   mo_campaign_csv_generation(&text, &status.last);
   CHECK(strncmp(text.data, "7,2,0,14,,,,,,,,,2,0,0,0,", 25) == 0);
