@@ -39,9 +39,10 @@ static const char usage[] =
     "  --peak X           highest rate (default: 2e-3 for one cosine, 1e-3 for the restarts)\n"
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
+    "  --rule clip|restart  above the bound with --clip on (default clip)\n"
     "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
     "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
-    "                     With none of these six, inverse_square with one cosine and clipping is trained twice:\n"
+    "                     With none of these seven, inverse_square with one cosine and clipping is trained twice:\n"
     "                     once more with --peak 3e-3 --warmup 5 --bound 0.2 --beta1 0.8.\n"
     "  --workers N        threads (default: one per processor)\n"
     "  --module PATH      gradients on GPUs, by this morphod-cuda.so: other bits, so give it a CSV file of its own\n"
@@ -58,8 +59,8 @@ static const char usage[] =
     "  --environments N   held-out environments to score them in (default 64)\n";
 
 static const char columns[] =
-    "sensor,schedule,peak,warmup_steps,adjoint_bound,norm_limit,beta1,beta2,batch,steps,seed,step,mean_loss,"
-    "gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
+    "sensor,schedule,peak,warmup_steps,adjoint_bound,adjoint_rule,norm_limit,beta1,beta2,batch,steps,seed,step,"
+    "mean_loss,gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
 
 struct plan {
   bool sensors[2], schedules[2], clips[2]; /* schedules: cosine, restarts; clips: on, off */
@@ -67,8 +68,9 @@ struct plan {
   size_t n_seeds;
   uint32_t batch, steps, warmup, designs, environments;
   double peak, bound; /* peak 0: the schedule's own */
+  enum mo_adjoint_rule rule;
   double norm_limit, beta1, beta2;
-  bool own_recipe; /* one of them, or warmup, was given */
+  bool own_recipe; /* one of them, the rule or warmup was given */
   bool report, finetune;
   const char *folder;
 };
@@ -113,6 +115,7 @@ struct mo_training_report learning_step(struct learning_machine *machine, struct
                                     .n = settings->batch,
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
+                                    .adjoint_rule = settings->adjoint_rule,
                                     .back_end = machine->back_end,
                                     .d_parameters = machine->d_parameters,
                                     .outcomes = machine->outcomes};
@@ -148,7 +151,7 @@ static void read_rows(const char *path, struct learning_run *runs, size_t n_runs
     fclose(file);
 }
 
-/* Opens it to append; a row that was cut short by a crash is ended first. */
+/* Opens it to append, if its columns are these; a row that was cut short by a crash is ended first. */
 static FILE *open_rows(const char *path)
 {
   FILE *file = fopen(path, "a+");
@@ -160,6 +163,12 @@ static FILE *open_rows(const char *path)
   if (ftell(file) == 0) {
     fputs(columns, file);
   } else {
+    char line[sizeof(columns)];
+    rewind(file);
+    if (fgets(line, sizeof(line), file) == NULL || strcmp(line, columns) != 0) {
+      fprintf(stderr, "morpho-bench: %s has other columns; name another file\n", path);
+      exit(1);
+    }
     fseek(file, -1, SEEK_END);
     const int last = fgetc(file);
     fseek(file, 0, SEEK_END);
@@ -249,12 +258,14 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   if (plan->peak > 0.0)
     s->schedule.peak = plan->peak;
   s->adjoint_bound = off ? 0.0 : plan->bound;
+  s->adjoint_rule = off ? MO_ADJOINT_CLIP : plan->rule;
   s->norm_limit = plan->norm_limit;
   s->beta1 = plan->beta1;
   s->beta2 = plan->beta2;
-  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%g,%g,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
+  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%s,%g,%g,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
            mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound,
-           s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps, (unsigned long long)seed);
+           mo_adjoint_rule_name(s->adjoint_rule), s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps,
+           (unsigned long long)seed);
   struct mo_message message = {""};
   if (mo_training_settings_check(s, &message) != MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
@@ -290,7 +301,9 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
         struct curves_group *group =
             make_group(plan, sensor, restarts, off, runs + n_groups * plan->n_seeds, &groups[n_groups]);
         snprintf(group->name, sizeof(group->name), "%s, adjoint %s", restarts ? "the paper's restarts" : "one cosine",
-                 off ? "not clipped" : "clipped");
+                 off                                ? "not clipped"
+                 : plan->rule == MO_ADJOINT_RESTART ? "begun anew"
+                                                    : "clipped");
         n_groups++;
       }
   if (plan->sensors[MO_SENSOR_INVERSE_SQUARE] && plan->schedules[0] && plan->clips[0] && !plan->own_recipe) {
@@ -433,6 +446,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     PEAK,
     WARMUP,
     BOUND,
+    RULE,
     NORM_LIMIT,
     BETA1,
     BETA2,
@@ -457,6 +471,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
                                                {"peak", 1, NULL, PEAK},
                                                {"warmup", 1, NULL, WARMUP},
                                                {"bound", 1, NULL, BOUND},
+                                               {"rule", 1, NULL, RULE},
                                                {"norm-limit", 1, NULL, NORM_LIMIT},
                                                {"beta1", 1, NULL, BETA1},
                                                {"beta2", 1, NULL, BETA2},
@@ -490,6 +505,11 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
       plan->own_recipe = true;
       break;
     case BOUND: plan->bound = own_recipe(name, optarg, plan); break;
+    case RULE:
+      if (mo_adjoint_rule_from_name(optarg, &plan->rule) != MO_OK)
+        wrong(name, optarg);
+      plan->own_recipe = true;
+      break;
     case NORM_LIMIT: plan->norm_limit = own_recipe(name, optarg, plan); break;
     case BETA1: plan->beta1 = own_recipe(name, optarg, plan); break;
     case BETA2: plan->beta2 = own_recipe(name, optarg, plan); break;
@@ -567,6 +587,7 @@ int bench_learning(int argc, char **argv)
                       .batch = 256,
                       .warmup = mo_schedule_one_cosine().warmup_steps,
                       .bound = MO_ADJOINT_BOUND,
+                      .rule = MO_ADJOINT_CLIP,
                       .norm_limit = mo_training_defaults(MO_TRAINING_PRETRAIN).norm_limit,
                       .beta1 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta1,
                       .beta2 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta2,
@@ -583,6 +604,7 @@ int bench_learning(int argc, char **argv)
   settings.batch = plan.batch;
   settings.n_steps = plan.steps > 0 ? plan.steps : settings.n_steps;
   settings.adjoint_bound = plan.clips[0] ? plan.bound : 0.0;
+  settings.adjoint_rule = plan.clips[0] ? plan.rule : MO_ADJOINT_CLIP;
   if (!plan.schedules[0])
     settings.schedule = mo_schedule_paper_finetune();
   if (plan.peak > 0.0)

@@ -42,7 +42,8 @@ def schedule_of(arguments):
 def request_of(arguments, seed):
     body = {"kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch, "sensor": arguments.sensor,
             "schedule": schedule_of(arguments), "gradient_norm_limit": arguments.norm_limit,
-            "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2, "epsilon": arguments.epsilon}, "adjoint_bound": arguments.bound,
+            "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2, "epsilon": arguments.epsilon},
+            "adjoint_bound": arguments.bound, "adjoint_rule": arguments.rule,
             "physics": {"n_steps": arguments.rollout_steps, "impact": arguments.impact}, "device": arguments.device,
             "validation": {"every_steps": arguments.validation_every, "designs": arguments.validation_designs, "environments": arguments.validation_environments},
             "checkpoint": {"keep": 1}}
@@ -60,6 +61,8 @@ def recipe_of(body):
         if name in schedule and schedule[name] != usual.get(name):
             words.append(f"{word} {schedule[name]:g}")
     words.append(f"bound {body['adjoint_bound']:g}")
+    if body["adjoint_rule"] != "clip":
+        words.append(body["adjoint_rule"])
     adam = body["adam"]
     for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (adam["beta1"], 0.9, "beta1"), (adam["beta2"], 0.999, "beta2"),
                                      (adam["epsilon"], 1e-8, "epsilon"), (body["physics"]["n_steps"], 1000, "lives of")):
@@ -248,6 +251,7 @@ def options():
     for name, text in (("warmup", "steps"), ("cycle", "steps to the first restart"), ("growth", "of the cycles")):
         parser.add_argument(f"--{name}", type=int, help=text + " (default: the schedule's)")
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
+    parser.add_argument("--rule", choices=("clip", "restart"), default="clip", help="above the bound (default clip)")
     parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
     parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
     parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")
