@@ -6,8 +6,9 @@
  *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
  *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
- * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound. Robots are distinct random bodies, each in a training environment; 1000 steps,
- * clipping at 2. One line per measurement; exit status 1 if a bound is missed, 77 without a device. */
+ * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound. Robots are distinct
+ * random bodies, each in a training environment; 1000 steps, bound 2. One line per measurement; exit status 1 if a bound is missed, 77 without
+ * a device. */
 #include "compute/cuda/gradient.h"
 
 #include <math.h>
@@ -196,14 +197,15 @@ struct result {
 };
 
 static void run_with(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
-                     uint32_t n, const struct mo_physics *physics, enum mo_adjoint_rule rule, uint64_t memory_bytes)
+                     uint32_t n, const struct mo_physics *physics, double bound, enum mo_adjoint_rule rule,
+                     uint64_t memory_bytes)
 {
   const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
   *r = (struct result){.call = {.controller = controller,
                                 .robots = s->robots + first,
                                 .n = n,
                                 .physics = *physics,
-                                .adjoint_bound = MO_ADJOINT_BOUND,
+                                .adjoint_bound = bound,
                                 .adjoint_rule = rule,
                                 .weight = 1.0 / n,
                                 .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
@@ -226,7 +228,7 @@ static void run(struct result *r, const struct mo_controller *controller, const 
 {
   struct mo_physics physics = mo_default_physics();
   physics.n_steps = n_steps;
-  run_with(r, controller, s, first, n, &physics, MO_ADJOINT_CLIP, memory_bytes);
+  run_with(r, controller, s, first, n, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, memory_bytes);
 }
 
 static void drop(struct result *r)
@@ -256,7 +258,7 @@ static void check_likeness(const char *weights, const char *path, const struct s
   fclose(file);
   struct result r;
   const struct mo_physics physics = mo_default_physics();
-  run_with(&r, controller, s, 0, LIKE, &physics, rule_of(weights), 0);
+  run_with(&r, controller, s, 0, LIKE, &physics, MO_ADJOINT_BOUND, rule_of(weights), 0);
   for (int i = 0; i < LIKE; i++)
     differ[i] = fabs(r.call.outcomes[i].loss - outcomes[i].loss);
   qsort(differ, LIKE, sizeof(*differ), ascending);
@@ -329,8 +331,8 @@ static void check_rare(const struct scene *s)
   struct result a, b;
   physics.n_steps = 300;
   physics.stiffness_n_per_m *= 1.7;
-  run_with(&a, controller, s, 0, FEW, &physics, MO_ADJOINT_CLIP, 0);
-  run_with(&b, controller, s, 0, FEW, &physics, MO_ADJOINT_CLIP, 0);
+  run_with(&a, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, 0);
+  run_with(&b, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, 0);
   print_counts("springs 1.7 times as stiff", &a.call.counts);
   expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW &&
              is_finite(&a, controller->n_parameters),
@@ -344,14 +346,14 @@ static void check_rare(const struct scene *s)
   for (float factor = 3; factor < 300 && zeroed == 0; factor *= 3) {
     for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
       controller->weight[MO_HIDDEN_LAYERS][k] *= 3;
-    run_with(&a, controller, s, 0, FEW, &physics, 0, 0);
+    run_with(&a, controller, s, 0, FEW, &physics, 0, MO_ADJOINT_CLIP, 0);
     const uint32_t walks = mo_cuda_gradient_times(state)->walks;
     zeroed = a.call.counts.zeroed_robots;
     print_counts("no bound", &a.call.counts);
     expect(is_finite(&a, controller->n_parameters) && (walks > 1) == (zeroed > 0),
            "the gradient is finite, and taken again where a robot is left out");
     if (zeroed > 0) {
-      run_with(&b, controller, s, 0, FEW, &physics, 0, 0);
+      run_with(&b, controller, s, 0, FEW, &physics, 0, MO_ADJOINT_CLIP, 0);
       expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0 &&
                  memcmp(a.call.outcomes, b.call.outcomes, FEW * sizeof(*a.call.outcomes)) == 0,
              "twice the same");
