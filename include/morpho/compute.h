@@ -81,6 +81,10 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
 /* Cancels what is queued and running (their `done` is called with MO_ERR_CANCELLED), joins the workers. NULL-safe. */
 void mo_compute_free(struct mo_compute *compute);
 
+/* For a thread that computes but is none of the workers: batch scheduling and their niceness, as of now, for itself and for the threads
+ * that it starts from then on. Once a thread; it cannot be undone. */
+void mo_compute_settle(const struct mo_compute *compute);
+
 /* Takes a copy of nothing: `controller` (nullable: passive bodies) must outlive the result. */
 int mo_compute_controller_create(struct mo_compute *compute, const struct mo_controller *controller,
                                  struct mo_compute_controller **ret);

@@ -286,7 +286,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth, 
 
 /* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores. Neither is needed for a right
  * result, so a kernel that refuses is not an error. */
-static void settle(const struct mo_compute *compute)
+void mo_compute_settle(const struct mo_compute *compute)
 {
   const struct sched_param none = {0};
   (void)pthread_setschedparam(pthread_self(), SCHED_BATCH, &none);
@@ -300,7 +300,7 @@ static void *work(void *argument)
 {
   struct worker *worker = argument;
   struct mo_compute *compute = worker->compute;
-  settle(compute);
+  mo_compute_settle(compute);
   pthread_mutex_lock(&compute->mutex);
   for (;;) {
     struct mo_block *block = NULL;

@@ -1,13 +1,40 @@
 /* pretraining.c: the bodies that a pretraining learned from, drawn again.
  *
  * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those that are held out and without those whose form
- * came before. An empty set of the default workspace is itself what tells them apart, so that ten million forms are held once. */
+ * came before. An empty set of the default workspace is itself what tells them apart, so that ten million forms are held once.
+ *
+ * A draw depends on its number alone, so threads share out a round of draws, and then what tells them apart (form_set.h). A round has
+ * no more draws than bodies are wanting: however many of them are new, none is one too many. */
 #include "evolution/internal.h"
 
+#include "base/parallel.h"
 #include "morphospace/bits.h"
+#include "morphospace/form_set.h"
 
-#define ASK_EVERY     64
-#define FRUITLESS_MAX (UINT32_C(1) << 20) /* as in a body stream */
+#include <stdatomic.h>
+
+#define ASK_EVERY      64
+#define FRUITLESS_MAX  (UINT32_C(1) << 20) /* as in a body stream */
+#define ROUND          32768               /* draws of a thread, about 30 ms; fewer where a form has more words */
+#define WORTH_A_THREAD 256                 /* draws, some 200 µs */
+
+struct drawing {
+  uint64_t seed;
+  uint32_t n_threads;
+  const volatile int *cancel;
+  struct mo_form_set *distinct; /* what tells the bodies apart */
+  struct mo_form_set *set;      /* NULL: it is that */
+  struct mo_workspace workspace;
+  size_t words; /* of a form of the workspace */
+  uint64_t first;
+  size_t n, room;
+  uint64_t *bodies;    /* (room, MO_DEFAULT_WORDS); NULL without `set` */
+  uint64_t *forms;     /* (room, MO_DEFAULT_WORDS) */
+  uint64_t *elsewhere; /* (room, words) forms in the workspace; NULL without `set` */
+  uint64_t *hashes;    /* (room) */
+  uint8_t *marks;      /* (room) enum mo_form_mark */
+  atomic_int error;
+};
 
 static bool is_default(struct mo_workspace w)
 {
@@ -15,64 +42,148 @@ static bool is_default(struct mo_workspace w)
   return w.nx == all.nx && w.ny == all.ny && w.nz == all.nz;
 }
 
-/* Adds a body's form to `set` if it fits; `moved`, `form`: scratch of the set's workspace. */
-static int add_moved(const uint64_t *body, struct mo_workspace workspace, struct mo_form_set *set, uint64_t *moved,
-                     uint64_t *form)
+static void draw_some(void *context, size_t first, size_t end)
 {
-  const int r = mo_genotype_move(MO_DEFAULT_WORKSPACE, body, workspace, moved);
-  if (r < 0)
-    return r == MO_ERR_RANGE ? MO_OK : r;
-  mo_genotype_canonical(workspace, moved, form);
-  return mo_form_set_add(set, form);
+  struct drawing *drawing = context;
+  for (size_t i = first; i < end; i++) {
+    uint64_t one[MO_DEFAULT_WORDS], *form = drawing->forms + MO_DEFAULT_WORDS * i;
+    uint64_t *body = drawing->bodies != NULL ? drawing->bodies + MO_DEFAULT_WORDS * i : one;
+    struct mo_random random;
+    int r = (i - first) % ASK_EVERY == 0 && mo_is_cancelled(drawing->cancel) ? MO_ERR_CANCELLED : MO_OK;
+    mo_random_init(&random, drawing->seed, MO_PURPOSE_BODY, 0, drawing->first + i);
+    if (r == MO_OK)
+      r = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body);
+    if (r < 0) {
+      atomic_store(&drawing->error, r);
+      return;
+    }
+    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
+    drawing->marks[i] = mo_held_out_form(form) ? MO_FORM_OUT : MO_FORM_IN;
+    drawing->hashes[i] = mo_form_set_hash(drawing->distinct, form);
+  }
 }
 
-/* distinct: what tells the bodies apart. set: NULL if it is that. */
-static int draw(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace, const volatile int *cancel,
-                volatile uint64_t *done, struct mo_form_set *distinct, struct mo_form_set *set, uint64_t *scratch)
+/* The forms of those that are new and fit the workspace. */
+static void move_some(void *context, size_t first, size_t end)
+{
+  struct drawing *drawing = context;
+  struct mo_scratch moved;
+  int r = mo_scratch_open(&moved, (uint32_t)drawing->words);
+  for (size_t i = first; i < end && r == MO_OK; i++) {
+    uint64_t *form = drawing->elsewhere + drawing->words * i;
+    if (drawing->marks[i] == MO_FORM_NEW)
+      r = mo_genotype_move(MO_DEFAULT_WORKSPACE, drawing->bodies + MO_DEFAULT_WORDS * i, drawing->workspace,
+                           moved.bits);
+    if (drawing->marks[i] != MO_FORM_NEW || r != MO_OK) {
+      drawing->marks[i] = MO_FORM_OUT;
+      r = r == MO_ERR_RANGE ? MO_OK : r;
+      continue;
+    }
+    drawing->marks[i] = MO_FORM_IN;
+    mo_genotype_canonical(drawing->workspace, moved.bits, form);
+    drawing->hashes[i] = mo_form_set_hash(drawing->set, form);
+  }
+  mo_scratch_close(&moved);
+  if (r != MO_OK)
+    atomic_store(&drawing->error, r);
+}
+
+static uint32_t threads_for(const struct drawing *drawing)
+{
+  const size_t enough = 1 + drawing->n / WORTH_A_THREAD;
+  return drawing->n_threads < enough ? drawing->n_threads : (uint32_t)enough;
+}
+
+/* Draws that gave nothing new, in a row, up to the end of the round; MO_ERR_EXHAUSTED: they were too many. */
+static int count(const struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
+{
+  for (size_t i = 0; i < drawing->n; i++) {
+    if (drawing->marks[i] == MO_FORM_IN && ++*fruitless == FRUITLESS_MAX)
+      return MO_ERR_EXHAUSTED;
+    if (drawing->marks[i] == MO_FORM_NEW) {
+      *fruitless = 0;
+      ++*found;
+    }
+  }
+  return MO_OK;
+}
+
+static int draw_round(struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
+{
+  mo_parallel(threads_for(drawing), drawing->n, draw_some, drawing);
+  int r = atomic_load(&drawing->error);
+  if (r == MO_OK)
+    r = mo_form_set_add_many(drawing->distinct, drawing->forms, drawing->hashes, drawing->n, drawing->n_threads,
+                             drawing->marks);
+  if (r == MO_OK)
+    r = count(drawing, found, fruitless);
+  if (r != MO_OK || drawing->set == NULL)
+    return r;
+  mo_parallel(threads_for(drawing), drawing->n, move_some, drawing);
+  r = atomic_load(&drawing->error);
+  return r == MO_OK ? mo_form_set_add_many(drawing->set, drawing->elsewhere, drawing->hashes, drawing->n,
+                                           drawing->n_threads, drawing->marks)
+                    : r;
+}
+
+static int draw(struct drawing *drawing, uint64_t n_bodies, volatile uint64_t *done)
 {
   uint64_t found = 0;
   uint32_t fruitless = 0;
-  for (uint64_t i = 0; found < n_bodies; i++) {
-    uint64_t body[MO_DEFAULT_WORDS], form[MO_DEFAULT_WORDS];
-    struct mo_random random;
-    if (i % ASK_EVERY == 0 && mo_is_cancelled(cancel))
-      return MO_ERR_CANCELLED;
-    mo_random_init(&random, seed, MO_PURPOSE_BODY, 0, i);
-    int r = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body);
-    if (r < 0)
+  while (found < n_bodies) {
+    drawing->n = n_bodies - found < drawing->room ? (size_t)(n_bodies - found) : drawing->room;
+    const int r = draw_round(drawing, &found, &fruitless);
+    if (r != MO_OK)
       return r;
-    mo_genotype_canonical(MO_DEFAULT_WORKSPACE, body, form);
-    if (mo_held_out_form(form))
-      continue;
-    const int is_new = mo_form_set_add(distinct, form);
-    if (is_new < 0)
-      return is_new;
-    if (is_new == 0 && ++fruitless == FRUITLESS_MAX)
-      return MO_ERR_EXHAUSTED;
-    if (is_new == 0)
-      continue;
-    if (set != NULL && (r = add_moved(body, workspace, set, scratch, scratch + mo_workspace_words(workspace))) < 0)
-      return r;
-    fruitless = 0;
-    found++;
+    drawing->first += drawing->n;
     if (done != NULL)
       __atomic_store_n(done, found, __ATOMIC_RELAXED);
   }
   return MO_OK;
 }
 
-int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace, const volatile int *cancel,
-                         volatile uint64_t *done, struct mo_form_set *set)
+static int make_room(struct drawing *drawing, uint64_t n_bodies)
 {
-  if (is_default(workspace) && mo_form_set_count(set) == 0)
-    return draw(seed, n_bodies, workspace, cancel, done, set, NULL, NULL);
-  struct mo_form_set *distinct = NULL;
-  int r = mo_form_set_create(MO_DEFAULT_WORKSPACE, &distinct);
+  const size_t share = drawing->words <= MO_DEFAULT_WORDS ? ROUND : ROUND * MO_DEFAULT_WORDS / drawing->words + 1;
+  const size_t most = share * drawing->n_threads;
+  drawing->room = n_bodies < most ? (size_t)n_bodies + 1 : most;
+  drawing->forms = calloc(drawing->room, MO_DEFAULT_WORDS * sizeof(*drawing->forms));
+  drawing->hashes = calloc(drawing->room, sizeof(*drawing->hashes));
+  drawing->marks = calloc(drawing->room, sizeof(*drawing->marks));
+  if (drawing->forms == NULL || drawing->hashes == NULL || drawing->marks == NULL)
+    return MO_ERR_NO_MEMORY;
+  if (drawing->set == NULL)
+    return MO_OK;
+  drawing->bodies = calloc(drawing->room, MO_DEFAULT_WORDS * sizeof(*drawing->bodies));
+  drawing->elsewhere = calloc(drawing->room, drawing->words * sizeof(*drawing->elsewhere));
+  return drawing->bodies == NULL || drawing->elsewhere == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+}
+
+int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace, uint32_t n_threads,
+                         const volatile int *cancel, volatile uint64_t *done, struct mo_form_set *set)
+{
+  const bool tells_apart = is_default(workspace) && mo_form_set_count(set) == 0;
+  struct mo_form_set *own = NULL;
+  int r = tells_apart ? MO_OK : mo_form_set_create(MO_DEFAULT_WORKSPACE, &own);
   if (r < 0)
     return r;
-  uint64_t *scratch = calloc(2 * (size_t)mo_workspace_words(workspace), sizeof(*scratch));
-  r = scratch != NULL ? draw(seed, n_bodies, workspace, cancel, done, distinct, set, scratch) : MO_ERR_NO_MEMORY;
-  free(scratch);
-  mo_form_set_free(distinct);
+  struct drawing drawing = {.seed = seed,
+                            .n_threads = n_threads < 1                         ? 1
+                                         : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
+                                                                               : MO_PARALLEL_THREADS_MAX,
+                            .cancel = cancel,
+                            .distinct = tells_apart ? set : own,
+                            .set = tells_apart ? NULL : set,
+                            .workspace = workspace,
+                            .words = mo_workspace_words(workspace)};
+  r = make_room(&drawing, n_bodies);
+  if (r == MO_OK)
+    r = draw(&drawing, n_bodies, done);
+  free(drawing.bodies);
+  free(drawing.forms);
+  free(drawing.elsewhere);
+  free(drawing.hashes);
+  free(drawing.marks);
+  mo_form_set_free(own);
   return r;
 }

@@ -2,17 +2,20 @@
  *
  * A controller says in its metadata how it was made: a pretraining has a seed, a batch and a number of steps, and the bodies follow
  * from these; a finetuning, or a campaign, has a parent, whose own file says the same of it. The bodies of every pretraining on the
- * way up, as far as the store has the files, are drawn again (6 µs each) into one set. The set is const once it is made, and
- * campaigns with the same lineage and workspace share it: the first one makes it, the others wait. */
+ * way up, as far as the store has the files, are drawn again into one set, on as many threads as there are workers, 16 at most, and with their
+ * niceness. The set is const once it is made, and campaigns with the same lineage and workspace share it: the first one makes it, the
+ * others wait. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/thread.h"
 #include "jobs/campaign_run.h"
 
 #define PARTS_MAX     16
 #define ANCESTORS_MAX 64
 #define WAIT_MS       50
+#define THREADS_MAX   16
 
 struct part {
   uint64_t seed, n_bodies;
@@ -153,6 +156,48 @@ void mo_exclusion_release(struct mo_jobs *jobs, struct mo_exclusion *exclusion)
   pthread_mutex_unlock(&jobs->exclusions_mutex);
 }
 
+struct drawing {
+  struct mo_campaign_run *run;
+  const struct part *part;
+  struct mo_exclusion *made;
+  uint32_t n_threads;
+  int error;
+};
+
+static void draw(struct drawing *drawing)
+{
+  struct mo_runner *runner = drawing->run->attempt.runner;
+  drawing->error =
+      mo_pretraining_forms(drawing->part->seed, drawing->part->n_bodies, drawing->made->workspace, drawing->n_threads,
+                           &runner->interrupt, &runner->replayed, drawing->made->forms);
+}
+
+static void *draw_nicely(void *context)
+{
+  struct drawing *drawing = context;
+  mo_runner_tag = drawing->run->id;
+  mo_compute_settle(drawing->run->jobs->compute);
+  draw(drawing);
+  return NULL;
+}
+
+/* On a thread of its own, because niceness is not for coming back from; without one, alone on this one. */
+static int draw_part(struct mo_campaign_run *run, const struct part *part, struct mo_exclusion *made)
+{
+  struct drawing drawing = {.run = run, .part = part, .made = made};
+  struct mo_compute_stats stats;
+  pthread_t thread;
+  mo_compute_get_stats(run->jobs->compute, &stats);
+  drawing.n_threads = stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX;
+  if (mo_thread_create(&thread, NULL, draw_nicely, &drawing) == 0) {
+    pthread_join(thread, NULL);
+  } else {
+    drawing.n_threads = 1;
+    draw(&drawing);
+  }
+  return drawing.error;
+}
+
 static int draw_forms(struct mo_campaign_run *run, struct mo_exclusion *made)
 {
   struct mo_runner *runner = run->attempt.runner;
@@ -162,8 +207,7 @@ static int draw_forms(struct mo_campaign_run *run, struct mo_exclusion *made)
     total += made->parts[i].n_bodies;
   (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, total);
   for (uint32_t i = 0; i < made->n_parts && error == MO_OK; i++) {
-    error = mo_pretraining_forms(made->parts[i].seed, made->parts[i].n_bodies, made->workspace, &runner->interrupt,
-                                 &runner->replayed, made->forms);
+    error = draw_part(run, &made->parts[i], made);
     drawn += made->parts[i].n_bodies;
     __atomic_store_n(&runner->replayed, 0, __ATOMIC_RELAXED);
     mo_campaign_advance(run, drawn);

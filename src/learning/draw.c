@@ -1,7 +1,7 @@
 /* draw.c: the robots of a step.
  *
  * Pretraining: the next bodies of the stream of the seed that are not held out. The set of bodies seen is not saved: a restored
- * training draws its earlier bodies again, about 6 µs each, and must arrive at the same number of draws. Finetuning: the designs
+ * training draws its earlier bodies again, about 3.5 µs each, and must arrive at the same number of draws. Finetuning: the designs
  * in turn, which go on from one step to the next. Whatever stops a draw, the next call goes on where it stopped.
  *
  * Two hands hold robots: the current step's and, drawn ahead while that one's gradient is computed, the next one's. Bodies come out of

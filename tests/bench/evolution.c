@@ -27,6 +27,7 @@ static const char usage[] =
     "  --population N    default 8192\n"
     "  --generations N   default 100\n"
     "  --forms N         bodies of a pretraining that count as seen (default 12000000)\n"
+    "  --threads N       that draw these (default 1)\n"
     "  --selection NAME  truncation (default), tournament, novelty, age-layered\n"
     "  --scores PATH     recorded scores, one to a line, for the designs in order of birth, "
     "from the start again at the end\n"
@@ -39,6 +40,7 @@ static const char *const phase_names[PHASES] = {"variation", "selection", "stati
 struct evolution {
   struct mo_campaign_settings settings;
   uint64_t n_forms;
+  uint32_t n_threads;                   /* that draw them */
   const char *scores_path, *store_path; /* nullable */
   struct bench_campaign *campaign;      /* with store_path */
   double *recorded;                     /* (n_recorded) */
@@ -186,11 +188,13 @@ static void create(struct evolution *evolution)
   bench_check(mo_lattice_create(settings->workspace, &evolution->lattice), "lattice");
   bench_check(mo_form_set_create(settings->workspace, &evolution->excluded), "set of forms");
   double start = bench_now_s();
-  bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, NULL, NULL, evolution->excluded),
+  bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, evolution->n_threads, NULL, NULL,
+                                   evolution->excluded),
               "bodies of the pretraining");
-  printf("excluded: the first %llu bodies of the pretraining of seed 1, drawn again in %.1f s, %.1f MiB\n",
-         (unsigned long long)mo_form_set_count(evolution->excluded), bench_now_s() - start,
-         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);
+  printf(
+      "excluded: the first %llu bodies of the pretraining of seed 1, drawn again by %u threads in %.1f s, %.1f MiB\n",
+      (unsigned long long)mo_form_set_count(evolution->excluded), evolution->n_threads, bench_now_s() - start,
+      (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);
   bench_check(mo_seen_create(settings->workspace, evolution->excluded, &evolution->seen), "seen");
   start = bench_now_s();
   bench_check(mo_population_initial(settings, evolution->seen, evolution->genotypes, 0, &evolution->n, NULL, NULL),
@@ -355,6 +359,7 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
   static const struct option options[] = {{"population", required_argument, NULL, 'p'},
                                           {"generations", required_argument, NULL, 'g'},
                                           {"forms", required_argument, NULL, 'f'},
+                                          {"threads", required_argument, NULL, 'T'},
                                           {"selection", required_argument, NULL, 's'},
                                           {"scores", required_argument, NULL, 'r'},
                                           {"seed", required_argument, NULL, 'S'},
@@ -368,6 +373,7 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
     case 'p': settings->population = (uint32_t)number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX); break;
     case 'g': settings->generations = (uint32_t)number(optarg, 1, MO_GENERATIONS_MAX); break;
     case 'f': evolution->n_forms = number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
+    case 'T': evolution->n_threads = (uint32_t)number(optarg, 1, 64); break;
     case 's':
       if (mo_selection_from_name(optarg, &settings->selection.kind) != MO_OK) {
         fprintf(stderr, "morpho-bench: unknown selection \"%s\"\n", optarg);
@@ -388,7 +394,8 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
 
 int bench_evolution(int argc, char **argv)
 {
-  struct evolution evolution = {.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER), .n_forms = 12000000};
+  struct evolution evolution = {
+      .settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER), .n_forms = 12000000, .n_threads = 1};
   setvbuf(stdout, NULL, _IOLBF, 0);
   read_options(&evolution, argc, argv);
   if (evolution.scores_path != NULL)

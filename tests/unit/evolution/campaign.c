@@ -2,6 +2,9 @@
  * made again; what is given in the beginning; what was seen. */
 #include "fixture.h"
 
+#include <pthread.h>
+#include <sched.h>
+
 static uint64_t fnv(uint64_t hash, const void *bytes, size_t n)
 {
   const uint8_t *at = bytes;
@@ -211,7 +214,7 @@ static void pretraining(void)
   settings.n_steps = STEPS + 1;
   settings.batch = BATCH;
   REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &set) == MO_OK);
-  CHECK_INT(mo_pretraining_forms(11, STEPS * BATCH, MO_DEFAULT_WORKSPACE, NULL, &done, set), MO_OK);
+  CHECK_INT(mo_pretraining_forms(11, STEPS * BATCH, MO_DEFAULT_WORKSPACE, 1, NULL, &done, set), MO_OK);
   CHECK(done == STEPS * BATCH && mo_form_set_count(set) == STEPS * BATCH);
   REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
   REQUIRE(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
@@ -249,7 +252,7 @@ static void pretraining_elsewhere(void)
   REQUIRE(mo_form_set_create(small, &set) == MO_OK && mo_form_set_create(small, &expected) == MO_OK &&
           mo_form_set_create(MO_DEFAULT_WORKSPACE, &again) == MO_OK &&
           mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
-  CHECK_INT(mo_pretraining_forms(11, 1200, small, NULL, NULL, set), MO_OK);
+  CHECK_INT(mo_pretraining_forms(11, 1200, small, 1, NULL, NULL, set), MO_OK);
   for (int i = 0; i < 1200; i++) {
     uint64_t body[W], form[W], moved, moved_form;
     REQUIRE(next_body(stream, body, form) == MO_OK);
@@ -266,15 +269,102 @@ static void pretraining_elsewhere(void)
   }
   CHECK_INT(mo_form_set_count(set), mo_form_set_count(expected));
   CHECK(mo_form_set_count(set) > 100 && mo_form_set_count(set) < 1100);
-  CHECK_INT(mo_pretraining_forms(11, 100, MO_DEFAULT_WORKSPACE, NULL, NULL, again), MO_OK);
-  CHECK_INT(mo_pretraining_forms(11, 1200, MO_DEFAULT_WORKSPACE, NULL, NULL, again), MO_OK);
+  CHECK_INT(mo_pretraining_forms(11, 100, MO_DEFAULT_WORKSPACE, 1, NULL, NULL, again), MO_OK);
+  CHECK_INT(mo_pretraining_forms(11, 1200, MO_DEFAULT_WORKSPACE, 1, NULL, NULL, again), MO_OK);
   CHECK_INT(mo_form_set_count(again), 1200);
-  CHECK_INT(mo_pretraining_forms(12, 100, MO_DEFAULT_WORKSPACE, &cancel, NULL, again), MO_ERR_CANCELLED);
+  CHECK_INT(mo_pretraining_forms(12, 100, MO_DEFAULT_WORKSPACE, 1, &cancel, NULL, again), MO_ERR_CANCELLED);
   CHECK_INT(mo_form_set_count(again), 1200);
   mo_body_stream_free(stream);
   mo_form_set_free(set);
   mo_form_set_free(expected);
   mo_form_set_free(again);
+}
+
+/* The forms of a pretraining's first n bodies, of those that fit the workspace, one after the other. */
+static int plain_forms(uint64_t seed, int n, struct mo_workspace workspace, struct mo_form_set *set)
+{
+  struct mo_body_stream *stream = NULL;
+  uint64_t body[W], form[W], moved[W];
+  int r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream);
+  for (int i = 0; i < n && r >= 0; i++) {
+    r = next_body(stream, body, form);
+    if (r == MO_OK && mo_genotype_move(MO_DEFAULT_WORKSPACE, body, workspace, moved) == MO_OK) {
+      mo_genotype_canonical(workspace, moved, form);
+      r = mo_form_set_add(set, form);
+    }
+  }
+  mo_body_stream_free(stream);
+  return r < 0 ? r : MO_OK;
+}
+
+/* How many of the forms of a pretraining's first n bodies, of those that fit the workspace, the set has not. */
+static int missing_forms(uint64_t seed, int n, struct mo_workspace workspace, const struct mo_form_set *set)
+{
+  struct mo_body_stream *stream = NULL;
+  uint64_t body[W], form[W], moved[W];
+  int missing = mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream) != MO_OK;
+  for (int i = 0; i < n && missing == 0; i++) {
+    missing = next_body(stream, body, form) != MO_OK;
+    if (mo_genotype_move(MO_DEFAULT_WORKSPACE, body, workspace, moved) == MO_OK) {
+      mo_genotype_canonical(workspace, moved, form);
+      missing += !mo_form_set_has(set, form);
+    }
+  }
+  mo_body_stream_free(stream);
+  return missing;
+}
+
+#define MANY 60000
+
+static void pretraining_on_threads(void)
+{
+  const struct mo_workspace workspaces[] = {MO_DEFAULT_WORKSPACE, {5, 4, 2}};
+  const uint32_t threads[] = {1, 2, 7};
+  for (int w = 0; w < 2; w++) {
+    struct mo_form_set *expected = NULL;
+    REQUIRE(mo_form_set_create(workspaces[w], &expected) == MO_OK);
+    REQUIRE(plain_forms(5, MANY, workspaces[w], expected) == MO_OK);
+    for (int t = 0; t < 3; t++) {
+      struct mo_form_set *set = NULL;
+      volatile uint64_t done = 0;
+      REQUIRE(mo_form_set_create(workspaces[w], &set) == MO_OK);
+      CHECK_INT(mo_pretraining_forms(5, MANY, workspaces[w], threads[t], NULL, &done, set), MO_OK);
+      CHECK_INT(done, MANY);
+      CHECK_INT(mo_form_set_count(set), mo_form_set_count(expected));
+      CHECK_INT(mo_form_set_bytes(set), mo_form_set_bytes(expected));
+      CHECK_INT(missing_forms(5, MANY, workspaces[w], set), 0);
+      mo_form_set_free(set);
+    }
+    mo_form_set_free(expected);
+  }
+}
+
+struct interruption {
+  volatile uint64_t done;
+  volatile int cancel;
+};
+
+static void *interrupt(void *context)
+{
+  struct interruption *interruption = context;
+  while (__atomic_load_n(&interruption->done, __ATOMIC_RELAXED) == 0)
+    sched_yield();
+  __atomic_store_n(&interruption->cancel, 1, __ATOMIC_RELAXED);
+  return NULL;
+}
+
+static void pretraining_interrupted(void)
+{
+  struct interruption interruption = {.cancel = 0};
+  struct mo_form_set *set = NULL;
+  pthread_t thread;
+  REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &set) == MO_OK);
+  REQUIRE(pthread_create(&thread, NULL, interrupt, &interruption) == 0);
+  CHECK_INT(mo_pretraining_forms(5, 50 * MANY, MO_DEFAULT_WORKSPACE, 3, &interruption.cancel, &interruption.done, set),
+            MO_ERR_CANCELLED);
+  CHECK(interruption.done > 0 && mo_form_set_count(set) == interruption.done);
+  pthread_join(thread, NULL);
+  mo_form_set_free(set);
 }
 
 static const struct check_case cases[] = {
@@ -285,5 +375,7 @@ static const struct check_case cases[] = {
     {"given designs that are excluded", given_and_excluded},
     {"the bodies of a pretraining", pretraining},
     {"the bodies of a pretraining, elsewhere", pretraining_elsewhere},
+    {"the bodies of a pretraining, on any number of threads", pretraining_on_threads},
+    {"the bodies of a pretraining, interrupted", pretraining_interrupted},
 };
 CHECK_MAIN(cases)

@@ -118,7 +118,7 @@ static int forms_of(struct mo_workspace workspace)
   struct mo_form_set *set = NULL;
   int r = mo_form_set_create(workspace, &set);
   if (r == MO_OK)
-    r = mo_pretraining_forms(1, 40, workspace, NULL, NULL, set);
+    r = mo_pretraining_forms(1, 40, workspace, 1, NULL, NULL, set);
   mo_form_set_free(set);
   return r;
 }

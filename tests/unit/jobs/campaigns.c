@@ -192,7 +192,7 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   origin = origin_of(&request);
   without = plain_history(&fake_plain, &origin);
   REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, NULL, NULL, excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL, excluded) == MO_OK);
   CHECK(mo_form_set_count(excluded) > 0);
   origin.excluded = excluded;
   request.controller = "tuned";

@@ -391,6 +391,11 @@ const char *mo_compute_gradient_fingerprint(const struct mo_compute *compute)
   return fingerprint != NULL ? fingerprint : "fake gradient";
 }
 
+void mo_compute_settle(const struct mo_compute *compute)
+{
+  (void)compute;
+}
+
 void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_stats *stats)
 {
   *stats = (struct mo_compute_stats){.n_workers = compute->n_workers,

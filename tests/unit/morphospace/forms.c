@@ -1,7 +1,7 @@
 /* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies. */
 #include "../check.h"
 
-#include <morpho/morphospace.h>
+#include "morphospace/form_set.h"
 
 static const struct mo_workspace home = {6, 6, 4};
 
@@ -56,6 +56,47 @@ static void set_of_other_workspaces(void)
     }
     CHECK_INT(mo_form_set_count(set), voxels);
     mo_form_set_free(set);
+  }
+}
+
+#define MANY 40000
+
+/* Forms of which many come again and some are not to be added, one by one and all at once. */
+static void set_of_many(void)
+{
+  const uint32_t threads[] = {1, 2, 7};
+  static uint64_t forms[MANY][3], hashes[MANY];
+  static uint8_t marks[MANY];
+  for (int t = 0; t < 3; t++) {
+    struct mo_form_set *set = NULL, *plain = NULL;
+    struct mo_random random;
+    int wrong = 0;
+    mo_random_init(&random, 52, MO_PURPOSE_CHECK, 0, 0);
+    REQUIRE(mo_form_set_create(home, &set) == MO_OK && mo_form_set_create(home, &plain) == MO_OK);
+    for (int part = 0; part < 2; part++) { /* the second time half of them are there */
+      for (uint64_t i = 0; i < MANY; i++) {
+        const uint64_t k = mo_random_below(&random, MANY / 2) + (uint64_t)part * (MANY / 4) + 1;
+        forms[i][0] = k;
+        forms[i][1] = k * k;
+        forms[i][2] = k & 0xff;
+        hashes[i] = mo_form_set_hash(set, forms[i]);
+        marks[i] = k % 5 == 0 ? MO_FORM_OUT : MO_FORM_IN;
+      }
+      CHECK_INT(mo_form_set_add_many(set, forms[0], hashes, MANY, threads[t], marks), MO_OK);
+      for (int i = 0; i < MANY; i++) {
+        const int mark = forms[i][0] % 5 == 0                    ? MO_FORM_OUT
+                         : mo_form_set_add(plain, forms[i]) == 1 ? MO_FORM_NEW
+                                                                 : MO_FORM_IN;
+        wrong += marks[i] != mark;
+      }
+      for (int i = 0; i < MANY; i++)
+        wrong += mo_form_set_has(set, forms[i]) != (forms[i][0] % 5 != 0);
+    }
+    CHECK_INT(wrong, 0);
+    CHECK_INT(mo_form_set_count(set), mo_form_set_count(plain));
+    CHECK_INT(mo_form_set_bytes(set), mo_form_set_bytes(plain));
+    mo_form_set_free(set);
+    mo_form_set_free(plain);
   }
 }
 
@@ -161,6 +202,7 @@ static void stream_runs_dry(void)
 static const struct check_case cases[] = {
     {"the set is exact", set_is_exact},
     {"the set holds forms of any size", set_of_other_workspaces},
+    {"many at once, on any number of threads", set_of_many},
     {"the set is small", set_is_small},
     {"the stream's bodies are distinct", stream_is_distinct},
     {"a small workspace runs dry", stream_runs_dry},
