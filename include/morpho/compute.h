@@ -139,6 +139,7 @@ struct mo_gradient_batch {
   struct mo_physics physics;
   double adjoint_bound; /* ≥ 0; 0: off */
   enum mo_adjoint_rule adjoint_rule;
+  double restart_weight;
   enum mo_urgency
       urgency; /* MO_INTERACTIVE: goes before all batch blocks that wait, without interrupting one that runs */
   const volatile int *cancel; /* NULL or a flag; non-zero: MO_ERR_CANCELLED soon */
@@ -159,7 +160,7 @@ struct mo_gradient_batch {
  * their results up in float64 in the order of the blocks: the same bits for any number of workers. Urgent scoring blocks overtake
  * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next: a pack, and
  * at most two float32 gradients per worker. Create it once per training; one call at a time, which must have returned before
- * mo_compute_free. MO_ERR_RANGE (n, a bound below 0), MO_ERR_INVALID (something missing or not finite, a body of another workspace, physics or
+ * mo_compute_free. MO_ERR_RANGE (n, a bound below 0, a weight outside its range), MO_ERR_INVALID (something missing or not finite, a body of another workspace, physics or
  * an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE. On error the results are undefined.
  *
  * On devices the blocks are shards of 1024 consecutive robots, spread over the devices and added up in the same way: the same bits for

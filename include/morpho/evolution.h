@@ -83,6 +83,7 @@ struct mo_campaign_settings {
   struct mo_schedule schedule;        /* few-shot: within each generation; simultaneous: over the campaign */
   double beta1, beta2, epsilon, norm_limit, adjoint_bound;
   enum mo_adjoint_rule adjoint_rule;
+  double restart_weight; /* of MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
   enum mo_sensor sensor; /* simultaneous without a controller */
   struct mo_physics physics;
 };

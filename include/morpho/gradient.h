@@ -9,9 +9,10 @@
  *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂),   d0 = distance in x, y to the light at the start + 1e-8 m,
  * is held against the bound. m has no unit. Where m > bound,
  *   MO_ADJOINT_CLIP     both are scaled by bound/m;
- *   MO_ADJOINT_RESTART  both begin anew, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is that of the distance to the light, over d0,
- *                       with the centre of mass where it was one step before. What the state did to the time after it is left out;
- *                       what the parameters did to it, on the way back so far, is kept. */
+ *   MO_ADJOINT_RESTART  both begin anew, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is restart_weight times that of the distance to
+ *                       the light, over d0, with the centre of mass where it was one step before. What the state did to the time
+ *                       after it is left out; what the parameters did to it, on the way back so far, is kept. With a weight of 0
+ *                       the way back ends there. */
 #ifndef MORPHO_GRADIENT_H
 #define MORPHO_GRADIENT_H
 
@@ -29,6 +30,8 @@ extern "C" {
 
 #define MO_ADJOINT_BOUND      2.0
 #define MO_ADJOINT_RATE_PER_S 15.0
+#define MO_RESTART_WEIGHT     3.0 /* docs/learning.md: the best of those measured */
+#define MO_RESTART_WEIGHT_MAX 1e6
 
 /* Stored by these numbers. */
 enum mo_adjoint_rule { MO_ADJOINT_CLIP = 0, MO_ADJOINT_RESTART = 1 };
@@ -40,8 +43,10 @@ struct mo_gradient_options {
   double adjoint_bound; /* ≥ 0; 0: off */
   double weight;        /* finite; factor of this rollout's gradient in the sum: 1/B for the mean over a batch of B */
   enum mo_adjoint_rule adjoint_rule;
+  double restart_weight; /* 0 … MO_RESTART_WEIGHT_MAX; of MO_ADJOINT_RESTART alone */
 };
-struct mo_gradient_options mo_default_gradient_options(void); /* MO_ADJOINT_BOUND, 1, MO_ADJOINT_CLIP */
+/* MO_ADJOINT_BOUND, 1, MO_ADJOINT_CLIP, MO_RESTART_WEIGHT. */
+struct mo_gradient_options mo_default_gradient_options(void);
 
 /* What happened, added up over calls; start from {0}. */
 struct mo_gradient_counts {
@@ -65,7 +70,7 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_grad
  * borrowed for the call. Memory, freed on return: n_parameters doubles and about sqrt(n_steps) steps: 7.5 MB for the full
  * default workspace and 1000 steps. Costs about three rollouts.
  *
- * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or no such rule; MO_ERR_RANGE: a bound below 0;
+ * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or no such rule; MO_ERR_RANGE: a bound below 0, a weight outside its range;
  * MO_ERR_NO_MEMORY. On error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
                           const struct mo_environment *environment, const struct mo_physics *physics,

@@ -85,6 +85,7 @@ struct mo_training_settings {
   double norm_limit;                 /* of the batch gradient's global L2 norm; 1; 0: off */
   double adjoint_bound;              /* per robot; MO_ADJOINT_BOUND; 0: off */
   enum mo_adjoint_rule adjoint_rule; /* above it; MO_ADJOINT_CLIP */
+  double restart_weight;             /* of MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
   struct mo_physics physics;
   enum mo_sensor sensor; /* of a controller that starts from random weights; ignored with a parent */
   /* Validation scores these designs in these environments with the controller as it is. Pretraining: the first

@@ -73,6 +73,7 @@ struct mo_device_gradient {
   struct mo_device_layout *layout; /* NULL, or of these very robots and physics: the call finds its rows laid out */
   double adjoint_bound, weight;    /* as in mo_gradient_options */
   enum mo_adjoint_rule adjoint_rule;
+  double restart_weight;
   const volatile int *cancel; /* as above */
   /* Results. */
   float *

@@ -237,6 +237,7 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
                                        .layout = laid != NULL ? laid->parts[p] : NULL,
                                        .adjoint_bound = batch->adjoint_bound,
                                        .adjoint_rule = batch->adjoint_rule,
+                                       .restart_weight = batch->restart_weight,
                                        .weight = 1.0 / batch->n,
                                        .stop = &waiter->stop,
                                        .outcomes = batch->outcomes + part.first,

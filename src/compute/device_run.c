@@ -288,6 +288,7 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
                                     .layout = end - row == task->n ? task->layout : NULL,
                                     .adjoint_bound = task->adjoint_bound,
                                     .adjoint_rule = task->adjoint_rule,
+                                    .restart_weight = task->restart_weight,
                                     .weight = task->weight,
                                     .cancel = &unit->cancel,
                                     .d_parameters = task->d_parameters + first * task->controller->n_parameters,

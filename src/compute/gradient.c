@@ -86,7 +86,7 @@ static int check(const struct mo_compute *compute, const struct mo_gradient_batc
       (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
       mo_physics_check(&batch->physics, NULL) != MO_OK)
     return MO_ERR_INVALID;
-  if (batch->adjoint_bound < 0)
+  if (batch->adjoint_bound < 0 || !(batch->restart_weight >= 0 && batch->restart_weight <= MO_RESTART_WEIGHT_MAX))
     return MO_ERR_RANGE;
   if (batch->share != NULL && batch->share->compute != compute)
     return MO_ERR_INVALID;
@@ -170,8 +170,10 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
   task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
   for (uint32_t i = 0; i < task->n; i++)
     task->robots[i] = batch->robots[state->order[first + i]];
-  task->options = (struct mo_gradient_options){
-      .adjoint_bound = batch->adjoint_bound, .weight = 1.0 / batch->n, .adjoint_rule = batch->adjoint_rule};
+  task->options = (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
+                                               .weight = 1.0 / batch->n,
+                                               .adjoint_rule = batch->adjoint_rule,
+                                               .restart_weight = batch->restart_weight};
   task->stop = &state->stop;
   task->counts = (struct mo_gradient_counts){0};
   task->profile = (struct mo_gradient_profile){0};

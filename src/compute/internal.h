@@ -44,6 +44,7 @@ struct mo_device_task {
   struct mo_device_layout *layout; /* of all of them; NULL: they are not laid out */
   double adjoint_bound, weight;
   enum mo_adjoint_rule adjoint_rule;
+  double restart_weight;
   const atomic_bool *stop;
   /* Results. */
   struct mo_outcome *outcomes;      /* (n) */

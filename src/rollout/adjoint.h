@@ -19,8 +19,8 @@ struct mo_adjoint {
  * mo_controller_accumulate needs. */
 void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape, struct mo_adjoint *adjoint);
 
-/* ∂loss/∂ the final state, with its centre of mass there. scale_m: what the loss divides the distance by. */
-void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m,
+/* ∂loss/∂ the final state, with its centre of mass there, times `weight`. scale_m: what the loss divides the distance by. */
+void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m, double weight,
                       struct mo_adjoint *adjoint);
 
 /* Called with the adjoint of the state after `step` steps, before it is measured and after it was clipped; nullable. */

@@ -30,8 +30,10 @@ int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule)
 
 struct mo_gradient_options mo_default_gradient_options(void)
 {
-  return (struct mo_gradient_options){
-      .adjoint_bound = MO_ADJOINT_BOUND, .weight = 1.0, .adjoint_rule = MO_ADJOINT_CLIP};
+  return (struct mo_gradient_options){.adjoint_bound = MO_ADJOINT_BOUND,
+                                      .weight = 1.0,
+                                      .adjoint_rule = MO_ADJOINT_CLIP,
+                                      .restart_weight = MO_RESTART_WEIGHT};
 }
 
 struct gradient {
@@ -150,7 +152,7 @@ static void take_back(struct gradient *g, double m, const double *before_m)
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
     double com_m[3];
     mo_scene_com(before_m, g->reference.body->n_masses, com_m);
-    mo_adjoint_start(&g->reference, com_m, g->scale_m, &g->adjoint);
+    mo_adjoint_start(&g->reference, com_m, g->scale_m, g->options->restart_weight, &g->adjoint);
     return;
   }
   const double scale = g->options->adjoint_bound / m;
@@ -187,7 +189,7 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;
   bool clipped = false;
-  mo_adjoint_start(r, outcome->com_end_m, g->scale_m, &g->adjoint);
+  mo_adjoint_start(r, outcome->com_end_m, g->scale_m, 1.0, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
     const uint32_t n = r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
@@ -229,7 +231,7 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
   if (controller == NULL || !isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
       (unsigned)options->adjoint_rule >= RULES)
     return MO_ERR_INVALID;
-  if (options->adjoint_bound < 0)
+  if (options->adjoint_bound < 0 || !(options->restart_weight >= 0 && options->restart_weight <= MO_RESTART_WEIGHT_MAX))
     return MO_ERR_RANGE;
   struct gradient g = {.options = options, .probe = probe, .counts = {.robots = 1}};
   int r = mo_reference_init(&g.reference, body, controller, environment, physics);

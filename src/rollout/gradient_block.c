@@ -240,7 +240,8 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradien
                       struct mo_gradient_counts *counts)
 {
   if (n < 1 || n > MO_GRADIENT_ROBOTS || !isfinite(options->weight) || !isfinite(options->adjoint_bound) ||
-      options->adjoint_bound < 0 || mo_adjoint_rule_name(options->adjoint_rule)[0] == '?')
+      options->adjoint_bound < 0 || mo_adjoint_rule_name(options->adjoint_rule)[0] == '?' ||
+      !(options->restart_weight >= 0 && options->restart_weight <= MO_RESTART_WEIGHT_MAX))
     return MO_ERR_INVALID;
   for (uint32_t i = 0; i < n; i++)
     if (!same_workspace(robots[i].body->workspace, pack->workspace))

@@ -96,8 +96,8 @@ static void phys_finish(const struct phys_robot *robot, const REAL *state, struc
 
 /* ---- backwards ---- */
 
-/* ∂loss/∂ the final state, with its centre of mass there, of which x and y count. */
-static void phys_back_start(const struct phys_robot *robot, const double *com_m, REAL *adjoint);
+/* ∂loss/∂ the final state, with its centre of mass there, of which x and y count; times `weight`. */
+static void phys_back_start(const struct phys_robot *robot, const double *com_m, double weight, REAL *adjoint);
 /* Measures the adjoint of the state after the step of `record` (*m: mo_gradient_counts.largest) and takes it back into the bound by the
  * rule; *clipped says whether it had to be. False: it is not finite. */
 static bool phys_limit(const struct phys_robot *robot, const struct mo_gradient_options *options, const REAL *record,

@@ -143,7 +143,7 @@ static void *reference_work(void *context)
 {
   struct reference *r = context;
   const struct mo_physics physics = mo_default_physics();
-  const struct mo_gradient_options options = {MO_ADJOINT_BOUND, 1.0 / LIKE, r->rule};
+  const struct mo_gradient_options options = {MO_ADJOINT_BOUND, 1.0 / LIKE, r->rule, MO_RESTART_WEIGHT};
   for (;;) {
     pthread_mutex_lock(&r->lock);
     const uint32_t block = r->next++;
@@ -207,6 +207,7 @@ static void run_with(struct result *r, const struct mo_controller *controller, c
                                 .physics = *physics,
                                 .adjoint_bound = bound,
                                 .adjoint_rule = rule,
+                                .restart_weight = MO_RESTART_WEIGHT,
                                 .weight = 1.0 / n,
                                 .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
                                 .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};

@@ -220,8 +220,10 @@ static void fake_release(void *memory)
 static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gradient)
 {
   const struct mo_pause_point pause = {.interval = 4, .reached = look, .context = device};
-  const struct mo_gradient_options options = {
-      .adjoint_bound = gradient->adjoint_bound, .weight = gradient->weight, .adjoint_rule = gradient->adjoint_rule};
+  const struct mo_gradient_options options = {.adjoint_bound = gradient->adjoint_bound,
+                                              .weight = gradient->weight,
+                                              .adjoint_rule = gradient->adjoint_rule,
+                                              .restart_weight = gradient->restart_weight};
   const uint32_t n_parameters = (uint32_t)gradient->controller->n_parameters;
   const struct mo_device_layout *layout = gradient->layout;
   struct mo_gradient_pack *pack = NULL;

@@ -62,7 +62,8 @@ bool is_valid(const mo_device_gradient *call)
 {
   if (call->controller == nullptr || call->robots == nullptr || call->n == 0 || call->d_parameters == nullptr ||
       call->outcomes == nullptr || !isfinite(call->adjoint_bound) || call->adjoint_bound < 0 ||
-      !isfinite(call->weight) || mo_adjoint_rule_name(call->adjoint_rule)[0] == '?')
+      !isfinite(call->weight) || mo_adjoint_rule_name(call->adjoint_rule)[0] == '?' ||
+      !(call->restart_weight >= 0 && call->restart_weight <= MO_RESTART_WEIGHT_MAX))
     return false;
   for (uint32_t i = 0; i < call->n; i++)
     if (call->robots[i].body == nullptr || call->robots[i].environment == nullptr)

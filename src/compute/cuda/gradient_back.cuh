@@ -118,7 +118,7 @@ template <int MT> struct back {
     return r == 0 ? n0 : n1;
   }
 
-  __device__ __forceinline__ void aim(int r, double dx, double dy);
+  __device__ __forceinline__ void aim(int r, double dx, double dy, double weight);
 
   __device__ __forceinline__ void start();
 

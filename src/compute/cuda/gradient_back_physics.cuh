@@ -4,12 +4,12 @@
 
 #include "compute/cuda/gradient_back.cuh"
 
-/* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light. */
-template <int MT> __device__ __forceinline__ void back<MT>::aim(int r, double dx, double dy)
+/* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light, times `weight`. */
+template <int MT> __device__ __forceinline__ void back<MT>::aim(int r, double dx, double dy, double weight)
 {
   const int n = own_masses(r), from = first + (r == 0 ? 0 : n0);
   const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + warp + 16 * r].start_m;
-  const double scale = far > 0 && !excluded[r] && n > 0 ? 1.0 / (far * start_m * n) : 0.0;
+  const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
 #pragma unroll 1
   for (int m = lane; m < n; m += 32) {
     float *p = gx + 3 * (from + m);
@@ -27,7 +27,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::start()
   for (int r = 0; r < MT; r++) {
     const mo_gp_row &own = k.rows[first_row + warp + 16 * r];
     const mo_gk_result &end = k.results[first_row + warp + 16 * r];
-    aim(r, end.com_end[0] - own.light_m[0], end.com_end[1] - own.light_m[1]);
+    aim(r, end.com_end[0] - own.light_m[0], end.com_end[1] - own.light_m[1], 1.0);
   }
 }
 
@@ -48,7 +48,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::restart(int r)
     dx += __shfl_xor_sync(0xffffffffu, dx, far);
     dy += __shfl_xor_sync(0xffffffffu, dy, far);
   }
-  aim(r, dx / n, dy / n);
+  aim(r, dx / n, dy / n, k.restart_weight);
 }
 
 /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */

@@ -54,7 +54,7 @@ struct mo_gk {
   struct mo_gk_result *results; /* (n_rows) */
   struct mo_gk_weights weights;
   struct mo_lane_physics physics;
-  double bound;
+  double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
   uint32_t n_steps, n_groups;
   uint32_t part_steps; /* of a task */

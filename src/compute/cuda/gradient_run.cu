@@ -381,6 +381,7 @@ int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo
     w.k.physics = lane_physics(call->physics, call->controller->sensor);
     w.k.bound = call->adjoint_bound;
     w.k.restarts = call->adjoint_rule == MO_ADJOINT_RESTART;
+    w.k.restart_weight = call->restart_weight;
     w.k.n_steps = n_steps;
     w.k.part_steps = PART_STEPS;
     const double since = now_s();

@@ -29,6 +29,7 @@ enum { STEPS_MAX = 200 };
 struct watch {
   const struct gradient_case *c;
   enum mo_adjoint_rule rule;
+  double weight;                  /* of what begins anew */
   double com_m[STEPS_MAX + 1][2]; /* after so many steps */
   double scale_m, bound, largest_before, largest_after, factor;
   double kept[2][3 * MO_DEFAULT_MASSES];    /* what the adjoint is to be after it was held against the bound */
@@ -63,7 +64,7 @@ static void before(void *context, uint32_t step, double *dx, double *dv)
     memset(w->kept, 0, sizeof(w->kept));
     for (uint32_t i = 0; i < n; i++)
       for (uint32_t axis = 0; axis < 2; axis++)
-        w->kept[0][3 * i + axis] = (com[axis] - light[axis]) / (far * n * w->scale_m);
+        w->kept[0][3 * i + axis] = w->weight * (com[axis] - light[axis]) / (far * n * w->scale_m);
   }
   if (step == w->inject_at)
     dv[1] = (double)NAN;
@@ -98,13 +99,14 @@ static bool go(struct watch *w)
   return true;
 }
 
-static int run_by(enum mo_adjoint_rule rule, const struct gradient_case *c, double bound, uint32_t inject_at,
-                  struct watch *w, double *gradient, struct mo_gradient_counts *counts)
+static int run_by(enum mo_adjoint_rule rule, double weight, const struct gradient_case *c, double bound,
+                  uint32_t inject_at, struct watch *w, double *gradient, struct mo_gradient_counts *counts)
 {
   struct mo_outcome outcome;
-  const struct mo_gradient_options options = {.adjoint_bound = bound, .weight = 0.25, .adjoint_rule = rule};
+  const struct mo_gradient_options options = {
+      .adjoint_bound = bound, .weight = 0.25, .adjoint_rule = rule, .restart_weight = weight};
   const struct mo_gradient_probe probe = {before, after, w};
-  *w = (struct watch){.c = c, .rule = rule, .bound = bound, .inject_at = inject_at};
+  *w = (struct watch){.c = c, .rule = rule, .weight = weight, .bound = bound, .inject_at = inject_at};
   if (!go(w))
     return -1;
   return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome, gradient,
@@ -114,7 +116,7 @@ static int run_by(enum mo_adjoint_rule rule, const struct gradient_case *c, doub
 static int run(const struct gradient_case *c, double bound, uint32_t inject_at, struct watch *w, double *gradient,
                struct mo_gradient_counts *counts)
 {
-  return run_by(MO_ADJOINT_CLIP, c, bound, inject_at, w, gradient, counts);
+  return run_by(MO_ADJOINT_CLIP, 1, c, bound, inject_at, w, gradient, counts);
 }
 
 /* A case whose adjoint exceeds 1, and its gradient without a bound. */
@@ -175,24 +177,32 @@ static void begins_anew(void)
   double *gradient = malloc(n * sizeof(double)), *clipped = calloc(n, sizeof(double));
   REQUIRE(gradient != NULL && clipped != NULL);
   const double fresh = 1 / sqrt(c.body->n_masses); /* m at the end of a rollout */
-  /* Out of reach; passed now and then; passed by an adjoint that has just begun: every step begins anew. */
-  const double bounds[] = {2 * free_run.largest_before, 2 * fresh, 0.5 * fresh};
-  for (int k = 0; k < 3; k++) {
+  const struct {
+    double bound, weight;
+    uint32_t least, most; /* steps that begin anew */
+  } list[] = {
+      {2 * free_run.largest_before, 3, 0, 0}, /* out of reach */
+      {2 * fresh, 1, 1, 99},
+      {4 * fresh, 2.5, 1, 99},
+      {2 * fresh, 0, 1, 1},       /* what ends stays ended */
+      {0.5 * fresh, 1, 200, 200}, /* passed by an adjoint that has just begun */
+  };
+  for (size_t k = 0; k < sizeof(list) / sizeof(list[0]); k++) {
     struct mo_gradient_counts counts = {0};
     memset(gradient, 0, n * sizeof(double));
-    REQUIRE(run_by(MO_ADJOINT_RESTART, &c, bounds[k], 0, &bounded, gradient, &counts) == MO_OK);
-    printf("# bound %g: %llu of %llu steps begin anew, m up to %g before and %g after\n", bounds[k],
-           (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps, bounded.largest_before,
-           bounded.largest_after);
-    CHECK(bounded.largest_after <= fmax(bounds[k], fresh) * (1 + 1e-7));
+    REQUIRE(run_by(MO_ADJOINT_RESTART, list[k].weight, &c, list[k].bound, 0, &bounded, gradient, &counts) == MO_OK);
+    printf("# bound %g, weight %g: %llu of %llu steps begin anew, m up to %g before and %g after\n", list[k].bound,
+           list[k].weight, (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps,
+           bounded.largest_before, bounded.largest_after);
+    CHECK(bounded.largest_after <= fmax(list[k].bound, fmax(1, list[k].weight) * fresh) * (1 + 1e-7));
     CHECK_INT(counts.steps, 200);
     CHECK_INT(counts.clipped_steps, bounded.above);
     CHECK_INT(bounded.astray, 0);
-    CHECK(k == 0 ? bounded.above == 0 : k == 1 ? bounded.above > 0 && bounded.above < 100 : bounded.above == 200);
+    CHECK(bounded.above >= list[k].least && bounded.above <= list[k].most);
     CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0));
   }
   struct mo_gradient_counts counts = {0};
-  REQUIRE(run(&c, bounds[1], 0, &bounded, clipped, &counts) == MO_OK);
+  REQUIRE(run(&c, 0.5 * fresh, 0, &bounded, clipped, &counts) == MO_OK);
   CHECK(memcmp(gradient, clipped, n * sizeof(double)) != 0);
   free(clipped);
   free(gradient);
@@ -289,20 +299,26 @@ static void refuses(void)
     double bound, weight;
     int code;
     enum mo_adjoint_rule rule;
+    double restart_weight;
   } faults[] = {
-      {NULL, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
-      {other.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
-      {c.controller, -1, 1, MO_ERR_RANGE, MO_ADJOINT_CLIP},
-      {c.controller, (double)NAN, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
-      {c.controller, (double)INFINITY, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP},
-      {c.controller, 2, (double)NAN, MO_ERR_INVALID, MO_ADJOINT_CLIP},
-      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule)2},
-      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule) - 1},
+      {NULL, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP, 1},
+      {other.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP, 1},
+      {c.controller, -1, 1, MO_ERR_RANGE, MO_ADJOINT_CLIP, 1},
+      {c.controller, (double)NAN, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP, 1},
+      {c.controller, (double)INFINITY, 1, MO_ERR_INVALID, MO_ADJOINT_CLIP, 1},
+      {c.controller, 2, (double)NAN, MO_ERR_INVALID, MO_ADJOINT_CLIP, 1},
+      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule)2, 1},
+      {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule) - 1, 1},
+      {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, -1},
+      {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, 1e7},
+      {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, (double)NAN},
   };
   c.physics.n_steps = 3;
   for (size_t k = 0; k < sizeof(faults) / sizeof(faults[0]); k++) {
-    const struct mo_gradient_options options = {
-        .adjoint_bound = faults[k].bound, .weight = faults[k].weight, .adjoint_rule = faults[k].rule};
+    const struct mo_gradient_options options = {.adjoint_bound = faults[k].bound,
+                                                .weight = faults[k].weight,
+                                                .adjoint_rule = faults[k].rule,
+                                                .restart_weight = faults[k].restart_weight};
     CHECK_INT(mo_gradient_reference(c.body, faults[k].controller, &c.environment, &c.physics, &options, &outcome,
                                     gradient, &counts),
               faults[k].code);

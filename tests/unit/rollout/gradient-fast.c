@@ -156,7 +156,8 @@ struct comparison {
 /* Each tensor of the block's gradient against the sum of the robots' references. */
 static void compare_on(enum mo_isa isa, const struct comparison *c)
 {
-  const struct mo_gradient_options options = {.adjoint_bound = c->bound, .weight = 0.25, .adjoint_rule = c->rule};
+  const struct mo_gradient_options options = {
+      .adjoint_bound = c->bound, .weight = 0.25, .adjoint_rule = c->rule, .restart_weight = MO_RESTART_WEIGHT};
   struct tensor list_of[MO_CONTROLLER_TENSORS];
   struct result fast =
       block(c->controller, isa, c->robots, c->n, c->physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
@@ -191,7 +192,8 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
 /* On the instruction sets from `first` on. */
 static void compare(enum mo_isa first, struct comparison c)
 {
-  const struct mo_gradient_options options = {.adjoint_bound = c.bound, .weight = 0.25, .adjoint_rule = c.rule};
+  const struct mo_gradient_options options = {
+      .adjoint_bound = c.bound, .weight = 0.25, .adjoint_rule = c.rule, .restart_weight = MO_RESTART_WEIGHT};
   c.d = calloc(c.controller->n_parameters, sizeof(double));
   REQUIRE(c.d != NULL);
   for (uint32_t i = 0; i < c.n; i++)

@@ -105,7 +105,7 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   for (uint32_t v = 0; v < r->n_vectors; v++)
     s->hits += (uint32_t)__builtin_popcount(record_hits(r, k.records)[v]);
 
-  phys_back_start(r, outcome.com_end_m, k.adjoint); /* 0 where there is no mass */
+  phys_back_start(r, outcome.com_end_m, 1.0, k.adjoint); /* 0 where there is no mass */
   put(&k, s->d_position, 0, k.adjoint);
   put(&k, s->d_velocity, 0, k.adjoint + 3 * (size_t)r->n_sites);
   phys_step_back(r, k.records, k.slots, k.adjoint, k.d_slots, k.scratch);
@@ -150,7 +150,7 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
       life->outcome.diverged_step = (int32_t)n + 1;
   }
   phys_finish(r, k.state, &life->outcome);
-  phys_back_start(r, life->outcome.com_end_m, k.adjoint);
+  phys_back_start(r, life->outcome.com_end_m, 1.0, k.adjoint);
   life->finite = life->outcome.diverged_step == 0;
   life->largest = 0;
   life->clipped = 0;
@@ -163,7 +163,8 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
     double m;
     bool clipped;
     const REAL *record = k.records + (n - 1) * r->n_record_reals;
-    const struct mo_gradient_options options = {.adjoint_bound = life->bound, .adjoint_rule = life->rule};
+    const struct mo_gradient_options options = {
+        .adjoint_bound = life->bound, .adjoint_rule = life->rule, .restart_weight = 1.0};
     life->finite = phys_limit(r, &options, record, k.adjoint, &m, &clipped);
     if (!life->finite)
       break;
@@ -202,7 +203,7 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
   phys_start(&k.robot, k.state, outcome);
   get(&k, k.state, MO_WORLD_CENTRE_M, position_m);
   phys_finish(&k.robot, k.state, outcome);
-  phys_back_start(&k.robot, outcome->com_end_m, k.adjoint);
+  phys_back_start(&k.robot, outcome->com_end_m, 1.0, k.adjoint);
   get(&k, k.adjoint, 0, d_position);
   destroy(&k);
   return true;
@@ -243,7 +244,7 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
       sum[1] += __rdtsc() - t1;
     }
     phys_finish(r, k.state, &outcome);
-    phys_back_start(r, outcome.com_end_m, k.adjoint);
+    phys_back_start(r, outcome.com_end_m, 1.0, k.adjoint);
     const struct mo_gradient_options options = mo_default_gradient_options();
     for (uint32_t n = n_steps; n-- > 0;) {
       const REAL *record = k.records + n * r->n_record_reals;

@@ -137,7 +137,7 @@ static void start_and_clip(void)
                        mo_scene_distance(outcome.com_start_m[0] - c.environment.light_xy_m[0],
                                          outcome.com_start_m[1] - c.environment.light_xy_m[1]) +
                            MO_LOSS_GUARD_M,
-                       &b.adjoint);
+                       1.0, &b.adjoint);
       double com[3];
       mo_scene_com(b.reference.position_m, n, com);
       const double size = size_of(b.adjoint.d_position, 3 * n);
