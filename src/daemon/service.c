@@ -236,7 +236,7 @@ static int store_default_controller(struct service *service, const struct settin
   if (status != MO_ERR_NOT_FOUND)
     return status;
   const char *path = settings->default_controller != NULL ? settings->default_controller
-                                                          : MORPHOD_DATADIR "/controllers/bootstrap.safetensors";
+                                                          : MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
   struct mo_controller *controller = NULL;
   uint8_t *bytes = NULL;
   size_t size;

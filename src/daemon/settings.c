@@ -55,7 +55,7 @@ const struct setting settings_table[] = {
     PATH_ROW("compute_module", compute_module, "", "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
     PATH_ROW(
-        "default_controller", default_controller, "", "bootstrap.safetensors of the installation", false,
+        "default_controller", default_controller, "", "phototaxis.safetensors of the installation", false,
         "Controller file that is stored at the first start: as \"default\", and by its own name where that can name a "
         "controller."),
     PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,

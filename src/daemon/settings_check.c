@@ -230,7 +230,7 @@ static void check_controller(const char *path, struct settings_faults *faults)
 /* Without a setting, the first start takes the controller of the installation; later starts need none. */
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
-  static const char path[] = MORPHOD_DATADIR "/controllers/bootstrap.safetensors";
+  static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
   char *database = NULL;
   if (asprintf(&database, "%s/morphod.db", state_dir) < 0) {
     settings_fault(faults, true, "out of memory");

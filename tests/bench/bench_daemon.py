@@ -19,7 +19,7 @@ from pathlib import Path
 import records
 
 SOURCE = Path(__file__).resolve().parents[2]
-BOOTSTRAP = SOURCE / "data" / "controllers" / "bootstrap.safetensors"
+SHIPPED = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
 PR_SET_PDEATHSIG = 1
 CUT_OFF = 3  # exit status: time is up, call again
 ENDED = ("succeeded", "failed", "cancelled")
@@ -77,7 +77,7 @@ class Daemon:
         self.log = open(state / "log", "a", encoding="utf-8")
         prctl = ctypes.CDLL(None).prctl
         self.process = subprocess.Popen([program, f"--state-dir={state / 'state'}", "--listen=127.0.0.1:0", f"--port-file={address}",
-                                         f"--default-controller={BOOTSTRAP}", *flags],
+                                         f"--default-controller={SHIPPED}", *flags],
                                         stdout=subprocess.DEVNULL, stderr=self.log, process_group=0,
                                         preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM))  # it ends with a benchmark that is killed
         self.address = None

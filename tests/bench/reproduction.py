@@ -133,7 +133,7 @@ def options():
     parser.add_argument("--population", type=int, default=8192)
     for mode, usual in (("zero-shot", 100), ("few-shot", 7), ("simultaneous", 180)):
         parser.add_argument(f"--generations-{mode}", type=int, default=usual, help=f"default {usual}, as in the paper")
-    parser.add_argument("--controller", type=Path, nargs="+", default=[bench_daemon.BOOTSTRAP],
+    parser.add_argument("--controller", type=Path, nargs="+", default=[bench_daemon.SHIPPED],
                         help="safetensors, pretrained: one for all trials, or one for each seed (default: the project's)")
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint where the controller learns; 0: not clipped, as in the paper (default 2)")
     parser.add_argument("--rule", choices=("clip", "restart"), default="clip", help="above the bound (default clip)")
