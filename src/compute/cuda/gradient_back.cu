@@ -6,15 +6,17 @@
 
 /* ∂loss/∂ outputs on their way to the tape: of each eight tiles, sixteen bytes for each thread. */
 struct output_copy {
+  uint32_t from; /* in shared memory */
   uint4 *to;
   uint4 eight;
 
-  __device__ __forceinline__ void read(bool any, uint32_t from)
+  __device__ __forceinline__ void read(bool any)
   {
     if (any)
       asm volatile("ld.shared.v4.u32 {%0,%1,%2,%3}, [%4];"
                    : "=r"(eight.x), "=r"(eight.y), "=r"(eight.z), "=r"(eight.w)
                    : "r"(from));
+    from += 256;
   }
   __device__ __forceinline__ void write(bool any)
   {
@@ -27,16 +29,17 @@ struct output_copy {
 /* Their sums over rows: products with ones, of each sixteenth tile. */
 template <int MT> __device__ __forceinline__ void back<MT>::sum_outputs() const
 {
-  const uint32_t ones = 0x3f803f80, from = shared_address(outputs);
+  const uint32_t ones = 0x3f803f80;
   float *to = output_sums + (lane >> 2);
+  const uint32_t from =
+      shared_address(outputs) + (uint32_t)((lane & 7) + (lane >> 4) * 8) * width * 2 + (uint32_t)(lane >> 3 & 1) * 16;
 #pragma unroll 1
   for (int tile = warp; tile < n_outputs; tile += MO_GP_WARPS) {
     float sum[4] = {0, 0, 0, 0};
 #pragma unroll
     for (int m = 0; m < MT; m++) {
       uint32_t a[4];
-      load_matrices_transposed(a, from + (uint32_t)((lane & 7) + (lane >> 4) * 8 + m * 16) * output_row_bytes() +
-                                      (uint32_t)(2 * tile + (lane >> 3 & 1)) * 16);
+      load_matrices_transposed(a, from + (uint32_t)(m * 16) * width * 2 + (uint32_t)tile * 32);
       multiply<true>(sum, a, ones, ones);
     }
     if ((lane & 3) == 0) {
@@ -47,79 +50,87 @@ template <int MT> __device__ __forceinline__ void back<MT>::sum_outputs() const
 }
 
 template <int MT>
-__device__ __forceinline__ void back<MT>::load_normal(int layer, uint32_t step, __half2 (&n)[2 * MT][2],
-                                                      float (&factor)[2 * MT])
+__device__ __forceinline__ void back<MT>::load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
+                                                      float (&factor)[MT][2])
 {
-  const int quad = warp * 4 + (lane & 3);
+  const int column = warp * 16 + 4 * (lane & 3);
   const uint2 *normal = (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
   const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * ROWS;
 #pragma unroll
-  for (int i = 0; i < 2 * MT; i++) {
-    const int row = 8 * i + (lane >> 2);
-    uint2 two;
-    asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
-                 : "=r"(two.x), "=r"(two.y)
-                 : "l"(normal + row * (MO_HIDDEN / 4) + quad));
-    asm volatile("ld.global.nc.f32 %0, [%1];" : "=f"(factor[i]) : "l"(scale + row));
-    n[i][0] = *(const __half2 *)&two.x;
-    n[i][1] = *(const __half2 *)&two.y;
-  }
+  for (int m = 0; m < MT; m++)
+#pragma unroll
+    for (int h = 0; h < 2; h++) {
+      const int row = m * 16 + h * 8 + (lane >> 2);
+      uint2 two;
+      asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
+                   : "=r"(two.x), "=r"(two.y)
+                   : "l"(normal + row * (MO_HIDDEN / 4) + (column >> 2)));
+      asm volatile("ld.global.nc.f32 %0, [%1];" : "=f"(factor[m][h]) : "l"(scale + row));
+      n[m][h][0] = *(const __half2 *)&two.x;
+      n[m][h][1] = *(const __half2 *)&two.y;
+    }
 }
 
 /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
 template <int MT>
-__device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t step, float (&sums)[2 * MT][4],
-                                                         const __half2 (&n)[2 * MT][2], const float (&factors)[2 * MT],
+__device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
+                                                         const __half2 (&n)[MT][2][2], const float (&factors)[MT][2],
                                                          const norm_columns &columns)
 {
   const int column = warp * 16 + 4 * (lane & 3);
   uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-  const float gain[4] = {columns.gain[0].x, columns.gain[0].y, columns.gain[1].x, columns.gain[1].y};
-  const float shift[4] = {columns.shift[0].x, columns.shift[0].y, columns.shift[1].x, columns.shift[1].y};
-  float2 s[MT][2];
-  float d_shift[4], d_gain[4], d_bias[4];
+  float2 s[MT][2], d_shifts[2], d_gains[2];
   float *bias = norms + layer * 3 * MO_HIDDEN + column, *gain_sum = bias + MO_HIDDEN, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
-  for (int i = 0; i < 2 * MT; i++) {
-    const float2 low = __half22float2(n[i][0]), high = __half22float2(n[i][1]);
-    const float at[4] = {low.x, low.y, high.x, high.y};
+  for (int j = 0; j < 2; j++) {
+    const float2 gain = columns.gain[j], shift = columns.shift[j];
+    float2 d_shift, d_gain;
 #pragma unroll
-    for (int j = 0; j < 4; j++) {
-      const float d = fmaf(at[j], gain[j], shift[j]) > 0 ? sums[i][j] : 0.0f;
-      d_shift[j] = i == 0 ? d : d_shift[j] + d;
-      d_gain[j] = i == 0 ? d * at[j] : fmaf(d, at[j], d_gain[j]);
-      sums[i][j] = d * gain[j];
-    }
-    const float(&e)[4] = sums[i];
-    s[i / 2][i % 2] =
-        make_float2((e[0] + e[1]) + (e[2] + e[3]), fmaf(e[0], at[0], e[1] * at[1]) + fmaf(e[2], at[2], e[3] * at[3]));
+    for (int m = 0; m < MT; m++)
+#pragma unroll
+      for (int h = 0; h < 2; h++) {
+        const float2 at = __half22float2(n[m][h][j]);
+        const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
+        const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
+        const bool begins = m == 0 && h == 0;
+        d_shift = begins ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
+        d_gain = begins ? make_float2(d0 * at.x, d1 * at.y)
+                        : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
+        const float e0 = d0 * gain.x, e1 = d1 * gain.y;
+        sums.c[m][j][2 * h] = e0;
+        sums.c[m][j][2 * h + 1] = e1;
+        const float2 part_of = make_float2(e0 + e1, fmaf(e0, at.x, e1 * at.y));
+        s[m][h] = j == 0 ? part_of : make_float2(s[m][h].x + part_of.x, s[m][h].y + part_of.y);
+      }
+    d_shifts[j] = d_shift;
+    d_gains[j] = d_gain;
   }
-  add_columns(shift_sum, d_shift);
-  add_columns(gain_sum, d_gain);
+  add_columns(shift_sum, d_shifts);
+  add_columns(gain_sum, d_gains);
   sum_rows<MT>(part, warp, lane, s);
-  uint2 both[2 * MT];
+  float2 d_bias[2];
 #pragma unroll
-  for (int i = 0; i < 2 * MT; i++) {
-    const int row = 8 * i + (lane >> 2);
-    const float2 low = __half22float2(n[i][0]), high = __half22float2(n[i][1]);
-    const float at[4] = {low.x, low.y, high.x, high.y};
-    const float mean = s[i / 2][i % 2].x * (1.0f / MO_HIDDEN), along = s[i / 2][i % 2].y * (1.0f / MO_HIDDEN);
-    float d[4];
-    bool sound = true;
+  for (int m = 0; m < MT; m++)
 #pragma unroll
-    for (int j = 0; j < 4; j++) {
-      d[j] = factors[i] * (sums[i][j] - fmaf(at[j], along, mean));
-      sound = sound && fabsf(d[j]) <= MO_GK_LARGE;
-      d_bias[j] = i == 0 ? d[j] : d_bias[j] + d[j];
+    for (int h = 0; h < 2; h++) {
+      const int row = m * 16 + h * 8 + (lane >> 2);
+      const float factor = factors[m][h], mean = s[m][h].x * (1.0f / MO_HIDDEN), along = s[m][h].y * (1.0f / MO_HIDDEN);
+      float2 d[2];
+      bool sound = true;
+#pragma unroll
+      for (int j = 0; j < 2; j++) {
+        const float2 at = __half22float2(n[m][h][j]);
+        d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
+                           factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
+        sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
+        d_bias[j] = m == 0 && h == 0 ? d[j] : make_float2(d_bias[j].x + d[j].x, d_bias[j].y + d[j].y);
+      }
+      if (!sound)
+        failed[row] = 1;
+      const uint2 both = four(__float22bfloat162_rn(d[0]), __float22bfloat162_rn(d[1]));
+      *(uint2 *)(left + row * MO_GK_ROW + column) = both;
+      __stcs(dense + row * (MO_HIDDEN / 4) + (column >> 2), both);
     }
-    if (!sound)
-      failed[row] = 1;
-    both[i] = four(__floats2bfloat162_rn(d[0], d[1]), __floats2bfloat162_rn(d[2], d[3]));
-    *(uint2 *)(left + left_place(row, column)) = both[i];
-  }
-#pragma unroll
-  for (int i = 0; i < 2 * MT; i++)
-    __stcs(dense + (8 * i + (lane >> 2)) * (MO_HIDDEN / 4) + (column >> 2), both[i]);
   add_columns(bias, d_bias);
   __syncthreads();
 }
@@ -135,58 +146,45 @@ static __device__ __forceinline__ uint4 load_weights_here(const uint4 *p)
   return w;
 }
 
-/* A product in the making: this warp's sixteen columns for all rows, eight tiles of weights at a time. */
-template <int MT> struct eight_tiles {
-  warp_sums<MT> sums;
-  uint32_t a[2][MT][4]; /* adjoints, a tile ahead */
-  uint32_t from, row_bytes;
-  int tile; /* the next; those below 0 have weights 0, and are multiplied with tile 0's adjoints */
-
-  __device__ __forceinline__ void fetch(int which, int next)
+/* A tile's activations, and what is multiplied with them. */
+template <int MT> struct left_tile {
+  uint32_t a[MT][4];
+  __device__ __forceinline__ void load(uint32_t left, uint32_t row_bytes)
   {
-    const uint32_t at = from + (uint32_t)max(next, 0) * 32;
 #pragma unroll
     for (int m = 0; m < MT; m++)
-      load_matrices(a[which][m], at + (uint32_t)m * 16 * row_bytes);
+      load_matrices(a[m], left + (uint32_t)m * 16 * row_bytes);
     __syncwarp(); /* as load_weights_here */
   }
-
-  __device__ __forceinline__ void begin(const unsigned char *adjoints, uint32_t bytes, int first, int lane)
-  {
-    row_bytes = bytes;
-    from = left_address(adjoints, bytes, lane);
-    tile = first;
-    sums.clear();
-    fetch(0, tile);
-  }
-
-  /* The next eight, whose weights the ring has; each gives way to what load(i) gives when it has been multiplied. */
-  template <class Load> __device__ __forceinline__ void add(weights_ahead<MO_GK_AHEAD_BACK> &ahead, Load load)
+  __device__ __forceinline__ void add(warp_sums<MT> &sums, const uint4 &w) const
   {
 #pragma unroll
-    for (int i = 0; i < 8; i++) {
-      fetch((i + 1) % 2, tile + i + 1); /* beyond the last: not used */
-#pragma unroll
-      for (int m = 0; m < MT; m++) {
-        multiply<true>(sums.c[m][0], a[i % 2][m], ahead.w[i].x, ahead.w[i].y);
-        multiply<true>(sums.c[m][1], a[i % 2][m], ahead.w[i].z, ahead.w[i].w);
-      }
-      ahead.w[i] = load(i);
+    for (int m = 0; m < MT; m++) {
+      multiply<true>(sums.c[m][0], a[m], w.x, w.y);
+      multiply<true>(sums.c[m][1], a[m], w.z, w.w);
     }
-    tile += 8;
-  }
-
-  /* Row by row: a lane's i-th row is 8 i + lane/4. */
-  __device__ __forceinline__ void end(float (&to)[2 * MT][4]) const
-  {
-#pragma unroll
-    for (int i = 0; i < 2 * MT; i++)
-#pragma unroll
-      for (int j = 0; j < 4; j++)
-        to[i][j] = sums.c[i / 2][j / 2][2 * (i % 2) + j % 2];
   }
 };
-static_assert(MO_GK_AHEAD_BACK == 8, "the ring has the eight tiles that are multiplied at a time");
+
+/* Adds the sixteen tiles from `now` on, which follow one another in memory; the ring has the first of them, and in the end those from `next` on
+ * (MORE). */
+template <int MT, bool MORE, int N>
+static __device__ __forceinline__ void add_sixteen(warp_sums<MT> &sums, weights_ahead<N> &ahead, uint32_t left,
+                                                   uint32_t row_bytes, const uint4 *now, const uint4 *next)
+{
+  left_tile<MT> a[2];
+  a[0].load(left, row_bytes);
+#pragma unroll
+  for (int k = 0; k < 16; k++) {
+    if (k + 1 < 16)
+      a[(k + 1) % 2].load(left + (uint32_t)(k + 1) * 32, row_bytes);
+    a[k % 2].add(sums, ahead.w[k % N]);
+    if (k + N < 16)
+      ahead.w[k % N] = load_weights_here(now + (k + N) * 32);
+    else if (MORE)
+      ahead.w[k % N] = load_weights_here(next + (k + N - 16) * 32);
+  }
+}
 
 /* The tile whose number is the k-th byte of `four`. */
 static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t four, int k)
@@ -194,77 +192,95 @@ static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t fo
   return load_weights_here((const uint4 *)((const char *)from + (uint64_t)__byte_perm(four, 0, 0x4440 + k) * 512));
 }
 
-/* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
+/* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
 template <int MT>
-__device__ __forceinline__ void back<MT>::add_last(uint32_t step, float (&sums)[2 * MT][4],
-                                                   weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+template <bool FIRST>
+__device__ __forceinline__ void back<MT>::add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                                    left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                                    const uint2 &then, int before)
 {
-  const int before = lead(), n = (before + n_outputs) / MO_GK_AHEAD_BACK;
-  const uint2 *numbers = (const uint2 *)output_tile + 1;
-  const uint4 *last = last_tiles(), *hidden = hidden_tiles(2);
-  const int row = warp * 2 + lane / 16, part_of = lane % 16 - 2 * before;
-  const bool any = row < ROWS;
-  const uint32_t from = shared_address(outputs);
-  output_copy copy;
-  copy.to = (uint4 *)(tape + output_at + ((size_t)step * ROWS + row) * (n_outputs * MO_GP_TILE * 2)) + part_of;
-  eight_tiles<MT> product;
-  product.begin(outputs, output_row_bytes(), -before, lane);
-  uint2 then = numbers[0];
-#pragma unroll 1
-  for (int round = 0; round < n; round++) {
-    const uint2 after = *++numbers;
-    const uint4 *next = round + 1 < n ? last : hidden;
-    const int piece = part_of + 16 * round;
-    copy.read(any && piece >= 0, from + (uint32_t)row * output_row_bytes() + (uint32_t)(piece * 16));
-    product.add(ahead, [&](int i) { return load_tile(next, i < 4 ? then.x : then.y, i % 4); });
-    copy.write(any && piece >= 0);
-    then = after;
+#pragma unroll
+  for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
+    a[(i + 1) % 2].load(left_at + (uint32_t)(i + 1) * 32, width * 2); /* beyond the last: not used */
+    if (!FIRST || i >= before)
+      a[i % 2].add(sums, ahead.w[i]);
+    ahead.w[i] = load_tile(from, i < 4 ? then.x : then.y, i % 4);
   }
-  product.end(sums);
 }
 
-/* A hidden layer, half of whose weights the ring has; it ends with what next(i) gives. */
+/* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
 template <int MT>
-template <class Next>
-__device__ __forceinline__ void back<MT>::add_sixteen(int layer, float (&sums)[2 * MT][4],
-                                                      weights_ahead<MO_GK_AHEAD_BACK> &ahead, Next next)
+__device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> &sums,
+                                                   weights_ahead<MO_GK_AHEAD_BACK> &ahead)
 {
-  const uint4 *rest = hidden_tiles(layer) + MO_GK_AHEAD_BACK * 32;
-  eight_tiles<MT> product;
-  product.begin(left, MO_GK_ROW * 2, 0, lane);
-  product.add(ahead, [&](int i) { return load_weights_here(rest + i * 32); });
-  product.add(ahead, next);
-  product.end(sums);
+  enum { N = MO_GK_AHEAD_BACK };
+  const int before = lead();
+  uint32_t left_at = left_address(outputs, width * 2, lane) - (uint32_t)before * 32;
+  const uint2 *numbers = (const uint2 *)output_tile + 1;
+  const uint4 *last = last_tiles(), *hidden = hidden_tiles(2);
+  const int n = (before + n_outputs) / N;
+  int round = 0;
+  uint2 then = numbers[0];
+  left_tile<MT> a[2];
+  const int row = warp * 2 + lane / 16, part_of = lane % 16;
+  const bool any = row < ROWS;
+  output_copy copy = {shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
+                      (uint4 *)(tape + output_at + ((size_t)step * ROWS + row) * (n_outputs * MO_GP_TILE * 2)) +
+                          part_of - 2 * before};
+  a[0].load(left_at, width * 2);
+  if (before > 0) {
+    copy.read(any && part_of >= 2 * before);
+    add_round<true>(sums, ahead, a, left_at, n > 1 ? last : hidden, then, before);
+    copy.write(any && part_of >= 2 * before);
+    left_at += N * 32;
+    then = *++numbers;
+    round++;
+  }
+#pragma unroll 1
+  for (; round < n; round++) {
+    const uint2 after = *++numbers;
+    copy.read(any);
+    add_round<false>(sums, ahead, a, left_at, round + 1 < n ? last : hidden, then, 0);
+    copy.write(any);
+    left_at += N * 32;
+    then = after;
+  }
 }
 
 /* `ahead` has the last layer's first weights. */
 template <int MT>
 __device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
 {
+  const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
   const int column = warp * 16 + 4 * (lane & 3);
-  __half2 n[2 * MT][2];
-  float factors[2 * MT];
-  float sums[2 * MT][4];
+  __half2 n[MT][2][2];
+  float factors[MT][2];
+  warp_sums<MT> sums;
   norm_columns columns;
-  sum_outputs();
+  sums.clear();
   load_normal(2, step, n, factors);
   add_last(step, sums, ahead);
+  sum_outputs();
   columns.load(k.weights, 2, column);
   norm_relu_back(2, step, sums, n, factors, columns);
 #pragma unroll 1
   for (int layer = 2; layer > 0; layer--) {
-    const uint4 *next = hidden_tiles(layer - 1);
+    sums.clear();
     load_normal(layer - 1, step, n, factors);
-    add_sixteen(layer, sums, ahead, [&](int i) { return load_weights_here(next + i * 32); });
+    add_sixteen<MT, true>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(layer), hidden_tiles(layer - 1));
     columns.load(k.weights, layer - 1, column);
     norm_relu_back(layer - 1, step, sums, n, factors, columns);
   }
-  add_sixteen(0, sums, ahead, [](int) { return make_uint4(0, 0, 0, 0); });
+  sums.clear();
+  add_sixteen<MT, false>(sums, ahead, left_at, MO_GK_ROW * 2, hidden_tiles(0), nullptr);
   __syncthreads();
 #pragma unroll
-  for (int i = 0; i < 2 * MT; i++)
-    *(uint2 *)(left + left_place(8 * i + (lane >> 2), column)) =
-        four(__floats2bfloat162_rn(sums[i][0], sums[i][1]), __floats2bfloat162_rn(sums[i][2], sums[i][3]));
+  for (int m = 0; m < MT; m++)
+#pragma unroll
+    for (int h = 0; h < 2; h++)
+      *(uint2 *)(left + (m * 16 + h * 8 + (lane >> 2)) * MO_GK_ROW + column) =
+          four(__floats2bfloat162_rn(sums.c[m][0][2 * h], sums.c[m][0][2 * h + 1]),
+               __floats2bfloat162_rn(sums.c[m][1][2 * h], sums.c[m][1][2 * h + 1]));
   __syncthreads();
 }
 
@@ -286,7 +302,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
   const uint64_t state = 3 * (g.first_mass + first);
   float *own_gx = gx + 3 * first;
   const bool is_first = end_step == k.n_steps;
-  for (uint32_t i = threadIdx.x; i < ROWS * output_row_bytes() / 4; i += MO_GK_THREADS)
+  for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
     ((uint32_t *)outputs)[i] = 0;
   for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
     norms[i] = 0;

@@ -17,11 +17,7 @@ struct back_mass {
   float2 xy, z_gx, gyz; /* position; ∂loss/∂ velocity */
 };
 
-/* Where a column of a row lies in `left`, in bytes. */
-static __device__ __forceinline__ uint32_t left_place(int row, int column)
-{
-  return (uint32_t)(row * MO_GK_ROW + column) * 2;
-}
+template <int MT> struct left_tile;
 
 template <int MT> struct back {
   enum { ROWS = 16 * MT, HELD = 4 };
@@ -41,9 +37,10 @@ template <int MT> struct back {
   unsigned char *tape;
   uint32_t position_at, velocity_at, activation_at, normal_at, scale_at; /* on the group's tape, in bytes */
   uint32_t layer_bytes, output_at; /* from one layer to the next; ∂loss/∂ outputs */
+  uint32_t width;                  /* of ∂loss/∂ outputs in shared memory */
   back_mass *mass;                 /* (n_masses) */
   float *gx;                       /* (n_masses, 3) ∂loss/∂ positions */
-  unsigned char *outputs, *left;   /* bfloat16, in rows: see output_row_bytes and left_place */
+  __nv_bfloat16 *outputs, *left;
   float2 *part;
   float *norms; /* (3 layers, bias gain shift, 256) */
   int *failed;  /* (rows) */
@@ -80,23 +77,24 @@ template <int MT> struct back {
     layer_bytes = (uint32_t)(at.normal[1] - at.normal[0]);
     scale_at = (uint32_t)at.scale;
     output_at = (uint32_t)at.d_output;
+    width = g.n_outputs * MO_GP_TILE + 8;
     n_outputs = (int)g.n_outputs;
-    left = shared;
-    shared += ROWS * MO_GK_ROW * 2;
-    outputs = shared;
-    shared += ROWS * output_row_bytes();
     output_tile = shared;
     if ((int)threadIdx.x < n_outputs)
       output_tile[lead() + threadIdx.x] = g.output_tile[threadIdx.x];
     if (threadIdx.x < MO_GK_AHEAD_BACK)
       output_tile[lead() + n_outputs + threadIdx.x] = (uint8_t)threadIdx.x; /* then the first of a hidden layer */
     shared += 128;
+    left = (__nv_bfloat16 *)shared;
+    shared += ROWS * MO_GK_ROW * 2;
     part = (float2 *)shared;
     shared += ROWS * MO_GK_PART * 8;
     rows = (lane_row *)shared;
     shared += ROWS * sizeof(lane_row);
     load_rows(rows, k.rows + g.first_row, ROWS);
     output_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).output_bias;
+    outputs = (__nv_bfloat16 *)shared;
+    shared += (ROWS * width * 2 + 15) / 16 * 16;
     norms = (float *)shared;
     shared += 9 * MO_HIDDEN * 4;
     failed = (int *)shared;
@@ -113,12 +111,6 @@ template <int MT> struct back {
     asm volatile(""
                  : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0), "+r"(n1),
                    "+r"(n_outputs));
-  }
-
-  /* Of ∂loss/∂ outputs in shared memory: rows start in different banks. */
-  __device__ __forceinline__ uint32_t output_row_bytes() const
-  {
-    return (uint32_t)(n_outputs * MO_GP_TILE + 8) * 2;
   }
 
   __device__ __forceinline__ int own_masses(int r) const
@@ -139,7 +131,7 @@ template <int MT> struct back {
   /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
-    return (uint16_t *)(left + left_place(warp + 16 * (i >> 8), i & 255));
+    return (uint16_t *)left + (warp + 16 * (i >> 8)) * MO_GK_ROW + (i & 255);
   }
 
   __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2]);
@@ -154,23 +146,24 @@ template <int MT> struct back {
 
   /* Sums over rows of this lane's four columns, added to the sums of this launch. Lanes 4, 8 and 16 apart have other rows of the same columns;
    * each of them ends with one column. */
-  __device__ __forceinline__ void add_columns(float *to, const float (&d)[4])
+  __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[2])
   {
     const bool odd = lane & 4, second = lane & 8;
-    const float low = (odd ? d[1] : d[0]) + __shfl_xor_sync(0xffffffffu, odd ? d[0] : d[1], 4);
-    const float high = (odd ? d[3] : d[2]) + __shfl_xor_sync(0xffffffffu, odd ? d[2] : d[3], 4);
-    float sum = second ? high : low;
-    sum += __shfl_xor_sync(0xffffffffu, second ? low : high, 8);
+    float2 own = odd ? make_float2(d[0].y, d[1].y) : make_float2(d[0].x, d[1].x);
+    const float2 far = odd ? make_float2(d[0].x, d[1].x) : make_float2(d[0].y, d[1].y);
+    own.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
+    own.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
+    float sum = second ? own.y : own.x;
+    sum += __shfl_xor_sync(0xffffffffu, second ? own.x : own.y, 8);
     sum += __shfl_xor_sync(0xffffffffu, sum, 16);
     if (lane < 16)
       to[2 * second + odd] += sum;
   }
 
-  __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[2 * MT][2],
-                                              float (&factor)[2 * MT]);
+  __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2], float (&factor)[MT][2]);
 
-  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, float (&sums)[2 * MT][4],
-                                                 const __half2 (&n)[2 * MT][2], const float (&factors)[2 * MT],
+  __device__ __forceinline__ void norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
+                                                 const __half2 (&n)[MT][2][2], const float (&factors)[MT][2],
                                                  const norm_columns &columns);
 
   /* The first of the tiles of springs for this warp's neurons; of its sixteen tiles of a hidden layer. */
@@ -186,24 +179,22 @@ template <int MT> struct back {
   /* Springs' tiles go by the ring's length, the first time fewer: so many are left out before the first. */
   __device__ __forceinline__ int lead() const
   {
-    return -n_outputs & (MO_GK_AHEAD_BACK - 1);
+    return (MO_GK_AHEAD_BACK - n_outputs % MO_GK_AHEAD_BACK) % MO_GK_AHEAD_BACK;
   }
 
-  /* The ring's first places are those left out. */
+  /* The ring's first places are those left out, or hold nothing that is used. */
   __device__ __forceinline__ void start_ahead(weights_ahead<MO_GK_AHEAD_BACK> &ahead) const
   {
     const int before = lead();
-#pragma unroll
-    for (int i = 0; i < MO_GK_AHEAD_BACK; i++)
-      ahead.w[i] = i < before ? make_uint4(0, 0, 0, 0) : load_weights(last_tiles() + output_tile[i] * 32);
+    ahead.start([&](int i) { return last_tiles() + (i < before ? 0 : output_tile[i] * 32); });
   }
 
-  __device__ __forceinline__ void add_last(uint32_t step, float (&sums)[2 * MT][4],
-                                           weights_ahead<MO_GK_AHEAD_BACK> &ahead);
+  template <bool FIRST>
+  __device__ __forceinline__ void add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                            left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                            const uint2 &then, int before);
 
-  template <class Next>
-  __device__ __forceinline__ void add_sixteen(int layer, float (&sums)[2 * MT][4],
-                                              weights_ahead<MO_GK_AHEAD_BACK> &ahead, Next next);
+  __device__ __forceinline__ void add_last(uint32_t step, warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead);
 
   __device__ __forceinline__ void control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead);
 

@@ -277,8 +277,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
     return;
   const uint32_t own_mass = kept_value(shared_address(mass + first)),
                  own_gx = kept_value(shared_address(gx + 3 * first));
-  const uint32_t to = kept_value(shared_address(outputs) + (uint32_t)warp * output_row_bytes()),
-                 to_second = kept_value(16 * output_row_bytes());
+  const uint32_t to = kept_value(shared_address(outputs + warp * width)), to_second = kept_value(16 * width * 2);
   uint32_t bad = 0;
   uint32_t now[N], then[N];
   int16_t kept_now[N], kept_then[N];
@@ -347,10 +346,9 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
 template <int MT> __device__ __forceinline__ void back<MT>::sense_back(uint32_t inputs)
 {
   const int n = n0 + n1;
+  const __nv_bfloat16 *own = left + warp * MO_GK_ROW;
   float d[HELD], sum[2] = {0, 0};
-  const auto sensed = [&](int m, uint32_t at) {
-    return __bfloat162float(*(const __nv_bfloat16 *)(left + left_place(warp + (m >= n0 ? 16 : 0), (int)at)));
-  };
+  const auto sensed = [&](int m, uint32_t at) { return __bfloat162float(own[(m >= n0 ? 16 * MO_GK_ROW : 0) + at]); };
 #pragma unroll
   for (int i = 0; i < HELD; i++) {
     const int m = lane + 32 * i;
