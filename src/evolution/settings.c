@@ -112,6 +112,7 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .norm_limit = 1.0,
       .adjoint_bound = MO_ADJOINT_BOUND,
       .adjoint_rule = MO_ADJOINT_CLIP,
+      .restart_weight = MO_RESTART_WEIGHT,
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .physics = mo_default_physics(),
   };
@@ -225,6 +226,7 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
       {"epsilon", settings->epsilon, 0.0, 1.0, true, false},
       {"gradient_norm_limit", settings->norm_limit, 0.0, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
       {"adjoint_bound", settings->adjoint_bound, 0.0, MO_ADJOINT_BOUND_MAX, false, false},
+      {"restart_weight", settings->restart_weight, 0.0, MO_RESTART_WEIGHT_MAX, false, false},
   };
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
@@ -285,6 +287,7 @@ struct mo_training_settings mo_campaign_training(const struct mo_campaign_settin
   training.norm_limit = settings->norm_limit;
   training.adjoint_bound = settings->adjoint_bound;
   training.adjoint_rule = settings->adjoint_rule;
+  training.restart_weight = settings->restart_weight;
   training.physics = settings->physics;
   training.sensor = settings->sensor;
   training.held_out_designs = 0;

@@ -92,6 +92,7 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
                                               .physics = settings->physics,
                                               .adjoint_bound = settings->adjoint_bound,
                                               .adjoint_rule = settings->adjoint_rule,
+                                              .restart_weight = settings->restart_weight,
                                               .urgency = turn->urgency,
                                               .cancel = turn->cancel,
                                               .tag = turn->tag,

@@ -2,7 +2,8 @@
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the order of header() below, then
  * designs (24 bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything before it. The
- * same list of fields is written and read by one function. Version 1, which is still read, has no rule of the adjoint: it clips.
+ * same list of fields is written and read by one function. Version 1, which is still read, has neither rule of the adjoint
+ * nor weight of what begins anew: it clips, with the usual weight.
  * Nothing is trusted when it is read: sizes must agree to the byte, settings pass the checks of a new training, and numbers are
  * finite. */
 #include "learning/internal.h"
@@ -18,8 +19,8 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are little-endian");
 
 #define VERSION      2
-#define HEADER_BYTES 232
-#define RULE_BYTES   sizeof(int) /* what version 1 is shorter by */
+#define HEADER_BYTES 240
+#define RULE_BYTES   (sizeof(int) + sizeof(double)) /* what version 1 is shorter by */
 #define SUM_BYTES    sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
@@ -107,8 +108,10 @@ static void header(struct codec *codec, struct mo_training_settings *settings, s
   field_f64(codec, &settings->epsilon);
   field_f64(codec, &settings->norm_limit);
   field_f64(codec, &settings->adjoint_bound);
-  if (counters->version > 1)
+  if (counters->version > 1) {
     settings->adjoint_rule = (enum mo_adjoint_rule)field_kind(codec, (int)settings->adjoint_rule);
+    field_f64(codec, &settings->restart_weight);
+  }
   physics_fields(codec, &settings->physics);
   settings->sensor = (enum mo_sensor)field_kind(codec, (int)settings->sensor);
   field_u32(codec, &settings->held_out_designs);
@@ -248,7 +251,7 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP};
+  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP, .restart_weight = MO_RESTART_WEIGHT};
   struct counters counters = {0};
   header(&codec, &settings, &counters);
   const int r = check_header(&settings, &counters, message);

@@ -29,23 +29,23 @@ static void spell_settings(const struct mo_training *training, char text[SETTING
   const struct mo_training_settings *s = &training->settings;
   const struct mo_schedule *rate = &s->schedule;
   const struct mo_physics *p = &s->physics;
-  char n[16][NUMBER_BYTES], impact[24] = "exact";
+  char n[18][NUMBER_BYTES], impact[24] = "exact";
   if (p->impact == MO_IMPACT_BISECTION)
     snprintf(impact, sizeof(impact), "bisection%" PRIu32, p->bisections);
   snprintf(text, SETTINGS_BYTES,
            "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32 ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
            "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32 ",\"warmup_steps\":%" PRIu32 "},"
            "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_bound\":%s,"
-           "\"adjoint_rule\":\"%s\",\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ","
+           "\"adjoint_rule\":\"%s\",\"restart_weight\":%s,\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ","
            "\"stiffness_n_per_m\":%s,\"mass_kg\":%s,\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,\"actuation\":%s,"
            "\"friction\":%s,\"friction_cap\":%s,\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":%" PRIu32 "}",
            s->n_steps, s->batch, mo_schedule_name(rate->kind), spell(rate->peak, n[0]), spell(rate->floor, n[1]),
            spell(rate->decay, n[2]), rate->cycle_steps, rate->cycle_growth, rate->warmup_steps, spell(s->beta1, n[3]),
            spell(s->beta2, n[4]), spell(s->epsilon, n[5]), spell(s->norm_limit, n[6]), spell(s->adjoint_bound, n[7]),
-           mo_adjoint_rule_name(s->adjoint_rule), spell(p->dt_s, n[8]), p->n_steps, spell(p->stiffness_n_per_m, n[9]),
-           spell(p->mass_kg, n[10]), spell(p->drag_per_s, n[11]), spell(p->gravity_m_per_s2, n[12]),
-           spell(p->actuation, n[13]), spell(p->friction, n[14]), spell(p->friction_cap, n[15]),
-           spell(p->drop_height_m, (char[NUMBER_BYTES]){0}), impact, training->n_designs);
+           mo_adjoint_rule_name(s->adjoint_rule), spell(s->restart_weight, n[16]), spell(p->dt_s, n[8]), p->n_steps,
+           spell(p->stiffness_n_per_m, n[9]), spell(p->mass_kg, n[10]), spell(p->drag_per_s, n[11]),
+           spell(p->gravity_m_per_s2, n[12]), spell(p->actuation, n[13]), spell(p->friction, n[14]),
+           spell(p->friction_cap, n[15]), spell(p->drop_height_m, n[17]), impact, training->n_designs);
 }
 
 /* The entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON cannot hold as it is. */

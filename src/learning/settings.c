@@ -22,6 +22,7 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .norm_limit = 1.0,
       .adjoint_bound = MO_ADJOINT_BOUND,
       .adjoint_rule = MO_ADJOINT_CLIP,
+      .restart_weight = MO_RESTART_WEIGHT,
       .physics = mo_default_physics(),
       .sensor = MO_SENSOR_INVERSE_SQRT,
       .held_out_designs = 64,
@@ -41,6 +42,7 @@ static int check_numbers(const struct mo_training_settings *settings, struct mo_
       {"epsilon", settings->epsilon, 1.0, true, false},
       {"gradient_norm_limit", settings->norm_limit, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
       {"adjoint_bound", settings->adjoint_bound, MO_ADJOINT_BOUND_MAX, false, false},
+      {"restart_weight", settings->restart_weight, MO_RESTART_WEIGHT_MAX, false, false},
   };
   for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]); i++) {
     const double value = fields[i].value;

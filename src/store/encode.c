@@ -128,23 +128,33 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
-/* Settings of version 2 end with the rule of the adjoint, a 32-bit word; those of version 1 end before it, and clip. `now`: the size of
- * version 2. */
-static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule)
+/* Settings of version 2 end with the rule of the adjoint, a 32-bit word, and the weight of what begins anew, a double; those of
+ * version 1 end before them: they clip, with the usual weight. */
+static void encode_rule(enum mo_adjoint_rule rule, double weight, uint8_t bytes[MO_RULE_BYTES])
 {
-  const bool first = size == now - 4;
+  mo_encode_u32((uint32_t)rule, bytes);
+  mo_encode_double(weight, bytes + 4);
+}
+
+/* `now`: the size of version 2. */
+static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule, double *weight)
+{
+  const bool first = size == now - MO_RULE_BYTES;
   uint32_t word = MO_ADJOINT_CLIP;
   if (bytes == NULL || (!first && size != now) || bytes[0] != (first ? 1 : 2))
     return MO_ERR_CORRUPT;
-  if (!first)
-    word = mo_decode_u32(bytes + size - 4);
+  *weight = MO_RESTART_WEIGHT;
+  if (!first) {
+    word = mo_decode_u32(bytes + size - MO_RULE_BYTES);
+    *weight = mo_decode_double(bytes + size - MO_RULE_BYTES + 4);
+  }
   *rule = (enum mo_adjoint_rule)word;
   return word > MO_ADJOINT_RESTART ? MO_ERR_CORRUPT : MO_OK;
 }
 
 /* Version 2: the byte 2; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth, warm-up, held-out designs,
  * held-out environments, impact's bisections; the 64-bit seed; doubles peak, floor, decay, beta1, beta2, epsilon, norm limit,
- * adjoint bound; physics with precision and sensor; the 32-bit adjoint rule. */
+ * adjoint bound; physics with precision and sensor; the adjoint's rule and weight. */
 void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
@@ -162,7 +172,7 @@ void mo_encode_training(const struct mo_training_settings *settings, uint8_t byt
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, 8, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * 8);
-  mo_encode_u32((uint32_t)settings->adjoint_rule, at + 8 + 8 * 8 + MO_PHYSICS_BYTES);
+  encode_rule(settings->adjoint_rule, settings->restart_weight, at + 8 + 8 * 8 + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings)
@@ -171,9 +181,10 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   double values[8];
   enum mo_precision precision;
   enum mo_adjoint_rule rule;
+  double weight;
   const uint8_t *at;
   uint64_t seed;
-  int error = decode_rule(bytes, size, MO_TRAINING_BYTES, &rule);
+  int error = decode_rule(bytes, size, MO_TRAINING_BYTES, &rule, &weight);
   if (error != MO_OK)
     return error;
   at = bytes + 1;
@@ -201,6 +212,7 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   settings->norm_limit = values[6];
   settings->adjoint_bound = values[7];
   settings->adjoint_rule = rule;
+  settings->restart_weight = weight;
   settings->held_out_designs = words[7];
   settings->held_out_environments = words[8];
   error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision, &settings->sensor);
@@ -214,7 +226,7 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
 /* Version 2: the byte 2; 32-bit words mode, workspace x, y, z, population, generations, selection kind, tournament size, layers, age
  * gap, exclude pretraining, parent steps, child steps, batch, schedule kind, cycle steps, cycle growth, warm-up, impact's
  * bisections; the 64-bit seed; doubles mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1,
- * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor; the 32-bit adjoint rule. */
+ * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor; the adjoint's rule and weight. */
 void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
@@ -238,7 +250,7 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t byt
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, CAMPAIGN_VALUES, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * CAMPAIGN_VALUES);
-  mo_encode_u32((uint32_t)settings->adjoint_rule, at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
+  encode_rule(settings->adjoint_rule, settings->restart_weight, at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings)
@@ -247,8 +259,9 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
   double values[CAMPAIGN_VALUES];
   enum mo_precision precision;
   enum mo_adjoint_rule rule;
+  double weight;
   const uint8_t *at;
-  int error = decode_rule(bytes, size, MO_CAMPAIGN_BYTES, &rule);
+  int error = decode_rule(bytes, size, MO_CAMPAIGN_BYTES, &rule, &weight);
   if (error != MO_OK)
     return error;
   at = bytes + 1;
@@ -286,6 +299,7 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
       .norm_limit = values[11],
       .adjoint_bound = values[12],
       .adjoint_rule = rule,
+      .restart_weight = weight,
   };
   error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics, &precision,
                             &settings->sensor);

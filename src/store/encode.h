@@ -11,8 +11,9 @@
 #define MO_ENVIRONMENT_BYTES (8 * (2 + MO_TERRAIN_HEIGHTS))
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
-#define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES + 4)
-#define MO_CAMPAIGN_BYTES    (1 + 19 * 4 + 8 + 13 * 8 + MO_PHYSICS_BYTES + 4)
+#define MO_RULE_BYTES        (4 + 8) /* of the adjoint, with the weight */
+#define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
+#define MO_CAMPAIGN_BYTES    (1 + 19 * 4 + 8 + 13 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
 
 void mo_encode_u32(uint32_t value, uint8_t bytes[4]);
 uint32_t mo_decode_u32(const uint8_t bytes[4]);

@@ -42,6 +42,7 @@ static void presets(void)
       CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
       CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 && s.adjoint_bound == MO_ADJOINT_BOUND);
       CHECK_INT(s.adjoint_rule, MO_ADJOINT_CLIP);
+      CHECK(s.restart_weight == MO_RESTART_WEIGHT);
     }
 }
 
@@ -70,6 +71,7 @@ static void refused(void)
     NORM,
     BOUND,
     RULE,
+    RESTART_WEIGHT,
     SENSOR,
     PEAK,
     DT
@@ -126,6 +128,12 @@ static void refused(void)
       {MO_FEW_SHOT, RULE, 2, MO_ERR_INVALID, "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
       {MO_FEW_SHOT, RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {MO_ZERO_SHOT, RULE, 2, MO_OK, ""},
+      {MO_FEW_SHOT, RESTART_WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {MO_FEW_SHOT, RESTART_WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
+      {MO_SIMULTANEOUS, RESTART_WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
+      {MO_FEW_SHOT, RESTART_WEIGHT, 0, MO_OK, ""},
+      {MO_FEW_SHOT, RESTART_WEIGHT, MO_RESTART_WEIGHT_MAX, MO_OK, ""},
+      {MO_ZERO_SHOT, RESTART_WEIGHT, -1, MO_OK, ""},
       {MO_SIMULTANEOUS, SENSOR, 2, MO_ERR_INVALID, "sensor is 2"},
       {MO_SIMULTANEOUS, PEAK, -1, MO_ERR_RANGE, "peak is -1"},
       {MO_ZERO_SHOT, DT, 1, MO_ERR_RANGE, "dt_s is 1"},
@@ -157,6 +165,7 @@ static void refused(void)
     case NORM: s.norm_limit = value; break;
     case BOUND: s.adjoint_bound = value; break;
     case RULE: s.adjoint_rule = (enum mo_adjoint_rule)value; break;
+    case RESTART_WEIGHT: s.restart_weight = value; break;
     case SENSOR: s.sensor = (enum mo_sensor)value; break;
     case PEAK: s.schedule.peak = value; break;
     case DT: s.physics.dt_s = value; break;
@@ -200,8 +209,11 @@ static void few_shot(void)
   s.batch = 100;
   s.child_steps = 5;
   CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(mo_campaign_training(&s, 1).restart_weight == MO_RESTART_WEIGHT);
   s.adjoint_rule = MO_ADJOINT_RESTART;
+  s.restart_weight = 0.5;
   CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(mo_campaign_training(&s, 1).restart_weight == 0.5);
   CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
 }
 

@@ -6,9 +6,10 @@
 #include "jobs/campaigns.h"
 #include "jobs/trainings.h"
 
-#define BODIES 6
-#define STEPS  30
-#define BOUND  0.25 /* passed by lives this short, too */
+#define BODIES         6
+#define STEPS          30
+#define BOUND          0.25 /* passed by lives this short, too */
+#define RESTART_WEIGHT 2.5
 
 struct alone {
   struct mo_lattice *lattice;
@@ -43,6 +44,7 @@ static void lone_gradient(void *context, const struct mo_controller *controller,
                                     .physics = *physics,
                                     .adjoint_bound = BOUND,
                                     .adjoint_rule = MO_ADJOINT_RESTART,
+                                    .restart_weight = RESTART_WEIGHT,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
   CHECK_INT(mo_compute_gradient(alone->gradients, &batch), MO_OK);
@@ -92,6 +94,7 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
     settings->parent_steps = settings->child_steps = 1;
   settings->adjoint_bound = BOUND;
   settings->adjoint_rule = MO_ADJOINT_RESTART;
+  settings->restart_weight = RESTART_WEIGHT;
   snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
   mo_environment_paper_test(paper);
   REQUIRE(fixture_start(&fixture) == 0);

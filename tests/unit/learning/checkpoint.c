@@ -112,6 +112,7 @@ static void settings_kept(void)
                                    .norm_limit = 2.5,
                                    .adjoint_bound = 3.5,
                                    .adjoint_rule = MO_ADJOINT_RESTART,
+                                   .restart_weight = 2.25,
                                    .physics = mo_default_physics(),
                                    .sensor = MO_SENSOR_INVERSE_SQUARE,
                                    .held_out_designs = 12,
@@ -134,6 +135,7 @@ static void settings_kept(void)
   CHECK(k->beta1 == s.beta1 && k->beta2 == s.beta2 && k->epsilon == s.epsilon);
   CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound && k->sensor == s.sensor);
   CHECK_INT(k->adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(k->restart_weight == 2.25);
   CHECK(k->held_out_designs == 12 && k->held_out_environments == 13);
   const struct mo_physics *p = &k->physics, *q = &s.physics;
   CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps && p->stiffness_n_per_m == q->stiffness_n_per_m);
@@ -143,19 +145,19 @@ static void settings_kept(void)
   struct mo_controller *exported = NULL;
   REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
   CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
-               "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"physics\"") != NULL);
+               "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"restart_weight\":2.25,\"physics\"") != NULL);
   mo_controller_free(exported);
   free(blob.bytes);
   mo_training_free(training);
 }
 
-/* A checkpoint as version 1 wrote it: it had no rule. */
+/* A checkpoint as version 1 wrote it: it had neither rule nor weight. */
 static void as_version_1(struct blob *blob)
 {
   enum { VERSION = 8, RULE = 112 };
   const uint32_t version = 1;
-  blob->size -= 4;
-  memmove(blob->bytes + RULE, blob->bytes + RULE + 4, blob->size - RULE);
+  blob->size -= 12;
+  memmove(blob->bytes + RULE, blob->bytes + RULE + 12, blob->size - RULE);
   memcpy(blob->bytes + VERSION, &version, 4);
   const uint64_t sum = mo_checksum(blob->bytes, blob->size - 8);
   memcpy(blob->bytes + blob->size - 8, &sum, 8);
@@ -174,6 +176,7 @@ static void first_version(void)
     struct mo_training *read = decoded(&old);
     REQUIRE(read != NULL);
     CHECK_INT(mo_training_settings_of(read)->adjoint_rule, MO_ADJOINT_CLIP);
+    CHECK(mo_training_settings_of(read)->restart_weight == MO_RESTART_WEIGHT);
     struct blob again = encoded(read);
     CHECK(same(&now, &again));
     CHECK(advance_one(training, &made_up) == MO_OK && advance_one(read, &made_up) == MO_OK);
@@ -219,7 +222,7 @@ static void damaged(void)
   blob.bytes[blob.size - 1] ^= 128;
   expect_refused(blob.bytes, blob.size, "checksum is wrong");
   blob.bytes[blob.size - 1] ^= 128;
-  const size_t cuts[] = {0, 7, 8, 100, 243, 244, 247, 248, 5000, blob.size / 2, blob.size - 1};
+  const size_t cuts[] = {0, 7, 8, 100, 243, 244, 255, 256, 5000, blob.size / 2, blob.size - 1};
   for (size_t i = 0; i < sizeof(cuts) / sizeof(cuts[0]); i++) {
     uint8_t *cut = malloc(cuts[i] + 1); /* of its size, for the sanitizer */
     REQUIRE(cut != NULL);
@@ -237,7 +240,16 @@ static void damaged(void)
 /* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile file. */
 static void wrong_contents(void)
 {
-  enum { RULE = 112, STEP = 212, SKIPPED = 216, DRAWS = 220, N_DESIGNS = 228, N_PARAMETERS = 232, ARRAYS = 240 };
+  enum {
+    RULE = 112,
+    WEIGHT = 116,
+    STEP = 220,
+    SKIPPED = 224,
+    DRAWS = 228,
+    N_DESIGNS = 236,
+    N_PARAMETERS = 240,
+    ARRAYS = 248
+  };
   const size_t designs = (size_t)4 * MO_DEFAULT_WORDS * 8;
   const size_t n = 620912, first = ARRAYS + designs + 4 * n, second = first + 8 * n;
   const double nan = NAN, minus = -1.0;
@@ -254,6 +266,8 @@ static void wrong_contents(void)
       {28, 4, &most, "batch: 4294967295"},
       {36, 8, &nan, "peak is not finite"},
       {RULE, 4, &kind, "adjoint_rule is 2"},
+      {WEIGHT, 8, &minus, "restart_weight is -1"},
+      {WEIGHT, 8, &nan, "restart_weight is not finite"},
       {STEP, 4, &many, "more steps than its training"},
       {SKIPPED, 4, &many, "more steps than its training"},
       {DRAWS, 8, &one, "stream of bodies"},
@@ -384,13 +398,15 @@ static void lineage(void)
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.seed"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.step"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.version"), "1.2.3");
-  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.settings"),
-             "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
-             "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
-             "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":\"clip\",\"physics\":{"
-             "\"dt_s\":0.004,\"n_steps\":1000,"
-             "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
-             "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
+  CHECK_TEXT(
+      mo_controller_get_metadata(c, "morphod.settings"),
+      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
+      "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
+      "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":\"clip\",\"restart_weight\":3,"
+      "\"physics\":{"
+      "\"dt_s\":0.004,\"n_steps\":1000,"
+      "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
+      "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.code"), "[{\"from_step\":0,\"fingerprint\":null}]");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);

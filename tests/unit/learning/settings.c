@@ -10,6 +10,7 @@ static void defaults(void)
   CHECK(pretrain.n_steps == 1400 && pretrain.batch == 256 && finetune.n_steps == 60);
   CHECK(pretrain.schedule.kind == MO_SCHEDULE_COSINE && pretrain.adjoint_bound == 2.0 && pretrain.norm_limit == 1.0);
   CHECK(pretrain.adjoint_rule == MO_ADJOINT_CLIP && finetune.adjoint_rule == MO_ADJOINT_CLIP);
+  CHECK(pretrain.restart_weight == 3.0 && finetune.restart_weight == 3.0);
   CHECK(pretrain.beta1 == 0.9 && pretrain.beta2 == 0.999);
 }
 
@@ -25,7 +26,23 @@ static void expect(int actual, int code, const struct mo_message *message, const
 static void refused_settings(void)
 {
   static const struct {
-    enum { KIND, STEPS, BATCH, BETA1, BETA2, EPSILON, NORM, BOUND, RULE, SENSOR, DESIGNS, ENVIRONMENTS, PEAK, DT } what;
+    enum {
+      KIND,
+      STEPS,
+      BATCH,
+      BETA1,
+      BETA2,
+      EPSILON,
+      NORM,
+      BOUND,
+      RULE,
+      WEIGHT,
+      SENSOR,
+      DESIGNS,
+      ENVIRONMENTS,
+      PEAK,
+      DT
+    } what;
     double value;
     int code;
     const char *says;
@@ -49,6 +66,11 @@ static void refused_settings(void)
       {RULE, 2, MO_ERR_INVALID, "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
       {RULE, -1, MO_ERR_INVALID, "adjoint_rule is -1"},
       {RULE, MO_ADJOINT_RESTART, MO_OK, ""},
+      {WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
+      {WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
+      {WEIGHT, 0, MO_OK, ""},
+      {WEIGHT, MO_RESTART_WEIGHT_MAX, MO_OK, ""},
       {SENSOR, 2, MO_ERR_INVALID, "inverse_sqrt"},
       {DESIGNS, 10001, MO_ERR_RANGE, "held-out designs: 10001"},
       {ENVIRONMENTS, 65, MO_ERR_RANGE, "held-out environments: 65"},
@@ -70,6 +92,7 @@ static void refused_settings(void)
     case NORM: s.norm_limit = value; break;
     case BOUND: s.adjoint_bound = value; break;
     case RULE: s.adjoint_rule = (enum mo_adjoint_rule)(int)value; break;
+    case WEIGHT: s.restart_weight = value; break;
     case SENSOR: s.sensor = (enum mo_sensor)value; break;
     case DESIGNS: s.held_out_designs = (uint32_t)value; break;
     case ENVIRONMENTS: s.held_out_environments = (uint32_t)value; break;

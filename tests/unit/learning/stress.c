@@ -232,6 +232,7 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state, st
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
                                     .adjoint_rule = settings->adjoint_rule,
+                                    .restart_weight = settings->restart_weight,
                                     .d_parameters = run->gradient,
                                     .outcomes = run->outcomes};
   REQUIRE(mo_compute_gradient(state, &batch) == MO_OK);

@@ -34,7 +34,8 @@ static struct mo_training *begin(void)
 static int learn(struct mo_training *training, struct made_up *made_up, bool save)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
-  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch, settings->adjoint_rule};
+  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch, settings->adjoint_rule,
+                                              settings->restart_weight};
   const struct mo_robot *robots;
   int r = mo_training_draw(training, NULL, NULL, &robots);
   memset(made_up->gradient, 0, made_up->n * sizeof(double));

@@ -40,6 +40,7 @@ static inline struct mo_campaign_submission campaign_submission(enum mo_campaign
                                                                  .norm_limit = 1,
                                                                  .adjoint_bound = 2,
                                                                  .adjoint_rule = MO_ADJOINT_RESTART,
+                                                                 .restart_weight = 2.5,
                                                                  .sensor = MO_SENSOR_INVERSE_SQUARE,
                                                                  .physics = mo_default_physics()},
                                                     .name = "walker",

@@ -41,13 +41,16 @@ static void encodes_every_setting(void)
   CHECK(back.norm_limit == 1 && back.adjoint_bound == 2 && back.sensor == MO_SENSOR_INVERSE_SQUARE);
   CHECK(back.physics.n_steps == settings.physics.n_steps && back.physics.bisections == 3);
   CHECK_INT(back.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(back.restart_weight == 2.5);
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 1, &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_campaign(NULL, 0, &back), MO_ERR_CORRUPT);
-  bytes[0] = 1; /* the first version ended before the rule: it clipped */
+  bytes[0] = 1; /* the first version ended before the rule: it clipped, with the usual weight */
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
-  CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 4, &back), MO_OK);
+  CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 12, &back), MO_OK);
   CHECK_INT(back.adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(back.restart_weight == MO_RESTART_WEIGHT);
   back.adjoint_rule = settings.adjoint_rule;
+  back.restart_weight = settings.restart_weight;
   CHECK(same_settings(&back, &settings));
   bytes[0] = 3;
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);

@@ -134,10 +134,10 @@ static int downgrade(const struct fixture *fixture, int version)
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_finalize(tables);
-  /* Settings of version 1: without the four bytes of the rule at their end. */
+  /* Settings of version 1: without the twelve bytes of the rule and its weight at their end. */
   for (int i = 0; i < (version >= 5 ? 2 : version >= 2 ? 1 : 0) && result == SQLITE_OK; i++) {
-    snprintf(sql, sizeof(sql), "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-5) AS BLOB)",
-             settings_of[i]);
+    snprintf(sql, sizeof(sql),
+             "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-13) AS BLOB)", settings_of[i]);
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_close(db);
@@ -226,7 +226,8 @@ static void migrates_a_training(void)
   fixture_end(&fixture);
 }
 
-/* Settings from before there were rules of the adjoint are read: they clip. Those that come to them keep theirs. */
+/* Settings from before there were rules of the adjoint are read: they clip, with the usual weight. Those that come to them keep
+ * theirs. */
 static void migrates_settings(void)
 {
   struct fixture fixture;
@@ -250,11 +251,14 @@ static void migrates_settings(void)
   CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM trainings WHERE substr(settings,1,1)=x'01'"), 1);
   for (int i = 0; i < 2; i++) {
     const enum mo_adjoint_rule rule = i == 0 ? MO_ADJOINT_CLIP : MO_ADJOINT_RESTART;
+    const double weight = i == 0 ? MO_RESTART_WEIGHT : 2.5;
     CHECK_INT(mo_store_training(fixture.store, trained[i], &status), MO_OK);
     CHECK_INT(status.record.settings.adjoint_rule, rule);
+    CHECK(status.record.settings.restart_weight == weight);
     CHECK(status.record.settings.adjoint_bound == 2 && status.record.settings.n_steps == 100);
     CHECK_INT(mo_store_campaign(fixture.store, bred[i], &evolved), MO_OK);
     CHECK_INT(evolved.record.settings.adjoint_rule, rule);
+    CHECK(evolved.record.settings.restart_weight == weight);
     CHECK(evolved.record.settings.adjoint_bound == 2 && evolved.record.settings.population == 10);
   }
   fixture_end(&fixture);

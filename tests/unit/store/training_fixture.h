@@ -26,6 +26,7 @@ static inline struct mo_training_submission submission_of(uint32_t n_steps)
                                                                  .norm_limit = 1,
                                                                  .adjoint_bound = 2,
                                                                  .adjoint_rule = MO_ADJOINT_RESTART,
+                                                                 .restart_weight = 2.5,
                                                                  .physics = mo_default_physics(),
                                                                  .sensor = MO_SENSOR_INVERSE_SQUARE,
                                                                  .held_out_designs = 5,

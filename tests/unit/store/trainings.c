@@ -23,13 +23,13 @@ static bool same_settings(const struct mo_training_settings *a, const struct mo_
          a->schedule.cycle_steps == b->schedule.cycle_steps && a->schedule.cycle_growth == b->schedule.cycle_growth &&
          a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 && a->beta2 == b->beta2 &&
          a->epsilon == b->epsilon && a->norm_limit == b->norm_limit && a->adjoint_bound == b->adjoint_bound &&
-         a->adjoint_rule == b->adjoint_rule && a->physics.n_steps == b->physics.n_steps &&
-         a->physics.dt_s == b->physics.dt_s && a->physics.bisections == b->physics.bisections &&
-         a->sensor == b->sensor && a->held_out_designs == b->held_out_designs &&
-         a->held_out_environments == b->held_out_environments;
+         a->adjoint_rule == b->adjoint_rule && a->restart_weight == b->restart_weight &&
+         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
+         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
+         a->held_out_designs == b->held_out_designs && a->held_out_environments == b->held_out_environments;
 }
 
-/* The first version of the settings ended before the rule: it clipped. */
+/* The first version of the settings ended before the rule: it clipped, with the usual weight. */
 static void reads_the_first_version(void)
 {
   struct mo_training_settings settings = submission_of(10).record.settings, back;
@@ -37,14 +37,15 @@ static void reads_the_first_version(void)
   mo_encode_training(&settings, bytes);
   CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_OK);
   CHECK(same_settings(&back, &settings));
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - 4, &back), MO_ERR_CORRUPT);
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - MO_RULE_BYTES, &back), MO_ERR_CORRUPT);
   bytes[0] = 1;
   CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
-  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - 4, &back), MO_OK);
+  CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - MO_RULE_BYTES, &back), MO_OK);
   settings.adjoint_rule = MO_ADJOINT_CLIP;
+  settings.restart_weight = MO_RESTART_WEIGHT;
   CHECK(same_settings(&back, &settings));
   bytes[0] = 2;
-  bytes[sizeof(bytes) - 4] = 2; /* no such rule */
+  bytes[sizeof(bytes) - MO_RULE_BYTES] = 2; /* no such rule */
   CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_training(NULL, 0, &back), MO_ERR_CORRUPT);
 }
