@@ -179,9 +179,11 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
              real_text(json_object_get(schedule, "peak"), a), real_text(json_object_get(schedule, "floor"), b));
   print_fact(ctl, "adam", "%s, %s, %s", real_text(json_object_get(adam, "beta1"), a),
              real_text(json_object_get(adam, "beta2"), b), real_text(json_object_get(adam, "epsilon"), c));
-  print_fact(ctl, "limits", "gradient %s, adjoint %s (%s)",
+  const bool restarts = strcmp(text_of(settings, "adjoint_rule"), "restart") == 0;
+  print_fact(ctl, "limits", "gradient %s, adjoint %s (%s%s%s)",
              real_text(json_object_get(settings, "gradient_norm_limit"), a),
-             real_text(json_object_get(settings, "adjoint_bound"), b), text_of(settings, "adjoint_rule"));
+             real_text(json_object_get(settings, "adjoint_bound"), b), text_of(settings, "adjoint_rule"),
+             restarts ? ", weight " : "", restarts ? real_text(json_object_get(settings, "restart_weight"), c) : "");
   print_fact(ctl, "physics", "%" PRId64 " steps of %s s, impact %s", number_of(physics, "n_steps"),
              real_text(json_object_get(physics, "dt_s"), a), text_of(physics, "impact"));
   if (number_of(validation, "every_steps") > 0)

@@ -93,6 +93,7 @@ int fill_optimizer(const struct ctl *ctl, json_t *object)
       {"gradient-norm-limit", "gradient_norm_limit", FIELD_REAL},
       {"adjoint-bound", "adjoint_bound", FIELD_REAL},
       {"adjoint-rule", "adjoint_rule", FIELD_WORD},
+      {"restart-weight", "restart_weight", FIELD_REAL},
   };
   return fill_fields(ctl, object, fields, N_OF(fields));
 }

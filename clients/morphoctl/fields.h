@@ -18,7 +18,7 @@ int fill_fields(const struct ctl *ctl, json_t *request, const struct field *fiel
 
 /* --schedule and the options of its kinds into "schedule" of `object`. */
 int fill_schedule(const struct ctl *ctl, json_t *object);
-/* --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule. */
+/* --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule, --restart-weight. */
 int fill_optimizer(const struct ctl *ctl, json_t *object);
 
 /* Options of the help text that belong to these two. */
@@ -37,8 +37,9 @@ int fill_optimizer(const struct ctl *ctl, json_t *object);
       {"epsilon", 0, "X", "Adam's smallest divisor (default: 1e-8)."},                                                 \
       {"gradient-norm-limit", 0, "X", "Largest norm of a step's gradient; 0: off (default: 1)."},                      \
       {"adjoint-bound", 0, "X", "Bound of each robot's adjoint on the way back; 0: off (default: 2)."},                \
+      {"adjoint-rule", 0, "RULE", "Above the bound: clip (default), or restart, as if the rollout ended there."},      \
   {                                                                                                                    \
-    "adjoint-rule", 0, "RULE", "Above the bound: clip (default), or restart, as if the rollout ended there."           \
+    "restart-weight", 0, "X", "restart: of what the adjoint begins anew with (default: 3)."                            \
   }
 
 #endif

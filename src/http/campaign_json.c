@@ -85,6 +85,7 @@ static void write_learning(struct mo_text *text, const struct mo_campaign_record
   mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
   mo_text_member_number(text, "adjoint_bound", settings->adjoint_bound);
   mo_text_member(text, "adjoint_rule", mo_adjoint_rule_name(settings->adjoint_rule));
+  mo_text_member_number(text, "restart_weight", settings->restart_weight);
   if (record->has_controller)
     mo_text_add(text, ",\"sensor\":null");
   else

@@ -196,6 +196,8 @@ static void read_learning(struct mo_json *json, struct mo_campaign_record *recor
       mo_read_limit(json, MO_ADJOINT_BOUND_MAX, &settings->adjoint_bound);
     } else if (mo_json_is(key, "adjoint_rule")) {
       mo_read_adjoint_rule(json, &settings->adjoint_rule);
+    } else if (mo_json_is(key, "restart_weight")) {
+      mo_json_bounded(json, 0, MO_RESTART_WEIGHT_MAX, &settings->restart_weight);
     } else if (mo_json_is(key, "sensor")) {
       given->sensor = true;
       mo_read_sensor(json, &settings->sensor);
@@ -203,7 +205,7 @@ static void read_learning(struct mo_json *json, struct mo_campaign_record *recor
       mo_read_count(json, 0, MO_CHECKPOINT_SECONDS_MAX, &record->checkpoint_every_s);
     } else {
       mo_read_unknown(json, "parent_steps, child_steps, batch, schedule, adam, gradient_norm_limit, adjoint_bound, "
-                            "adjoint_rule, sensor, checkpoint_every_s");
+                            "adjoint_rule, restart_weight, sensor, checkpoint_every_s");
     }
   }
 }

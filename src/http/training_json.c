@@ -70,6 +70,7 @@ static void write_settings(struct mo_text *text, const struct mo_training_record
   mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
   mo_text_member_number(text, "adjoint_bound", settings->adjoint_bound);
   mo_text_member(text, "adjoint_rule", mo_adjoint_rule_name(settings->adjoint_rule));
+  mo_text_member_number(text, "restart_weight", settings->restart_weight);
   mo_text_add(text, ",\"physics\":");
   mo_physics_write(text, &settings->physics);
   mo_text_format(text, ",\"validation\":{\"every_steps\":%u,\"designs\":%u,\"environments\":%u}",

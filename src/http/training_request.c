@@ -183,6 +183,8 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
       mo_read_limit(json, MO_ADJOINT_BOUND_MAX, &settings->adjoint_bound);
     } else if (mo_json_is(key, "adjoint_rule")) {
       mo_read_adjoint_rule(json, &settings->adjoint_rule);
+    } else if (mo_json_is(key, "restart_weight")) {
+      mo_json_bounded(json, 0, MO_RESTART_WEIGHT_MAX, &settings->restart_weight);
     } else if (mo_json_is(key, "physics")) {
       mo_read_physics(json, &settings->physics);
     } else if (mo_json_is(key, "validation")) {
@@ -202,8 +204,8 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
     } else {
       mo_read_unknown(
           json, "kind, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
-                "gradient_norm_limit, adjoint_bound, adjoint_rule, physics, validation, checkpoint, priority, weight, "
-                "device, label");
+                "gradient_norm_limit, adjoint_bound, adjoint_rule, restart_weight, physics, validation, checkpoint, "
+                "priority, weight, device, label");
     }
   }
   return code;

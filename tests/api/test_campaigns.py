@@ -107,6 +107,9 @@ INVALID = {
     "adjoint bound negative": (learns(adjoint_bound=-1), ["/learning/adjoint_bound"]),
     "adjoint rule unknown": (learns(adjoint_rule="scale"), ["/learning/adjoint_rule"]),
     "adjoint rule a number": (learns(adjoint_rule=1), ["/learning/adjoint_rule"]),
+    "restart weight negative": (learns(restart_weight=-1), ["/learning/restart_weight"]),
+    "restart weight too large": (learns(restart_weight=1e7), ["/learning/restart_weight"]),
+    "restart weight a word": (learns(restart_weight="3"), ["/learning/restart_weight"]),
     "sensor of few-shot": (learns(sensor="inverse_sqrt"), ["/learning/sensor"]),
     "sensor with a controller": (but(mode="simultaneous", controller="default", learning={"sensor": "inverse_sqrt"}), ["/learning/sensor"]),
     "sensor unknown": (but(mode="simultaneous", learning={"sensor": "camera"}), ["/learning/sensor"]),
@@ -245,10 +248,12 @@ def test_settings_are_told_with_their_defaults(service, evolved, learned):
     learning = learned["settings"]["learning"]
     assert learning["batch"] == 4 and learning["schedule"]["peak"] == 3.5e-4 and learning["adam"]["beta1"] == 0.9 and learning["sensor"] is None
     assert learning["checkpoint_every_s"] == 60 and learning["adjoint_bound"] == 2 and learning["adjoint_rule"] == "clip"
-    queued = service.request("POST", "/v1/campaigns", {"mode": "simultaneous", "preset": "demo", "learning": {"adjoint_rule": "restart"}}).json()
+    assert learning["restart_weight"] == 3
+    rule = {"adjoint_rule": "restart", "restart_weight": 0.5}
+    queued = service.request("POST", "/v1/campaigns", {"mode": "simultaneous", "preset": "demo", "learning": rule}).json()
     assert queued["controller"] is None and queued["settings"]["learning"]["batch"] == 64 and queued["settings"]["generations"] == 30
     assert queued["settings"]["learning"]["sensor"] == "inverse_sqrt" and queued["settings"]["environments"] == "paper-test"
-    assert queued["settings"]["learning"]["adjoint_rule"] == "restart"
+    assert queued["settings"]["learning"]["adjoint_rule"] == "restart" and queued["settings"]["learning"]["restart_weight"] == 0.5
     assert queued["name"] == f"campaign-{queued['id']}" and queued["settings"]["initial"] == "random"
     ended(service, [queued["id"]])
 

@@ -87,6 +87,9 @@ INVALID = {
     "adjoint rule unknown": (with_field("adjoint_rule", "scale"), ["/adjoint_rule"]),
     "adjoint rule a number": (with_field("adjoint_rule", 1), ["/adjoint_rule"]),
     "adjoint rule null": (with_field("adjoint_rule", None), ["/adjoint_rule"]),
+    "restart weight negative": (with_field("restart_weight", -1), ["/restart_weight"]),
+    "restart weight too large": (with_field("restart_weight", 1e7), ["/restart_weight"]),
+    "restart weight a word": (with_field("restart_weight", "3"), ["/restart_weight"]),
     "time step zero": (with_field("physics", {"dt_s": 0}), ["/physics/dt_s"]),
     "unknown physics": (with_field("physics", {"wind": 0}), ["/physics/wind"]),
     "validation of no designs": (with_field("validation", {"designs": 0}), ["/validation/designs"]),
@@ -196,7 +199,7 @@ def test_settings_are_told_with_their_defaults(trained):
     settings = trained["settings"]
     assert settings["schedule"] == {"kind": "restarts", "peak": 0.001, "floor": 1e-05, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 0}
     assert settings["adam"] == {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08} and settings["adjoint_bound"] == 2
-    assert settings["adjoint_rule"] == "clip"
+    assert settings["adjoint_rule"] == "clip" and settings["restart_weight"] == 3
     assert settings["sensor"] == "inverse_sqrt" and settings["physics"]["n_steps"] == 30 and settings["physics"]["dt_s"] == 0.004
     assert settings["seed"] == 1 and settings["n_designs"] is None and settings["population"] is None
     assert trained["name"] == "small" and trained["label"] == "première" and trained["parent"] is None
@@ -220,16 +223,18 @@ def test_the_end(service, trained):
 
 
 def test_the_rule_of_the_adjoint(service):
-    """It is told, stands in the lineage, and decides what is learned: a bound this low is passed at once."""
+    """It and its weight are told, stand in the lineage, and decide what is learned: a bound this low is passed at once."""
     files = []
-    for rule in ("clip", "restart", "restart"):
-        reply = service.request("POST", "/v1/trainings", {**TRAIN, "adjoint_bound": 0.1, "adjoint_rule": rule})
+    for rule, weight in (("clip", 3), ("restart", 3), ("restart", None), ("restart", 0.5)):
+        chosen = {"adjoint_rule": rule} | ({"restart_weight": weight} if weight else {})
+        reply = service.request("POST", "/v1/trainings", {**TRAIN, "adjoint_bound": 0.1, **chosen})
         assert reply.status == 202, reply.body
         done = finished(service, reply.json()["id"]).json()
         assert done["state"] == "succeeded" and done["settings"]["adjoint_rule"] == rule and done["progress"]["clipped_share"] > 0
         files.append(service.request("GET", done["links"]["controller"]).body)
-        assert json.loads(metadata(files[-1])["morphod.settings"])["adjoint_rule"] == rule
-    assert files[1] == files[2] and files[0][-1000000:] != files[1][-1000000:]
+        settings = json.loads(metadata(files[-1])["morphod.settings"])
+        assert settings["adjoint_rule"] == rule and settings["restart_weight"] == done["settings"]["restart_weight"] == (weight or 3)
+    assert files[1] == files[2] and len({file[-1000000:] for file in files}) == 3
 
 
 def test_curve(service, trained):

@@ -147,7 +147,7 @@ def test_finetuning_survives(daemon, seed):
         population = one.score({"designs": designs, "physics": {"n_steps": 50}})["id"]
         job = train(one, {"kind": "finetune", "population": {"evaluation": population, "best": 8}, "steps": 40, "batch": 16,
                           "seed": seed, "physics": {"n_steps": 20}, "validation": {"every_steps": 0}, "name": "tuned",
-                          "adjoint_bound": 0.1, "adjoint_rule": "restart"})
+                          "adjoint_bound": 0.1, "adjoint_rule": "restart", "restart_weight": 2.5})
         if disturbed:
             await_training(one, job, lambda now: now["progress"]["step"] >= 5)
             assert one.session.post(f"{one.address}/v1/jobs/{job}/pause").status_code in (200, 202)

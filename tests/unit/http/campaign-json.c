@@ -113,9 +113,12 @@ static void ended(void)
   CHECK(json_real_value(json_object_get(at("newest", "learning"), "last_loss")) == 0.5);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "sensor")), "inverse_sqrt");
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "clip");
+  CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 3);
   status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
+  status.record.settings.restart_weight = 0.5;
   write(false);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "restart");
+  CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 0.5);
   struct mo_text text = {0};
   mo_campaign_csv_generation(&text, &status.last);
   CHECK(strncmp(text.data, "7,2,0,14,,,,,,,,,2,0,0,0,", 25) == 0);

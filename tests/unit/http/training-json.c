@@ -54,6 +54,7 @@ static void fresh(void)
   CHECK(json_is_null(at("settings", "n_designs")));
   CHECK_TEXT(json_string_value(at("settings", "sensor")), "inverse_sqrt");
   CHECK_TEXT(json_string_value(at("settings", "adjoint_rule")), "clip");
+  CHECK(json_number_value(at("settings", "restart_weight")) == 3);
 }
 
 static void runs(void)
@@ -107,6 +108,7 @@ static void ended(void)
   begin(MO_JOB_FAILED);
   status.record.settings = mo_training_defaults(MO_TRAINING_FINETUNE);
   status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
+  status.record.settings.restart_weight = 0.5;
   status.record.has_parent = true;
   status.record.n_designs = 3;
   status.record.population = 5;
@@ -125,6 +127,7 @@ static void ended(void)
   CHECK(json_is_null(at("parent", "name")) && json_is_null(at("settings", "sensor")));
   CHECK_INT(json_integer_value(at("settings", "n_designs")), 3);
   CHECK_TEXT(json_string_value(at("settings", "adjoint_rule")), "restart");
+  CHECK(json_number_value(at("settings", "restart_weight")) == 0.5);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "population"), "evaluation")), "5");
   CHECK(json_is_null(at("progress", "mean_loss")) && json_is_true(at("progress", "skipped")));
   CHECK(json_is_null(at("validation", "mean_score")) && json_is_null(at("validation", "standard_error")));

@@ -25,6 +25,7 @@ static void defaults(void)
   CHECK(s->kind == MO_TRAINING_PRETRAIN && s->n_steps == 1400 && s->batch == 256 && s->seed == 1);
   CHECK(s->beta1 == 0.9 && s->beta2 == 0.999 && s->epsilon == 1e-8 && s->norm_limit == 1 && s->adjoint_bound == 2);
   CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(s->restart_weight == 3);
   CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->sensor == MO_SENSOR_INVERSE_SQRT && s->physics.n_steps == 1000);
   CHECK(s->held_out_designs == 64 && s->held_out_environments == 8 && r->record.validate_every_steps == 50);
   CHECK(r->record.checkpoint_every_steps == 0 && r->record.checkpoint_every_s == 60 && r->record.checkpoints_kept == 3);
@@ -46,7 +47,8 @@ static void everything(void)
                 "\"12\",\"best\":64},\"steps\":30,\"batch\":65536,\"seed\":9007199254740991,\"schedule\":{\"peak\":"
                 "0.01,\"kind\":\"restarts\",\"floor\":1e-6,\"decay\":0.5,\"cycle_steps\":5,\"cycle_growth\":3,"
                 "\"warmup_steps\":2},\"adam\":{\"beta1\":0,\"beta2\":0.5,\"epsilon\":1e-6},\"gradient_norm_limit\":0,"
-                "\"adjoint_bound\":8,\"adjoint_rule\":\"restart\",\"physics\":{\"n_steps\":200,\"impact\":"
+                "\"adjoint_bound\":8,\"adjoint_rule\":\"restart\",\"restart_weight\":0,\"physics\":{\"n_steps\":200,"
+                "\"impact\":"
                 "\"bisection8\"},\"validation\":{"
                 "\"every_steps\":0,\"designs\":3,\"environments\":4},\"checkpoint\":{\"every_steps\":5,\"every_s\":0,"
                 "\"keep\":1},\"priority\":\"batch\",\"label\":\"x\"}") == MO_OK);
@@ -61,6 +63,7 @@ static void everything(void)
   CHECK(s->schedule.decay == 0.5 && s->schedule.cycle_steps == 5 && s->schedule.cycle_growth == 3);
   CHECK(s->schedule.warmup_steps == 2 && s->beta1 == 0 && s->beta2 == 0.5 && s->epsilon == 1e-6);
   CHECK_INT(s->adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(s->restart_weight == 0);
   CHECK(s->norm_limit == 0 && s->adjoint_bound == 8 && s->physics.n_steps == 200 && s->physics.bisections == 8);
   CHECK(r->record.validate_every_steps == 0 && s->held_out_designs == 3 && s->held_out_environments == 4);
   CHECK(r->record.checkpoint_every_steps == 5 && r->record.checkpoint_every_s == 0 && r->record.checkpoints_kept == 1);
@@ -164,6 +167,10 @@ static void places(void)
       {TRAIN "\"adjoint_rule\":1}", "/adjoint_rule"},
       {TRAIN "\"adjoint_rule\":\"Restart\"}", "/adjoint_rule"},
       {TRAIN "\"adjoint_rule\":null}", "/adjoint_rule"},
+      {TRAIN "\"restart_weight\":-1}", "/restart_weight"},
+      {TRAIN "\"restart_weight\":1e7}", "/restart_weight"},
+      {TRAIN "\"restart_weight\":\"3\"}", "/restart_weight"},
+      {TRAIN "\"restart_weight\":null}", "/restart_weight"},
       {TRAIN "\"physics\":{\"dt_s\":0}}", "/physics/dt_s"},
       {TRAIN "\"physics\":{\"gravity\":0}}", "/physics/gravity"},
       {TRAIN "\"validation\":{\"every_steps\":-1}}", "/validation/every_steps"},

@@ -325,7 +325,8 @@ TRAINING = {"id": "7", "kind": "pretrain", "name": "walker", "state": "running",
             "phase": "learning", "parent": None, "validation": None, "checkpoint_step": None, "controller": None,
             "settings": {"steps": 1400, "batch": 256, "seed": 1, "sensor": "inverse_sqrt", "n_designs": None, "population": None,
                          "schedule": {"kind": "cosine", "peak": 0.002, "floor": 1e-05}, "adam": {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08},
-                         "gradient_norm_limit": 1.0, "adjoint_bound": 2.0, "adjoint_rule": "clip", "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"},
+                         "gradient_norm_limit": 1.0, "adjoint_bound": 2.0, "adjoint_rule": "clip", "restart_weight": 3.0,
+                         "physics": {"dt_s": 0.004, "n_steps": 20, "impact": "exact"},
                          "validation": {"every_steps": 50, "designs": 64, "environments": 8},
                          "checkpoint": {"every_steps": 0, "every_s": 60, "keep": 3}},
             "progress": {"step": 2, "steps": 1400, "mean_loss": 0.75, "gradient_norm": 0.5, "rate": 0.001, "clipped_share": 0.03, "diverged": 0,
@@ -346,7 +347,7 @@ def test_train_start_sends_what_was_asked_for():
         status, out, err = run(server, "train", "start", "pretrain", "--name", "walker", "--steps", "1400", "-b", "256", "--seed", "3", "--sensor",
                                "inverse_square", "--schedule", "restarts", "--peak", "2e-3", "--floor", "1e-5", "--decay", "0.7", "--cycle-steps", "10",
                                "--cycle-growth", "2", "--warmup-steps", "5", "--beta1", "0.8", "--beta2", "0.99", "--epsilon", "1e-7",
-                               "--gradient-norm-limit", "0", "--adjoint-bound", "8", "--adjoint-rule", "restart", "-p", "n_steps=20",
+                               "--gradient-norm-limit", "0", "--adjoint-bound", "8", "--adjoint-rule", "restart", "--restart-weight", "0.5", "-p", "n_steps=20",
                                "--validate-every", "5", "--validation-designs", "4", "--validation-environments", "2", "--checkpoint-steps", "7", "--checkpoint-seconds", "0",
                                "--checkpoint-keep", "2", "--priority", "batch", "--label", "x")
         assert (status, out) == (0, "7\n") and "morphoctl train watch 7" in err, (out, err)
@@ -356,7 +357,7 @@ def test_train_start_sends_what_was_asked_for():
             "kind": "pretrain", "name": "walker", "steps": 1400, "batch": 256, "seed": 3, "sensor": "inverse_square",
             "schedule": {"kind": "restarts", "peak": 0.002, "floor": 1e-05, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 5},
             "adam": {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-07}, "gradient_norm_limit": 0.0, "adjoint_bound": 8.0, "adjoint_rule": "restart",
-            "physics": {"n_steps": 20},
+            "restart_weight": 0.5, "physics": {"n_steps": 20},
             "validation": {"every_steps": 5, "designs": 4, "environments": 2}, "checkpoint": {"every_steps": 7, "every_s": 0, "keep": 2},
             "priority": "batch", "label": "x"}
 
@@ -474,12 +475,14 @@ def test_train_watch_draws_on_a_terminal():
 
 def test_train_show_and_list():
     with Server([reply(200, {**TRAINING, "parent": {"name": "default", "sha256": "d" * 64}, "reason": "no space"}), step_rows(1, 2), NO_ROWS,
+                 reply(200, {**TRAINING, "settings": {**TRAINING["settings"], "adjoint_bound": 8.0, "adjoint_rule": "restart"}}), NO_ROWS, NO_ROWS,
                  reply(200, {"items": [TRAINING, DONE], "next_cursor": None})]) as server:
         status, out, err = run(server, "train", "show", "7")
         assert status == 0, err
-        assert "gradient 1, adjoint 2 (clip)" in out, out
+        assert "gradient 1, adjoint 2 (clip)\n" in out, out
         assert re.search(r"^from +default, sha256:d+$", out, re.M) and re.search("^progress +step 2 of 1,400$", out, re.M) and "⠁" <= max(out) <= "⣿", out
         assert re.search(r"^reason +no space$", out, re.M)
+        assert "gradient 1, adjoint 8 (restart, weight 3)\n" in run(server, "train", "show", "7")[1]
         status, out, _ = run(server, "train", "list", "--state", "running")
         assert status == 0 and len(out.splitlines()) == 3 and server.seen[-1][1] == "/v1/trainings?state=running&limit=50"
         assert run(server, "train", "list", "--state", "ended")[0] == 2
