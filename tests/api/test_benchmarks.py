@@ -85,11 +85,11 @@ def test_pretraining(tmp_path):
     assert report.count("one cosine 0.002..1e-05 bound 2 ") == 2 and report.count("restarts 0.001..1e-05 bound 0 ") == 1
     assert page.read_text().startswith("before\n") and page.read_text().endswith("behind\n") and report.strip() in page.read_text()
     assert "old" not in page.read_text()
-    # The rule is part of the recipe, and of the request.
+    # The rule and its weight are part of the recipe, and of the request.
     bench("pretraining", *PRETRAINING, "--seeds=1", "--bound=0.1", "--rule=restart", *ON_DEVICE, *pretraining_in(tmp_path / "anew"))
     recipes = {row["recipe"] for row in rows(tmp_path / "anew" / "p.csv")}
-    assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart lives of 30 / 8 x 6"}
-    assert trainings(tmp_path / "anew", "SELECT hex(substr(settings, -4)) FROM trainings") == [("01000000",)]
+    assert recipes == {"one cosine 0.002..1e-05 bound 0.1 restart 3 lives of 30 / 8 x 6"}
+    assert trainings(tmp_path / "anew", "SELECT hex(substr(settings, -12)) FROM trainings") == [("01000000" "0000000000000840",)]
     refused = bench("pretraining", "--peak=2", *ON_DEVICE, *pretraining_in(tmp_path / "refused"), status=1)
     assert "/schedule/peak" in refused.stderr
     assert "does not belong" in bench("pretraining", "--cycle=5", *NO_DAEMON, *pretraining_in(tmp_path / "refused"), status=1).stderr

@@ -40,9 +40,10 @@ static const char usage[] =
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
     "  --rule clip|restart  above the bound with --clip on (default clip)\n"
+    "  --restart-weight X  of what begins anew, with --rule restart (default 3)\n"
     "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
     "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
-    "                     With none of these seven, inverse_square with one cosine and clipping is trained twice:\n"
+    "                     With none of these eight, inverse_square with one cosine and clipping is trained twice:\n"
     "                     once more with --peak 3e-3 --warmup 5 --bound 0.2 --beta1 0.8.\n"
     "  --workers N        threads (default: one per processor)\n"
     "  --module PATH      gradients on GPUs, by this morphod-cuda.so: other bits, so give it a CSV file of its own\n"
@@ -69,6 +70,7 @@ struct plan {
   uint32_t batch, steps, warmup, designs, environments;
   double peak, bound; /* peak 0: the schedule's own */
   enum mo_adjoint_rule rule;
+  double restart_weight;
   double norm_limit, beta1, beta2;
   bool own_recipe; /* one of them, the rule or warmup was given */
   bool report, finetune;
@@ -116,6 +118,7 @@ struct mo_training_report learning_step(struct learning_machine *machine, struct
                                     .physics = settings->physics,
                                     .adjoint_bound = settings->adjoint_bound,
                                     .adjoint_rule = settings->adjoint_rule,
+                                    .restart_weight = settings->restart_weight,
                                     .back_end = machine->back_end,
                                     .d_parameters = machine->d_parameters,
                                     .outcomes = machine->outcomes};
@@ -248,6 +251,7 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
 {
   struct learning_run run = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN)};
   struct mo_training_settings *s = &run.settings;
+  char rule[40] = "clip";
   s->sensor = (enum mo_sensor)sensor;
   s->seed = seed;
   s->batch = plan->batch;
@@ -259,13 +263,15 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
     s->schedule.peak = plan->peak;
   s->adjoint_bound = off ? 0.0 : plan->bound;
   s->adjoint_rule = off ? MO_ADJOINT_CLIP : plan->rule;
+  s->restart_weight = plan->restart_weight;
   s->norm_limit = plan->norm_limit;
   s->beta1 = plan->beta1;
   s->beta2 = plan->beta2;
+  if (s->adjoint_rule == MO_ADJOINT_RESTART)
+    snprintf(rule, sizeof(rule), "restart %g", s->restart_weight);
   snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%s,%g,%g,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
-           mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound,
-           mo_adjoint_rule_name(s->adjoint_rule), s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps,
-           (unsigned long long)seed);
+           mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound, rule,
+           s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps, (unsigned long long)seed);
   struct mo_message message = {""};
   if (mo_training_settings_check(s, &message) != MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
@@ -447,6 +453,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     WARMUP,
     BOUND,
     RULE,
+    RESTART_WEIGHT,
     NORM_LIMIT,
     BETA1,
     BETA2,
@@ -472,6 +479,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
                                                {"warmup", 1, NULL, WARMUP},
                                                {"bound", 1, NULL, BOUND},
                                                {"rule", 1, NULL, RULE},
+                                               {"restart-weight", 1, NULL, RESTART_WEIGHT},
                                                {"norm-limit", 1, NULL, NORM_LIMIT},
                                                {"beta1", 1, NULL, BETA1},
                                                {"beta2", 1, NULL, BETA2},
@@ -510,6 +518,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
         wrong(name, optarg);
       plan->own_recipe = true;
       break;
+    case RESTART_WEIGHT: plan->restart_weight = own_recipe(name, optarg, plan); break;
     case NORM_LIMIT: plan->norm_limit = own_recipe(name, optarg, plan); break;
     case BETA1: plan->beta1 = own_recipe(name, optarg, plan); break;
     case BETA2: plan->beta2 = own_recipe(name, optarg, plan); break;
@@ -588,6 +597,7 @@ int bench_learning(int argc, char **argv)
                       .warmup = mo_schedule_one_cosine().warmup_steps,
                       .bound = MO_ADJOINT_BOUND,
                       .rule = MO_ADJOINT_CLIP,
+                      .restart_weight = MO_RESTART_WEIGHT,
                       .norm_limit = mo_training_defaults(MO_TRAINING_PRETRAIN).norm_limit,
                       .beta1 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta1,
                       .beta2 = mo_training_defaults(MO_TRAINING_PRETRAIN).beta2,
@@ -605,6 +615,7 @@ int bench_learning(int argc, char **argv)
   settings.n_steps = plan.steps > 0 ? plan.steps : settings.n_steps;
   settings.adjoint_bound = plan.clips[0] ? plan.bound : 0.0;
   settings.adjoint_rule = plan.clips[0] ? plan.rule : MO_ADJOINT_CLIP;
+  settings.restart_weight = plan.restart_weight;
   if (!plan.schedules[0])
     settings.schedule = mo_schedule_paper_finetune();
   if (plan.peak > 0.0)

@@ -43,7 +43,7 @@ def request_of(arguments, seed):
     body = {"kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch, "sensor": arguments.sensor,
             "schedule": schedule_of(arguments), "gradient_norm_limit": arguments.norm_limit,
             "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2, "epsilon": arguments.epsilon},
-            "adjoint_bound": arguments.bound, "adjoint_rule": arguments.rule,
+            "adjoint_bound": arguments.bound, "adjoint_rule": arguments.rule, "restart_weight": arguments.restart_weight,
             "physics": {"n_steps": arguments.rollout_steps, "impact": arguments.impact}, "device": arguments.device,
             "validation": {"every_steps": arguments.validation_every, "designs": arguments.validation_designs, "environments": arguments.validation_environments},
             "checkpoint": {"keep": 1}}
@@ -62,7 +62,7 @@ def recipe_of(body):
             words.append(f"{word} {schedule[name]:g}")
     words.append(f"bound {body['adjoint_bound']:g}")
     if body["adjoint_rule"] != "clip":
-        words.append(body["adjoint_rule"])
+        words.append(f"{body['adjoint_rule']} {body['restart_weight']:g}")
     adam = body["adam"]
     for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"), (adam["beta1"], 0.9, "beta1"), (adam["beta2"], 0.999, "beta2"),
                                      (adam["epsilon"], 1e-8, "epsilon"), (body["physics"]["n_steps"], 1000, "lives of")):
@@ -252,6 +252,7 @@ def options():
         parser.add_argument(f"--{name}", type=int, help=text + " (default: the schedule's)")
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
     parser.add_argument("--rule", choices=("clip", "restart"), default="clip", help="above the bound (default clip)")
+    parser.add_argument("--restart-weight", type=float, default=3.0, help="of what begins anew, under restart (default 3)")
     parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
     parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
     parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")

@@ -64,7 +64,7 @@ def request_of(arguments, mode, seed, controller):
         body["controller"] = "sha256:" + controller
     if mode != "zero-shot":
         body["name"] = f"reproduction-{mode}-{seed}"
-        learning = {"adjoint_bound": arguments.bound, "adjoint_rule": arguments.rule}
+        learning = {"adjoint_bound": arguments.bound, "adjoint_rule": arguments.rule, "restart_weight": arguments.restart_weight}
         if mode == "few-shot" and arguments.few_shot_steps:
             learning.update(parent_steps=arguments.few_shot_steps // 2, child_steps=arguments.few_shot_steps - arguments.few_shot_steps // 2)
         body["learning"] = learning
@@ -137,6 +137,7 @@ def options():
                         help="safetensors, pretrained: one for all trials, or one for each seed (default: the project's)")
     parser.add_argument("--bound", type=float, default=2.0, help="of each robot's adjoint where the controller learns; 0: not clipped, as in the paper (default 2)")
     parser.add_argument("--rule", choices=("clip", "restart"), default="clip", help="above the bound (default clip)")
+    parser.add_argument("--restart-weight", type=float, default=3.0, help="of what begins anew, under restart (default 3)")
     parser.add_argument("--few-shot-steps", type=int, default=60, help="of learning in each generation (default 60)")
     parser.add_argument("--champions", type=int, default=20, help="to draw of each population (default 20)")
     parser.add_argument("--rollout-steps", type=int, default=1000, help="steps of a life, for trials (default 1000)")
