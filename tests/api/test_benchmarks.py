@@ -24,7 +24,7 @@ ON_DEVICE = (f"--morphod={BINARY}", f"--module={MODULE}", "--device=cuda", "--wo
 NO_DAEMON = ("--morphod=/nowhere/morphod",)
 PRETRAINING = ("--steps=6", "--batch=8", "--rollout-steps=30", "--validation-every=3", "--validation-designs=4", "--validation-environments=2")
 REPRODUCTION = ("--population=16", "--generations-zero-shot=3", "--generations-few-shot=1", "--generations-simultaneous=3", "--few-shot-steps=2",
-                "--rollout-steps=30", "--champions=5", "--seeds=1,2")
+                "--rollout-steps=30", "--champions=5", "--seeds=1,2", f"--controller={BOOTSTRAP}")  # which has no bodies to draw again
 
 
 def command(name, *arguments):
