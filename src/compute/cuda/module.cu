@@ -280,7 +280,7 @@ extern "C" const struct mo_device_module *mo_device_module(void)
       MO_DEVICE_ABI,
       "cuda",
       is_wide() ? "score 3 wide" : "score 3",
-      is_wide() ? "fast 2 wide" : "fast 2",
+      is_wide() ? "fast 3 wide" : "fast 3",
       MO_CUDA_GRADIENT_CODE,
       count,
       open,
