@@ -1,6 +1,6 @@
 /* gradient.c: how fast one core differentiates rollouts, and what memory it takes.
  *
- * The sample: the first distinct bodies of the seed's stream, each in one training environment, with the shipped controller and
+ * The sample: the first distinct bodies of the seed's stream, each in one training environment, with a trained controller and
  * with random weights. The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would need
  * for three times the arithmetic of the controller restricted to each body's masses and springs: once forward, and going back once
  * for the inputs' and once for the weights' gradient. Blocks and products alternate, so that both see the same moods of the
