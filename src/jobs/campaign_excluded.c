@@ -70,9 +70,12 @@ static int add_part(struct mo_campaign_run *run, struct mo_exclusion *wanted, co
 {
   struct part part;
   char text[256];
+  uint64_t most = MO_TRAINING_BODIES_MAX; /* of all parts together */
   if (!read_part(controller, &part))
     return MO_OK;
-  if (part.n_bodies > MO_TRAINING_BODIES_MAX || wanted->n_parts == PARTS_MAX) {
+  for (uint32_t i = 0; i < wanted->n_parts; i++)
+    most -= wanted->parts[i].n_bodies;
+  if (part.n_bodies > most || wanted->n_parts == PARTS_MAX) {
     snprintf(text, sizeof(text),
              "the controller's lineage names more bodies of pretraining than the %" PRIu64
              " that can be drawn again: submit with exclude_pretraining false",

@@ -176,6 +176,29 @@ static int put_family(struct service *service, const char *steps, char digits[MO
   return error;
 }
 
+/* "line": five pretrainings, each from the one before, of which no one has more bodies than can be drawn again, but all together do. */
+static int put_line(struct service *service)
+{
+  struct mo_controller *controller = NULL;
+  struct mo_sha256 sha256;
+  char parent[MO_SHA256_DIGITS + 1] = "random";
+  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
+  if (error != MO_OK)
+    return error;
+  mo_controller_randomize(controller, 1);
+  (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
+  (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
+  (void)mo_controller_set_metadata(controller, "morphod.step", "1000000");
+  (void)mo_controller_set_metadata(controller, "morphod.settings", "{\"steps\":1000000,\"batch\":64,\"x\":1}");
+  for (int i = 0; i < 5 && error == MO_OK; i++) {
+    (void)mo_controller_set_metadata(controller, "morphod.parent", parent);
+    error = put(service, "line", controller, &sha256);
+    mo_sha256_to_hex(&sha256, parent);
+  }
+  mo_controller_free(controller);
+  return error;
+}
+
 __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
@@ -217,6 +240,11 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   request.record.settings.exclude_pretraining = true;
   ids[0] = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, ids[0], 120000, &job) == MO_OK);
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
+  REQUIRE(put_line(&service) == MO_OK);
+  request.controller = "line";
+  ids[0] = submit(&service, &request);
+  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 20000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
   mo_form_set_free(excluded);
   free(without);
