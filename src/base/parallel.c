@@ -10,6 +10,7 @@ struct range {
   void (*part)(void *context, size_t first, size_t end);
   void *context;
   size_t first, end;
+  int64_t tag;
   pthread_t thread;
   bool started;
 };
@@ -17,6 +18,7 @@ struct range {
 static void *run(void *argument)
 {
   const struct range *range = argument;
+  mo_thread_tag = range->tag;
   range->part(range->context, range->first, range->end);
   return NULL;
 }
@@ -34,7 +36,8 @@ void mo_parallel(uint32_t n_threads, size_t n, void (*part)(void *context, size_
   }
   for (size_t i = 0; i < n_ranges; i++) {
     const size_t rest = n % n_ranges; /* the first ones take one more */
-    ranges[i] = (struct range){.part = part, .context = context, .first = n / n_ranges * i + (i < rest ? i : rest)};
+    ranges[i] = (struct range){
+        .part = part, .context = context, .tag = mo_thread_tag, .first = n / n_ranges * i + (i < rest ? i : rest)};
     ranges[i].end = ranges[i].first + n / n_ranges + (i < rest);
     ranges[i].started = i > 0 && mo_thread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
   }

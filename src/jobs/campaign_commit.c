@@ -299,7 +299,7 @@ static int write_generation(struct mo_campaign_writing *writing)
 static void *write_beside(void *context)
 {
   struct mo_campaign_writing *writing = context;
-  mo_runner_tag = writing->id;
+  mo_thread_tag = writing->id;
   writing->status = write_generation(writing);
   atomic_store(&writing->ended, true);
   return NULL;

@@ -178,7 +178,7 @@ static void draw(struct drawing *drawing)
 static void *draw_nicely(void *context)
 {
   struct drawing *drawing = context;
-  mo_runner_tag = drawing->run->id;
+  mo_thread_tag = drawing->run->id;
   mo_compute_settle(drawing->run->jobs->compute);
   draw(drawing);
   return NULL;

@@ -1,9 +1,8 @@
 /* crash.c: the note that a dying process leaves about the job that it was working on. */
 #include <unistd.h>
 
+#include "base/thread.h"
 #include "jobs/internal.h"
-
-_Thread_local volatile int64_t mo_runner_tag = -1;
 
 static size_t put_number(char *to, int64_t value)
 {
@@ -21,7 +20,7 @@ static size_t put_number(char *to, int64_t value)
 void mo_jobs_crash_note(int fd, int signal_number)
 {
   int64_t block_tag = mo_compute_current_tag();
-  int64_t tag = block_tag > 0 ? block_tag : mo_runner_tag;
+  int64_t tag = block_tag > 0 ? block_tag : mo_thread_tag;
   char line[64];
   size_t n;
   if (tag <= 0 || signal_number < 0)

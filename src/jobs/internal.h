@@ -264,8 +264,6 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
 
 int64_t mo_jobs_clock_us(void); /* monotonic */
 
-extern _Thread_local volatile int64_t mo_runner_tag; /* the job that this thread runs, or −1 */
-
 /* ---- submit.c ---- */
 /* Places every genotype and finds its canonical form. MO_ERR_INVALID with the first that is none. */
 int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,

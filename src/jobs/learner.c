@@ -16,7 +16,7 @@ static void *draw_ahead(void *context)
   struct mo_learner *learner = context;
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
   const struct mo_robot *robots = NULL;
-  mo_runner_tag = learner->batch.tag;
+  mo_thread_tag = learner->batch.tag;
   if (mo_training_draw_ahead(learner->training, learner->batch.cancel) == MO_OK)
     robots = mo_training_robots_ahead(learner->training);
   if (robots != NULL)
@@ -27,7 +27,7 @@ static void *draw_ahead(void *context)
 static void *compute(void *context)
 {
   struct mo_learner *learner = context;
-  mo_runner_tag = learner->batch.tag;
+  mo_thread_tag = learner->batch.tag;
   learner->status = mo_compute_gradient(learner->gradients, &learner->batch);
   return NULL;
 }

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <time.h>
 
+#include "base/thread.h"
 #include "jobs/internal.h"
 
 #define CLAIMS_MAX 65 /* one more than the most threads of a kind */
@@ -123,9 +124,9 @@ static bool run_next(struct mo_runner *runner, bool *again)
     return false;
   error = kind->start(jobs->store, id);
   if (error == MO_OK) {
-    mo_runner_tag = id;
+    mo_thread_tag = id;
     failed = kind->run(runner, id);
-    mo_runner_tag = -1;
+    mo_thread_tag = -1;
   }
   release(runner);
   *again = error != MO_OK && error != MO_ERR_CONFLICT; /* no room for its start, or the store is closing */

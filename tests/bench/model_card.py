@@ -9,6 +9,7 @@ import json
 import math
 import random
 import re
+import statistics
 import sys
 from pathlib import Path
 
@@ -88,9 +89,8 @@ def line(name, bodies):
     if not means:
         return [name, str(len(bodies)), "–", "–", "–", "–"]
     mean, low, high = interval(means)
-    means.sort()
     around = "–" if low is None else f"{low:.4f} to {high:.4f}"
-    return [name, str(len(bodies)), f"{mean:.4f}", around, f"{means[len(means) // 2]:.4f}",
+    return [name, str(len(bodies)), f"{mean:.4f}", around, f"{statistics.median(means):.4f}",
             f"{100 * sum(loss is None for loss in rollouts) / len(rollouts):.2f} %"]
 
 

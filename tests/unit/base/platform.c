@@ -4,6 +4,7 @@
 #include "base/clock.h"
 #include "base/memory.h"
 #include "base/parallel.h"
+#include "base/thread.h"
 
 #include <morpho/error.h>
 #include <stdint.h>
@@ -36,7 +37,7 @@ static void tick(void *context, size_t first, size_t end)
 {
   struct tally *tally = context;
   for (size_t i = first; i < end; i++)
-    tally->seen[i]++;
+    tally->seen[i] = (unsigned char)(tally->seen[i] + (mo_thread_tag == 77 ? 1 : 2));
 }
 
 static void parallel_loops(void)
@@ -44,6 +45,8 @@ static void parallel_loops(void)
   static const size_t sizes[] = {0, 1, 2, 5, 63, 64, 65, 999, 1000};
   static const uint32_t threads[] = {0, 1, 2, 3, 7, MO_PARALLEL_THREADS_MAX, MO_PARALLEL_THREADS_MAX + 9, UINT32_MAX};
   int wrong = 0;
+  CHECK_INT(mo_thread_tag, -1);
+  mo_thread_tag = 77; /* whose work it is, all threads are told */
   for (size_t s = 0; s < sizeof(sizes) / sizeof(sizes[0]); s++)
     for (size_t t = 0; t < sizeof(threads) / sizeof(threads[0]); t++) {
       struct tally tally = {{0}};
@@ -52,6 +55,8 @@ static void parallel_loops(void)
         wrong += tally.seen[i] != (i < sizes[s]);
     }
   CHECK_INT(wrong, 0);
+  CHECK_INT(mo_thread_tag, 77);
+  mo_thread_tag = -1;
 }
 
 static void clock_goes_on(void)
