@@ -160,8 +160,8 @@ struct mo_gradient_batch {
  * their results up in float64 in the order of the blocks: the same bits for any number of workers. Urgent scoring blocks overtake
  * inside a block. Waits for the result; for a thread that may block. `state` keeps what lasts from one call to the next: a pack, and
  * at most two float32 gradients per worker. Create it once per training; one call at a time, which must have returned before
- * mo_compute_free. MO_ERR_RANGE (n, a bound below 0, a weight outside its range), MO_ERR_INVALID (something missing or not finite, a body of another workspace, physics or
- * an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE. On error the results are undefined.
+ * mo_compute_free. MO_ERR_RANGE (n, a bound below 0, a weight outside its range), MO_ERR_INVALID (something missing or not finite, no such
+ * rule, a body of another workspace, physics or an environment that their checks refuse), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED, MO_ERR_DEVICE. On error the results are undefined.
  *
  * On devices the blocks are shards of 1024 consecutive robots, spread over the devices and added up in the same way: the same bits for
  * any number of devices. `urgency` does not count there. What the devices do not support is computed by the workers, all of it. */

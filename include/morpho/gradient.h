@@ -47,6 +47,8 @@ struct mo_gradient_options {
 };
 /* MO_ADJOINT_BOUND, 1, MO_ADJOINT_CLIP, MO_RESTART_WEIGHT. */
 struct mo_gradient_options mo_default_gradient_options(void);
+/* MO_ERR_INVALID: something is not finite, or there is no such rule; MO_ERR_RANGE: a bound below 0, a weight outside its range. */
+int mo_gradient_options_check(const struct mo_gradient_options *options);
 
 /* What happened, added up over calls; start from {0}. */
 struct mo_gradient_counts {

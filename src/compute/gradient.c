@@ -77,20 +77,25 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
   return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
 }
 
+/* Of one robot. */
+static struct mo_gradient_options options_of(const struct mo_gradient_batch *batch)
+{
+  return (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
+                                      .weight = 1.0 / batch->n,
+                                      .adjoint_rule = batch->adjoint_rule,
+                                      .restart_weight = batch->restart_weight};
+}
+
 static int check(const struct mo_compute *compute, const struct mo_gradient_batch *batch)
 {
   if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
     return MO_ERR_RANGE;
   if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL || batch->outcomes == NULL ||
-      !isfinite(batch->adjoint_bound) || mo_adjoint_rule_name(batch->adjoint_rule)[0] == '?' ||
       (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
-      mo_physics_check(&batch->physics, NULL) != MO_OK)
+      mo_physics_check(&batch->physics, NULL) != MO_OK || (batch->share != NULL && batch->share->compute != compute))
     return MO_ERR_INVALID;
-  if (batch->adjoint_bound < 0 || !(batch->restart_weight >= 0 && batch->restart_weight <= MO_RESTART_WEIGHT_MAX))
-    return MO_ERR_RANGE;
-  if (batch->share != NULL && batch->share->compute != compute)
-    return MO_ERR_INVALID;
-  return MO_OK;
+  const struct mo_gradient_options options = options_of(batch);
+  return mo_gradient_options_check(&options);
 }
 
 static int check_robots(const struct mo_robot *robots, uint32_t n, struct mo_workspace workspace)
@@ -170,10 +175,7 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
   task->n = batch->n - first < MO_GRADIENT_ROBOTS ? batch->n - first : MO_GRADIENT_ROBOTS;
   for (uint32_t i = 0; i < task->n; i++)
     task->robots[i] = batch->robots[state->order[first + i]];
-  task->options = (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
-                                               .weight = 1.0 / batch->n,
-                                               .adjoint_rule = batch->adjoint_rule,
-                                               .restart_weight = batch->restart_weight};
+  task->options = options_of(batch);
   task->stop = &state->stop;
   task->counts = (struct mo_gradient_counts){0};
   task->profile = (struct mo_gradient_profile){0};

@@ -36,6 +36,16 @@ struct mo_gradient_options mo_default_gradient_options(void)
                                       .restart_weight = MO_RESTART_WEIGHT};
 }
 
+int mo_gradient_options_check(const struct mo_gradient_options *options)
+{
+  if (!isfinite(options->adjoint_bound) || !isfinite(options->weight) || !isfinite(options->restart_weight) ||
+      (unsigned)options->adjoint_rule >= RULES)
+    return MO_ERR_INVALID;
+  return options->adjoint_bound < 0 || options->restart_weight < 0 || options->restart_weight > MO_RESTART_WEIGHT_MAX
+             ? MO_ERR_RANGE
+             : MO_OK;
+}
+
 struct gradient {
   struct mo_reference reference;
   const struct mo_gradient_options *options;
@@ -228,13 +238,13 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
                        const struct mo_gradient_options *options, const struct mo_gradient_probe *probe,
                        struct mo_outcome *outcome, double *d_parameters, struct mo_gradient_counts *counts)
 {
-  if (controller == NULL || !isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
-      (unsigned)options->adjoint_rule >= RULES)
+  if (controller == NULL)
     return MO_ERR_INVALID;
-  if (options->adjoint_bound < 0 || !(options->restart_weight >= 0 && options->restart_weight <= MO_RESTART_WEIGHT_MAX))
-    return MO_ERR_RANGE;
+  int r = mo_gradient_options_check(options);
+  if (r < 0)
+    return r;
   struct gradient g = {.options = options, .probe = probe, .counts = {.robots = 1}};
-  int r = mo_reference_init(&g.reference, body, controller, environment, physics);
+  r = mo_reference_init(&g.reference, body, controller, environment, physics);
   if (r < 0)
     return r;
   r = allocate(&g);

@@ -239,9 +239,7 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradien
                       struct mo_gradient_profile *profile, struct mo_outcome *outcomes, float *d_parameters,
                       struct mo_gradient_counts *counts)
 {
-  if (n < 1 || n > MO_GRADIENT_ROBOTS || !isfinite(options->weight) || !isfinite(options->adjoint_bound) ||
-      options->adjoint_bound < 0 || mo_adjoint_rule_name(options->adjoint_rule)[0] == '?' ||
-      !(options->restart_weight >= 0 && options->restart_weight <= MO_RESTART_WEIGHT_MAX))
+  if (n < 1 || n > MO_GRADIENT_ROBOTS || mo_gradient_options_check(options) != MO_OK)
     return MO_ERR_INVALID;
   for (uint32_t i = 0; i < n; i++)
     if (!same_workspace(robots[i].body->workspace, pack->workspace))

@@ -60,10 +60,9 @@ bool fits_half(const mo_controller *c)
 
 bool is_valid(const mo_device_gradient *call)
 {
+  const mo_gradient_options options = {call->adjoint_bound, call->weight, call->adjoint_rule, call->restart_weight};
   if (call->controller == nullptr || call->robots == nullptr || call->n == 0 || call->d_parameters == nullptr ||
-      call->outcomes == nullptr || !isfinite(call->adjoint_bound) || call->adjoint_bound < 0 ||
-      !isfinite(call->weight) || mo_adjoint_rule_name(call->adjoint_rule)[0] == '?' ||
-      !(call->restart_weight >= 0 && call->restart_weight <= MO_RESTART_WEIGHT_MAX))
+      call->outcomes == nullptr || mo_gradient_options_check(&options) != MO_OK)
     return false;
   for (uint32_t i = 0; i < call->n; i++)
     if (call->robots[i].body == nullptr || call->robots[i].environment == nullptr)

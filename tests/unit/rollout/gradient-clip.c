@@ -311,7 +311,7 @@ static void refuses(void)
       {c.controller, 2, 1, MO_ERR_INVALID, (enum mo_adjoint_rule) - 1, 1},
       {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, -1},
       {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, 1e7},
-      {c.controller, 2, 1, MO_ERR_RANGE, MO_ADJOINT_RESTART, (double)NAN},
+      {c.controller, 2, 1, MO_ERR_INVALID, MO_ADJOINT_RESTART, (double)NAN},
   };
   c.physics.n_steps = 3;
   for (size_t k = 0; k < sizeof(faults) / sizeof(faults[0]); k++) {
