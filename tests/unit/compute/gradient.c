@@ -179,9 +179,14 @@ __attribute__((unused)) static void it_is_the_mean(void)
   struct mo_gradient_state *state = NULL;
   REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
   struct mo_gradient_batch batch = make_batch(N, STEPS, 0);
+  const struct mo_gradient_options options = {
+      .adjoint_bound = 0.01, .weight = 1.0 / N, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5};
+  batch.adjoint_bound = options.adjoint_bound; /* each adjoint begins anew at each step, and counts 2.5 times */
+  batch.adjoint_rule = options.adjoint_rule;
+  batch.restart_weight = options.restart_weight;
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+  CHECK_INT(batch.counts.clipped_steps, N * STEPS);
   const size_t n = controller->n_parameters;
-  const struct mo_gradient_options options = {.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1.0 / N};
   memset(d_parameters[1], 0, n * sizeof(double));
   for (uint32_t i = 0; i < N; i++) {
     CHECK_INT(mo_gradient_reference(bodies[i], controller, environments + i, &batch.physics, &options, outcomes[1] + i,
@@ -383,7 +388,7 @@ static void faults_are_refused(void)
   REQUIRE(mo_lattice_create((struct mo_workspace){2, 2, 2}, &small) == MO_OK);
   REQUIRE(mo_body_create(small, &one, &stranger) == MO_OK);
   bad.light_xy_m[1] = NAN;
-  enum { FAULTS = 15 };
+  enum { FAULTS = 18 };
   for (int fault = 0; fault < FAULTS; fault++) {
     struct mo_gradient_batch batch = make_batch(ROBOTS, 1, 0);
     int expected = MO_ERR_INVALID;
@@ -404,6 +409,9 @@ static void faults_are_refused(void)
     case 11: others[ROBOTS - 1].body = NULL; break;
     case 12: others[ROBOTS - 1].environment = NULL; break;
     case 13: others[ROBOTS - 1].environment = &bad; break;
+    case 14: batch.adjoint_rule = (enum mo_adjoint_rule)2; break;
+    case 15: batch.restart_weight = -1, expected = MO_ERR_RANGE; break;
+    case 16: batch.restart_weight = NAN; break;
     default: others[ROBOTS - 1].body = stranger; break;
     }
     CHECK_INT(mo_compute_gradient(state, &batch), expected);
