@@ -19,6 +19,8 @@
 
 #include <jansson.h>
 
+#include "base/number.h"
+
 #define DEPTH_MAX 64
 
 struct printable {
@@ -353,8 +355,8 @@ int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_mes
         return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; all values must be finite",
                        file->tensors[i].name, k, isnan(values[k]) ? "NaN" : "infinite");
       if (fabsf(values[k]) > MO_WEIGHT_LIMIT)
-        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %g; values must lie within ±%g",
-                       file->tensors[i].name, k, (double)values[k], (double)MO_WEIGHT_LIMIT);
+        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; values must lie within ±%s",
+                       file->tensors[i].name, k, MO_NUMBER((double)values[k]), MO_NUMBER((double)MO_WEIGHT_LIMIT));
     }
   }
   return MO_OK;

@@ -2,8 +2,9 @@
 #include "evolution/internal.h"
 
 #include <inttypes.h>
-#include <math.h>
 #include <string.h>
+
+#include "base/number.h"
 
 #define MODES      3
 #define SELECTIONS 4
@@ -163,40 +164,16 @@ static int check_counts(const struct mo_campaign_settings *settings, struct mo_m
   return MO_OK;
 }
 
-struct number {
-  const char *name;
-  double value, low, high;
-  bool above_low, below_high; /* the bound itself is not allowed */
-};
-
-static int check_numbers(const struct number *numbers, size_t n, struct mo_message *message)
-{
-  for (size_t i = 0; i < n; i++) {
-    const struct number *number = &numbers[i];
-    const char *low = number->above_low ? "above" : "at least";
-    const char *high = number->below_high ? "below" : "at most";
-    const double value = number->value;
-    if (!isfinite(value))
-      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be %s %g and %s %g", number->name, low,
-                     number->low, high, number->high);
-    if (value < number->low || (number->above_low && value == number->low) || value > number->high ||
-        (number->below_high && value == number->high))
-      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be %s %g and %s %g", number->name, value, low,
-                     number->low, high, number->high);
-  }
-  return MO_OK;
-}
-
 static int check_variation(const struct mo_campaign_settings *settings, struct mo_message *message)
 {
-  const struct number numbers[] = {
+  const struct mo_bounded numbers[] = {
       {"mutation_share", settings->mutation_share, 0.0, 1.0, false, false},
       {"mutation_rate", settings->mutation_rate, 0.0, 0.5, false, false},
       {"mutation_growth", settings->mutation_growth, 1.0, 2.0, false, false},
       {"novelty_weight", settings->selection.novelty_weight, 0.0, 1.0, false, false},
       {"collapse_share", settings->collapse_share, 0.0, 1.0, false, false},
   };
-  return check_numbers(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
+  return mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
 }
 
 static int check_steps(const struct mo_campaign_settings *settings, struct mo_message *message)
@@ -220,7 +197,7 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
 
 static int check_learning(const struct mo_campaign_settings *settings, struct mo_message *message)
 {
-  const struct number numbers[] = {
+  const struct mo_bounded numbers[] = {
       {"beta1", settings->beta1, 0.0, 1.0, false, true},
       {"beta2", settings->beta2, 0.0, 1.0, false, true},
       {"epsilon", settings->epsilon, 0.0, 1.0, true, false},
@@ -244,7 +221,7 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
                    (int)settings->adjoint_rule, (int)MO_ADJOINT_CLIP, (int)MO_ADJOINT_RESTART);
   int r = check_steps(settings, message);
   if (r == MO_OK)
-    r = check_numbers(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
+    r = mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
   if (r == MO_OK)
     r = mo_schedule_check(&settings->schedule, message);
   return r;

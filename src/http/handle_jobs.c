@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "http/campaign_json.h"
 #include "http/evaluation_request.h"
 #include "http/field.h"
@@ -379,7 +380,8 @@ static int read_weight(const struct mo_request *request, double *weight, struct 
       mo_read_unknown(json, "weight");
     }
   if (object && !json->stop && !given)
-    mo_json_fault_at(json, 0, "", "weight is missing: a number from %g to %g", MO_WEIGHT_MIN, MO_WEIGHT_MAX);
+    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s", MO_NUMBER(MO_WEIGHT_MIN),
+                     MO_NUMBER(MO_WEIGHT_MAX));
   mo_json_finish(json);
   free(json);
   return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;

@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
+
 /* ---- places ---- */
 
 static int hex_value(char c)
@@ -416,7 +418,8 @@ bool mo_json_bounded(struct mo_json *json, double min, double max, double *value
   if (!mo_json_number(json, &number))
     return false;
   if (number < min || number > max) {
-    mo_json_fault(json, "%g is given; a number from %g to %g is expected", number, min, max);
+    mo_json_fault(json, "%s is given; a number from %s to %s is expected", MO_NUMBER(number), MO_NUMBER(min),
+                  MO_NUMBER(max));
     return false;
   }
   *value = number;

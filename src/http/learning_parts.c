@@ -3,6 +3,7 @@
 
 #include <math.h>
 
+#include "base/number.h"
 #include "http/request_parts.h"
 
 #define GROWTH_MAX 1000 /* of a cycle over the one before */
@@ -96,8 +97,8 @@ static void read_schedule_object(struct mo_json *json, struct mo_schedule *sched
     return;
   struct mo_message message = {""};
   if (full.floor > full.peak)
-    mo_json_fault_at(json, depth, "/floor", "%g is given; at most the peak, which is %g, is expected", full.floor,
-                     full.peak);
+    mo_json_fault_at(json, depth, "/floor", "%s is given; at most the peak, which is %s, is expected",
+                     MO_NUMBER(full.floor), MO_NUMBER(full.peak));
   else if (mo_schedule_check(&full, &message) != MO_OK)
     mo_json_fault_at(json, depth, "", "%s", message.text);
   else
@@ -126,7 +127,7 @@ static void read_share(struct mo_json *json, double *value)
   if (!mo_json_number(json, &number))
     return;
   if (number < 0 || number >= 1)
-    mo_json_fault(json, "%g is given; a number from 0 to below 1 is expected", number);
+    mo_json_fault(json, "%s is given; a number from 0 to below 1 is expected", MO_NUMBER(number));
   else
     *value = number;
 }

@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "http/field.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
@@ -60,7 +61,7 @@ bool mo_read_positive(struct mo_json *json, double max, double *value)
   if (!mo_json_number(json, &number))
     return false;
   if (number <= 0 || number > max) {
-    mo_json_fault(json, "%g is given; a number above 0, at most %g, is expected", number, max);
+    mo_json_fault(json, "%s is given; a number above 0, at most %s, is expected", MO_NUMBER(number), MO_NUMBER(max));
     return false;
   }
   *value = number;
@@ -73,7 +74,8 @@ void mo_read_limit(struct mo_json *json, double max, double *value)
   if (!mo_json_number(json, &number))
     return;
   if (number < 0 || number > max)
-    mo_json_fault(json, "%g is given; a number above 0, at most %g, or 0 for no limit, is expected", number, max);
+    mo_json_fault(json, "%s is given; a number above 0, at most %s, or 0 for no limit, is expected", MO_NUMBER(number),
+                  MO_NUMBER(max));
   else
     *value = number;
 }

@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "jobs/internal.h"
 
 #define INTERACTIVE_ROLLOUTS 64
@@ -19,7 +20,8 @@ int mo_weight_check(double weight, struct mo_message *message)
 {
   if (weight == 0 || (weight >= MO_WEIGHT_MIN && weight <= MO_WEIGHT_MAX))
     return MO_OK;
-  return mo_fail(message, MO_ERR_RANGE, "a weight is %g to %g, not %g", MO_WEIGHT_MIN, MO_WEIGHT_MAX, weight);
+  return mo_fail(message, MO_ERR_RANGE, "a weight is %s to %s, not %s", MO_NUMBER(MO_WEIGHT_MIN),
+                 MO_NUMBER(MO_WEIGHT_MAX), MO_NUMBER(weight));
 }
 
 int mo_environments_check(const struct mo_environment *environments, uint32_t n, const char *whose,

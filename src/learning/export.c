@@ -6,46 +6,36 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define NUMBER_BYTES   32
+#include "base/number.h"
+
 #define SETTINGS_BYTES 2048
 #define CODE_BYTES     (MO_LINEAGE_MAX * (MO_FINGERPRINT_BYTES + 48) + 4)
-
-/* A short text that reads back as the same number, with a point whatever the locale. */
-static const char *spell(double value, char text[NUMBER_BYTES])
-{
-  for (int digits = 6; digits <= 17; digits++) {
-    snprintf(text, NUMBER_BYTES, "%.*g", digits, value);
-    if (strtod(text, NULL) == value)
-      break;
-  }
-  for (char *c = text; *c != '\0'; c++)
-    if (*c == ',')
-      *c = '.';
-  return text;
-}
 
 static void spell_settings(const struct mo_training *training, char text[SETTINGS_BYTES])
 {
   const struct mo_training_settings *s = &training->settings;
   const struct mo_schedule *rate = &s->schedule;
   const struct mo_physics *p = &s->physics;
-  char n[18][NUMBER_BYTES], impact[24] = "exact";
+  char n[18][MO_NUMBER_BYTES], impact[24] = "exact";
   if (p->impact == MO_IMPACT_BISECTION)
     snprintf(impact, sizeof(impact), "bisection%" PRIu32, p->bisections);
-  snprintf(text, SETTINGS_BYTES,
-           "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32 ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
-           "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32 ",\"warmup_steps\":%" PRIu32 "},"
-           "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_bound\":%s,"
-           "\"adjoint_rule\":\"%s\",\"restart_weight\":%s,\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ","
-           "\"stiffness_n_per_m\":%s,\"mass_kg\":%s,\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,\"actuation\":%s,"
-           "\"friction\":%s,\"friction_cap\":%s,\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":%" PRIu32 "}",
-           s->n_steps, s->batch, mo_schedule_name(rate->kind), spell(rate->peak, n[0]), spell(rate->floor, n[1]),
-           spell(rate->decay, n[2]), rate->cycle_steps, rate->cycle_growth, rate->warmup_steps, spell(s->beta1, n[3]),
-           spell(s->beta2, n[4]), spell(s->epsilon, n[5]), spell(s->norm_limit, n[6]), spell(s->adjoint_bound, n[7]),
-           mo_adjoint_rule_name(s->adjoint_rule), spell(s->restart_weight, n[16]), spell(p->dt_s, n[8]), p->n_steps,
-           spell(p->stiffness_n_per_m, n[9]), spell(p->mass_kg, n[10]), spell(p->drag_per_s, n[11]),
-           spell(p->gravity_m_per_s2, n[12]), spell(p->actuation, n[13]), spell(p->friction, n[14]),
-           spell(p->friction_cap, n[15]), spell(p->drop_height_m, n[17]), impact, training->n_designs);
+  snprintf(
+      text, SETTINGS_BYTES,
+      "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32 ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
+      "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32 ",\"warmup_steps\":%" PRIu32 "},"
+      "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_bound\":%s,"
+      "\"adjoint_rule\":\"%s\",\"restart_weight\":%s,\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ","
+      "\"stiffness_n_per_m\":%s,\"mass_kg\":%s,\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,\"actuation\":%s,"
+      "\"friction\":%s,\"friction_cap\":%s,\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":%" PRIu32 "}",
+      s->n_steps, s->batch, mo_schedule_name(rate->kind), mo_number_text(rate->peak, n[0]),
+      mo_number_text(rate->floor, n[1]), mo_number_text(rate->decay, n[2]), rate->cycle_steps, rate->cycle_growth,
+      rate->warmup_steps, mo_number_text(s->beta1, n[3]), mo_number_text(s->beta2, n[4]),
+      mo_number_text(s->epsilon, n[5]), mo_number_text(s->norm_limit, n[6]), mo_number_text(s->adjoint_bound, n[7]),
+      mo_adjoint_rule_name(s->adjoint_rule), mo_number_text(s->restart_weight, n[16]), mo_number_text(p->dt_s, n[8]),
+      p->n_steps, mo_number_text(p->stiffness_n_per_m, n[9]), mo_number_text(p->mass_kg, n[10]),
+      mo_number_text(p->drag_per_s, n[11]), mo_number_text(p->gravity_m_per_s2, n[12]),
+      mo_number_text(p->actuation, n[13]), mo_number_text(p->friction, n[14]), mo_number_text(p->friction_cap, n[15]),
+      mo_number_text(p->drop_height_m, n[17]), impact, training->n_designs);
 }
 
 /* The entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON cannot hold as it is. */
@@ -78,7 +68,8 @@ int mo_training_export(const struct mo_training *training, const char *parent_sh
   if (r < 0)
     return r;
   memcpy(made->parameters, training->controller->parameters, made->n_parameters * sizeof(float));
-  char settings[SETTINGS_BYTES], code[CODE_BYTES], seed[NUMBER_BYTES], step[NUMBER_BYTES], designs[NUMBER_BYTES];
+  char settings[SETTINGS_BYTES], code[CODE_BYTES], seed[MO_NUMBER_BYTES], step[MO_NUMBER_BYTES],
+      designs[MO_NUMBER_BYTES];
   spell_settings(training, settings);
   snprintf(seed, sizeof(seed), "%" PRIu64, training->settings.seed);
   snprintf(step, sizeof(step), "%" PRIu32, training->step);

@@ -6,8 +6,9 @@
  * the same bits on every machine. */
 #include <morpho/learning.h>
 
-#include <math.h>
 #include <string.h>
+
+#include "base/number.h"
 
 #define PI            3.14159265358979323846
 #define COSINE_TERMS  13   /* of the series on [0, π/2]: the next one is below 1e-21 */
@@ -128,22 +129,16 @@ int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *mes
   if ((unsigned)schedule->kind >= SCHEDULE_KIND)
     return mo_fail(message, MO_ERR_INVALID, "schedule kind is %d; it must be 0 (restarts), 1 (cosine) or 2 (constant)",
                    (int)schedule->kind);
-  const struct {
-    const char *name;
-    double value, high;
-  } rates[] = {{"peak", schedule->peak, 1.0}, {"floor", schedule->floor, 1.0}, {"decay", schedule->decay, 1.0}};
-  for (size_t i = 0; i < sizeof(rates) / sizeof(rates[0]); i++) {
-    if (!isfinite(rates[i].value))
-      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be above 0 and at most %g", rates[i].name,
-                     rates[i].high);
-    if (rates[i].value <= 0.0 || rates[i].value > rates[i].high)
-      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be above 0 and at most %g", rates[i].name,
-                     rates[i].value, rates[i].high);
-  }
+  const struct mo_bounded rates[] = {{"peak", schedule->peak, 0.0, 1.0, true, false},
+                                     {"floor", schedule->floor, 0.0, 1.0, true, false},
+                                     {"decay", schedule->decay, 0.0, 1.0, true, false}};
+  int r = mo_bounded_check(rates, sizeof(rates) / sizeof(rates[0]), message);
+  if (r != MO_OK)
+    return r;
   if (schedule->floor > schedule->peak)
-    return mo_fail(message, MO_ERR_RANGE, "floor is %g, above the peak of %g; lower the floor or raise the peak",
-                   schedule->floor, schedule->peak);
-  int r = check_count("cycle_steps", schedule->cycle_steps, 1, MO_TRAINING_STEPS_MAX, message);
+    return mo_fail(message, MO_ERR_RANGE, "floor is %s, above the peak of %s; lower the floor or raise the peak",
+                   MO_NUMBER(schedule->floor), MO_NUMBER(schedule->peak));
+  r = check_count("cycle_steps", schedule->cycle_steps, 1, MO_TRAINING_STEPS_MAX, message);
   if (r == MO_OK)
     r = check_count("cycle_growth", schedule->cycle_growth, 1, GROWTH_MAX, message);
   if (r == MO_OK)

@@ -2,7 +2,8 @@
 #include <morpho/learning.h>
 
 #include <inttypes.h>
-#include <math.h>
+
+#include "base/number.h"
 
 #define STEPS_PRETRAIN 1400
 #define STEPS_FINETUNE 60
@@ -32,31 +33,15 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 
 static int check_numbers(const struct mo_training_settings *settings, struct mo_message *message)
 {
-  const struct {
-    const char *name;
-    double value, high;
-    bool above_zero, below_high;
-  } fields[] = {
-      {"beta1", settings->beta1, 1.0, false, true},
-      {"beta2", settings->beta2, 1.0, false, true},
-      {"epsilon", settings->epsilon, 1.0, true, false},
-      {"gradient_norm_limit", settings->norm_limit, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
-      {"adjoint_bound", settings->adjoint_bound, MO_ADJOINT_BOUND_MAX, false, false},
-      {"restart_weight", settings->restart_weight, MO_RESTART_WEIGHT_MAX, false, false},
+  const struct mo_bounded numbers[] = {
+      {"beta1", settings->beta1, 0.0, 1.0, false, true},
+      {"beta2", settings->beta2, 0.0, 1.0, false, true},
+      {"epsilon", settings->epsilon, 0.0, 1.0, true, false},
+      {"gradient_norm_limit", settings->norm_limit, 0.0, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
+      {"adjoint_bound", settings->adjoint_bound, 0.0, MO_ADJOINT_BOUND_MAX, false, false},
+      {"restart_weight", settings->restart_weight, 0.0, MO_RESTART_WEIGHT_MAX, false, false},
   };
-  for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]); i++) {
-    const double value = fields[i].value;
-    const char *low = fields[i].above_zero ? "above 0" : "at least 0";
-    const char *high = fields[i].below_high ? "below" : "at most";
-    if (!isfinite(value))
-      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be %s and %s %g", fields[i].name, low, high,
-                     fields[i].high);
-    if (value < 0.0 || (fields[i].above_zero && value == 0.0) || value > fields[i].high ||
-        (fields[i].below_high && value == fields[i].high))
-      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be %s and %s %g", fields[i].name, value, low, high,
-                     fields[i].high);
-  }
-  return MO_OK;
+  return mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
 }
 
 static int check_counts(const struct mo_training_settings *settings, struct mo_message *message)

@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
+
 int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
 {
   for (size_t i = 0; i < n; i++) {
@@ -34,8 +36,8 @@ static int check_parent(const struct mo_controller *parent, struct mo_message *m
                    parent->workspace.nx, parent->workspace.ny, parent->workspace.nz);
   for (size_t i = 0; i < parent->n_parameters; i++)
     if (!(fabsf(parent->parameters[i]) <= MO_WEIGHT_LIMIT))
-      return mo_fail(message, MO_ERR_INVALID, "parameter %zu of the controller is not finite or beyond ±%g", i,
-                     (double)MO_WEIGHT_LIMIT);
+      return mo_fail(message, MO_ERR_INVALID, "parameter %zu of the controller is not finite or beyond ±%s", i,
+                     MO_NUMBER((double)MO_WEIGHT_LIMIT));
   return MO_OK;
 }
 

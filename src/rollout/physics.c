@@ -1,7 +1,7 @@
 /* physics.c: the constants of a simulated life, and the bounds within which they are accepted. */
 #include <morpho/rollout.h>
 
-#include <math.h>
+#include "base/number.h"
 
 struct mo_physics mo_default_physics(void)
 {
@@ -23,28 +23,20 @@ struct mo_physics mo_default_physics(void)
 
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
 {
-  const struct {
-    const char *name;
-    double value, low, high;
-  } fields[] = {
-      {"dt_s", physics->dt_s, 1e-7, 0.1},
-      {"stiffness_n_per_m", physics->stiffness_n_per_m, 0, 1e9},
-      {"mass_kg", physics->mass_kg, 1e-6, 1e6},
-      {"drag_per_s", physics->drag_per_s, 0, 1e4},
-      {"gravity_m_per_s2", physics->gravity_m_per_s2, 0, 1000},
-      {"actuation", physics->actuation, 0, 0.9},
-      {"friction", physics->friction, 0, 1000},
-      {"friction_cap", physics->friction_cap, 0, 1},
-      {"drop_height_m", physics->drop_height_m, 0, 1000},
+  const struct mo_bounded numbers[] = {
+      {"dt_s", physics->dt_s, 1e-7, 0.1, false, false},
+      {"stiffness_n_per_m", physics->stiffness_n_per_m, 0, 1e9, false, false},
+      {"mass_kg", physics->mass_kg, 1e-6, 1e6, false, false},
+      {"drag_per_s", physics->drag_per_s, 0, 1e4, false, false},
+      {"gravity_m_per_s2", physics->gravity_m_per_s2, 0, 1000, false, false},
+      {"actuation", physics->actuation, 0, 0.9, false, false},
+      {"friction", physics->friction, 0, 1000, false, false},
+      {"friction_cap", physics->friction_cap, 0, 1, false, false},
+      {"drop_height_m", physics->drop_height_m, 0, 1000, false, false},
   };
-  for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]); i++) {
-    if (!isfinite(fields[i].value))
-      return mo_fail(message, MO_ERR_INVALID, "%s is not finite; it must be %g to %g", fields[i].name, fields[i].low,
-                     fields[i].high);
-    if (fields[i].value < fields[i].low || fields[i].value > fields[i].high)
-      return mo_fail(message, MO_ERR_RANGE, "%s is %g; it must be %g to %g", fields[i].name, fields[i].value,
-                     fields[i].low, fields[i].high);
-  }
+  int r = mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
+  if (r != MO_OK)
+    return r;
   if (physics->n_steps < 1 || physics->n_steps > MO_STEPS_MAX)
     return mo_fail(message, MO_ERR_RANGE, "n_steps is %u; it must be 1 to %d", physics->n_steps, MO_STEPS_MAX);
   if (physics->impact != MO_IMPACT_EXACT && physics->impact != MO_IMPACT_BISECTION)

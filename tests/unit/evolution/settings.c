@@ -129,6 +129,8 @@ static void refused(void)
       {MO_FEW_SHOT, RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {MO_ZERO_SHOT, RULE, 2, MO_OK, ""},
       {MO_FEW_SHOT, RESTART_WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {MO_FEW_SHOT, RESTART_WEIGHT, 1000000.0000001, MO_ERR_RANGE,
+       "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
       {MO_SIMULTANEOUS, RESTART_WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 0, MO_OK, ""},

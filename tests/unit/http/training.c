@@ -209,6 +209,30 @@ static void places(void)
   CHECK_INT(parse(""), MO_ERR_FORMAT);
 }
 
+/* A number just beyond its bound never looks like the bound. */
+static void digits(void)
+{
+  static const struct {
+    const char *text, *says;
+  } tries[] = {
+      {TRAIN "\"restart_weight\":1000000.0000001}", "1000000.0000001 is given; a number from 0 to 1e+06 is expected"},
+      {TRAIN "\"weight\":1000.0000000001}", "1000.0000000001 is given; a number from 0.001 to 1000 is expected"},
+      {TRAIN "\"gradient_norm_limit\":1000000.0000001}", "1000000.0000001 is given; a number above 0, at most 1e+06"},
+      {TRAIN "\"adam\":{\"epsilon\":1.0000000001}}", "1.0000000001 is given; a number above 0, at most 1, is expected"},
+      {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":0.5,\"floor\":0.5000000001}}",
+       "0.5000000001 is given; at most the peak, which is 0.5, is expected"},
+      {TRAIN "\"physics\":{\"dt_s\":0.1000000001}}", "dt_s is 0.1000000001; it must be at least 1e-07 and at most 0.1"},
+  };
+  for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
+    CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);
+    CHECK_INT(faults.n, 1);
+    if (strstr(faults.items[0].detail, tries[i].says) == NULL) {
+      printf("# \"%s\" lacks \"%s\"\n", faults.items[0].detail, tries[i].says);
+      CHECK(0);
+    }
+  }
+}
+
 static void all_at_once(void)
 {
   static const char *const where[] = {"/steps", "/batch", "/schedule/peak", "/adjoint_bound", "/epochs", "/sensor"};
@@ -226,6 +250,7 @@ static const struct check_case cases[] = {
     {"everything", everything},
     {"schedules", schedules},
     {"every fault has its place, and is the only one", places},
+    {"numbers just beyond their bounds", digits},
     {"all faults at once", all_at_once},
 };
 CHECK_MAIN(cases)

@@ -67,6 +67,7 @@ static void refused_settings(void)
       {RULE, -1, MO_ERR_INVALID, "adjoint_rule is -1"},
       {RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {WEIGHT, 1000000.0000001, MO_ERR_RANGE, "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
       {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
       {WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
       {WEIGHT, 0, MO_OK, ""},
