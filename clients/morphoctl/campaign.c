@@ -226,6 +226,9 @@ void campaign_event_text(const char *type, const json_t *data, char *text, size_
     snprintf(text, size, "  generation %" PRId64 ": diversity %s, it was %s", number_of(data, "generation"),
              score_text(json_object_get(data, "diversity"), diversity),
              score_text(json_object_get(data, "maximum"), a));
+  } else if (strcmp(type, "campaign.lineage_unreadable") == 0) {
+    snprintf(text, size, "  %.40s of controller %.12s: %.160s", text_of(data, "field"), text_of(data, "controller"),
+             text_of(data, "detail"));
   }
 }
 

@@ -187,7 +187,9 @@ static enum log_level level_of(const char *type)
   const char *what = strrchr(type, '.');
   if (what != NULL && strcmp(what, ".progress") == 0)
     return LOG_LEVEL_DEBUG;
-  return strcmp(type, "training.code_changed") == 0 ? LOG_LEVEL_WARNING : LOG_LEVEL_INFO;
+  return strcmp(type, "training.code_changed") == 0 || strcmp(type, "campaign.lineage_unreadable") == 0
+             ? LOG_LEVEL_WARNING
+             : LOG_LEVEL_INFO;
 }
 
 static void log_events(void *context, const struct mo_event *events, size_t n)

@@ -99,6 +99,20 @@ int mo_campaign_score(struct mo_campaign_run *run);
 int mo_campaign_save_losses(struct mo_campaign_run *run); /* those that are not saved yet */
 void mo_campaign_free_scores(struct mo_campaign_run *run);
 
+/* ---- campaign_lineage.c ---- */
+/* The pretrainings behind the campaign's controller, its own first. */
+#define MO_LINEAGE_PARTS_MAX 16
+struct mo_lineage_part {
+  uint64_t seed, n_bodies; /* ≥ 1 */
+};
+struct mo_lineage {
+  struct mo_lineage_part parts[MO_LINEAGE_PARTS_MAX];
+  uint32_t n_parts;
+};
+/* Tells of every field that cannot be read, and leaves out what would follow from it. MO_ERR_LIMIT: more bodies than can be drawn again.
+ * MO_ERR_CANCELLED: a wish came while it waited for room to tell. */
+int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
+
 /* ---- campaign_excluded.c ---- */
 /* The forms of the bodies that the campaign's controller and its ancestors were pretrained on: drawn again, or shared with another
  * campaign that has them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a wish came. */

@@ -26,6 +26,31 @@ int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const 
   return mo_run_park(store, id, MO_JOB_CAMPAIGN, error, error_text, max_attempts, after);
 }
 
+/* ---- warnings ---- */
+
+struct fault_arguments {
+  int64_t id;
+  const char *data;
+};
+
+static int tell_fault(struct mo_store *store, void *arguments)
+{
+  const struct fault_arguments *call = arguments;
+  int error = mo_run_touch(store, call->id, MO_JOB_CAMPAIGN);
+  return error == MO_OK ? mo_writer_event(store, call->id, "campaign.lineage_unreadable", call->data) : error;
+}
+
+int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id, const struct mo_sha256 *sha256,
+                                    const char *field, const char *detail)
+{
+  char data[480], digits[MO_SHA256_DIGITS + 1];
+  struct fault_arguments call = {id, data};
+  mo_sha256_to_hex(sha256, digits);
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"controller\":\"%s\",\"field\":\"%.40s\",\"detail\":\"%.240s\"}",
+           (long long)id, digits, field, detail);
+  return mo_write(store, tell_fault, &call);
+}
+
 /* ---- the end ---- */
 
 struct finish_arguments {

@@ -178,6 +178,11 @@ int mo_store_campaign_start(struct mo_store *store, int64_t id);
 int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
                            enum mo_job_state *after);
 
+/* Event "campaign.lineage_unreadable": a controller of the campaign's lineage says something of itself that cannot be read. field: of its
+ * metadata; detail: both short texts that JSON holds as they are. MO_ERR_CONFLICT as for trainings. */
+int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id, const struct mo_sha256 *sha256,
+                                    const char *field, const char *detail);
+
 /* What a resumed campaign needs: the newest population in its order (numbers, genotypes, scores, births) and the forms of every design
  * ever born. MO_ERR_NOT_FOUND: no generation is committed. */
 struct mo_campaign_state {

@@ -91,8 +91,8 @@ struct mo_event {
   char type
       [32]; /* "job.created", "job.started", "job.weight", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
                        "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "campaign.progress",
-                       "campaign.generation", "campaign.diversity_collapse", "campaign.extended", "controller.stored",
-                       "controller.removed" */
+                       "campaign.generation", "campaign.diversity_collapse", "campaign.extended",
+                       "campaign.lineage_unreadable", "controller.stored", "controller.removed" */
   char data[512]; /* a JSON object */
 };
 

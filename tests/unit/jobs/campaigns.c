@@ -135,122 +135,6 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   service_end(&service);
 }
 
-/* ---- what a controller was pretrained on ---- */
-
-static int put(struct service *service, const char *name, struct mo_controller *controller, struct mo_sha256 *sha256)
-{
-  struct mo_controller_record record;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  bool created = false;
-  int error = mo_controller_encode(controller, &bytes, &size);
-  if (error == MO_OK)
-    error = mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record, &created);
-  free(bytes);
-  *sha256 = record.sha256;
-  return error;
-}
-
-/* "pretrained" with a seed of bodies; "tuned", its child. */
-static int put_family(struct service *service, const char *steps, char digits[MO_SHA256_DIGITS + 1])
-{
-  struct mo_controller *controller = NULL;
-  struct mo_sha256 sha256;
-  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
-  if (error != MO_OK)
-    return error;
-  mo_controller_randomize(controller, 1);
-  (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
-  (void)mo_controller_set_metadata(controller, "morphod.parent", "random");
-  (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
-  (void)mo_controller_set_metadata(controller, "morphod.step", steps);
-  (void)mo_controller_set_metadata(controller, "morphod.settings", "{\"steps\":900,\"batch\":64,\"x\":1}");
-  error = put(service, "pretrained", controller, &sha256);
-  mo_sha256_to_hex(&sha256, digits);
-  (void)mo_controller_set_metadata(controller, "morphod.kind", "finetune");
-  (void)mo_controller_set_metadata(controller, "morphod.parent", digits);
-  if (error == MO_OK)
-    error = put(service, "tuned", controller, &sha256);
-  mo_sha256_to_hex(&sha256, digits);
-  mo_controller_free(controller);
-  return error;
-}
-
-/* "line": five pretrainings, each from the one before, of which no one has more bodies than can be drawn again, but all together do. */
-static int put_line(struct service *service)
-{
-  struct mo_controller *controller = NULL;
-  struct mo_sha256 sha256;
-  char parent[MO_SHA256_DIGITS + 1] = "random";
-  int error = mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller);
-  if (error != MO_OK)
-    return error;
-  mo_controller_randomize(controller, 1);
-  (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
-  (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
-  (void)mo_controller_set_metadata(controller, "morphod.step", "1000000");
-  (void)mo_controller_set_metadata(controller, "morphod.settings", "{\"steps\":1000000,\"batch\":64,\"x\":1}");
-  for (int i = 0; i < 5 && error == MO_OK; i++) {
-    (void)mo_controller_set_metadata(controller, "morphod.parent", parent);
-    error = put(service, "line", controller, &sha256);
-    mo_sha256_to_hex(&sha256, parent);
-  }
-  mo_controller_free(controller);
-  return error;
-}
-
-__attribute__((unused)) static void leaves_out_what_was_learned_from(void)
-{
-  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
-  struct mo_form_set *excluded = NULL;
-  struct history *without;
-  struct service service;
-  struct origin origin;
-  struct mo_job job;
-  char digits[MO_SHA256_DIGITS + 1];
-  int64_t ids[3];
-  REQUIRE(start(&service, 3) == MO_OK);
-  REQUIRE(put_family(&service, "40", digits) == MO_OK);
-  request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
-  origin = origin_of(&request);
-  without = plain_history(&fake_plain, &origin);
-  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL, excluded) == MO_OK);
-  CHECK(mo_form_set_count(excluded) > 0);
-  origin.excluded = excluded;
-  request.controller = "tuned";
-  for (int i = 0; i < 3; i++) {
-    request.record.settings.exclude_pretraining = i < 2; /* two that share the set, one without */
-    ids[i] = submit(&service, &request);
-  }
-  CHECK(ends_as_plain(&service, ids[0], &origin));
-  CHECK(ends_as_plain(&service, ids[1], &origin));
-  REQUIRE(mo_jobs_wait(service.jobs, ids[2], 120000, &job) == MO_OK);
-  {
-    struct history *stored = stored_history(service.fixture.store, ids[2]);
-    CHECK(same_history(stored, without));
-    free(stored);
-    stored = stored_history(service.fixture.store, ids[0]);
-    printf("# the next line is to be a difference:\n");
-    CHECK(!same_history(stored, without));
-    free(stored);
-  }
-  /* More than can be drawn again. */
-  REQUIRE(put_family(&service, "1000000000", digits) == MO_OK);
-  request.record.settings.exclude_pretraining = true;
-  ids[0] = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 120000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
-  REQUIRE(put_line(&service) == MO_OK);
-  request.controller = "line";
-  ids[0] = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 20000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
-  mo_form_set_free(excluded);
-  free(without);
-  service_end(&service);
-}
-
 /* ---- what is told ---- */
 
 __attribute__((unused)) static void tells_of_its_generations(void)
@@ -398,7 +282,6 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
     {"begins with what is given", begins_with_what_is_given},
-    {"leaves out what was learned from", leaves_out_what_was_learned_from},
     {"tells of its generations", tells_of_its_generations},
     {"shows its champions", shows_its_champions},
     {"gives its population to a training", gives_its_population_to_a_training},

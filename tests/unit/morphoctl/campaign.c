@@ -61,6 +61,11 @@ static void texts(void)
   campaign_event_text("job.started", data, text, sizeof(text));
   CHECK(*text == 0);
   json_decref(data);
+  data = json_loads("{\"controller\": \"0123456789abcdef\", \"field\": \"morphod.seed\", \"detail\": \"no number\"}", 0,
+                    NULL);
+  campaign_event_text("campaign.lineage_unreadable", data, text, sizeof(text));
+  CHECK_TEXT(text, "  morphod.seed of controller 0123456789ab: no number");
+  json_decref(data);
 }
 
 static char drawn[40][800];

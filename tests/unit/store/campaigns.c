@@ -328,7 +328,13 @@ static void finish_with(struct fixture *fixture, int64_t id, struct mo_controlle
   struct mo_campaign_status status;
   struct mo_controller_record record;
   struct mo_event event;
+  const struct mo_sha256 odd = {{0xab, 0xcd}};
   CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
+  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"), MO_OK);
+  event = campaign_event(fixture, id);
+  CHECK_TEXT(event.type, "campaign.lineage_unreadable");
+  CHECK(strstr(event.data, "\"controller\":\"abcd00") != NULL);
+  CHECK(strstr(event.data, "\"field\":\"morphod.seed\",\"detail\":\"no number\"}") != NULL);
   CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 0, "walker", bytes, size, controller),
             MO_ERR_CONFLICT); /* it has more generations to go */
   CHECK_INT(mo_store_controller(fixture->store, "walker", &record), MO_ERR_NOT_FOUND);
@@ -347,6 +353,7 @@ static void finish_with(struct fixture *fixture, int64_t id, struct mo_controlle
                            "\"controller\":\"walker\",\"sha256\":\"") != NULL);
   CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes, size, controller),
             MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"), MO_ERR_CONFLICT);
   free(bytes);
 }
 

@@ -1,0 +1,171 @@
+/* campaign_lineage.c: what a campaign's controller says of the pretrainings behind it.
+ *
+ * A controller says in its metadata how it was made: a pretraining has a seed, a batch and a number of steps, and its bodies follow
+ * from these; a finetuning, or a campaign, has a parent, whose own file says the same of it, as far as the store has it. What is said there and
+ * cannot be read is told, field by field, as an event of the campaign; what would follow from it is left out. */
+#include <errno.h>
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+#define ANCESTORS_MAX 64
+
+struct reading {
+  struct mo_campaign_run *run;
+  struct mo_lineage *lineage;
+  const struct mo_controller *controller; /* the one that is read */
+  const struct mo_sha256 *sha256;         /* of its file */
+};
+
+/* ---- what cannot be read ---- */
+
+struct fault {
+  const struct reading *reading;
+  const char *field, *detail;
+};
+
+static int write_fault(void *context)
+{
+  const struct fault *fault = context;
+  const struct mo_campaign_run *run = fault->reading->run;
+  return mo_store_campaign_lineage_fault(run->jobs->store, run->id, fault->reading->sha256, fault->field,
+                                         fault->detail);
+}
+
+static int tell(const struct reading *reading, const char *field, const char *detail)
+{
+  struct fault fault = {reading, field, detail};
+  return mo_attempt_persist(&reading->run->attempt, write_fault, &fault, "a warning about the controller's lineage");
+}
+
+/* ---- one controller ---- */
+
+static bool read_number(const char *text, const char *ends, uint64_t *number)
+{
+  char *end = NULL;
+  if (text == NULL || *text < '0' || *text > '9')
+    return false;
+  errno = 0;
+  *number = strtoull(text, &end, 10);
+  return errno == 0 && (*end == '\0' || strchr(ends, *end) != NULL);
+}
+
+static bool read_batch(const char *settings, uint64_t *batch)
+{
+  static const char key[] = "\"batch\":";
+  const char *found = settings != NULL ? strstr(settings, key) : NULL;
+  return found != NULL && read_number(found + sizeof(key) - 1, ",}", batch) && *batch > 0;
+}
+
+/* The bodies of a pretraining; n_bodies 0: none, or it cannot be known. */
+static int read_pretraining(const struct reading *reading, struct mo_lineage_part *part)
+{
+  const struct mo_controller *controller = reading->controller;
+  uint64_t steps = 0, batch = 0;
+  const struct {
+    const char *field, *detail;
+    bool is_read;
+  } fields[] = {
+      {"morphod.seed", "the seed of the pretraining cannot be read: its bodies are not excluded",
+       read_number(mo_controller_get_metadata(controller, "morphod.seed"), "", &part->seed)},
+      {"morphod.step", "the number of steps cannot be read: the bodies of the pretraining are not excluded",
+       read_number(mo_controller_get_metadata(controller, "morphod.step"), "", &steps)},
+      {"morphod.settings", "the batch cannot be read: the bodies of the pretraining are not excluded",
+       read_batch(mo_controller_get_metadata(controller, "morphod.settings"), &batch)},
+  };
+  bool is_whole = true;
+  int error = MO_OK;
+  for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]) && error == MO_OK; i++) {
+    is_whole = is_whole && fields[i].is_read;
+    if (!fields[i].is_read)
+      error = tell(reading, fields[i].field, fields[i].detail);
+  }
+  part->n_bodies = !is_whole                                                          ? 0
+                   : steps <= MO_TRAINING_STEPS_MAX && batch <= MO_TRAINING_BATCH_MAX ? steps * batch
+                                                                                      : UINT64_MAX;
+  return error;
+}
+
+static int add_part(const struct reading *reading)
+{
+  struct mo_lineage *lineage = reading->lineage;
+  struct mo_lineage_part part = {0, 0};
+  const char *kind = mo_controller_get_metadata(reading->controller, "morphod.kind");
+  char text[256];
+  uint64_t most = MO_TRAINING_BODIES_MAX; /* of all parts together */
+  int error = MO_OK;
+  if (kind != NULL && strcmp(kind, "pretrain") == 0)
+    error = read_pretraining(reading, &part);
+  else if (kind != NULL && strcmp(kind, "finetune") != 0)
+    error = tell(reading, "morphod.kind",
+                 "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
+  if (error != MO_OK || part.n_bodies == 0)
+    return error;
+  for (uint32_t i = 0; i < lineage->n_parts; i++)
+    most -= lineage->parts[i].n_bodies;
+  if (part.n_bodies > most || lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
+    snprintf(text, sizeof(text),
+             "the controller's lineage names more bodies of pretraining than the %" PRIu64
+             " that can be drawn again: submit with exclude_pretraining false",
+             MO_TRAINING_BODIES_MAX);
+    return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
+  }
+  lineage->parts[lineage->n_parts++] = part;
+  return MO_OK;
+}
+
+/* ---- its ancestors ---- */
+
+/* MO_ERR_NOT_FOUND: the controller names none. */
+static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
+{
+  const char *parent = mo_controller_get_metadata(reading->controller, "morphod.parent");
+  int error;
+  if (parent == NULL || strcmp(parent, "random") == 0)
+    return MO_ERR_NOT_FOUND;
+  if (mo_sha256_from_hex(parent, strlen(parent), sha256) == MO_OK)
+    return MO_OK;
+  error = tell(reading, "morphod.parent",
+               "the parent is neither random nor the hash of a file: what it was trained on is not excluded");
+  return error != MO_OK ? error : MO_ERR_NOT_FOUND;
+}
+
+/* An ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
+static int load_ancestor(struct mo_campaign_run *run, const struct mo_sha256 *sha256, struct mo_controller **controller)
+{
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int error = mo_store_controller_bytes(run->jobs->store, sha256, &bytes, &size);
+  if (error == MO_OK)
+    error = mo_controller_decode(bytes, size, controller, NULL);
+  free(bytes);
+  return error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT
+             ? mo_attempt_fail_controller(&run->attempt, error, sha256)
+             : error;
+}
+
+int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
+{
+  struct mo_sha256 sha256 = run->status.record.controller_sha256;
+  struct mo_controller *ancestor = NULL;
+  struct reading reading = {run, lineage, run->controller, &sha256};
+  int error = MO_OK;
+  lineage->n_parts = 0;
+  for (int i = 0; i < ANCESTORS_MAX && reading.controller != NULL && error == MO_OK; i++) {
+    struct mo_controller *above = NULL;
+    struct mo_sha256 parent;
+    error = add_part(&reading);
+    if (error == MO_OK)
+      error = read_parent(&reading, &parent);
+    if (error == MO_OK)
+      error = load_ancestor(run, &parent, &above);
+    if (error == MO_OK)
+      sha256 = parent;
+    mo_controller_free(ancestor);
+    reading.controller = ancestor = above;
+  }
+  mo_controller_free(ancestor);
+  return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}

@@ -1,0 +1,61 @@
+"""Campaigns whose controller says what it was pretrained on: how the bodies of it that are left out are told of."""
+
+import json
+import struct
+import time
+
+from service import BOOTSTRAP
+
+HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
+SMALL = {"mode": "zero-shot", "population": 8, "generations": 1, "environments": HERE, "physics": {"n_steps": 30}}
+
+
+def put(service, name, **said):
+    """Stores the bootstrap controller with further metadata; returns its SHA-256."""
+    file = BOOTSTRAP.read_bytes()
+    size = struct.unpack("<Q", file[:8])[0]
+    header = json.loads(file[8:8 + size])
+    header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
+    text = json.dumps(header).encode()
+    reply = service.request("PUT", f"/v1/controllers/{name}", body=struct.pack("<Q", len(text)) + text + file[8 + size:],
+                            headers={"Content-Type": "application/octet-stream"})
+    assert reply.status == 201, reply.body
+    return reply.json()["sha256"]
+
+
+def pretrained(steps, seed="31"):
+    return {"kind": "pretrain", "parent": "random", "seed": seed, "step": str(steps), "settings": json.dumps({"batch": 1024}, separators=(",", ":"))}
+
+
+def submit(service, **fields):
+    reply = service.request("POST", "/v1/campaigns", {**SMALL, **fields})
+    assert reply.status == 202, reply.body
+    return reply.json()["id"]
+
+
+def campaign(service, id):
+    return service.request("GET", f"/v1/campaigns/{id}").json()
+
+
+def awaited(service, id, holds, seconds=60):
+    """The campaign as soon as holds(campaign)."""
+    deadline = time.monotonic() + seconds
+    while True:
+        seen = campaign(service, id)
+        if holds(seen):
+            return seen
+        assert time.monotonic() < deadline, seen
+        time.sleep(0.01)
+
+
+def test_a_lineage_that_cannot_be_read(start):
+    service = start()
+    digits = put(service, "odd", **pretrained("many", seed="none"))
+    id = submit(service, controller="odd")
+    done = awaited(service, id, lambda seen: seen["state"] not in ("queued", "running"))
+    assert done["state"] == "succeeded" and done["progress"]["generation"] == 1
+    events = service.request("GET", f"/v1/events?format=json&job={id}&after=0&limit=100").json()["items"]
+    told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
+    assert [(data["id"], data["controller"], data["field"]) for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
+    lines = [line for line in service.log_text().splitlines() if "campaign.lineage_unreadable" in line]
+    assert len(lines) == 2 and all("warning" in line.lower() and digits in line for line in lines) and "morphod.seed" in lines[0]
