@@ -93,7 +93,7 @@ void print_json(const json_t *json);
 /* GET and print; for --json of commands that show one thing. */
 int show_json(struct ctl *ctl, const char *path);
 
-/* Collects the items of a paged list up to `limit` (0: all). *items is an array of what came, in order. */
+/* Collects the items of a paged list up to `limit` (0: all). *items is an array of what came, in order; tells of jobs that cannot be read. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
 /* The same by the options --state, --limit and --all, which it checks. */
 int collect_states(struct ctl *ctl, const char *list, json_t **items);

@@ -74,6 +74,24 @@ int save_output(const char *path, const void *bytes, size_t n)
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
+/* Jobs that are there and cannot be read: told on standard error, and kept for the page of --json. */
+static void note_unreadable(struct ctl *ctl, json_t *jobs)
+{
+  size_t i;
+  const json_t *job;
+  if (json_array_size(jobs) == 0)
+    return;
+  if (ctl->unreadable == NULL)
+    ctl->unreadable = json_array();
+  json_array_extend(ctl->unreadable, jobs);
+  json_array_foreach(jobs, i, job)
+  {
+    const char *kind = text_of(job, "kind");
+    complain(0, "%s %s cannot be read by the server: %s", *kind != 0 ? kind : "job", text_of(job, "id"),
+             text_of(job, "detail"));
+  }
+}
+
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 {
   json_t *all = json_array();
@@ -92,6 +110,7 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
     free(page_path);
     if (status == STATUS_OK) {
       json_array_extend(all, json_object_get(page, "items"));
+      note_unreadable(ctl, json_object_get(page, "unreadable"));
       const char *next = json_string_value(json_object_get(page, "next_cursor"));
       free(cursor);
       cursor = next != NULL ? escape(next) : NULL;
@@ -130,6 +149,8 @@ bool print_page(const struct ctl *ctl, json_t *items)
   if (!ctl->json)
     return false;
   json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
+  if (ctl->unreadable != NULL)
+    json_object_set(page, "unreadable", ctl->unreadable);
   print_json(page);
   json_decref(page);
   return true;

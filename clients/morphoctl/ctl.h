@@ -61,6 +61,7 @@ struct ctl {
   bool utf8;          /* the locale draws boxes */
   double retry_s;     /* how long a failing connection is tried again; < 0: the default */
   struct transport *transport;
+  struct json_t *unreadable; /* of the list that was collected: jobs that the server cannot read; NULL: none */
 };
 
 extern const struct command commands[];

@@ -66,6 +66,7 @@ int main(int argc, char **argv)
     if (status == STATUS_OK)
       status = ctl.command->run(&ctl);
     transport_close(&ctl);
+    json_decref(ctl.unreadable);
   }
   if (fflush(stdout) != 0 || ferror(stdout))
     status = complain(STATUS_ERROR, "standard output: %s", strerror(errno));

@@ -208,11 +208,17 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
   /* Health checks and scrapes come every few seconds and say nothing, as long as they succeed. */
   bool probe = entry->status == 200 && (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
                                         strcmp(entry->path, "/metrics") == 0);
-  enum log_level level = entry->status >= 500 ? LOG_LEVEL_WARNING : probe ? LOG_LEVEL_DEBUG : LOG_LEVEL_INFO;
-  LOG_AT(level, "request", LOG_TEXT("request", entry->request_id), LOG_TEXT("client", entry->client),
-         LOG_TEXT("method", entry->method), LOG_TEXT("path", entry->path), LOG_INT("status", entry->status),
-         LOG_INT("body_in", entry->body_in), LOG_INT("body_out", entry->body_out),
-         LOG_REAL("seconds", entry->duration_s));
+  enum log_level level = entry->status >= 500 || entry->reason != NULL ? LOG_LEVEL_WARNING
+                         : probe                                       ? LOG_LEVEL_DEBUG
+                                                                       : LOG_LEVEL_INFO;
+  const struct log_field fields[] = {
+      LOG_TEXT("request", entry->request_id), LOG_TEXT("client", entry->client),
+      LOG_TEXT("method", entry->method),      LOG_TEXT("path", entry->path),
+      LOG_INT("status", entry->status),       LOG_INT("body_in", entry->body_in),
+      LOG_INT("body_out", entry->body_out),   LOG_REAL("seconds", entry->duration_s),
+      LOG_TEXT("reason", entry->reason),
+  };
+  log_write(level, "request", fields, sizeof(fields) / sizeof(fields[0]) - (entry->reason == NULL));
 }
 
 enum { CONTROLLER_NAME_BYTES = 128 };

@@ -8,6 +8,7 @@
 #include "http/campaign_request.h"
 #include "http/field.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 /* ---- POST /v1/campaigns ---- */
 
@@ -145,7 +146,7 @@ void mo_handle_campaigns_post(struct mo_request *request)
 
 /* ---- reading ---- */
 
-static void reply_now(struct mo_request *request, const struct mo_job *job)
+static void reply_now(struct mo_request *request, struct mo_job *job)
 {
   reply_campaign(request, 200, job->id);
 }
@@ -161,10 +162,15 @@ static void reply_list(struct mo_request *request, const struct mo_campaign_quer
   struct mo_campaign_status *page = malloc(limit * sizeof(*page));
   int64_t n = page != NULL ? mo_store_campaigns(http->services.store, query, page, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_campaign_live live = {.seconds_left = -1};
+    if (page[i].job.damage[0] != '\0') {
+      mo_unreadable_add(&unreadable, &page[i].job);
+      continue;
+    }
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_campaign_live(http->services.jobs, page[i].job.id, &live);
     if (query->state >= 0 && mo_campaign_state_shown(&page[i], &live) != (enum mo_job_state)query->state)
@@ -173,7 +179,7 @@ static void reply_list(struct mo_request *request, const struct mo_campaign_quer
     comma = ",";
     mo_campaign_json_write(&text, &page[i], &live);
   }
-  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0, &unreadable);
   free(page);
 }
 

@@ -153,7 +153,7 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   mo_reply_etag_of_body(request);
 }
 
-/* Those of the group that were neither cancelled nor have failed. */
+/* Those of the group that can be read and were neither cancelled nor have failed. */
 static int find_members(struct curve *curve)
 {
   struct mo_campaign_status *all = malloc(MO_REPLICATES_MAX * sizeof(*all));
@@ -166,7 +166,7 @@ static int find_members(struct curve *curve)
   }
   curve->newest = INT64_MAX;
   for (int64_t i = 0; i < n; i++) {
-    if (all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
+    if (all[i].job.damage[0] != '\0' || all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
       continue;
     curve->members[curve->n_members++] = all[i].job.id;
     curve->newest = all[i].generation < curve->newest ? all[i].generation : curve->newest;

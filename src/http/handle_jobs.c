@@ -11,6 +11,7 @@
 #include "http/request_parts.h"
 #include "http/server.h"
 #include "http/training_json.h"
+#include "http/unreadable.h"
 
 #define WAIT_MAX_S 60
 
@@ -34,9 +35,8 @@ static void tag(struct mo_request *request, const char *what, const struct mo_jo
 }
 
 /* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is not, or not any more, in the state that is
- * asked for (−1: any). */
-static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job, int state,
-                     const char *before)
+ * asked for (−1: any). MO_ERR_CORRUPT: with its damage. */
+static int write_job(struct mo_http *http, struct mo_text *text, struct mo_job *job, int state, const char *before)
 {
   int code = MO_OK;
   if (job->kind == MO_JOB_TRAINING) {
@@ -47,6 +47,8 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
       mo_text_add(text, before);
       mo_training_json_job(text, training, &live);
     }
+    if (code == MO_ERR_CORRUPT)
+      memcpy(job->damage, training->job.damage, sizeof(job->damage));
     free(training);
   } else if (job->kind == MO_JOB_CAMPAIGN) {
     struct mo_campaign_live live;
@@ -56,6 +58,8 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
       mo_text_add(text, before);
       mo_campaign_json_job(text, campaign, &live);
     }
+    if (code == MO_ERR_CORRUPT)
+      memcpy(job->damage, campaign->job.damage, sizeof(job->damage));
     free(campaign);
   } else {
     mo_text_add(text, before);
@@ -65,7 +69,7 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
 }
 
 /* Writes the evaluation (with results if there are any) or the job, as `status`. */
-static void reply_job(struct mo_request *request, unsigned status, const struct mo_job *job, bool with_results)
+static void reply_job(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_text text = {0};
@@ -162,7 +166,7 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
   return code == MO_OK;
 }
 
-static void reply_submitted(struct mo_request *request, const struct mo_job *job, bool done)
+static void reply_submitted(struct mo_request *request, struct mo_job *job, bool done)
 {
   reply_job(request, done ? 200 : 202, job, true);
   snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld", (long long)job->id);
@@ -205,7 +209,7 @@ void mo_reply_accepted_evaluation(struct mo_request *request, int64_t id)
 /* ---- reading ---- */
 
 enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const char *what,
-                                 void (*reply)(struct mo_request *request, const struct mo_job *job))
+                                 void (*reply)(struct mo_request *request, struct mo_job *job))
 {
   struct mo_query_value none;
   int64_t id;
@@ -218,7 +222,7 @@ enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const cha
   int code = MO_ERR_NO_MEMORY;
   enum mo_handled handled = job != NULL ? mo_await_job(request, id, job, &code) : MO_HANDLED;
   if (handled == MO_HANDLED) {
-    if (code == MO_OK && kind >= 0 && job->kind != (enum mo_job_kind)kind)
+    if (mo_job_is_another(job, code, kind))
       code = MO_ERR_NOT_FOUND;
     if (code != MO_OK)
       mo_reply_error(request, code, what);
@@ -229,12 +233,12 @@ enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const cha
   return handled;
 }
 
-static void reply_evaluation(struct mo_request *request, const struct mo_job *job)
+static void reply_evaluation(struct mo_request *request, struct mo_job *job)
 {
   reply_job(request, 200, job, true);
 }
 
-static void reply_any(struct mo_request *request, const struct mo_job *job)
+static void reply_any(struct mo_request *request, struct mo_job *job)
 {
   reply_job(request, 200, job, false);
 }
@@ -273,17 +277,21 @@ bool mo_query_before(struct mo_request *request, const struct mo_query_value *va
   return false;
 }
 
-void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last)
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last,
+                   struct mo_unreadable *unreadable)
 {
   if (n < 0) {
     mo_text_free(text);
+    mo_text_free(&unreadable->items);
     mo_reply_error(request, (int)n, "page");
     return;
   }
   if (n > 0 && (size_t)n == limit)
-    mo_text_format(text, "],\"next_cursor\":\"%lld\"}", (long long)last);
+    mo_text_format(text, "],\"next_cursor\":\"%lld\"", (long long)last);
   else
-    mo_text_add(text, "],\"next_cursor\":null}");
+    mo_text_add(text, "],\"next_cursor\":null");
+  mo_unreadable_end(request, text, unreadable);
+  mo_text_add(text, "}");
   mo_reply_json(request, 200, text);
   mo_reply_etag_of_body(request);
 }
@@ -313,16 +321,22 @@ void mo_handle_jobs(struct mo_request *request)
   struct mo_job *jobs = malloc((limit + 1) * sizeof(*jobs));
   int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   int code = n < 0 ? (int)n : MO_OK;
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
     size_t size = text.size;
-    code = write_job(request->http, &text, &jobs[i], query.state, comma);
+    if (jobs[i].damage[0] == '\0')
+      code = write_job(request->http, &text, &jobs[i], query.state, comma);
+    if (jobs[i].damage[0] != '\0') {
+      mo_unreadable_add(&unreadable, &jobs[i]);
+      code = MO_OK;
+    }
     if (text.size > size)
       comma = ",";
   }
-  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0);
+  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0, &unreadable);
   free(jobs);
 }
 

@@ -8,6 +8,7 @@
 #include "http/server.h"
 #include "http/training_json.h"
 #include "http/training_request.h"
+#include "http/unreadable.h"
 
 #define CSV_ROWS_MAX                                                                                                   \
   10000 /* of one reply that was not asked for a limit: 5 µs each on a thread that serves others, too */
@@ -162,7 +163,7 @@ void mo_handle_trainings_post(struct mo_request *request)
 
 /* ---- reading ---- */
 
-static void reply_now(struct mo_request *request, const struct mo_job *job)
+static void reply_now(struct mo_request *request, struct mo_job *job)
 {
   reply_training(request, 200, job->id);
 }
@@ -189,10 +190,15 @@ void mo_handle_trainings(struct mo_request *request)
   struct mo_training_status *page = malloc(limit * sizeof(*page));
   int64_t n = page != NULL ? mo_store_trainings(http->services.store, &query, page, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_training_live live = {.seconds_left = -1};
+    if (page[i].job.damage[0] != '\0') {
+      mo_unreadable_add(&unreadable, &page[i].job);
+      continue;
+    }
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_training_live(http->services.jobs, page[i].job.id, &live);
     if (query.state >= 0 && mo_training_state(&page[i], &live) != (enum mo_job_state)query.state)
@@ -201,7 +207,7 @@ void mo_handle_trainings(struct mo_request *request)
     comma = ",";
     mo_training_json_write(&text, &page[i], population_kind(http, &page[i]), &live);
   }
-  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0, &unreadable);
   free(page);
 }
 

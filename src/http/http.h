@@ -28,10 +28,11 @@ struct mo_http_log_entry {
   const char *client; /* "127.0.0.1:51234", "[::1]:51234", "unix uid 1000" */
   const char *method;
   const char *path;
-  unsigned status;   /* 0: the connection ended before a reply was made */
-  uint64_t body_in;  /* bytes of the request's body */
-  uint64_t body_out; /* bytes of the reply's body; of a stream, those written */
-  double duration_s; /* from the end of the header to the end of the reply */
+  const char *reason; /* why the service failed (status 500 and above), or what it could not read; NULL: nothing */
+  unsigned status;    /* 0: the connection ended before a reply was made */
+  uint64_t body_in;   /* bytes of the request's body */
+  uint64_t body_out;  /* bytes of the reply's body; of a stream, those written */
+  double duration_s;  /* from the end of the header to the end of the reply */
 };
 
 /* The kind of a listening socket is taken from the socket itself: TCP on a loopback address, TCP elsewhere, or unix. */

@@ -6,6 +6,7 @@
 
 #include "http/field.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 #define SMALL_BYTES ((uint64_t)64 << 10) /* of a reply that no limit holds back: refusals must get through */
 
@@ -54,10 +55,18 @@ static const char *problem_type(unsigned status, const struct mo_faults *faults)
   }
 }
 
+void mo_request_note(struct mo_request *request, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(request->reason, sizeof(request->reason), format, arguments);
+  va_end(arguments);
+}
+
 void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults, const char *detail,
                       ...)
 {
-  char words[640];
+  char words[MO_REASON_BYTES];
   if (detail != NULL) {
     va_list arguments;
     va_start(arguments, detail);
@@ -69,6 +78,8 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
   } else {
     snprintf(words, sizeof(words), "%s.", mo_status_title(status));
   }
+  if (status >= 500)
+    mo_request_note(request, "%s", words);
   struct mo_text text = {0};
   mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id, faults);
   mo_text_bytes(&text, "\n", 1);
@@ -109,6 +120,8 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
     request->reply.retry_after_s = 30;
     break;
   default:
+    if (code == MO_ERR_CORRUPT && mo_reply_unreadable(request))
+      break;
     mo_reply_problem(request, 500, NULL, "The service failed to handle the %s: %s. Its log has the request's id.", what,
                      mo_error_text(code));
     break;

@@ -352,6 +352,7 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
     struct mo_http_log_entry entry = {.client = request->connection->client,
                                       .method = request->method_text,
                                       .path = request->path,
+                                      .reason = request->reason[0] != '\0' ? request->reason : NULL,
                                       .status = status,
                                       .body_in = request->body_seen,
                                       .body_out = request->sent,

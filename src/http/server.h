@@ -82,6 +82,8 @@ struct mo_reply {
   } extra[6];
 };
 
+#define MO_REASON_BYTES 640 /* of what the log tells of a request besides its reply */
+
 enum mo_stage { MO_STAGE_TARGET, MO_STAGE_BODY, MO_STAGE_HANDLING, MO_STAGE_REPLY };
 
 struct mo_request {
@@ -106,6 +108,7 @@ struct mo_request {
   size_t body_size, body_capacity;
   bool body_dropped; /* refused or too large: read and thrown away */
   struct mo_reply reply;
+  char reason[MO_REASON_BYTES]; /* for the log: why the service failed, or what it could not read; "": nothing */
   struct mo_client *client;
   int64_t started_us;
   uint64_t sent;
@@ -130,6 +133,8 @@ void mo_reply_bytes(struct mo_request *request, unsigned status, const char *typ
 /* A problem; faults nullable. detail NULL: the first fault's, or the status's title. */
 void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults, const char *detail,
                       ...) __attribute__((format(printf, 4, 5)));
+/* For the log line of the request, as a warning. */
+void mo_request_note(struct mo_request *request, const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* The usual problem of an error code of store or jobs (500, 503, 507, 404 …). */
 void mo_reply_error(struct mo_request *request, int code, const char *what);
 /* A strong tag from parts; sets 304 when the client has it (call after the reply is made, status 200). */
@@ -202,12 +207,16 @@ bool mo_read_wait(struct mo_request *request);
 enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_job *job, int *code);
 /* GET of a job of this kind (−1: of any; else 404 about a `what`) by its id, once it is over or there is no more time to wait. */
 enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const char *what,
-                                 void (*reply)(struct mo_request *request, const struct mo_job *job));
+                                 void (*reply)(struct mo_request *request, struct mo_job *job));
+/* Whether the job that the store gave with this code is of another kind than that (−1: any), also if it cannot be read. */
+bool mo_job_is_another(const struct mo_job *job, int code, int kind);
 /* Lists of jobs: the state that is asked for (−1: any), the cursor (0: none), false: the 400 is made; the reply, from n items of which the
- * last is job `last` (n negative: an error), behind those in `text`. */
+ * last is job `last` (n negative: an error), behind those in `text` and with those that cannot be read (emptied). */
 bool mo_query_state(struct mo_request *request, const struct mo_query_value *value, int *state);
 bool mo_query_before(struct mo_request *request, const struct mo_query_value *value, int64_t *before);
-void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last);
+struct mo_unreadable;
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last,
+                   struct mo_unreadable *unreadable);
 /* A training, as it is stored and as it runs. MO_ERR_NOT_FOUND. */
 int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
                      struct mo_training_live *live);

@@ -128,11 +128,17 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
                   ours.ny, ours.nz);
 }
 
+bool mo_job_is_another(const struct mo_job *job, int code, int kind)
+{
+  const bool known = code == MO_OK || (code == MO_ERR_CORRUPT && job->damage[0] != '\0');
+  return known && kind >= 0 && job->kind != (enum mo_job_kind)kind;
+}
+
 bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
 {
   struct mo_job *job = malloc(sizeof(*job));
   int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
-  if (code == MO_OK && job->kind != kind)
+  if (job != NULL && mo_job_is_another(job, code, (int)kind))
     code = MO_ERR_NOT_FOUND;
   free(job);
   if (code != MO_OK)

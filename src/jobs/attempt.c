@@ -13,6 +13,13 @@ int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text)
   return error;
 }
 
+int mo_attempt_fail_unreadable(struct mo_attempt *attempt, int error, const struct mo_job *job)
+{
+  snprintf(attempt->text, sizeof(attempt->text), "the job cannot be read: %s",
+           error == MO_ERR_CORRUPT && job->damage[0] != '\0' ? job->damage : mo_error_text(error));
+  return error;
+}
+
 int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const struct mo_sha256 *sha256)
 {
   char digits[MO_SHA256_DIGITS + 1];

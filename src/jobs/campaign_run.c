@@ -221,7 +221,7 @@ static int prepare(struct mo_campaign_run *run)
 {
   int error = mo_store_campaign(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return mo_attempt_fail(&run->attempt, error, "the campaign cannot be read");
+    return mo_attempt_fail_unreadable(&run->attempt, error, &run->status.job);
   run->generation = (uint32_t)(run->status.generation + 1);
   (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, 0);
   error = mo_back_end_check(run->jobs, run->status.job.back_end);

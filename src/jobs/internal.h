@@ -295,6 +295,8 @@ void mo_runner_sleep(struct mo_runner *runner, uint32_t ms, enum mo_runner_wish 
 /* ---- attempt.c ---- */
 /* Notes the text that an error is to be told with, and returns the error. */
 int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text);
+/* As mo_attempt_fail, for a job that the store could not read: its damage, if that was it. */
+int mo_attempt_fail_unreadable(struct mo_attempt *attempt, int error, const struct mo_job *job);
 /* As mo_attempt_fail, for a file of weights that cannot be used. */
 int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const struct mo_sha256 *sha256);
 void mo_attempt_warn(const struct mo_attempt *attempt, int error, const char *text);

@@ -191,7 +191,7 @@ static int prepare(struct run *run)
 {
   int error = mo_store_training(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return mo_attempt_fail(&run->attempt, error, "the training cannot be read");
+    return mo_attempt_fail_unreadable(&run->attempt, error, &run->status.job);
   run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
   if (error != MO_OK)

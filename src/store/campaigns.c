@@ -232,8 +232,8 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   status->end = (enum mo_campaign_end)sqlite3_column_int(row, FIRST + 13);
   status->scored = (uint32_t)sqlite3_column_int64(row, FIRST + 14);
   status->has_result = sqlite3_column_type(row, FIRST + 15) != SQLITE_NULL;
-  if (error == MO_OK && status->has_result)
-    error = mo_column_hash(row, FIRST + 15, &status->result_sha256);
+  if (error == MO_OK && status->has_result && mo_column_hash(row, FIRST + 15, &status->result_sha256) != MO_OK)
+    error = mo_job_damaged(&status->job, "controllers.sha256 of its result is no hash");
   (void)sqlite3_reset(row);
   return error;
 }
@@ -257,22 +257,34 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   sqlite3_bind_int64(row, 2, status->generation);
   step = mo_sql_step(reader, row);
   if (step <= 0)
-    return step < 0 ? step : MO_ERR_CORRUPT;
+    return step < 0 ? step
+                    : mo_job_damaged(&status->job, "campaign_generations has no generation %lld, its last",
+                                     (long long)status->generation);
   read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last);
   (void)sqlite3_reset(row);
   return MO_OK;
 }
 
+/* The same for a list, which one that cannot be read does not end. */
+static int load_listed(struct mo_connection *reader, int64_t id, void *any)
+{
+  const struct mo_campaign_status *status = any;
+  const int error = load_status(reader, id, any);
+  return mo_job_passed_over(error, &status->job) ? MO_OK : error;
+}
+
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_campaign_status found;
+  struct mo_campaign_status found = {0};
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)
     error = load_status(reader, id, &found);
   mo_reader_release(store, reader);
   if (error == MO_OK)
     *status = found;
+  else if (error == MO_ERR_CORRUPT)
+    memcpy(status->job.damage, found.job.damage, sizeof(status->job.damage));
   return error;
 }
 
@@ -291,7 +303,7 @@ int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_quer
   const struct mo_job_query shown = {
       .before = query->before, .state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};
   const char *sql = mo_job_query_waits(&shown) ? shown_sql : query->group != 0 ? group_sql : all_sql;
-  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses, sizeof(*statuses));
+  return mo_read_jobs(store, sql, &shown, query->group, limit, load_listed, statuses, sizeof(*statuses));
 }
 
 static int take_generation(sqlite3_stmt *statement, void *row)

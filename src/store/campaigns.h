@@ -114,7 +114,8 @@ int mo_store_extend_campaign(struct mo_store *store, int64_t id, uint32_t genera
 
 /* ---- reading: lists of a campaign that is not there are empty, everything else gives MO_ERR_NOT_FOUND ---- */
 
-int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status); /* MO_ERR_NOT_FOUND */
+/* MO_ERR_NOT_FOUND. MO_ERR_CORRUPT: status->job.damage tells, as in mo_store_job; the rest of *status is as it was. */
+int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status);
 struct mo_campaign_query {
   int64_t before; /* only ids below this; 0: from the newest */
   int state;      /* enum mo_job_state or −1 */

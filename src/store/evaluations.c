@@ -1,49 +1,92 @@
 /* evaluations.c: reading jobs, their results and their trajectories. */
 #include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "store/internal.h"
+
+int mo_job_damaged(struct mo_job *job, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(job->damage, sizeof(job->damage), format, arguments);
+  va_end(arguments);
+  return MO_ERR_CORRUPT;
+}
+
+int mo_job_undecodable(struct mo_job *job, const char *column_name, sqlite3_stmt *row, int column)
+{
+  const unsigned char *bytes = sqlite3_column_blob(row, column);
+  const int size = sqlite3_column_bytes(row, column);
+  if (bytes == NULL || size < 1)
+    return mo_job_damaged(job, "%s is missing or empty", column_name);
+  return mo_job_damaged(job, "%s cannot be decoded: version %d, length %d", column_name, bytes[0], size);
+}
+
+bool mo_job_passed_over(int error, const struct mo_job *job)
+{
+  return error == MO_ERR_CORRUPT && job->damage[0] != '\0';
+}
+
+static int environments_from_row(sqlite3_stmt *row, int column, const char *column_name, struct mo_job *job)
+{
+  const int64_t n = sqlite3_column_int64(row, column);
+  if (n < 1 || n > MO_ENVIRONMENTS_MAX)
+    return mo_job_damaged(job, "%s is %lld", column_name, (long long)n);
+  job->n_environments = (uint32_t)n;
+  return MO_OK;
+}
+
+/* `required`: there must be one. */
+static int controller_from_row(sqlite3_stmt *row, bool required, struct mo_job *job)
+{
+  if (!required && sqlite3_column_type(row, 13) == SQLITE_NULL)
+    return MO_OK;
+  return mo_column_hash(row, 13, &job->controller_sha256) == MO_OK
+             ? MO_OK
+             : mo_job_damaged(job, "controllers.sha256 of its controller is missing or is no hash");
+}
 
 static int evaluation_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
-  int64_t n_environments = sqlite3_column_int64(row, 15), n_designs = sqlite3_column_int64(row, 16);
+  int64_t n_designs = sqlite3_column_int64(row, 16);
   const void *encoding = sqlite3_column_blob(row, 17);
   int record = sqlite3_column_int(row, 19);
-  int error;
-  if (encoding == NULL || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX || n_designs < 1 ||
-      n_designs > MO_DESIGNS_MAX)
-    return MO_ERR_CORRUPT;
+  int error = environments_from_row(row, 15, "evaluations.n_environments", job);
+  if (error == MO_OK && (n_designs < 1 || n_designs > MO_DESIGNS_MAX))
+    error = mo_job_damaged(job, "evaluations.n_designs is %lld", (long long)n_designs);
+  if (error == MO_OK)
+    error = controller_from_row(row, true, job);
+  if (error == MO_OK && (encoding == NULL || mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17),
+                                                               &job->physics, &job->precision, &job->sensor) != MO_OK))
+    error = mo_job_undecodable(job, "physics.encoding", row, 17);
+  if (error != MO_OK)
+    return error;
   mo_column_text(row, 12, job->controller_name, sizeof(job->controller_name));
   mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
-  job->n_environments = (uint32_t)n_environments;
   job->n_designs = (uint32_t)n_designs;
-  error = mo_column_hash(row, 13, &job->controller_sha256);
-  if (error == MO_OK)
-    error = mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17), &job->physics, &job->precision,
-                              &job->sensor);
   job->verify = sqlite3_column_int(row, 18) != 0;
   job->record_com = (record & 1) != 0;
   job->record_masses = (record & 2) != 0;
   job->record_stride = (uint32_t)sqlite3_column_int64(row, 20);
-  job->rollouts_total = (uint64_t)n_designs * (uint64_t)n_environments;
+  job->rollouts_total = (uint64_t)n_designs * job->n_environments;
   job->rollouts_done = (uint64_t)sqlite3_column_int64(row, 21);
   job->rollouts_cached = (uint64_t)sqlite3_column_int64(row, 22);
   job->rollouts_diverged = (uint64_t)sqlite3_column_int64(row, 23);
-  return error;
+  return MO_OK;
 }
 
 static int training_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   struct mo_training_settings settings;
   const void *encoding = sqlite3_column_blob(row, 26);
-  int error = encoding == NULL ? MO_ERR_CORRUPT
-                               : mo_decode_training(encoding, (size_t)sqlite3_column_bytes(row, 26), &settings);
-  if (error == MO_OK && sqlite3_column_type(row, 13) != SQLITE_NULL)
-    error = mo_column_hash(row, 13, &job->controller_sha256);
-  if (error != MO_OK)
-    return error;
+  if (encoding == NULL || mo_decode_training(encoding, (size_t)sqlite3_column_bytes(row, 26), &settings) != MO_OK)
+    return mo_job_undecodable(job, "trainings.settings", row, 26);
+  if (controller_from_row(row, false, job) != MO_OK)
+    return MO_ERR_CORRUPT;
   mo_column_text(row, 24, job->controller_name, sizeof(job->controller_name));
   job->n_designs = (uint32_t)sqlite3_column_int64(row, 25);
   job->physics = settings.physics;
@@ -58,18 +101,15 @@ static int campaign_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   struct mo_campaign_settings settings;
   const void *encoding = sqlite3_column_blob(row, 30);
-  int64_t n_environments = sqlite3_column_int64(row, 33), generation = sqlite3_column_int64(row, 32);
-  int error = mo_decode_campaign(encoding, (size_t)sqlite3_column_bytes(row, 30), &settings);
-  if (error == MO_OK && (n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX))
-    error = MO_ERR_CORRUPT;
-  if (error == MO_OK && sqlite3_column_type(row, 13) != SQLITE_NULL)
-    error = mo_column_hash(row, 13, &job->controller_sha256);
-  if (error != MO_OK)
-    return error;
+  int64_t generation = sqlite3_column_int64(row, 32);
+  if (mo_decode_campaign(encoding, (size_t)sqlite3_column_bytes(row, 30), &settings) != MO_OK)
+    return mo_job_undecodable(job, "campaigns.settings", row, 30);
+  if (environments_from_row(row, 33, "campaigns.n_environments", job) != MO_OK ||
+      controller_from_row(row, false, job) != MO_OK)
+    return MO_ERR_CORRUPT;
   mo_column_text(row, 29, job->controller_name, sizeof(job->controller_name));
   mo_column_text(row, 14, job->environment_set, sizeof(job->environment_set));
   job->n_designs = settings.population;
-  job->n_environments = (uint32_t)n_environments;
   job->physics = settings.physics;
   job->sensor = settings.sensor;
   job->precision = MO_FLOAT32;
@@ -82,16 +122,20 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   int kind = sqlite3_column_int(row, 2), state = sqlite3_column_int(row, 3), priority = sqlite3_column_int(row, 4);
   memset(job, 0, sizeof(*job));
-  if (state < 0 || state >= MO_JOB_STATES || priority < MO_BATCH || priority > MO_INTERACTIVE)
-    return MO_ERR_CORRUPT;
   job->id = sqlite3_column_int64(row, 0);
   job->version = sqlite3_column_int64(row, 1);
-  job->kind = (enum mo_job_kind)kind;
+  job->kind = kind >= 0 && kind < MO_JOB_KINDS ? (enum mo_job_kind)kind : (enum mo_job_kind)MO_JOB_KINDS;
+  job->weight = sqlite3_column_double(row, 28);
+  if (kind < 0 || kind >= MO_JOB_KINDS)
+    return mo_job_damaged(job, "jobs.kind is %d", kind);
+  if (state < 0 || state >= MO_JOB_STATES)
+    return mo_job_damaged(job, "jobs.state is %d", state);
+  if (priority < MO_BATCH || priority > MO_INTERACTIVE)
+    return mo_job_damaged(job, "jobs.priority is %d", priority);
+  if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
+    return mo_job_damaged(job, "jobs.weight is %s", MO_NUMBER(job->weight));
   job->state = (enum mo_job_state)state;
   job->priority = (enum mo_urgency)priority;
-  job->weight = sqlite3_column_double(row, 28);
-  if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
-    return MO_ERR_CORRUPT;
   job->back_end = sqlite3_column_int(row, 34) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
   job->has_label = sqlite3_column_type(row, 5) != SQLITE_NULL;
   mo_column_text(row, 5, job->label, sizeof(job->label));
@@ -101,12 +145,9 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   job->attempts = (uint32_t)sqlite3_column_int64(row, 9);
   job->error = sqlite3_column_int(row, 10);
   mo_column_text(row, 11, job->error_text, sizeof(job->error_text));
-  switch (kind) {
-  case MO_JOB_EVALUATION: return evaluation_from_row(row, job);
-  case MO_JOB_TRAINING: return training_from_row(row, job);
-  case MO_JOB_CAMPAIGN: return campaign_from_row(row, job);
-  default: return MO_ERR_CORRUPT;
-  }
+  return job->kind == MO_JOB_EVALUATION ? evaluation_from_row(row, job)
+         : job->kind == MO_JOB_TRAINING ? training_from_row(row, job)
+                                        : campaign_from_row(row, job);
 }
 
 static int get_job(struct mo_connection *connection, int64_t id, struct mo_job *job)
@@ -127,10 +168,10 @@ static int get_job(struct mo_connection *connection, int64_t id, struct mo_job *
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_job found;
+  struct mo_job found = {0};
   int error = get_job(reader, id, &found);
   mo_reader_release(store, reader);
-  if (error == MO_OK)
+  if (error == MO_OK || error == MO_ERR_CORRUPT)
     *job = found;
   return error;
 }
@@ -218,8 +259,11 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
       sqlite3_bind_int64(statement, 4, query->state);
     if (mo_job_query_waits(query))
       error = mo_bind_waiting(statement, 5, query);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-      error = mo_job_from_row(statement, &jobs[n++]);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
+      error = mo_job_from_row(statement, &jobs[n]);
+      if (mo_job_passed_over(error, &jobs[n++]))
+        error = MO_OK;
+    }
     if (step < 0)
       error = step;
   }
@@ -237,9 +281,7 @@ int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   while (statement != NULL && error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     int state = sqlite3_column_int(statement, 0);
-    if (state < 0 || state >= MO_JOB_STATES)
-      error = MO_ERR_CORRUPT;
-    else
+    if (state >= 0 && state < MO_JOB_STATES) /* a damaged row must not hide the others */
       found[state] = (uint64_t)sqlite3_column_int64(statement, 1);
   }
   if (step < 0)

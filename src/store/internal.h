@@ -155,7 +155,14 @@ bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
   " LEFT JOIN physics p ON p.id=e.physics LEFT JOIN environment_sets s"                                                \
   " ON s.id=coalesce(e.environment_set,m.environment_set) "
 #define MO_JOB_N_COLUMNS 35
+/* MO_ERR_CORRUPT: job->damage tells. */
 int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
+/* Notes what of a job's rows cannot be read; returns MO_ERR_CORRUPT. */
+int mo_job_damaged(struct mo_job *job, const char *format, ...) __attribute__((format(printf, 2, 3)));
+/* The same of a BLOB that cannot be decoded. */
+int mo_job_undecodable(struct mo_job *job, const char *column_name, sqlite3_stmt *row, int column);
+/* Whether a list may go on behind this error: it is of this job alone. */
+bool mo_job_passed_over(int error, const struct mo_job *job);
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
 

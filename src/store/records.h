@@ -23,6 +23,7 @@
 #define MO_NAME_BYTES_MAX        64    /* of a controller's name or a set of environments */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
+#define MO_DAMAGE_BYTES          160  /* of the words about a row that cannot be read */
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
 
@@ -82,6 +83,8 @@ struct mo_job {
                                                                                  training */
   /* Training. Campaign: generations, and those that are committed; generation 0 is not counted. */
   uint32_t steps_total, steps_done;
+  /* "", or what of its rows cannot be read, by table and column: then nothing counts but id, kind (of no known one: MO_JOB_KINDS), and this. */
+  char damage[MO_DAMAGE_BYTES];
 };
 
 struct mo_event {

@@ -86,7 +86,8 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
 
 /* ---- jobs and evaluations ---- */
 
-int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job); /* MO_ERR_NOT_FOUND */
+/* MO_ERR_NOT_FOUND. MO_ERR_CORRUPT: with job->damage, which is "" when the database itself is damaged. */
+int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
 
 struct mo_job_query {
   int64_t before; /* only ids below this; 0: from the newest */
@@ -97,7 +98,8 @@ struct mo_job_query {
   size_t n_waiting;
 };
 #define MO_WAITING_MAX 80 /* all trainings and campaigns that can run */
-/* Newest first, at most `limit` ≤ MO_PAGE_MAX. Returns the number or an error. Next page: before = last id. */
+/* Newest first, at most `limit` ≤ MO_PAGE_MAX, also those that cannot be read (damage). Returns the number or an error. Next page:
+ * before = last id. */
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit);
 /* Jobs per state. */
 int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES]);

@@ -151,7 +151,6 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
                             "t.checkpoints_kept,r.sha256,t.parent IS NOT NULL" MO_JOB_TABLES
                             "LEFT JOIN controllers r ON r.id=t.result WHERE j.id=?1 AND j.kind=1";
   struct mo_training_record *record = &status->record;
-  const void *settings;
   int error = MO_OK;
   int step;
   sqlite3_stmt *row = mo_sql(reader, sql, &error);
@@ -162,10 +161,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
   if (step <= 0)
     return step < 0 ? step : MO_ERR_NOT_FOUND;
   error = mo_job_from_row(row, &status->job);
-  settings = sqlite3_column_blob(row, 26);
-  if (error == MO_OK)
-    error = settings == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_training(settings, (size_t)sqlite3_column_bytes(row, 26), &record->settings);
+  if (error == MO_OK) /* they can be decoded: that was tried */
+    error = mo_decode_training(sqlite3_column_blob(row, 26), (size_t)sqlite3_column_bytes(row, 26), &record->settings);
   mo_column_text(row, 24, record->parent_name, sizeof(record->parent_name));
   record->n_designs = status->job.n_designs;
   status->step = status->job.steps_done;
@@ -176,8 +173,9 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
   record->checkpoint_every_s = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 4);
   record->checkpoints_kept = (uint32_t)sqlite3_column_int64(row, MO_JOB_N_COLUMNS + 5);
   status->has_result = sqlite3_column_type(row, MO_JOB_N_COLUMNS + 6) != SQLITE_NULL;
-  if (error == MO_OK && status->has_result)
-    error = mo_column_hash(row, MO_JOB_N_COLUMNS + 6, &status->result_sha256);
+  if (error == MO_OK && status->has_result &&
+      mo_column_hash(row, MO_JOB_N_COLUMNS + 6, &status->result_sha256) != MO_OK)
+    error = mo_job_damaged(&status->job, "controllers.sha256 of its result is no hash");
   record->has_parent = sqlite3_column_int(row, MO_JOB_N_COLUMNS + 7) != 0;
   record->parent_sha256 = status->job.controller_sha256;
   (void)sqlite3_reset(row);
@@ -226,16 +224,26 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   return found < 0 ? found : mo_training_code_load(reader, id, &status->code);
 }
 
+/* The same for a list, which one that cannot be read does not end. */
+static int load_listed(struct mo_connection *reader, int64_t id, void *any)
+{
+  const struct mo_training_status *status = any;
+  const int error = load_status(reader, id, any);
+  return mo_job_passed_over(error, &status->job) ? MO_OK : error;
+}
+
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
-  struct mo_training_status found;
+  struct mo_training_status found = {0};
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)
     error = load_status(reader, id, &found);
   mo_reader_release(store, reader);
   if (error == MO_OK)
     *status = found;
+  else if (error == MO_ERR_CORRUPT)
+    memcpy(status->job.damage, found.job.damage, sizeof(status->job.damage));
   return error;
 }
 
@@ -249,7 +257,7 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
           "?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
   static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
                             " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
-  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_status, statuses,
+  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_listed, statuses,
                       sizeof(*statuses));
 }
 

@@ -81,7 +81,8 @@ int mo_store_submit_training(struct mo_store *store, const struct mo_training_su
 
 /* ---- reading ---- */
 
-int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status); /* MO_ERR_NOT_FOUND */
+/* MO_ERR_NOT_FOUND. MO_ERR_CORRUPT: status->job.damage tells, as in mo_store_job; the rest of *status is as it was. */
+int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status);
 /* As mo_store_jobs, trainings alone whatever the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_training_status *statuses, size_t limit);

@@ -1,0 +1,20 @@
+/* unreadable.h: jobs of which the store has rows that cannot be read: what a list of jobs, a problem and the log tell of them. */
+#ifndef MORPHO_HTTP_UNREADABLE_H
+#define MORPHO_HTTP_UNREADABLE_H
+
+#include "http/server.h"
+
+/* Those of a page. All zeros: none. */
+struct mo_unreadable {
+  struct mo_text items;                 /* JSON objects with commas between them */
+  char note[MO_REASON_BYTES], more[40]; /* for the log: those that it has room for, and how many others */
+  unsigned n, n_noted;
+};
+void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job); /* one with damage */
+/* Ends the member `unreadable` of a page, if there are any, notes them for the log, and frees the list. */
+void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list);
+
+/* Whether the path names a job that cannot be read: then the 500 that says so is made. */
+bool mo_reply_unreadable(struct mo_request *request);
+
+#endif

@@ -1,0 +1,183 @@
+"""Rows that cannot be read: the lists serve all others and name these, each says so itself, the log has the reason, and nothing stops."""
+
+import json
+import re
+import sqlite3
+import subprocess
+import time
+
+import pytest
+from service import DESIGN, SHORT
+from test_morphoctl import MORPHOCTL
+
+TRAINING = {"kind": "finetune", "steps": 1, "batch": 2, "designs": [DESIGN], "physics": {"n_steps": 8}, "validation": {"every_steps": 0}}
+CAMPAIGN = {"mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 8}, "exclude_pretraining": False}
+POSTS = (("/v1/evaluations", {"designs": [DESIGN], "physics": SHORT}), ("/v1/trainings", TRAINING), ("/v1/campaigns", CAMPAIGN))
+EVALUATION, TRAINING_2, CAMPAIGN_3 = 1, 2, 3  # the first of each kind, all of which are damaged; 4, 5, 6 are not
+
+# Table and column, the damage, the job, and the words.
+ROWS = (
+    ("jobs", "UPDATE jobs SET weight = 0 WHERE id = 1", EVALUATION, "jobs.weight is 0"),
+    ("jobs", "UPDATE jobs SET priority = 7 WHERE id = 2", TRAINING_2, "jobs.priority is 7"),
+    ("jobs", "UPDATE jobs SET state = 9 WHERE id = 3", CAMPAIGN_3, "jobs.state is 9"),
+    ("evaluations", "UPDATE evaluations SET n_designs = 0 WHERE job = 1", EVALUATION, "evaluations.n_designs is 0"),
+    ("evaluations", "UPDATE evaluations SET n_environments = 65 WHERE job = 1", EVALUATION, "evaluations.n_environments is 65"),
+    ("evaluations", "DELETE FROM evaluations WHERE job = 1", EVALUATION, "evaluations.n_environments is 0"),
+    ("physics", "INSERT INTO physics VALUES(99, zeroblob(32), x'0901'); UPDATE evaluations SET physics = 99 WHERE job = 1", EVALUATION,
+     "physics.encoding cannot be decoded: version 9, length 2"),
+    ("controllers", "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
+     "UPDATE evaluations SET controller = 99 WHERE job = 1", EVALUATION, "controllers.sha256 of its controller is missing or is no hash"),
+    ("trainings", "UPDATE trainings SET settings = version_3(settings) WHERE job = 2", TRAINING_2,
+     "trainings.settings cannot be decoded: version 3, length {}"),
+    ("trainings", "UPDATE trainings SET settings = x'' WHERE job = 2", TRAINING_2, "trainings.settings is missing or empty"),
+    ("trainings", "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
+     "UPDATE trainings SET result = 99 WHERE job = 2", TRAINING_2, "controllers.sha256 of its result is no hash"),
+    ("campaigns", "UPDATE campaigns SET settings = substr(settings, 1, 100) WHERE job = 3", CAMPAIGN_3,
+     "campaigns.settings cannot be decoded: version 2, length 100"),
+    ("campaigns", "UPDATE campaigns SET n_environments = -1 WHERE job = 3", CAMPAIGN_3, "campaigns.n_environments is -1"),
+    ("campaign_generations", "DELETE FROM campaign_generations WHERE job = 3 AND generation = 1", CAMPAIGN_3,
+     "campaign_generations has no generation 1, its last"),
+)
+KINDS = {EVALUATION: "evaluation", TRAINING_2: "training", CAMPAIGN_3: "campaign"}
+
+
+def damage(state, sql):
+    database = sqlite3.connect(state / "morphod.db")
+    database.create_function("version_3", 1, lambda settings: b"\3" + settings[1:])
+    database.execute("PRAGMA ignore_check_constraints = ON")
+    for statement in sql.split("; "):
+        assert database.execute(statement).rowcount > 0, statement
+    database.commit()
+    database.close()
+
+
+def finish(service, job):
+    until = time.monotonic() + 60
+    while service.request("GET", f"/v1/jobs/{job}").json()["state"] not in ("succeeded", "failed", "cancelled"):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The database of two jobs of each kind, all done."""
+    from service import Service
+    running = Service()
+    for _ in range(2):
+        for path, value in POSTS:
+            assert running.request("POST", path, value).status == 202
+    for job in range(1, 7):
+        finish(running, job)
+    running.stop()
+    database = sqlite3.connect(running.state / "morphod.db")
+    copy = sqlite3.connect(tmp_path_factory.mktemp("whole") / "morphod.db")
+    with copy:
+        database.backup(copy)
+    database.close()
+    files = running.state / "controllers"
+    yield copy, files
+    copy.close()
+    running.close()
+
+
+def unclean(service, replies):
+    """The log's lines of requests that could not do all of their work. A line comes after its reply."""
+    until = time.monotonic() + 30
+    while not all(f"request={reply.headers['X-Request-Id']} " in service.log_text() for reply in replies):
+        assert time.monotonic() < until
+        time.sleep(0.01)
+    return [line for line in service.log_text().splitlines() if " reason=" in line]
+
+
+@pytest.mark.parametrize("table, sql, job, words", ROWS, ids=[f"{row[0]}-{i}" for i, row in enumerate(ROWS)])
+def test_a_row(whole, start, tmp_path, table, sql, job, words):
+    with sqlite3.connect(tmp_path / "morphod.db") as copy:
+        whole[0].backup(copy)
+    copy.close()
+    (tmp_path / "controllers").symlink_to(whole[1])
+    size = sqlite3.connect(tmp_path / "morphod.db").execute("SELECT length(settings) FROM trainings WHERE job = 2").fetchone()[0]
+    words = words.format(size)
+    damage(tmp_path, sql)
+    service = start("--log-format=logfmt", state=tmp_path)
+    kind, replies = KINDS[job], []
+
+    def get(path):
+        replies.append(service.request("GET", path))
+        return replies[-1]
+
+    entry = {"id": str(job), "kind": kind, "detail": words}
+    lists = [("/v1/jobs", {1, 2, 3, 4, 5, 6} - {job}), (f"/v1/jobs?kind={kind}", {job + 3})]
+    lists += [(f"/v1/{kind}s", {job + 3})] if kind != "evaluation" else []
+    for path, others in lists:
+        page = get(path)
+        assert page.status == 200, page.body
+        assert {int(item["id"]) for item in page.json()["items"]} == others and page.json()["unreadable"] == [entry], page.body
+    # Page by page: it has its place like any other.
+    seen, damaged, cursor = [], [], ""
+    while cursor is not None:
+        page = get(f"/v1/jobs?limit=1{cursor}").json()
+        seen += [item["id"] for item in page["items"]]
+        damaged += page.get("unreadable", [])
+        cursor = None if page["next_cursor"] is None else f"&cursor={page['next_cursor']}"
+    assert len(seen) == 5 and damaged == [entry]
+    # The log has a line for each list, as a warning.
+    lines = unclean(service, replies)
+    assert len(lines) == len(lists) + 1 and all(f'reason="{kind} {job} cannot be read: {words}"' in line for line in lines)
+    assert all("level=warning" in line and "status=200" in line for line in lines)
+    # Itself, and not as another kind.
+    for path in (f"/v1/jobs/{job}", f"/v1/{kind}s/{job}"):
+        reply = get(path)
+        assert reply.status == 500 and f"{kind.capitalize()} {job} cannot be read: {words}." in reply.json()["detail"], reply.body
+        line = unclean(service, replies)[-1]
+        assert f"request={reply.json()['request_id']} " in line and "level=warning" in line and words in line
+    assert get(f"/v1/{'campaigns' if job != CAMPAIGN_3 else 'trainings'}/{job}").status == 404
+    for path in (f"/v1/jobs/{job + 3}", "/metrics", "/readyz"):
+        assert get(path).status == 200
+    # The command line.
+    command = [MORPHOCTL, {"evaluation": "job", "training": "train", "campaign": "campaign"}[kind], "list", "--server", service.addresses[0]]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert shown.stderr == f"morphoctl: {kind} {job} cannot be read by the server: {words}\n" and re.search(rf"^ *{job + 3} ", shown.stdout, re.M)
+    page = json.loads(subprocess.run([*command, "--json"], capture_output=True, text=True, timeout=60, check=True).stdout)
+    assert page["unreadable"] == [entry] and str(job + 3) in [item["id"] for item in page["items"]]
+    shown = subprocess.run([MORPHOCTL, "job", "show", str(job), "--server", service.addresses[0]], capture_output=True, text=True, timeout=60, check=False)
+    assert shown.returncode == 1 and words in shown.stderr
+    # Work goes on.
+    assert service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 7}}).json()["state"] == "succeeded"
+
+
+def test_work_that_cannot_be_read(start, tmp_path):
+    """Jobs that are to run and cannot be read fail with the reason; others run; many of them have room in the log line."""
+    first = start("--max-campaigns=1", "--max-trainings=1", state=tmp_path)
+    for path, value in POSTS:
+        value = {**value, "physics": {"n_steps": 9}}
+        for _ in range(5):
+            reply = first.request("POST", path, value)
+            assert reply.status == 202
+            assert first.request("POST", f"/v1/jobs/{reply.json()['id']}/pause").status in (200, 409)
+    first.stop()
+    damage(tmp_path, "UPDATE jobs SET state = 0, finished_us = 0; UPDATE trainings SET settings = x'77' WHERE job < 10; "
+                     "UPDATE campaigns SET settings = x'78' WHERE job < 15; UPDATE evaluations SET n_designs = 0 WHERE job < 5")
+    service = start("--log-format=logfmt", state=tmp_path)
+    for job in (5, 10, 15):
+        finish(service, job)
+        assert service.request("GET", f"/v1/jobs/{job}").json()["state"] == "succeeded"
+    until = time.monotonic() + 60
+    while len(service.request("GET", "/v1/jobs?state=failed").json().get("unreadable", [])) < 12:
+        assert time.monotonic() < until, service.log_text()
+        time.sleep(0.1)
+    reply = service.request("GET", "/v1/jobs?state=failed")
+    page = reply.json()
+    assert page["items"] == [] and [int(one["id"]) for one in page["unreadable"]] == [n for n in range(14, 0, -1) if n % 5 != 0]
+    line = unclean(service, [reply])[-1]
+    log = service.log_text()
+    assert "campaign 14 cannot be read: campaigns.settings cannot be decoded: version 120, length 1; campaign 13" in line and re.search(r"; and \d+ more", line)
+    for kind in ("training", "campaign"):
+        assert re.search(rf"an attempt of a job failed.*the job cannot be read: {kind}s.settings cannot be decoded", log)
+    assert service.request("POST", "/v1/jobs/6/resume").status == 500  # asked for, and what became of it cannot be shown
+    for path in ("steps", "validations", "checkpoints", "controller"):
+        reply = service.request("GET", f"/v1/trainings/6/{path}")
+        assert reply.status == 500 and "trainings.settings" in reply.json()["detail"], reply.body
+    for path in ("generations", "learning", "replicates", "population", "champions", "phylogeny", "checkpoints"):
+        reply = service.request("GET", f"/v1/campaigns/11/{path}")
+        assert reply.status == 500 and "campaigns.settings" in reply.json()["detail"], reply.body
+    assert service.request("GET", "/v1/evaluations/1/trajectories/0").status == 500
