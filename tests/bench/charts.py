@@ -84,12 +84,15 @@ class Panel:
     def axes(self, x_name="", y_name="", x_labels=True, x_grid=False):
         for value in self.y.ticks:
             self.chart.out.append(f'<line class="grid" x1="{self.left}" y1="{self.at_y(value):.1f}" x2="{self.right}" y2="{self.at_y(value):.1f}"/>'
-                                  f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" text-anchor="end">{value:.3g}</text>')
+                                  f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" text-anchor="end">{value:.6g}</text>')
+        taken = -math.inf  # up to where there are labels
         for value in self.x.ticks:
             if x_grid:
                 self.chart.out.append(f'<line class="grid" x1="{self.at_x(value):.1f}" y1="{self.top}" x2="{self.at_x(value):.1f}" y2="{self.bottom}"/>')
-            if x_labels:
+            half = 3.6 * len(f"{value:.6g}")  # of a label's width, about
+            if x_labels and self.at_x(value) - half > taken:
                 self.chart.out.append(f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" text-anchor="middle">{value:.6g}</text>')
+                taken = self.at_x(value) + half
         if x_name:
             self.chart.text(f"{(self.left + self.right) / 2:.1f}", self.bottom + 34, x_name, text_anchor="middle", fill="#444")
         if y_name:

@@ -3,6 +3,7 @@
 Columns are modes and colours are modes, in every figure. A line is the mean over the trials, a band their range."""
 import json
 import math
+import textwrap
 from pathlib import Path
 
 import voxels
@@ -17,6 +18,8 @@ LEFT, RIGHT, TOP, BOTTOM, WIDE, HIGH = 64, 14, 64, 44, 270, 210  # of a panel an
 PAPER = {"pretraining": ("0.30", "1400 steps", 56), "zero-shot": ("near optimal", "100 generations", 17), "few-shot": ("as good or better", "6 generations shown", None),
          "simultaneous": ("about 0.30 (training)", "180 generations, 360 steps", 109)}
 PAPER_GPUS, PAPER_SIZE = 8, 8192  # robots of a batch, designs of a population
+FEW_STEPS = 4  # of learning in a generation
+PAPER_RECIPE = "restarts 0.001..1e-05 bound 0 /"  # its schedule, nothing clipped
 PAPER_LENGTH = {"pretraining": 1400, "zero-shot": 100, "simultaneous": 180}
 
 
@@ -53,9 +56,17 @@ def generations(rows, mode):
 
 
 def learning_curves(kept, mode):
-    """Mean loss of each step, at the generation that it belongs to: step s of n of generation g stands at g - 1 + s/n."""
-    return [{g - 1 + (s + 1) / len(losses): loss for g, losses in enumerate(entry["learning"]) if g > 0 for s, loss in enumerate(losses)}
-            for entry in kept if entry["mode"] == mode]
+    """Mean losses while learning: (curves, one for each trial; dash). Of step s of n of generation g, at g - 1 + s/n; where a generation has few steps
+    on its parents and on its children, and the curve would be a comb, one of each at g."""
+    entries = [entry for entry in kept if entry["mode"] == mode and entry["learning"]]
+    if not entries:
+        return []
+    parents, children = (entries[0]["settings"]["learning"][key] for key in ("parent_steps", "child_steps"))
+    if not 0 < parents <= FEW_STEPS or not 0 < children <= FEW_STEPS:
+        return [([{g - 1 + (s + 1) / len(losses): loss for g, losses in enumerate(entry["learning"]) if g > 0 for s, loss in enumerate(losses)}
+                  for entry in entries], "")]
+    return [([{g: records.mean(losses[part]) for g, losses in enumerate(entry["learning"]) if losses[part]} for entry in entries], dash)
+            for part, dash in ((slice(-children), ""), (slice(-children, None), "2 3"))]
 
 
 def draw_performance(kept, rows, pretrained, path):
@@ -64,7 +75,7 @@ def draw_performance(kept, rows, pretrained, path):
     first = 1 if pretrained else 0
     everything = [row[key] for row in rows for key in ("mean", "best")] + [loss for entry in kept for losses in entry["learning"] for loss in losses]
     score = Scale(*decades(everything + [row["loss"] for row in pretrained]), log=True)
-    legend = [("test score, mean", "#000", ""), ("test score, best", "#000", "5 4"), ("loss while learning", GREY, "")]
+    legend = [("test score, mean", "#000", ""), ("test score, best", "#000", "5 4"), ("loss while learning", GREY, ""), ("the same, on children alone", GREY, "2 3")]
     chart, panel = grid(first + len(modes), 2, "Performance and diversity: mean over the trials and their range", legend)
     if pretrained:
         at = panel(0, 0, Scale(0, max(row["step"] for row in pretrained)), score)
@@ -75,15 +86,15 @@ def draw_performance(kept, rows, pretrained, path):
         bundle(at, [{step: loss for step, loss in curve if step < 50 or step % 5 == 0} for curve in smoothed], GREY)
         bundle(at, [{row["step"]: row["loss"] for row in group if row["row"] == "validation"} for group in by_seed], PRETRAINING, dots=True)
         chart.text(at.left, at.bottom + 60, "line with dots: score of held-out bodies", fill=PRETRAINING)
-        chart.text(at.left, at.bottom + 78, pretrained[0]["recipe"], fill="#444", font_size=10)
+        for i, line in enumerate(textwrap.wrap(pretrained[0]["recipe"], 44)):
+            chart.text(at.left, at.bottom + 78 + 14 * i, line, fill="#444", font_size=10)
     high = max([row["diversity"] for row in rows]) * 1.1 or 1
     for column, mode in enumerate(modes, first):
         at = panel(0, column, generations(rows, mode), score)
         at.title(mode, 6, 13)
         at.axes("", "" if column else "distance to the light, end / start")
-        curves = learning_curves(kept, mode)
-        if curves and any(curves):
-            bundle(at, curves, GREY)
+        for curves, dash in learning_curves(kept, mode):
+            bundle(at, curves, GREY, dash)
         for key, dash in (("mean", ""), ("best", "5 4")):
             bundle(at, [{row["generation"]: row[key] for row in group} for group in trials(rows, mode)], COLOURS[mode], dash)
         at = panel(1, column, generations(rows, mode), Scale(0, high))
@@ -165,8 +176,8 @@ def spread(values, form):
     values = [value for value in values if value is not None]
     if not values:
         return "–"
-    middle = format(sum(values) / len(values), form)
-    return middle if len(values) == 1 else f"{middle} ({format(min(values), form)} to {format(max(values), form)})"
+    middle, least, most = (format(value, form) for value in (sum(values) / len(values), min(values), max(values)))
+    return middle if least == most else f"{middle} ({least} to {most})"
 
 
 def paper_line(name):
@@ -183,9 +194,12 @@ def own_line(name, experiment, loss, length, size, minutes, gpus):
     return ["", name, loss, f"{length[0]} {length[1]}", spread(minutes, ".1f") + " min", names, spread(spent, ".1f") if gpus else "–", less]
 
 
-def comparison(kept, rows, pretrained):
+def comparison(kept, rows, pretrained, best):
+    """pretrained: all trainings, of which the table has the best recipe and the paper's; the page has another table of all."""
     lines = [paper_line("pretraining")] if pretrained else []
     for (recipe, device), group in records.group(pretrained, "recipe", "device").items():
+        if recipe != best[0]["recipe"] and not recipe.startswith(PAPER_RECIPE):
+            continue
         each = [pretraining.summary(trial) for trial in records.group(group, "seed").values()]
         loss = "training " + spread([s["end"] for s in each], ".3f")
         loss += "; held out " + spread([s["held_out"][0] for s in each if s["held_out"]], ".3f")
@@ -201,11 +215,13 @@ def comparison(kept, rows, pretrained):
         if not entries:
             continue
         loss = "test " + spread([group[-1]["mean"] for group in of.values()], ".4f")
-        if mode != "zero-shot":
-            loss += "; training " + spread([entry["learning"][-1][-1] for entry in entries if entry["learning"][-1]], ".3f")
+        learnt = entries[0]["settings"]["learning"] if any(entry["learning"] for entry in entries) else {}
+        for name, part in (("parents", slice(-learnt.get("child_steps", 0))), ("children", slice(-1, None))):
+            last = [entry["learning"][-1][part][-1] for entry in entries if entry["learning"] and entry["learning"][-1][part]]
+            loss += f"; training on {name} " + spread(last, ".3f") if last else ""
         length = (max(group[-1]["generation"] for group in of.values()), "generations")
         gpus = entries[0]["machine"]["gpus"] if entries[0]["device"] == "cuda" else []
-        minutes = [sum(row["seconds"] for row in group) / 60 for group in of.values()]
+        minutes = [entry["elapsed_s"] / 60 for entry in entries]
         lines += [paper_line(mode), own_line("morphod", mode, loss, length, entries[0]["settings"]["population"], minutes, gpus)]
     return records.table(("experiment", "", "loss or score", "length", "wall time", "GPUs", "GPU minutes", ""), lines)
 
@@ -231,5 +247,5 @@ def report(folder, pretraining_csv=None):
         draw_populations(kept, edges, folder / "populations.svg")
         draw_champions(kept, folder / "champions.svg")
     sizes = {entry["settings"]["population"] for entry in kept}
-    text = comparison(kept, rows, pretrained) if kept else ""
+    text = comparison(kept, rows, pretrained, best) if kept else ""
     return f"{text}\n\n{table(rows, ' and '.join(str(size) for size in sorted(sizes)) or '?')}"
