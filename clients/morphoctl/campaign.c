@@ -194,7 +194,9 @@ void campaign_progress_text(const json_t *campaign, char *text, size_t size)
   if (json_is_number(pace) && json_number_value(pace) > 0 && (size_t)n < size)
     n += snprintf(text + n, size - (size_t)n, "  %s rollouts/s", number_text(json_number_value(pace), "%.0f", speed));
   if (json_is_number(left) && (size_t)n < size)
-    snprintf(text + n, size - (size_t)n, "  %s left", duration_text(json_number_value(left), time));
+    snprintf(text + n, size - (size_t)n, "  %s %s", duration_text(json_number_value(left), time),
+             strcmp(phase, "preparing") == 0 && number_of(progress, "generation") <= 0 ? "until they are drawn"
+                                                                                       : "left");
 }
 
 void campaign_row_text(const struct campaign_row *row, char *text, size_t size)

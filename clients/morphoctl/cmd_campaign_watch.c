@@ -149,13 +149,14 @@ static int show_event(void *context, const char *type, const char *data)
 static int look_again(void *context)
 {
   struct view *view = context;
-  char before[64], line[400];
+  char before[64], reason_before[320], line[400];
   snprintf(before, sizeof(before), "%s", text_of(view->campaign.json, "phase"));
+  snprintf(reason_before, sizeof(reason_before), "%s", text_of(view->campaign.json, "reason"));
   int status = load(view);
   if (status != STATUS_OK)
     return status;
   const char *phase = text_of(view->campaign.json, "phase"), *reason = text_of(view->campaign.json, "reason");
-  if (strcmp(before, phase) != 0 && *reason != 0) {
+  if (*reason != 0 && (strcmp(before, phase) != 0 || strcmp(reason_before, reason) != 0)) {
     snprintf(line, sizeof(line), "%s: %.300s", phase, reason);
     screen_event(&view->screen, view->ctl, NULL, line);
   }

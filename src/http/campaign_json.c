@@ -17,7 +17,7 @@ enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *statu
 static void write_reason(struct mo_text *text, const struct mo_campaign_status *status,
                          const struct mo_campaign_live *live)
 {
-  if (live->phase == MO_CAMPAIGN_WAIT && !mo_job_state_is_final(status->job.state))
+  if (live->reason[0] != '\0' && !mo_job_state_is_final(status->job.state))
     mo_text_member(text, "reason", live->reason);
   else if (mo_job_lacks_device(&status->job))
     mo_text_member(text, "reason", status->job.error_text);

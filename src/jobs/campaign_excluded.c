@@ -1,24 +1,39 @@
 /* campaign_excluded.c: the bodies that a campaign's controller was pretrained on, which count as seen.
  *
  * The bodies of every pretraining of the controller's lineage (campaign_lineage.c) are drawn again into one set, on as many threads as there
- * are workers, 16 at most, and with their niceness. The set is const once it is made, and campaigns with the same lineage and workspace share it: the first one makes it, the
- * others wait. */
+ * are workers, 16 at most, and with their niceness. The set is const once it is made, and campaigns with the same lineage and workspace
+ * share it. It is drawn by a thread of its own, which belongs to none of them: the first one starts it, whoever comes meanwhile waits for
+ * it, too, and who is paused or cancelled leaves the others to it. The last one to leave ends it. */
+#include <inttypes.h>
 #include <stdlib.h>
 
 #include "base/thread.h"
 #include "jobs/campaign_run.h"
 
-#define WAIT_MS     50
+#define WAIT_MS_MAX 50
 #define THREADS_MAX 16
 
-enum state { MAKING = 0, READY, FAILED /* its maker gave up: nobody finds it any more */ };
+enum state { MAKING = 0, READY, FAILED /* nobody finds it any more */ };
 
 struct mo_exclusion {
+  struct mo_jobs *jobs;
   struct mo_workspace workspace;
   struct mo_lineage lineage;
+  uint64_t n_bodies; /* of all parts */
+  int64_t first;     /* the campaign that started the drawing */
+  int64_t begin_us;
   struct mo_form_set *forms;
-  enum state state;
+  pthread_t thread;
+  bool has_thread;
+  volatile int cancel;
+  volatile uint64_t n_drawn; /* of the part under way */
+  /* Under the mutex. */
   uint32_t users;
+  int64_t
+      drawer; /* the campaign that the others say they wait for; 0: it has left, the next that looks takes its place */
+  uint64_t n_before; /* bodies of the parts that are drawn */
+  enum state state;
+  int error; /* FAILED */
   struct mo_exclusion *next;
 };
 
@@ -26,6 +41,53 @@ const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusio
 {
   return exclusion != NULL ? exclusion->forms : NULL;
 }
+
+/* ---- drawing ---- */
+
+static void end_part(struct mo_exclusion *exclusion, uint64_t n_bodies)
+{
+  pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
+  exclusion->n_before += n_bodies;
+  __atomic_store_n(&exclusion->n_drawn, 0, __ATOMIC_RELAXED);
+  pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
+}
+
+static void draw(struct mo_exclusion *exclusion, uint32_t n_threads, const volatile int *cancel)
+{
+  int error = mo_form_set_create(exclusion->workspace, &exclusion->forms);
+  for (uint32_t i = 0; i < exclusion->lineage.n_parts && error == MO_OK; i++) {
+    const struct mo_lineage_part *part = &exclusion->lineage.parts[i];
+    error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace, n_threads, cancel,
+                                 &exclusion->n_drawn, exclusion->forms);
+    if (error == MO_OK)
+      end_part(exclusion, part->n_bodies);
+  }
+  pthread_mutex_lock(&exclusion->jobs->exclusions_mutex);
+  exclusion->state = error == MO_OK ? READY : FAILED;
+  exclusion->error = error;
+  pthread_mutex_unlock(&exclusion->jobs->exclusions_mutex);
+}
+
+static void *draw_nicely(void *context)
+{
+  struct mo_exclusion *exclusion = context;
+  struct mo_compute_stats stats;
+  mo_thread_tag = exclusion->first; /* a fault is that one's, even after it has left */
+  mo_compute_get_stats(exclusion->jobs->compute, &stats);
+  mo_compute_settle(exclusion->jobs->compute);
+  draw(exclusion, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX, &exclusion->cancel);
+  return NULL;
+}
+
+/* Without a thread alone on the campaign's own, with its niceness: when that one has to go, the others begin anew. */
+static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
+{
+  exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw_nicely, exclusion) == 0;
+  if (!exclusion->has_thread)
+    draw(exclusion, 1, &run->attempt.runner->interrupt);
+}
+
+/* ---- the sets ---- */
 
 static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
 {
@@ -39,163 +101,135 @@ static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
   return true;
 }
 
-static void free_exclusion(struct mo_exclusion *exclusion)
+/* The set of that lineage, with one user more, or a new one put into the list, which is to be begun (*is_new). NULL: no memory. */
+static struct mo_exclusion *find_or_add(struct mo_campaign_run *run, const struct mo_lineage *lineage, bool *is_new)
 {
+  struct mo_jobs *jobs = run->jobs;
+  struct mo_exclusion *made = calloc(1, sizeof(*made)), *found;
+  if (made == NULL)
+    return NULL;
+  *made = (struct mo_exclusion){.jobs = jobs,
+                                .workspace = run->status.record.settings.workspace,
+                                .lineage = *lineage,
+                                .first = run->id,
+                                .drawer = run->id,
+                                .begin_us = mo_jobs_clock_us()};
+  for (uint32_t i = 0; i < lineage->n_parts; i++)
+    made->n_bodies += lineage->parts[i].n_bodies;
+  pthread_mutex_lock(&jobs->exclusions_mutex);
+  for (found = jobs->exclusions; found != NULL; found = found->next)
+    if (is_same(found, made))
+      break;
+  *is_new = found == NULL;
+  if (found == NULL) {
+    found = made;
+    made->next = jobs->exclusions;
+    jobs->exclusions = made;
+  }
+  found->users++;
+  pthread_mutex_unlock(&jobs->exclusions_mutex);
+  if (found != made)
+    free(made);
+  return found;
+}
+
+/* Under the mutex. */
+static void take_out(struct mo_jobs *jobs, const struct mo_exclusion *exclusion)
+{
+  struct mo_exclusion **link = &jobs->exclusions;
+  while (*link != exclusion)
+    link = &(*link)->next;
+  *link = exclusion->next;
+}
+
+void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
+{
+  struct mo_jobs *jobs = run->jobs;
+  bool is_last;
+  if (exclusion == NULL)
+    return;
+  pthread_mutex_lock(&jobs->exclusions_mutex);
+  if (exclusion->drawer == run->id)
+    exclusion->drawer = 0;
+  is_last = --exclusion->users == 0;
+  if (is_last)
+    take_out(jobs, exclusion);
+  pthread_mutex_unlock(&jobs->exclusions_mutex);
+  if (!is_last)
+    return;
+  __atomic_store_n(&exclusion->cancel, 1, __ATOMIC_RELAXED);
+  if (exclusion->has_thread)
+    pthread_join(exclusion->thread, NULL);
   mo_form_set_free(exclusion->forms);
   free(exclusion);
 }
 
-/* Takes out of the list what nobody uses. Under the mutex. */
-static void drop(struct mo_jobs *jobs, struct mo_exclusion *exclusion)
+/* ---- waiting ---- */
+
+/* 1: it is still drawn, as far as *drawing says; MO_OK: it is ready; or why it will not be. */
+static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion, struct mo_campaign_drawing *drawing)
 {
-  struct mo_exclusion **link = &jobs->exclusions;
-  if (--exclusion->users > 0)
-    return;
-  while (*link != exclusion)
-    link = &(*link)->next;
-  *link = exclusion->next;
-  free_exclusion(exclusion);
+  const double passed_s = (double)(mo_jobs_clock_us() - exclusion->begin_us) * 1e-6;
+  int status;
+  pthread_mutex_lock(&run->jobs->exclusions_mutex);
+  if (exclusion->drawer == 0)
+    exclusion->drawer = run->id;
+  *drawing =
+      (struct mo_campaign_drawing){.done = exclusion->n_before + __atomic_load_n(&exclusion->n_drawn, __ATOMIC_RELAXED),
+                                   .total = exclusion->n_bodies,
+                                   .seconds_left = -1,
+                                   .drawer = exclusion->drawer};
+  status = exclusion->state == MAKING ? 1 : exclusion->error;
+  pthread_mutex_unlock(&run->jobs->exclusions_mutex);
+  if (drawing->done >
+      0) /* a body takes as long as another: from a second to a minute the rate changes by some per cent */
+    drawing->seconds_left = passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
+  return status;
 }
 
-void mo_exclusion_release(struct mo_jobs *jobs, struct mo_exclusion *exclusion)
-{
-  if (exclusion == NULL)
-    return;
-  pthread_mutex_lock(&jobs->exclusions_mutex);
-  drop(jobs, exclusion);
-  pthread_mutex_unlock(&jobs->exclusions_mutex);
-}
-
-struct drawing {
-  struct mo_campaign_run *run;
-  const struct mo_lineage_part *part;
-  struct mo_exclusion *made;
-  uint32_t n_threads;
-  int error;
-};
-
-static void draw(struct drawing *drawing)
-{
-  struct mo_runner *runner = drawing->run->attempt.runner;
-  drawing->error =
-      mo_pretraining_forms(drawing->part->seed, drawing->part->n_bodies, drawing->made->workspace, drawing->n_threads,
-                           &runner->interrupt, &runner->replayed, drawing->made->forms);
-}
-
-static void *draw_nicely(void *context)
-{
-  struct drawing *drawing = context;
-  mo_thread_tag = drawing->run->id;
-  mo_compute_settle(drawing->run->jobs->compute);
-  draw(drawing);
-  return NULL;
-}
-
-/* On a thread of its own, because niceness is not for coming back from; without one, alone on this one. */
-static int draw_part(struct mo_campaign_run *run, const struct mo_lineage_part *part, struct mo_exclusion *made)
-{
-  struct drawing drawing = {.run = run, .part = part, .made = made};
-  struct mo_compute_stats stats;
-  pthread_t thread;
-  mo_compute_get_stats(run->jobs->compute, &stats);
-  drawing.n_threads = stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX;
-  if (mo_thread_create(&thread, NULL, draw_nicely, &drawing) == 0) {
-    pthread_join(thread, NULL);
-  } else {
-    drawing.n_threads = 1;
-    draw(&drawing);
-  }
-  return drawing.error;
-}
-
-static int draw_forms(struct mo_campaign_run *run, struct mo_exclusion *made)
+static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
   struct mo_runner *runner = run->attempt.runner;
-  uint64_t total = 0, drawn = 0;
-  int error = mo_form_set_create(made->workspace, &made->forms);
-  for (uint32_t i = 0; i < made->lineage.n_parts; i++)
-    total += made->lineage.parts[i].n_bodies;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, total);
-  for (uint32_t i = 0; i < made->lineage.n_parts && error == MO_OK; i++) {
-    error = draw_part(run, &made->lineage.parts[i], made);
-    drawn += made->lineage.parts[i].n_bodies;
-    __atomic_store_n(&runner->replayed, 0, __ATOMIC_RELAXED);
-    mo_campaign_advance(run, drawn);
+  struct mo_campaign_drawing drawing;
+  int status;
+  for (uint32_t ms = 1; (status = look(run, exclusion, &drawing)) > 0;
+       ms = 2 * ms < WAIT_MS_MAX ? 2 * ms : WAIT_MS_MAX) {
+    if (mo_runner_is_interrupted(runner))
+      return MO_ERR_CANCELLED;
+    mo_campaign_show_drawing(run, &drawing);
+    mo_runner_sleep(runner, ms, MO_WISH_PAUSE);
   }
-  return error;
+  return status;
 }
 
-/* The set of that lineage, with one user more, or `mine` put into the list for this run to fill (*is_mine). */
-static struct mo_exclusion *find_or_add(struct mo_jobs *jobs, struct mo_exclusion *mine, bool *is_mine)
+static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage, struct mo_exclusion **joined)
 {
-  struct mo_exclusion *found;
-  pthread_mutex_lock(&jobs->exclusions_mutex);
-  for (found = jobs->exclusions; found != NULL; found = found->next)
-    if (is_same(found, mine))
-      break;
-  *is_mine = found == NULL;
-  if (found == NULL) {
-    found = mine;
-    mine->next = jobs->exclusions;
-    jobs->exclusions = mine;
-  }
-  found->users++;
-  pthread_mutex_unlock(&jobs->exclusions_mutex);
-  return found;
-}
-
-static enum state look(struct mo_jobs *jobs, const struct mo_exclusion *exclusion)
-{
-  enum state state;
-  pthread_mutex_lock(&jobs->exclusions_mutex);
-  state = exclusion->state;
-  pthread_mutex_unlock(&jobs->exclusions_mutex);
-  return state;
-}
-
-static int fill(struct mo_campaign_run *run, struct mo_exclusion *mine)
-{
-  struct mo_jobs *jobs = run->jobs;
-  int error = draw_forms(run, mine);
-  pthread_mutex_lock(&jobs->exclusions_mutex);
-  mine->state = error == MO_OK ? READY : FAILED;
-  if (error != MO_OK)
-    drop(jobs, mine);
-  pthread_mutex_unlock(&jobs->exclusions_mutex);
+  bool is_new;
+  struct mo_exclusion *exclusion = find_or_add(run, lineage, &is_new);
+  int error;
+  if (exclusion == NULL)
+    return MO_ERR_NO_MEMORY;
+  (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, exclusion->n_bodies);
+  if (is_new)
+    begin(run, exclusion);
+  error = await(run, exclusion);
+  if (error == MO_OK)
+    *joined = exclusion;
+  else
+    mo_exclusion_release(run, exclusion);
   return error;
 }
 
 int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion)
 {
-  struct mo_exclusion wanted = {.workspace = run->status.record.settings.workspace};
-  int error = mo_lineage_read(run, &wanted.lineage);
+  struct mo_lineage lineage;
+  int error = mo_lineage_read(run, &lineage);
   *exclusion = NULL;
-  while (error == MO_OK && wanted.lineage.n_parts > 0) {
-    struct mo_exclusion *mine = malloc(sizeof(*mine)), *found;
-    enum state state = MAKING;
-    bool is_mine;
-    if (mine == NULL)
-      return MO_ERR_NO_MEMORY;
-    *mine = wanted;
-    found = find_or_add(run->jobs, mine, &is_mine);
-    if (is_mine) {
-      error = fill(run, mine);
-      *exclusion = error == MO_OK ? mine : NULL;
-      return error;
-    }
-    free(mine);
-    while (state == MAKING && error == MO_OK) {
-      state = look(run->jobs, found);
-      if (state == MAKING)
-        mo_runner_sleep(run->attempt.runner, WAIT_MS, MO_WISH_PAUSE);
-      if (mo_runner_is_interrupted(run->attempt.runner))
-        error = MO_ERR_CANCELLED;
-    }
-    if (error == MO_OK && state == READY) {
-      *exclusion = found;
-      return MO_OK;
-    }
-    mo_exclusion_release(run->jobs, found);
-  }
+  if (error != MO_OK || lineage.n_parts == 0)
+    return error;
+  do
+    error = join(run, &lineage, exclusion);
+  while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
+  mo_campaign_show_drawing(run, NULL);
   return error;
 }

@@ -70,6 +70,33 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
   pthread_mutex_unlock(&runner->runners->mutex);
 }
 
+/* All generations that are to come, by the newest one; 0: not known. */
+static double generations_s(const struct mo_campaign_run *run)
+{
+  const uint32_t generations = settings_of(run)->generations;
+  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s : 0;
+}
+
+void mo_campaign_show_drawing(struct mo_campaign_run *run, const struct mo_campaign_drawing *drawing)
+{
+  struct mo_runner *runner = run->attempt.runner;
+  struct mo_campaign_live *live = &runner->live.campaign;
+  const double after_s = generations_s(run);
+  pthread_mutex_lock(&runner->runners->mutex);
+  live->done = drawing != NULL ? drawing->done : 0;
+  live->total = drawing != NULL ? drawing->total : 0;
+  live->reason[0] = '\0';
+  if (drawing == NULL)
+    live->seconds_left = after_s > 0 ? after_s : -1;
+  else
+    live->seconds_left = drawing->seconds_left < 0 ? -1 : drawing->seconds_left + after_s;
+  if (drawing != NULL && drawing->drawer != run->id)
+    snprintf(live->reason, sizeof(live->reason),
+             "campaign %lld draws the bodies again that the controller was pretrained on: this one waits for the same",
+             (long long)drawing->drawer);
+  pthread_mutex_unlock(&runner->runners->mutex);
+}
+
 void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s)
 {
   struct mo_runner *runner = run->attempt.runner;
@@ -137,7 +164,7 @@ static uint64_t *genotype(const struct mo_campaign_run *run, uint32_t place)
   return run->genotypes + run->words * place;
 }
 
-/* The largest diversity so far, and whether its fall was told. */
+/* The largest diversity so far, whether its fall was told, and how long the newest generation took. */
 static int read_history(struct mo_campaign_run *run)
 {
   struct mo_campaign_generation *rows = calloc(HISTORY_ROWS, sizeof(*rows));
@@ -153,6 +180,8 @@ static int read_history(struct mo_campaign_run *run)
         run->is_warned = false;
       }
       run->is_warned = run->is_warned || rows[i].collapse;
+      if (rows[i].generation > 0) /* the first one has no parents */
+        run->generation_s = rows[i].seconds;
     }
   }
   free(rows);
@@ -490,7 +519,7 @@ static void free_run(struct mo_campaign_run *run)
   mo_compute_controller_free(run->frozen);
   mo_controller_free(run->controller);
   mo_seen_free(run->seen);
-  mo_exclusion_release(run->jobs, run->exclusion);
+  mo_exclusion_release(run, run->exclusion);
   free(run->environments);
   free(run->genotypes);
   free(run->bits);

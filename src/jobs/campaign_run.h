@@ -38,7 +38,7 @@ struct mo_campaign_run {
   bool is_warned;       /* of a collapse, since that maximum */
   int64_t begin_us;     /* of the generation in this process */
   int64_t progress_us;  /* when progress was told last */
-  double generation_s;  /* wall time of the last generation that was seen whole; 0: none yet */
+  double generation_s;  /* wall time of the newest generation; 0: not known */
 
   /* Learning (campaign_learn.c). */
   struct mo_learner learner;
@@ -66,6 +66,14 @@ struct mo_campaign_run {
 /* ---- campaign_run.c ---- */
 int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase, uint64_t total);
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done); /* live figure of the phase */
+/* Bodies of pretrainings that are drawn again. */
+struct mo_campaign_drawing {
+  uint64_t done, total;
+  double seconds_left; /* < 0: not known yet */
+  int64_t drawer;      /* the campaign that draws them */
+};
+void mo_campaign_show_drawing(struct mo_campaign_run *run,
+                              const struct mo_campaign_drawing *drawing); /* NULL: it is over */
 void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s);
 /* JSON of "campaign.progress" once a second; else NULL. */
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done, uint64_t total,
@@ -115,9 +123,9 @@ int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
 
 /* ---- campaign_excluded.c ---- */
 /* The forms of the bodies that the campaign's controller and its ancestors were pretrained on: drawn again, or shared with another
- * campaign that has them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a wish came. */
+ * campaign that has them or draws them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a wish came. */
 int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion);
-void mo_exclusion_release(struct mo_jobs *jobs, struct mo_exclusion *exclusion); /* NULL-safe */
+void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *exclusion); /* NULL-safe */
 const struct mo_form_set *mo_exclusion_forms(const struct mo_exclusion *exclusion);
 
 #endif

@@ -18,11 +18,8 @@ int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_l
   *live = (struct mo_campaign_live){.phase = MO_CAMPAIGN_IDLE, .seconds_left = -1, .busy_s = -1};
   pthread_mutex_lock(&jobs->campaigns.mutex);
   runner = mo_runners_find(&jobs->campaigns, id);
-  if (runner != NULL) {
+  if (runner != NULL)
     *live = runner->live.campaign;
-    if (live->phase == MO_CAMPAIGN_PREPARE)
-      live->done += __atomic_load_n(&runner->replayed, __ATOMIC_RELAXED);
-  }
   pthread_mutex_unlock(&jobs->campaigns.mutex);
   if (runner != NULL)
     live->busy_s = mo_jobs_busy_s(jobs, id);

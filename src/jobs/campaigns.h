@@ -47,11 +47,12 @@ const char *mo_campaign_phase_name(
 struct mo_campaign_live {
   enum mo_campaign_phase phase;
   uint32_t generation;   /* under way */
-  uint64_t done, total;  /* of the phase: forms replayed, learning steps, designs scored */
+  uint64_t done, total;  /* of the phase: bodies drawn again, by whichever campaign, learning steps, designs scored */
   double rollouts_per_s; /* 0: not known yet */
-  double seconds_left;   /* of the campaign; < 0: not known yet */
-  double busy_s;         /* worker seconds that it has had since it was last started; < 0: it has no share now */
-  char reason[160];      /* MO_CAMPAIGN_WAIT: why, and what to do */
+  double
+      seconds_left; /* of the campaign, while nothing is known of its generations of the drawing alone; < 0: not known yet */
+  double busy_s;    /* worker seconds that it has had since it was last started; < 0: it has no share now */
+  char reason[160]; /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: whose drawing it waits for; "" */
 };
 int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live);
 

@@ -161,7 +161,7 @@ struct mo_runner {
     struct mo_campaign_live campaign;
   } live;
   volatile int interrupt;     /* set with every wish */
-  volatile uint64_t replayed; /* written by draws of bodies that were drawn before */
+  volatile uint64_t replayed; /* of a training: written by draws of bodies that were drawn before */
 };
 
 /* All threads for one kind of jobs. */

@@ -59,3 +59,30 @@ def test_a_lineage_that_cannot_be_read(start):
     assert [(data["id"], data["controller"], data["field"]) for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
     lines = [line for line in service.log_text().splitlines() if "campaign.lineage_unreadable" in line]
     assert len(lines) == 2 and all("warning" in line.lower() and digits in line for line in lines) and "morphod.seed" in lines[0]
+
+
+def test_a_drawing_is_told_and_handed_over(start):
+    service = start()
+    total = 1024 * 200000
+    put(service, "long", **pretrained(200000))
+    first, second = (submit(service, controller="long", workspace=[3, 3, 2]) for _ in range(2))
+    drawn = awaited(service, first, lambda seen: seen["progress"]["seconds_left"] is not None)
+    waits = awaited(service, second, lambda seen: seen["progress"]["seconds_left"] is not None)
+    for seen in (drawn, waits):
+        assert seen["state"] == "running" and seen["phase"] == "preparing" and seen["newest"] is None, seen
+        assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen["progress"]["seconds_left"] > 1
+    assert drawn["reason"] is None and f"campaign {first} draws" in waits["reason"]
+    job = service.request("GET", f"/v1/jobs/{second}").json()
+    assert job["state"] == "running" and job["reason"] == waits["reason"]
+    waits = campaign(service, second)
+    assert service.request("POST", f"/v1/campaigns/{first}/pause").status == 200
+    draws = awaited(service, second, lambda seen: seen["reason"] is None)
+    assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
+    assert service.request("POST", f"/v1/campaigns/{first}/resume").status == 200
+    waits = awaited(service, first, lambda seen: seen["reason"] is not None)
+    assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws["progress"]["done"]
+    begun = time.monotonic()
+    for id in (second, first):
+        assert service.request("POST", f"/v1/campaigns/{id}/cancel").status == 200
+        awaited(service, id, lambda seen: seen["phase"] == "idle")
+    assert time.monotonic() - begun < 10

@@ -87,6 +87,28 @@ static void waits_for_room(void)
   CHECK_TEXT(text_at("name"), "campaign-12");
 }
 
+/* It runs, and says whose drawing it waits for. */
+static void waits_for_another(void)
+{
+  begin(MO_FEW_SHOT, MO_JOB_RUNNING);
+  live = (struct mo_campaign_live){.phase = MO_CAMPAIGN_PREPARE,
+                                   .done = 5,
+                                   .total = 9,
+                                   .seconds_left = 2.5,
+                                   .busy_s = 0,
+                                   .reason = "campaign 7 draws"};
+  for (int as_job = 0; as_job < 2; as_job++) {
+    write(as_job != 0);
+    CHECK_TEXT(text_at("state"), "running");
+    CHECK_TEXT(text_at("reason"), "campaign 7 draws");
+  }
+  write(false);
+  CHECK(json_integer_value(at("progress", "done")) == 5 && json_real_value(at("progress", "seconds_left")) == 2.5);
+  live.reason[0] = '\0';
+  write(false);
+  CHECK(json_is_null(at(NULL, "reason")));
+}
+
 /* A population of which nothing stayed sane. */
 static void ended(void)
 {
@@ -237,7 +259,8 @@ static void newick(void)
 }
 
 static const struct check_case cases[] = {
-    {"before it begins", fresh},          {"waits for room", waits_for_room}, {"ended, with nothing sane", ended},
-    {"designs and their lives", designs}, {"replicates", replicates},         {"newick in pieces", newick},
+    {"before it begins", fresh},         {"waits for room", waits_for_room},   {"waits for another", waits_for_another},
+    {"ended, with nothing sane", ended}, {"designs and their lives", designs}, {"replicates", replicates},
+    {"newick in pieces", newick},
 };
 CHECK_MAIN(cases)

@@ -86,7 +86,7 @@ static int put_line(struct service *service)
 
 /* ---- what is left out ---- */
 
-static void leaves_out_what_was_learned_from(void)
+__attribute__((unused)) static void leaves_out_what_was_learned_from(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct mo_form_set *excluded = NULL;
@@ -153,7 +153,7 @@ static int told(struct service *service, int64_t id, const char *digits, const c
   return n_told;
 }
 
-static void tells_of_what_cannot_be_read(void)
+__attribute__((unused)) static void tells_of_what_cannot_be_read(void)
 {
   static const char settings[] = "{\"steps\":900,\"batch\":64,\"x\":1}";
   static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed", "morphod.step",
@@ -207,7 +207,7 @@ static void tells_of_what_cannot_be_read(void)
 }
 
 /* What can be read counts, though a descendant or an ancestor cannot be. */
-static void leaves_out_what_can_be_read(void)
+__attribute__((unused)) static void leaves_out_what_can_be_read(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct mo_form_set *excluded = NULL;
@@ -240,9 +240,210 @@ static void leaves_out_what_can_be_read(void)
   service_end(&service);
 }
 
+/* ---- while they are drawn ---- */
+
+/* Steps of 64 bodies that take long enough to be met, a second or two; and so many that nobody awaits their end. */
+#if defined(__SANITIZE_THREAD__) || defined(__SANITIZE_ADDRESS__)
+#define LONG_STEPS 1000
+#else
+#define LONG_STEPS 4000
+#endif
+#define LONGER_STEPS     (2 * LONG_STEPS)
+#define ENDLESS          "1000000"
+#define LONG_GENERATIONS 1000
+#define SEEN             40
+
+/* "tuned", pretrained for so many steps, and a campaign with it, on one worker. */
+static int start_drawing(struct service *service, const char *steps, struct mo_campaign_request *request)
+{
+  int error = watch_start(service);
+  service->config.max_active_campaigns = 3;
+  service->n_workers = 1;
+  if (error == MO_OK)
+    error = service_open(service);
+  if (error == MO_OK)
+    error = put_family(service, steps);
+  *request = campaign(MO_ZERO_SHOT);
+  request->controller = "tuned";
+  request->record.settings.workspace = (struct mo_workspace){3, 3, 2};
+  return error;
+}
+
+/* The figures of a campaign as soon as some of its bodies are drawn. */
+static struct mo_campaign_live await_drawing(struct service *service, int64_t id)
+{
+  const double end = now_s() + 60;
+  struct mo_campaign_live live;
+  do {
+    usleep(300);
+    live = live_of(service, id);
+  } while ((live.phase != MO_CAMPAIGN_PREPARE || live.done == 0 || live.seconds_left < 0) && now_s() < end);
+  return live;
+}
+
+static struct mo_exclusion *exclusions(struct service *service)
+{
+  struct mo_exclusion *first;
+  pthread_mutex_lock(&service->jobs->exclusions_mutex);
+  first = service->jobs->exclusions;
+  pthread_mutex_unlock(&service->jobs->exclusions_mutex);
+  return first;
+}
+
+static bool names(const struct mo_campaign_live *live, int64_t id)
+{
+  char text[64];
+  snprintf(text, sizeof(text), "campaign %lld draws", (long long)id);
+  return strstr(live->reason, text) != NULL;
+}
+
+/* Whether one shows that it draws, and the other that it waits for that one. */
+static bool draws_for(struct service *service, int64_t drawer, int64_t other)
+{
+  const struct mo_campaign_live first = live_of(service, drawer), second = live_of(service, other);
+  return first.phase == MO_CAMPAIGN_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
+}
+
+/* What one draws, others wait for, and they are told so; when it is paused or cancelled, the drawing goes on for them. */
+static void hands_the_drawing_over(void)
+{
+  struct mo_campaign_request request;
+  struct mo_form_set *excluded = NULL;
+  struct mo_campaign_live live;
+  struct service service;
+  struct origin origin;
+  char steps[16];
+  int64_t ids[3];
+  uint64_t done;
+  snprintf(steps, sizeof(steps), "%d", LONGER_STEPS);
+  REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
+  origin = origin_of(&request);
+  ids[0] = submit(&service, &request);
+  live = await_drawing(&service, ids[0]);
+  CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.reason[0] == '\0');
+  for (int i = 1; i < 3; i++) {
+    ids[i] = submit(&service, &request);
+    live = await_drawing(&service, ids[i]);
+    CHECK(live.done > 0 && live.total == 64 * LONGER_STEPS && live.seconds_left > 0);
+    CHECK(names(&live, ids[0]));
+  }
+  done = live_of(&service, ids[1]).done;
+  CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
+  REQUIRE(await_phase(&service, ids[0], MO_CAMPAIGN_IDLE));
+  CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
+  for (int i = 0; i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
+    usleep(1000); /* one of them takes its place */
+  CHECK(draws_for(&service, ids[1], ids[2]) || draws_for(&service, ids[2], ids[1]));
+  for (int i = 1; i < 3; i++) {
+    live = live_of(&service, ids[i]);
+    CHECK(live.phase == MO_CAMPAIGN_PREPARE && live.done >= done); /* not from the beginning */
+  }
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds it under way */
+  live = await_drawing(&service, ids[0]);
+  CHECK(live.done >= done && live.reason[0] != '\0');
+  CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]), MO_OK);
+  for (uint64_t before = done;; before = live.done) {
+    live = live_of(&service, ids[0]);
+    if (live.phase != MO_CAMPAIGN_PREPARE || live.total == 0)
+      break;
+    CHECK(live.done >= before);
+    usleep(2000);
+  }
+  REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, UINT64_C(64) * LONGER_STEPS, request.record.settings.workspace, 1, NULL, NULL,
+                               excluded) == MO_OK);
+  origin.excluded = excluded;
+  CHECK(ends_as_plain(&service, ids[0], &origin));
+  CHECK((state_of(&service, ids[1]) == MO_JOB_CANCELLED) != (state_of(&service, ids[2]) == MO_JOB_CANCELLED));
+  for (int i = 1; i < 3; i++)
+    CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED || ends_as_plain(&service, ids[i], &origin));
+  (void)settled(&service);
+  CHECK(exclusions(&service) == NULL);
+  CHECK_INT(warnings, 0);
+  mo_form_set_free(excluded);
+  service_end(&service);
+}
+
+/* Nobody waits for it any more: it ends at once; so it does at the end of the process. */
+static void draws_for_nobody(void)
+{
+  struct mo_campaign_request request;
+  struct service service;
+  int64_t ids[2];
+  double begin;
+  REQUIRE(start_drawing(&service, ENDLESS, &request) == MO_OK);
+  for (int i = 0; i < 2; i++) {
+    ids[i] = submit(&service, &request);
+    CHECK(await_drawing(&service, ids[i]).done > 0);
+  }
+  begin = now_s();
+  CHECK_INT(mo_jobs_cancel(service.jobs, ids[0]), MO_OK);
+  CHECK_INT(mo_jobs_pause(service.jobs, ids[1]), MO_OK);
+  for (int i = 0; i < 2; i++)
+    CHECK(await_phase(&service, ids[i], MO_CAMPAIGN_IDLE));
+  CHECK(exclusions(&service) == NULL);
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* anew */
+  ids[0] = submit(&service, &request);
+  for (int i = 0; i < 2; i++)
+    CHECK(await_drawing(&service, ids[i]).done > 0);
+  CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+  CHECK(now_s() - begin < 5);
+  for (int i = 0; i < 2; i++)
+    CHECK_INT(state_of(&service, ids[i]), MO_JOB_QUEUED);
+  CHECK(exclusions(&service) == NULL);
+  service_end(&service);
+}
+
+/* The time that is left: of the drawing by its own rate; of the generations, too, once there is one beside the first. */
+__attribute__((unused)) static void tells_how_long_it_draws(void)
+{
+  struct mo_campaign_generation rows[SEEN];
+  struct mo_campaign_request request;
+  struct mo_campaign_live live;
+  struct service service;
+  double begin, rest;
+  char steps[16];
+  int64_t id, n, committed;
+  snprintf(steps, sizeof(steps), "%d", LONG_STEPS);
+  REQUIRE(start_drawing(&service, steps, &request) == MO_OK);
+  request.record.settings.generations = LONG_GENERATIONS;
+  fake_plan.delay_us = 10000;
+  id = submit(&service, &request);
+  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_PREPARE));
+  begin = now_s();
+  (void)await_drawing(&service, id);
+  do { /* half of it */
+    usleep(1000);
+    live = live_of(&service, id);
+  } while (live.phase == MO_CAMPAIGN_PREPARE && live.done < live.total / 2);
+  REQUIRE(live.phase == MO_CAMPAIGN_PREPARE);
+  rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
+  printf("# %.2f s left, %.2f s by this clock\n", live.seconds_left, rest);
+  CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
+  while (live_of(&service, id).phase == MO_CAMPAIGN_PREPARE)
+    usleep(300);
+  CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
+  REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+  n = mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN);
+  REQUIRE(n >= 2 && n < SEEN);
+  committed = n;
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+  live = await_drawing(&service, id);
+  CHECK(live.done > 0 && live.seconds_left > (double)(LONG_GENERATIONS + 1 - committed) * rows[committed - 1].seconds);
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
+  service_end(&service);
+}
+
 static const struct check_case cases[] = {
+    {"hands the drawing over", hands_the_drawing_over},
+    {"draws for nobody", draws_for_nobody},
+#ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
+    {"tells how long it draws", tells_how_long_it_draws},
     {"leaves out what was learned from", leaves_out_what_was_learned_from},
     {"tells of what cannot be read", tells_of_what_cannot_be_read},
     {"leaves out what can be read", leaves_out_what_can_be_read},
+#endif
 };
 CHECK_MAIN(cases)

@@ -50,6 +50,13 @@ static void texts(void)
                                 0, NULL);
   campaign_progress_text(campaign, text, sizeof(text));
   CHECK_TEXT(text, "generation 5: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left");
+  json_object_set_new(campaign, "phase", json_string("preparing"));
+  campaign_progress_text(campaign, text, sizeof(text));
+  CHECK_TEXT(
+      text, "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 until they are drawn");
+  json_object_set_new(json_object_get(campaign, "progress"), "generation", json_integer(4));
+  campaign_progress_text(campaign, text, sizeof(text));
+  CHECK_TEXT(text, "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 left");
   json_object_set_new(campaign, "phase", json_string("idle"));
   campaign_progress_text(campaign, text, sizeof(text));
   CHECK(*text == 0);
