@@ -128,7 +128,7 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
   count_survivors(run, row);
   count_rollouts(run, row);
   watch_diversity(run, row);
-  row->seconds = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  row->seconds = run->prepared_s + (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
   return MO_OK;
 }
 
@@ -261,7 +261,7 @@ static int copy(struct mo_campaign_run *run, struct mo_campaign_writing *writing
   if (error != MO_OK)
     return error;
   const struct mo_campaign_generation *row = &writing->commit.row;
-  run->generation_s = row->seconds;
+  run->generation_s = row->seconds - run->prepared_s;
   mo_campaign_advance(run, 0);
   tell_generation(run, row, writing->generation_data);
   if (row->collapse) {

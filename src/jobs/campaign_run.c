@@ -180,7 +180,7 @@ static int read_history(struct mo_campaign_run *run)
         run->is_warned = false;
       }
       run->is_warned = run->is_warned || rows[i].collapse;
-      if (rows[i].generation > 0) /* the first one has no parents */
+      if (rows[i].generation > 0) /* the first one's has what came before it, too */
         run->generation_s = rows[i].seconds;
     }
   }
@@ -394,6 +394,7 @@ static int succeed(struct mo_campaign_run *run)
   run->n_designs += run->n_children;
   run->n_parents = run->n_survivors;
   run->n_children = 0;
+  run->prepared_s = 0;
   run->generation++;
   mo_campaign_free_scores(run);
   return error;
@@ -547,6 +548,8 @@ static bool run_campaign(struct mo_runner *runner, int64_t id)
   run->id = id;
   run->begin_us = run->progress_us = mo_jobs_clock_us();
   error = prepare(run);
+  if (run->generation == 0)
+    run->prepared_s = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
   if (error == MO_OK)
     error = evolve(run);
   mo_campaign_writing_join(run); /* it may forgive the attempts before this one */

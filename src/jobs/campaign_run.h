@@ -37,8 +37,9 @@ struct mo_campaign_run {
   double diversity_max; /* so far */
   bool is_warned;       /* of a collapse, since that maximum */
   int64_t begin_us;     /* of the generation in this process */
+  double prepared_s;    /* wall time of what came before generation 0, which counts to it; 0 for others */
   int64_t progress_us;  /* when progress was told last */
-  double generation_s;  /* wall time of the newest generation; 0: not known */
+  double generation_s;  /* wall time of the newest generation, without what came before generation 0; 0: not known */
 
   /* Learning (campaign_learn.c). */
   struct mo_learner learner;

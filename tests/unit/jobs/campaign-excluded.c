@@ -400,8 +400,9 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   struct mo_campaign_generation rows[SEEN];
   struct mo_campaign_request request;
   struct mo_campaign_live live;
+  struct mo_event events[80];
   struct service service;
-  double begin, rest;
+  double begin, drawing_s, rest;
   char steps[16];
   int64_t id, n, committed;
   snprintf(steps, sizeof(steps), "%d", LONG_STEPS);
@@ -422,6 +423,7 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
   while (live_of(&service, id).phase == MO_CAMPAIGN_PREPARE)
     usleep(300);
+  drawing_s = now_s() - begin;
   CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
   REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
@@ -429,10 +431,22 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   n = mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN);
   REQUIRE(n >= 2 && n < SEEN);
   committed = n;
+  CHECK(rows[0].seconds > drawing_s && rows[0].seconds < drawing_s + 20 * rows[1].seconds);
+  CHECK(rows[1].seconds < drawing_s);
+  /* What the first generation's event says of the rest does not count the drawing again. */
+  n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
+  for (int64_t i = 0; i < n; i++)
+    if (strcmp(events[i].type, "campaign.generation") == 0 && strstr(events[i].data, "\"generation\":0,") != NULL)
+      CHECK(strtod(strstr(events[i].data, "seconds_left\":") + 14, NULL) <
+            LONG_GENERATIONS * (rows[0].seconds - 0.9 * drawing_s));
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   live = await_drawing(&service, id);
   CHECK(live.done > 0 && live.seconds_left > (double)(LONG_GENERATIONS + 1 - committed) * rows[committed - 1].seconds);
+  REQUIRE(await_place(&service, id, (uint32_t)committed + 2,
+                      MO_CAMPAIGN_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
+  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN) > committed);
+  CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */
   service_end(&service);
 }
 
