@@ -397,7 +397,7 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
 
 int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256, char **json)
 {
-  static const char sql[] = "SELECT metadata FROM controllers WHERE sha256=?1";
+  static const char sql[] = "SELECT " MO_JSON_COLUMN("controllers", "metadata") " FROM controllers WHERE sha256=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);

@@ -18,10 +18,10 @@ static int range(struct mo_connection *reader, int64_t *oldest, int64_t *newest)
 static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t job, struct mo_event *events,
                            size_t limit)
 {
-  static const char all_sql[] =
-      "SELECT sequence,time_us,job,type,data FROM events WHERE sequence>?1 ORDER BY sequence LIMIT ?2";
-  static const char job_sql[] =
-      "SELECT sequence,time_us,job,type,data FROM events WHERE job=?3 AND sequence>?1 ORDER BY sequence LIMIT ?2";
+  static const char all_sql[] = "SELECT sequence,time_us,job,type," MO_JSON_COLUMN(
+      "events", "data") " FROM events WHERE sequence>?1 ORDER BY sequence LIMIT ?2";
+  static const char job_sql[] = "SELECT sequence,time_us,job,type," MO_JSON_COLUMN(
+      "events", "data") " FROM events WHERE job=?3 AND sequence>?1 ORDER BY sequence LIMIT ?2";
   int error = MO_OK;
   int64_t n = 0;
   int step;

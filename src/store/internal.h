@@ -144,6 +144,12 @@ bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
 
 /* ---- shared queries ---- */
 
+/* A column with the text of a JSON object, which goes into replies as it is: if it is none, one that says so in its place. */
+#define MO_JSON_COLUMN(table, column)                                                                                  \
+  "CASE WHEN NOT json_valid(" column ") THEN json_object('unreadable','" table "." column " is not JSON')"             \
+  " WHEN json_type(" column ")<>'object' THEN json_object('unreadable','" table "." column " is no object')"           \
+  " ELSE " column " END"
+
 #define MO_JOB_COLUMNS                                                                                                 \
   "j.id,j.version,j.kind,j.state,j.priority,j.label,j.created_us,j.started_us,j.finished_us,j.attempts,j.error,"       \
   "j.error_text,e.controller_name,c.sha256,s.name,e.n_environments,e.n_designs,p.encoding,e.verify,e.record,"          \

@@ -1,5 +1,6 @@
 """Rows that cannot be read: the lists serve all others and name these, each says so itself, the log has the reason, and nothing stops."""
 
+import contextlib
 import json
 import re
 import sqlite3
@@ -181,3 +182,26 @@ def test_work_that_cannot_be_read(start, tmp_path):
         reply = service.request("GET", f"/v1/campaigns/11/{path}")
         assert reply.status == 500 and "campaigns.settings" in reply.json()["detail"], reply.body
     assert service.request("GET", "/v1/evaluations/1/trajectories/0").status == 500
+
+
+def test_json_that_is_none(start, tmp_path):
+    """Texts that go into replies as they are stored: replies stay JSON, and say what was not."""
+    first = start(state=tmp_path)
+    assert first.evaluate({"designs": [DESIGN], "physics": SHORT}).status == 200
+    first.stop()
+    damage(tmp_path, "UPDATE events SET data = '{\"id\":' WHERE sequence % 2 = 1; UPDATE events SET data = '7' WHERE sequence = 2; "
+                     "UPDATE controllers SET metadata = '}'")
+    service = start(state=tmp_path)
+    events = service.request("GET", "/v1/events?format=json&after=0").json()["items"]
+    assert len(events) > 3 and events[0]["data"] == {"unreadable": "events.data is not JSON"}
+    assert events[1]["data"] == {"unreadable": "events.data is no object"} and "unreadable" not in events[3]["data"]
+    with contextlib.closing(service.connection()) as connection:
+        connection.request("GET", "/v1/events?after=0", headers={"Accept": "text/event-stream"})
+        lines = (line.decode() for line in connection.getresponse())
+        data = json.loads(next(line for line in lines if line.startswith("data: "))[len("data: "):])
+    assert data["data"] == events[0]["data"]
+    for path in ("/v1/controllers", "/v1/controllers/default"):
+        reply = service.request("GET", path, headers={"Accept": "application/json"}).json()
+        for one in reply.get("items", [reply]):
+            assert one["metadata"] == {"unreadable": "controllers.metadata is not JSON"}
+    assert service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["state"] == "succeeded"
