@@ -3,12 +3,14 @@
  *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
  *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory; robots that
  *                                                    diverge or whose adjoints do, calls that are cancelled
+ *   cuda-gradient alone [WORKERS]                    robots whose adjoints begin anew, each alone, against float64 under the same weight
+ *                                                    and under another
  *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
  *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
- * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound. Robots are distinct
- * random bodies, each in a training environment; 1000 steps, bound 2. One line per measurement; exit status 1 if a bound is missed, 77 without
- * a device. */
+ * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound, with the usual weight
+ * ("restart=2:" with 2). Robots are distinct random bodies, each in a training environment; 1000 steps, bound 2. One line per measurement; exit
+ * status 1 if a bound is missed, 77 without a device. */
 #include "compute/cuda/gradient.h"
 
 #include <math.h>
@@ -100,13 +102,18 @@ static void drop_scene(struct scene *s)
 
 static const char *after_rule(const char *weights)
 {
-  static const char restart[] = "restart:";
-  return strncmp(weights, restart, sizeof(restart) - 1) == 0 ? weights + sizeof(restart) - 1 : weights;
+  const char *const colon = strchr(weights, ':');
+  return colon != NULL && strncmp(weights, "restart", 7) == 0 ? colon + 1 : weights;
 }
 
-static enum mo_adjoint_rule rule_of(const char *weights)
+static struct mo_gradient_options options_of(const char *weights)
 {
-  return after_rule(weights) == weights ? MO_ADJOINT_CLIP : MO_ADJOINT_RESTART;
+  struct mo_gradient_options options = mo_default_gradient_options();
+  if (after_rule(weights) != weights)
+    options.adjoint_rule = MO_ADJOINT_RESTART;
+  if (strncmp(weights, "restart=", 8) == 0)
+    options.restart_weight = strtod(weights + 8, NULL);
+  return options;
 }
 
 static struct mo_controller *weights_of(const char *weights)
@@ -131,7 +138,7 @@ static struct mo_controller *weights_of(const char *weights)
 struct reference {
   struct scene scene;
   const struct mo_controller *controller;
-  enum mo_adjoint_rule rule;
+  struct mo_gradient_options options;
   struct mo_gradient_counts counts[BLOCKS];
   double *sums[BLOCKS];
   struct mo_outcome outcomes[LIKE];
@@ -143,7 +150,6 @@ static void *reference_work(void *context)
 {
   struct reference *r = context;
   const struct mo_physics physics = mo_default_physics();
-  const struct mo_gradient_options options = {MO_ADJOINT_BOUND, 1.0 / LIKE, r->rule, MO_RESTART_WEIGHT};
   for (;;) {
     pthread_mutex_lock(&r->lock);
     const uint32_t block = r->next++;
@@ -151,7 +157,7 @@ static void *reference_work(void *context)
     if (block >= BLOCKS)
       return NULL;
     for (uint32_t i = block; i < LIKE; i += BLOCKS)
-      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i], &physics, &options,
+      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i], &physics, &r->options,
                                  &r->outcomes[i], r->sums[block], &r->counts[block]),
            "reference");
   }
@@ -164,7 +170,8 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
   pthread_t threads[WORKERS_MAX];
   make_scene(&r.scene, LIKE);
   r.controller = controller;
-  r.rule = rule_of(weights);
+  r.options = options_of(weights);
+  r.options.weight = 1.0 / LIKE;
   for (int i = 0; i < BLOCKS; i++)
     r.sums[i] = must_have(calloc(controller->n_parameters, sizeof(double)));
   workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
@@ -197,7 +204,7 @@ struct result {
 };
 
 static void run_with(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
-                     uint32_t n, const struct mo_physics *physics, double bound, enum mo_adjoint_rule rule,
+                     uint32_t n, const struct mo_physics *physics, const struct mo_gradient_options *options,
                      uint64_t memory_bytes)
 {
   const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
@@ -205,9 +212,9 @@ static void run_with(struct result *r, const struct mo_controller *controller, c
                                 .robots = s->robots + first,
                                 .n = n,
                                 .physics = *physics,
-                                .adjoint_bound = bound,
-                                .adjoint_rule = rule,
-                                .restart_weight = MO_RESTART_WEIGHT,
+                                .adjoint_bound = options->adjoint_bound,
+                                .adjoint_rule = options->adjoint_rule,
+                                .restart_weight = options->restart_weight,
                                 .weight = 1.0 / n,
                                 .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
                                 .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
@@ -228,8 +235,9 @@ static void run(struct result *r, const struct mo_controller *controller, const 
                 uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
 {
   struct mo_physics physics = mo_default_physics();
+  const struct mo_gradient_options options = mo_default_gradient_options();
   physics.n_steps = n_steps;
-  run_with(r, controller, s, first, n, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, memory_bytes);
+  run_with(r, controller, s, first, n, &physics, &options, memory_bytes);
 }
 
 static void drop(struct result *r)
@@ -243,6 +251,23 @@ static void print_counts(const char *name, const struct mo_gradient_counts *c)
   printf("  %s: %llu steps, clipped %llu in %llu robots, zeroed %llu, diverged %llu, largest m %.3g\n", name,
          (unsigned long long)c->steps, (unsigned long long)c->clipped_steps, (unsigned long long)c->clipped_robots,
          (unsigned long long)c->zeroed_robots, (unsigned long long)c->diverged_robots, c->largest);
+}
+
+struct likeness {
+  double cosine, error, norm, norm_reference; /* error: relative */
+};
+
+static struct likeness likeness_of(const float *device, const double *reference, size_t n)
+{
+  double product = 0, own = 0, other = 0, apart = 0;
+  for (size_t k = 0; k < n; k++) {
+    const double x = device[k], y = reference[k];
+    product += x * y;
+    own += x * x;
+    other += y * y;
+    apart += (x - y) * (x - y);
+  }
+  return (struct likeness){product / sqrt(own * other), sqrt(apart / other), sqrt(own), sqrt(other)};
 }
 
 static void check_likeness(const char *weights, const char *path, const struct scene *s)
@@ -259,33 +284,116 @@ static void check_likeness(const char *weights, const char *path, const struct s
   fclose(file);
   struct result r;
   const struct mo_physics physics = mo_default_physics();
-  run_with(&r, controller, s, 0, LIKE, &physics, MO_ADJOINT_BOUND, rule_of(weights), 0);
+  const struct mo_gradient_options options = options_of(weights);
+  run_with(&r, controller, s, 0, LIKE, &physics, &options, 0);
   for (int i = 0; i < LIKE; i++)
     differ[i] = fabs(r.call.outcomes[i].loss - outcomes[i].loss);
   qsort(differ, LIKE, sizeof(*differ), ascending);
-  double product = 0, own = 0, other = 0, apart = 0;
-  for (size_t k = 0; k < controller->n_parameters; k++) {
-    const double x = r.call.d_parameters[k], y = reference[k];
-    product += x * y;
-    own += x * x;
-    other += y * y;
-    apart += (x - y) * (x - y);
-  }
-  const double cosine = product / sqrt(own * other);
+  const struct likeness like = likeness_of(r.call.d_parameters, reference, controller->n_parameters);
   printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| median %.1e, p90 "
          "%.1e, most %.1e\n",
-         weights, cosine, sqrt(apart / other), sqrt(own), sqrt(other), differ[LIKE / 2], differ[LIKE * 9 / 10],
+         weights, like.cosine, like.error, like.norm, like.norm_reference, differ[LIKE / 2], differ[LIKE * 9 / 10],
          differ[LIKE - 1]);
   print_counts("device", &r.call.counts);
   print_counts("float64", &counts);
   char *end;
   (void)strtoull(after_rule(weights), &end, 10);
-  if (*end == 0) /* what a trained controller makes of 1000 steps is chaos for part of the robots: docs/numerics.md */
-    expect(cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
+  /* What a trained controller makes of 1000 steps is chaos for part of the robots; and beginning anew is a jump, which other rounding does at
+   * another step: with a large weight those few robots are most of the batch. docs/numerics.md; check_alone looks at them one by one. */
+  if (*end == 0 && (options.adjoint_rule == MO_ADJOINT_CLIP || options.restart_weight <= 1))
+    expect(like.cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
   drop(&r);
   free(reference);
   mo_controller_free(controller);
 }
+
+/* ---- robots alone ---- */
+
+/* Of a batch whose adjoints begin anew, a few robots decide, and theirs are the lives that float16 makes another of. So each of them alone: its
+ * gradient by the device, begun anew with one weight, against float64's with that weight and with another. */
+struct alone {
+  const struct scene *scene;
+  const struct mo_controller *controller;
+  double *gradients[LIKE][2]; /* with each weight; NULL where the adjoint stays within the bound */
+  uint64_t clipped[LIKE];     /* steps */
+  pthread_mutex_t lock;
+  uint32_t next;
+};
+
+static const double alone_weights[2] = {MO_RESTART_WEIGHT, 1};
+
+static void *alone_work(void *context)
+{
+  struct alone *a = context;
+  const struct mo_physics physics = mo_default_physics();
+  for (;;) {
+    pthread_mutex_lock(&a->lock);
+    const uint32_t i = a->next++;
+    pthread_mutex_unlock(&a->lock);
+    if (i >= LIKE)
+      return NULL;
+    for (int w = 0; w < 2; w++) {
+      struct mo_gradient_options options = options_of("restart:");
+      struct mo_gradient_counts counts = {0};
+      struct mo_outcome outcome;
+      options.restart_weight = alone_weights[w];
+      a->gradients[i][w] = must_have(calloc(a->controller->n_parameters, sizeof(double)));
+      must(mo_gradient_reference(a->scene->bodies[i], a->controller, &a->scene->environments[i], &physics, &options,
+                                 &outcome, a->gradients[i][w], &counts),
+           "reference");
+      a->clipped[i] = counts.clipped_steps;
+      if (counts.clipped_steps == 0) {
+        free(a->gradients[i][w]);
+        a->gradients[i][w] = NULL;
+        break;
+      }
+    }
+  }
+}
+
+static void check_alone(const struct scene *s, uint32_t workers)
+{
+  static struct alone a = {.lock = PTHREAD_MUTEX_INITIALIZER};
+  struct mo_controller *controller = weights_of("1");
+  const struct mo_physics physics = mo_default_physics();
+  const struct mo_gradient_options options = options_of("restart:");
+  pthread_t threads[WORKERS_MAX];
+  double differ[LIKE];
+  uint32_t n = 0, nearer = 0;
+  a.scene = s;
+  a.controller = controller;
+  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
+  for (uint32_t i = 0; i < workers; i++)
+    must(pthread_create(&threads[i], NULL, alone_work, &a) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+  for (uint32_t i = 0; i < workers; i++)
+    pthread_join(threads[i], NULL);
+  for (uint32_t i = 0; i < LIKE; i++) {
+    struct result r;
+    struct likeness like[2];
+    if (a.gradients[i][0] == NULL)
+      continue;
+    run_with(&r, controller, s, i, 1, &physics, &options, 0);
+    for (int w = 0; w < 2; w++) {
+      like[w] = likeness_of(r.call.d_parameters, a.gradients[i][w], controller->n_parameters);
+      free(a.gradients[i][w]);
+    }
+    printf(
+        "  robot %u: begins anew %llu times, in float64 %llu; cosine %.6f, error %.3g; against weight %g %.6f, %.3g\n",
+        i, (unsigned long long)r.call.counts.clipped_steps, (unsigned long long)a.clipped[i], like[0].cosine,
+        like[0].error, alone_weights[1], like[1].cosine, like[1].error);
+    differ[n++] = like[0].error;
+    nearer += like[0].error < like[1].error;
+    drop(&r);
+  }
+  qsort(differ, n, sizeof(*differ), ascending);
+  printf("%u robots begin anew: relative error of each alone, median %.3g, p90 %.3g; %u of them nearer to float64 with "
+         "their weight than with another\n",
+         n, n > 0 ? differ[n / 2] : 0, n > 0 ? differ[n * 9 / 10] : 0, nearer);
+  expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are nearer to what they should be");
+  mo_controller_free(controller);
+}
+
+/* ---- bits ---- */
 
 static void check_bits(const struct scene *s, uint32_t n_steps)
 {
@@ -329,11 +437,12 @@ static void check_rare(const struct scene *s)
   enum { FEW = 200 };
   struct mo_controller *controller = weights_of("1");
   struct mo_physics physics = mo_default_physics();
+  struct mo_gradient_options options = mo_default_gradient_options();
   struct result a, b;
   physics.n_steps = 300;
   physics.stiffness_n_per_m *= 1.7;
-  run_with(&a, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, 0);
-  run_with(&b, controller, s, 0, FEW, &physics, MO_ADJOINT_BOUND, MO_ADJOINT_CLIP, 0);
+  run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
+  run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
   print_counts("springs 1.7 times as stiff", &a.call.counts);
   expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW &&
              is_finite(&a, controller->n_parameters),
@@ -343,18 +452,19 @@ static void check_rare(const struct scene *s)
   drop(&a);
   drop(&b);
   physics = mo_default_physics();
+  options.adjoint_bound = 0;
   unsigned long long zeroed = 0;
   for (float factor = 3; factor < 300 && zeroed == 0; factor *= 3) {
     for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
       controller->weight[MO_HIDDEN_LAYERS][k] *= 3;
-    run_with(&a, controller, s, 0, FEW, &physics, 0, MO_ADJOINT_CLIP, 0);
+    run_with(&a, controller, s, 0, FEW, &physics, &options, 0);
     const uint32_t walks = mo_cuda_gradient_times(state)->walks;
     zeroed = a.call.counts.zeroed_robots;
     print_counts("no bound", &a.call.counts);
     expect(is_finite(&a, controller->n_parameters) && (walks > 1) == (zeroed > 0),
            "the gradient is finite, and taken again where a robot is left out");
     if (zeroed > 0) {
-      run_with(&b, controller, s, 0, FEW, &physics, 0, MO_ADJOINT_CLIP, 0);
+      run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
       expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0 &&
                  memcmp(a.call.outcomes, b.call.outcomes, FEW * sizeof(*a.call.outcomes)) == 0,
              "twice the same");
@@ -438,6 +548,9 @@ int main(int argc, char **argv)
     make_scene(&s, 8192);
     time_steps(&s, 1024, 0);
     time_steps(&s, 8192, STEP_BOUND_S);
+  } else if (strcmp(what, "alone") == 0) {
+    make_scene(&s, LIKE);
+    check_alone(&s, argc > 2 ? (uint32_t)atoi(argv[2]) : 1);
   } else if (strcmp(what, "short") == 0) {
     const uint32_t n = argc > 2 ? (uint32_t)atoi(argv[2]) : 40, n_steps = argc > 3 ? (uint32_t)atoi(argv[3]) : 2;
     make_scene(&s, n);

@@ -1,5 +1,5 @@
 /* gradient_accuracy.c: the float32 gradient of a batch against the float64 reference, at full size: distinct random bodies, each
- * in one training environment, 1000 steps, trained and random controller, with clipping and without. The bound is for random weights,
+ * in one training environment, 1000 steps, trained and random controller, with clipping, where adjoints begin anew, and without a bound. The bound is for random weights,
  * where learning starts. What a trained controller makes of 1000 steps is chaos for part of the robots: float64 does not agree with itself
  * there once the lights are moved by 1e-7 m, which is printed beside. */
 #include "bench.h"
@@ -12,17 +12,21 @@
 #define COSINE_BOUND 0.999
 
 static bool compare(const struct bench_scene *scene, const struct mo_controller *controller, const char *name,
-                    const struct mo_robot *robots, const struct bench_options *options, double bound)
+                    const struct mo_robot *robots, const struct bench_options *options,
+                    struct mo_gradient_options gradient)
 {
   const struct mo_physics physics = mo_default_physics();
   const long online = sysconf(_SC_NPROCESSORS_ONLN);
   const uint32_t workers = options->workers > 0 ? options->workers : online > 0 ? (uint32_t)online : 1;
   struct gradient_comparison c;
-  bench_check(gradient_compare(controller, robots, scene->n_bodies, &physics, bound, options->isa,
-                               workers < 64 ? workers : 64, bound > 0, &c),
+  bench_check(gradient_compare(controller, robots, scene->n_bodies, &physics, &gradient, options->isa,
+                               workers < 64 ? workers : 64, gradient.adjoint_bound > 0, &c),
               "gradient");
-  printf("\n%s, adjoint bound %s: cosine %.6f (1 - cosine %.2e), norm %.6g against %.6g\n", name,
-         bound > 0 ? "2" : "off", c.all.cosine, 1 - c.all.cosine, c.all.norm_fast, c.all.norm_reference);
+  printf("\n%s, adjoint bound %g", name, gradient.adjoint_bound);
+  if (gradient.adjoint_rule == MO_ADJOINT_RESTART)
+    printf(", restart with weight %g", gradient.restart_weight);
+  printf(": cosine %.6f (1 - cosine %.2e), norm %.6g against %.6g\n", c.all.cosine, 1 - c.all.cosine, c.all.norm_fast,
+         c.all.norm_reference);
   printf("  float32: steps clipped %.2f %% in %llu robots, zeroed %llu, diverged %llu, largest m %.2g; %.1f s\n"
          "  float64: steps clipped %.2f %% in %llu robots, zeroed %llu, diverged %llu, largest m %.2g; %.1f s\n",
          100 * (double)c.fast.clipped_steps / (double)c.fast.steps, (unsigned long long)c.fast.clipped_robots,
@@ -32,7 +36,7 @@ static bool compare(const struct bench_scene *scene, const struct mo_controller 
          (unsigned long long)c.reference.diverged_robots, c.reference.largest, c.reference_s);
   printf("  robot by robot: 1 - cosine median %.1e, p90 %.1e; below 1e-3 in %.1f %%\n", c.robots.median, c.robots.p90,
          100 * c.robots.share_alike);
-  if (bound > 0)
+  if (gradient.adjoint_bound > 0)
     printf(
         "  float64 against itself with the lights moved by 1e-7 m: cosine %.6f; robot by robot median %.1e, p90 %.1e; "
         "below 1e-3 in %.1f %%\n",
@@ -61,10 +65,21 @@ int bench_gradient_accuracy(const struct bench_options *options)
   bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh), "controller");
   mo_controller_randomize(fresh, options->seed);
   printf("instruction set: %s; %u robots, 1000 steps\n", mo_isa_name(options->isa), n);
-  const bool random = compare(&scene, fresh, "random weights", robots, options, MO_ADJOINT_BOUND);
-  (void)compare(&scene, scene.controller, "trained controller", robots, options, MO_ADJOINT_BOUND);
-  (void)compare(&scene, fresh, "random weights", robots, options, 0);
-  (void)compare(&scene, scene.controller, "trained controller", robots, options, 0);
+  const struct mo_gradient_options clip = mo_default_gradient_options();
+  struct mo_gradient_options restart = clip, off = clip;
+  restart.adjoint_rule = MO_ADJOINT_RESTART;
+  off.adjoint_bound = 0;
+  const bool random = compare(&scene, fresh, "random weights", robots, options, clip);
+  (void)compare(&scene, scene.controller, "trained controller", robots, options, clip);
+  (void)compare(&scene, fresh, "random weights", robots, options, off);
+  (void)compare(&scene, scene.controller, "trained controller", robots, options, off);
+  for (int i = 0; i < 2; i++) {
+    restart.restart_weight = i == 0 ? 1 : MO_RESTART_WEIGHT;
+    (void)compare(&scene, fresh, "random weights", robots, options, restart);
+  }
+  restart.adjoint_bound = 8; /* of the shipped controller's recipe */
+  (void)compare(&scene, fresh, "random weights", robots, options, restart);
+  (void)compare(&scene, scene.controller, "trained controller", robots, options, restart);
   printf("\nbound: cosine with clipping, random weights ≥ %.3f %s\n", COSINE_BOUND, random ? "ok" : "MISSED");
   mo_controller_free(fresh);
   free(robots);

@@ -38,8 +38,8 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
   /* Without the bound, too, in short lives: long ones would show nothing else. */
   for (int off = 0; off < (n_steps < 500 ? 2 : 1); off++) {
     struct gradient_comparison c;
-    REQUIRE(gradient_compare(controller, robots, n, &physics, off ? 0 : MO_ADJOINT_BOUND, mo_isa_best(), 2, false,
-                             &c) == MO_OK);
+    const struct mo_gradient_options options = {.adjoint_bound = off ? 0 : MO_ADJOINT_BOUND};
+    REQUIRE(gradient_compare(controller, robots, n, &physics, &options, mo_isa_best(), 2, false, &c) == MO_OK);
     double least = 1;
     int least_at = 0;
     for (int t = 0; t < MO_CONTROLLER_TENSORS; t++)

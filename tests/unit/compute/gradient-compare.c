@@ -155,6 +155,8 @@ static int run_fast(const struct share *what, enum mo_isa isa, uint32_t workers,
                                     .n = what->n,
                                     .physics = *what->physics,
                                     .adjoint_bound = what->options.adjoint_bound,
+                                    .adjoint_rule = what->options.adjoint_rule,
+                                    .restart_weight = what->options.restart_weight,
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
   if (status == MO_OK)
@@ -200,8 +202,8 @@ static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *
 }
 
 int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                     const struct mo_physics *physics, double adjoint_bound, enum mo_isa isa, uint32_t workers,
-                     bool moved, struct gradient_comparison *c)
+                     const struct mo_physics *physics, const struct mo_gradient_options *options, enum mo_isa isa,
+                     uint32_t workers, bool moved, struct gradient_comparison *c)
 {
   const size_t size = controller->n_parameters;
   struct mo_outcome *outcomes = calloc(2 * (size_t)n, sizeof(*outcomes));
@@ -211,16 +213,17 @@ int gradient_compare(const struct mo_controller *controller, const struct mo_rob
   *c = (struct gradient_comparison){.loss_median = 0};
   if (status == MO_OK && (outcomes == NULL || gradients == NULL || differences == NULL))
     status = MO_ERR_NO_MEMORY;
-  const struct share what = {.controller = controller,
-                             .robots = robots,
-                             .n = n,
-                             .physics = physics,
-                             .options = {.adjoint_bound = adjoint_bound, .weight = 1.0 / n},
-                             .pack = pack,
-                             .moved = moved,
-                             .outcomes = outcomes + n,
-                             .difference = differences,
-                             .moved_difference = differences + n};
+  struct share what = {.controller = controller,
+                       .robots = robots,
+                       .n = n,
+                       .physics = physics,
+                       .options = *options,
+                       .pack = pack,
+                       .moved = moved,
+                       .outcomes = outcomes + n,
+                       .difference = differences,
+                       .moved_difference = differences + n};
+  what.options.weight = 1.0 / n;
   double start_s = now_s();
   if (status == MO_OK)
     status = run_fast(&what, isa, workers, outcomes, gradients, &c->fast);

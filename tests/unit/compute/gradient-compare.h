@@ -29,9 +29,10 @@ struct gradient_comparison {
 /* The names of the tensors, in file order. */
 extern const char *const gradient_tensor_names[MO_CONTROLLER_TENSORS];
 
-/* workers: 1 … 64. moved: fills in moved_* too, which takes twice as long. A negative mo_error. */
+/* options: the weight is not looked at: the gradient is that of the mean. workers: 1 … 64. moved: fills in moved_* too, which takes twice as
+ * long. A negative mo_error. */
 int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                     const struct mo_physics *physics, double adjoint_bound, enum mo_isa isa, uint32_t workers,
-                     bool moved, struct gradient_comparison *comparison);
+                     const struct mo_physics *physics, const struct mo_gradient_options *options, enum mo_isa isa,
+                     uint32_t workers, bool moved, struct gradient_comparison *comparison);
 
 #endif
