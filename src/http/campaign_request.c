@@ -19,22 +19,6 @@ struct given {
 
 /* ---- words ---- */
 
-/* A word of a closed list; false: the fault is told. find: 0 when it knows the word. */
-static bool read_word(struct mo_json *json, int (*find)(const char *word, int *value), const char *expected, int *value)
-{
-  struct mo_json_slice slice;
-  unsigned depth = json->depth;
-  char word[MO_WORD_BYTES] = "";
-  if (!mo_json_string(json, &slice))
-    return false;
-  if (slice.size < sizeof(word))
-    memcpy(word, slice.bytes, slice.size);
-  if (word[0] != '\0' && find(word, value) == MO_OK)
-    return true;
-  mo_json_fault_at(json, depth, "", "%s is expected", expected);
-  return false;
-}
-
 static int find_mode(const char *word, int *value)
 {
   enum mo_campaign_mode mode = MO_ZERO_SHOT;
@@ -119,7 +103,7 @@ static void read_selection_object(struct mo_json *json, struct mo_selection *sel
   while (mo_json_member(json, &key)) {
     if (mo_json_is(key, "kind")) {
       has_kind = true;
-      known = read_word(json, find_selection, SELECTIONS, &kind);
+      known = mo_read_word(json, find_selection, SELECTIONS, &kind);
     } else if (mo_json_is(key, "size")) {
       size = true;
       mo_read_count(json, 2, 64, &read.tournament_size);
@@ -160,7 +144,7 @@ static void read_selection(struct mo_json *json, struct mo_selection *selection)
   enum mo_json_kind next = mo_json_peek(json);
   int kind;
   if (next == MO_JSON_STRING) {
-    if (read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,", &kind))
+    if (mo_read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,", &kind))
       selection->kind = (enum mo_selection_kind)kind;
   } else if (next == MO_JSON_OBJECT) {
     read_selection_object(json, selection);
@@ -435,9 +419,9 @@ static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_
   int word;
   if (mo_json_is(key, "mode")) {
     given->mode = true;
-    given->known_mode = read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
+    given->known_mode = mo_read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
   } else if (mo_json_is(key, "preset")) {
-    read_word(json, find_preset, "\"paper\", \"workstation\" or \"demo\"", &word);
+    mo_read_word(json, find_preset, "\"paper\", \"workstation\" or \"demo\"", &word);
   } else if (mo_json_is(key, "population")) {
     mo_read_count(json, MO_POPULATION_MIN, MO_POPULATION_MAX, &settings->population);
   } else if (mo_json_is(key, "generations")) {

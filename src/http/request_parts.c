@@ -520,3 +520,18 @@ bool mo_read_choice(struct mo_json *json, const char *first, const char *second,
   *choice = mo_json_is(word, second);
   return true;
 }
+
+bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value), const char *expected, int *value)
+{
+  struct mo_json_slice slice;
+  unsigned depth = json->depth;
+  char word[MO_WORD_BYTES] = "";
+  if (!mo_json_string(json, &slice))
+    return false;
+  if (slice.size < sizeof(word))
+    memcpy(word, slice.bytes, slice.size);
+  if (word[0] != '\0' && find(word, value) == MO_OK)
+    return true;
+  mo_json_fault_at(json, depth, "", "%s is expected", expected);
+  return false;
+}

@@ -54,4 +54,8 @@ void mo_read_device(struct mo_json *json, int *back_end);
 /* One of two words: 0 or 1 in *choice; false when it is neither. */
 bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice);
 
+/* A word of a closed list. find: MO_OK when it knows the word; expected: all that it knows, in words. False, and the fault told: it is
+ * none of them. */
+bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value), const char *expected, int *value);
+
 #endif
