@@ -94,8 +94,22 @@ struct mo_training_settings {
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
-/* 1400 steps of 256 by one cosine; finetuning: 60 steps by mo_schedule_finetune. Seed 1. */
-struct mo_training_settings mo_training_defaults(enum mo_training_kind kind); /* 1400 steps of 256; finetune: 60 */
+/* Presets: whole sets of settings, of which each can be changed. Seed 1, physics, sensor, epsilon, beta2, norm_limit and what is held out are
+ * the same in all of them; where nothing else is said, Adam and the adjoint's bound are as above.
+ *   workstation  1400 steps of 256 by mo_schedule_one_cosine; finetuning: 60 steps by mo_schedule_finetune
+ *   phototaxis   what the controller of this name was made with: 1400 steps of 8192; after a warm-up of 5 steps restarts from 2e-3 to 1e-5, the
+ *                first cycle of 61 steps, the next 22 times as long with 0.75 of the peak; beta1 0.8; MO_ADJOINT_RESTART
+ *                above 8, weight 3. Of pretraining alone: a finetuning gets workstation's
+ *   paper        1400 steps of 8192 by mo_schedule_paper_pretrain; finetuning: 60 by mo_schedule_paper_finetune; adjoint_bound 0 */
+enum mo_learning_preset {
+  MO_LEARNING_PRESET_WORKSTATION = 0,
+  MO_LEARNING_PRESET_PHOTOTAXIS = 1,
+  MO_LEARNING_PRESET_PAPER = 2
+};
+const char *mo_learning_preset_name(enum mo_learning_preset preset); /* "workstation", "phototaxis", "paper" */
+int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset); /* MO_ERR_NOT_FOUND */
+struct mo_training_settings mo_training_preset(enum mo_training_kind kind, enum mo_learning_preset preset);
+struct mo_training_settings mo_training_defaults(enum mo_training_kind kind); /* those of workstation */
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
 int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message);
 

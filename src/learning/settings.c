@@ -1,13 +1,35 @@
-/* settings.c: what a training is asked to do: defaults and bounds. */
+/* settings.c: what a training is asked to do: presets and bounds. */
 #include <morpho/learning.h>
 
 #include <inttypes.h>
+#include <string.h>
 
 #include "base/number.h"
 
 #define STEPS_PRETRAIN 1400
 #define STEPS_FINETUNE 60
 #define BATCH          256
+#define BATCH_PAPER    8192
+#define PRESETS        3
+
+/* ---- presets ---- */
+
+static const char *const preset_names[PRESETS] = {"workstation", "phototaxis", "paper"};
+
+const char *mo_learning_preset_name(enum mo_learning_preset preset)
+{
+  return (unsigned)preset < PRESETS ? preset_names[preset] : "unknown";
+}
+
+int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset)
+{
+  for (unsigned i = 0; i < PRESETS; i++)
+    if (strcmp(name, preset_names[i]) == 0) {
+      *preset = (enum mo_learning_preset)i;
+      return MO_OK;
+    }
+  return MO_ERR_NOT_FOUND;
+}
 
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 {
@@ -30,6 +52,43 @@ struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
       .held_out_environments = 8,
   };
 }
+
+/* One short cosine, then a long one to the end: 5 + 61 + 1342 steps are 8 more than there are. */
+static void set_phototaxis(struct mo_training_settings *settings)
+{
+  settings->batch = BATCH_PAPER;
+  settings->schedule = (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,
+                                            .peak = 2e-3,
+                                            .floor = 1e-5,
+                                            .decay = 0.75,
+                                            .cycle_steps = 61,
+                                            .cycle_growth = 22,
+                                            .warmup_steps = 5};
+  settings->beta1 = 0.8;
+  settings->adjoint_bound = 8.0;
+  settings->adjoint_rule = MO_ADJOINT_RESTART;
+  settings->restart_weight = 3.0;
+}
+
+static void set_paper(struct mo_training_settings *settings)
+{
+  const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
+  settings->batch = BATCH_PAPER;
+  settings->schedule = finetune ? mo_schedule_paper_finetune() : mo_schedule_paper_pretrain();
+  settings->adjoint_bound = 0.0;
+}
+
+struct mo_training_settings mo_training_preset(enum mo_training_kind kind, enum mo_learning_preset preset)
+{
+  struct mo_training_settings settings = mo_training_defaults(kind);
+  if (preset == MO_LEARNING_PRESET_PHOTOTAXIS && kind == MO_TRAINING_PRETRAIN)
+    set_phototaxis(&settings);
+  else if (preset == MO_LEARNING_PRESET_PAPER)
+    set_paper(&settings);
+  return settings;
+}
+
+/* ---- bounds ---- */
 
 static int check_numbers(const struct mo_training_settings *settings, struct mo_message *message)
 {

@@ -1,4 +1,4 @@
-/* settings.c: defaults, and requests that must be refused with a reason. */
+/* settings.c: presets, and requests that must be refused with a reason. */
 #include "fixture.h"
 
 static void defaults(void)
@@ -13,6 +13,120 @@ static void defaults(void)
   CHECK(pretrain.restart_weight == 3.0 && finetune.restart_weight == 3.0);
   CHECK(pretrain.beta1 == 0.9 && pretrain.beta2 == 0.999);
 }
+
+/* ---- presets ---- */
+
+static void check_schedule(const struct mo_schedule *actual, struct mo_schedule expected)
+{
+  CHECK(actual->kind == expected.kind && actual->peak == expected.peak && actual->floor == expected.floor);
+  CHECK(actual->decay == expected.decay && actual->cycle_steps == expected.cycle_steps);
+  CHECK(actual->cycle_growth == expected.cycle_growth && actual->warmup_steps == expected.warmup_steps);
+}
+
+static void check_preset(enum mo_training_kind kind, enum mo_learning_preset preset,
+                         struct mo_training_settings expected)
+{
+  const struct mo_training_settings s = mo_training_preset(kind, preset);
+  CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
+  CHECK(s.kind == kind && s.seed == 1 && s.n_steps == expected.n_steps && s.batch == expected.batch);
+  check_schedule(&s.schedule, expected.schedule);
+  CHECK(s.beta1 == expected.beta1 && s.beta2 == 0.999 && s.epsilon == 1e-8 && s.norm_limit == 1);
+  CHECK(s.adjoint_bound == expected.adjoint_bound && s.adjoint_rule == expected.adjoint_rule && s.restart_weight == 3);
+  CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 && s.physics.impact == MO_IMPACT_EXACT);
+  CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 && s.held_out_environments == 8);
+}
+
+static void presets(void)
+{
+  const struct mo_schedule one_cosine = {MO_SCHEDULE_COSINE, 2e-3, 1e-5, 1, 1, 1, 10},
+                           finetune_cosine = {MO_SCHEDULE_COSINE, 3e-4, 1e-6, 1, 100, 1, 0},
+                           shipped = {MO_SCHEDULE_RESTARTS, 2e-3, 1e-5, 0.75, 61, 22, 5},
+                           paper = {MO_SCHEDULE_RESTARTS, 1e-3, 1e-5, 0.7, 10, 2, 0},
+                           paper_finetune = {MO_SCHEDULE_RESTARTS, 3.5e-4, 3.5e-5, 1, 100, 1, 0};
+  const struct {
+    enum mo_training_kind kind;
+    enum mo_learning_preset preset;
+    struct mo_training_settings expected;
+  } all[] = {
+      {MO_TRAINING_PRETRAIN,
+       MO_LEARNING_PRESET_WORKSTATION,
+       {.n_steps = 1400, .batch = 256, .schedule = one_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+      {MO_TRAINING_PRETRAIN,
+       MO_LEARNING_PRESET_PHOTOTAXIS,
+       {.n_steps = 1400,
+        .batch = 8192,
+        .schedule = shipped,
+        .beta1 = 0.8,
+        .adjoint_bound = 8,
+        .adjoint_rule = MO_ADJOINT_RESTART}},
+      {MO_TRAINING_PRETRAIN,
+       MO_LEARNING_PRESET_PAPER,
+       {.n_steps = 1400, .batch = 8192, .schedule = paper, .beta1 = 0.9, .adjoint_bound = 0}},
+      {MO_TRAINING_FINETUNE,
+       MO_LEARNING_PRESET_WORKSTATION,
+       {.n_steps = 60, .batch = 256, .schedule = finetune_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+      {MO_TRAINING_FINETUNE,
+       MO_LEARNING_PRESET_PHOTOTAXIS, /* has none */
+       {.n_steps = 60, .batch = 256, .schedule = finetune_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+      {MO_TRAINING_FINETUNE,
+       MO_LEARNING_PRESET_PAPER,
+       {.n_steps = 60, .batch = 8192, .schedule = paper_finetune, .beta1 = 0.9, .adjoint_bound = 0}},
+  };
+  for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
+    check_preset(all[i].kind, all[i].preset, all[i].expected);
+}
+
+static void preset_names(void)
+{
+  static const char *const names[] = {"workstation", "phototaxis", "paper"};
+  for (int i = 0; i < 3; i++) {
+    enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
+    CHECK_INT(mo_learning_preset_from_name(names[i], &preset), MO_OK);
+    CHECK_INT(preset, i);
+    CHECK_TEXT(mo_learning_preset_name(preset), names[i]);
+  }
+  enum mo_learning_preset preset = MO_LEARNING_PRESET_PAPER;
+  static const char *const others[] = {"", "Paper", "paper ", "demo", "unknown"};
+  for (size_t i = 0; i < sizeof(others) / sizeof(others[0]); i++)
+    CHECK_INT(mo_learning_preset_from_name(others[i], &preset), MO_ERR_NOT_FOUND);
+  CHECK_INT(preset, MO_LEARNING_PRESET_PAPER);
+  CHECK_TEXT(mo_learning_preset_name((enum mo_learning_preset)3), "unknown");
+}
+
+/* The shipped controller says of itself what its preset would make it say. It is older than restart_weight, which was 3. */
+static void shipped(void)
+{
+  const struct mo_training_settings settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
+  static const char weight[] = ",\"restart_weight\":3";
+  const char *root = getenv("MORPHO_SOURCE_DIR");
+  char path[1024], expected[2048];
+  struct mo_controller *file = NULL, *made = NULL;
+  struct mo_training *training = NULL;
+  snprintf(path, sizeof(path), "%s/data/controllers/phototaxis.safetensors", root != NULL ? root : ".");
+  REQUIRE(mo_controller_read(path, &file, NULL) == MO_OK);
+  REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
+  REQUIRE(mo_training_export(training, NULL, "", NULL, &made) == MO_OK);
+  const char *is = mo_controller_get_metadata(file, "morphod.settings");
+  const char *would_be = mo_controller_get_metadata(made, "morphod.settings");
+  REQUIRE(is != NULL && would_be != NULL);
+  const char *cut = strstr(would_be, weight);
+  REQUIRE(cut != NULL);
+  if (strstr(is, "restart_weight") != NULL)
+    cut = would_be + strlen(would_be);
+  snprintf(expected, sizeof(expected), "%.*s%s", (int)(cut - would_be), would_be,
+           *cut != '\0' ? cut + strlen(weight) : "");
+  CHECK_TEXT(is, expected);
+  static const char *const same[] = {"morphod.kind", "morphod.parent", "morphod.seed"};
+  for (int i = 0; i < 3; i++)
+    CHECK_TEXT(mo_controller_get_metadata(file, same[i]), mo_controller_get_metadata(made, same[i]));
+  CHECK_TEXT(mo_controller_get_metadata(file, "morphod.step"), "1400");
+  CHECK_INT(file->sensor, settings.sensor);
+  mo_training_free(training);
+  mo_controller_free(made);
+  mo_controller_free(file);
+}
+
+/* ---- what is refused ---- */
 
 static void expect(int actual, int code, const struct mo_message *message, const char *says)
 {
@@ -186,6 +300,9 @@ static void initial_weights(void)
 
 static const struct check_case cases[] = {
     {"defaults", defaults},
+    {"presets", presets},
+    {"names of presets", preset_names},
+    {"the shipped controller has the settings of its preset", shipped},
     {"bad settings are refused with a reason", refused_settings},
     {"bad requests are refused with a reason", refused_requests},
     {"initial weights", initial_weights},
