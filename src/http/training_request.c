@@ -1,7 +1,7 @@
 /* training_request.c: see training_request.h.
  *
- * The defaults depend on the kind, and JSON has no order of members: a first pass over the text finds the kind alone, a second
- * reads everything over the defaults of that kind. What depends on several fields is checked after the last of them. */
+ * The defaults depend on kind and preset, and JSON has no order of members: a first pass over the text finds these, a second
+ * reads everything over their defaults. What depends on several fields is checked after the last of them. */
 #include "http/training_request.h"
 
 #include <stdlib.h>
@@ -15,6 +15,7 @@ struct given {
   bool kind, controller, no_controller, sensor, designs, population;
   bool known_kind; /* kind is one of its words */
   bool object;     /* the body is one: it has fields to speak of */
+  enum mo_learning_preset preset;
 };
 
 /* ---- further groups of settings ---- */
@@ -88,6 +89,21 @@ static void read_kind(struct mo_json *json, struct given *given)
   given->known_kind = mo_read_choice(json, "pretrain", "finetune", &choice);
 }
 
+static int find_preset(const char *word, int *value)
+{
+  enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
+  int code = mo_learning_preset_from_name(word, &preset);
+  *value = (int)preset;
+  return code;
+}
+
+static void read_preset(struct mo_json *json, struct given *given)
+{
+  int preset;
+  if (mo_read_word(json, find_preset, "\"workstation\", \"phototaxis\" or \"paper\"", &preset))
+    given->preset = (enum mo_learning_preset)preset;
+}
+
 static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed, struct given *given)
 {
   given->controller = true;
@@ -120,6 +136,11 @@ static void check_together(struct mo_json *json, struct mo_parsed_training *pars
       mo_json_fault_at(json, 0, "/controller",
                        "null is given; a finetuning starts from a controller: its name, or sha256: and 64 hexadecimal "
                        "digits, is expected");
+    if (given->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
+      mo_json_fault_at(
+          json, 0, "/preset",
+          "\"phototaxis\" is how a controller was pretrained; \"workstation\" or \"paper\" is expected of a "
+          "finetuning");
   } else {
     if (given->designs)
       mo_json_fault_at(json, 0, "/designs",
@@ -153,6 +174,8 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
   while (code == MO_OK && mo_json_member(json, &key)) {
     if (mo_json_is(key, "kind")) {
       read_kind(json, given);
+    } else if (mo_json_is(key, "preset")) {
+      read_preset(json, given);
     } else if (mo_json_is(key, "name")) {
       mo_read_name(json, record->name);
     } else if (mo_json_is(key, "controller")) {
@@ -203,7 +226,7 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
         request->label = parsed->label;
     } else {
       mo_read_unknown(
-          json, "kind, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
+          json, "kind, preset, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
                 "gradient_norm_limit, adjoint_bound, adjoint_rule, restart_weight, physics, validation, checkpoint, "
                 "priority, weight, device, label");
     }
@@ -217,13 +240,16 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
   struct mo_training_record *record = &parsed->request.record;
   struct given given = {0};
   struct mo_message message = {""};
-  static const char *const key[] = {"kind"};
-  char word[1][MO_WORD_BYTES];
-  int code = mo_find_words(json, text, size, key, word, 1);
+  static const char *const keys[] = {"kind", "preset"};
+  char words[2][MO_WORD_BYTES];
+  int code = mo_find_words(json, text, size, keys, words, 2);
   if (code != MO_OK)
     return code;
-  enum mo_training_kind kind = strcmp(word[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
-  record->settings = mo_training_defaults(kind);
+  enum mo_training_kind kind = strcmp(words[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
+  enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
+  if (mo_learning_preset_from_name(words[1], &preset) != MO_OK)
+    preset = MO_LEARNING_PRESET_WORKSTATION; /* the second pass tells it */
+  record->settings = mo_training_preset(kind, preset);
   record->validate_every_steps = 50;
   record->checkpoint_every_s = 60;
   record->checkpoints_kept = 3;

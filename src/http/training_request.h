@@ -14,7 +14,7 @@ struct mo_parsed_training {
   char label[MO_LABEL_BYTES_MAX + 1];
 };
 
-/* Reads `size` bytes (text[size] must be NUL). MO_OK: complete, with the defaults of its kind filled in; MO_ERR_FORMAT: not JSON
+/* Reads `size` bytes (text[size] must be NUL). MO_OK: complete, what is not given is that of its kind and preset; MO_ERR_FORMAT: not JSON
  * (faults->malformed); MO_ERR_INVALID: faults say what; MO_ERR_NO_MEMORY. Free in every case. With MO_ERR_INVALID, `parent` and
  * request.population hold what was well given, so that they can be looked up and all faults be told at once. idempotency_key and
  * body_sha256 are left to the caller. */

@@ -36,6 +36,11 @@ INVALID = {
     "finetune on both": ({**TUNE, "population": {"evaluation": "999999"}}, ["", "/population/evaluation"]),
     "pretrain on designs": (with_field("designs", [DESIGN]), ["/designs"]),
     "pretrain on a population": (with_field("population", {"evaluation": "999999"}), ["/population", "/population/evaluation"]),
+    "preset unknown": (with_field("preset", "demo"), ["/preset"]),
+    "preset a number": (with_field("preset", 2), ["/preset"]),
+    "preset null": (with_field("preset", None), ["/preset"]),
+    "finetune as a pretraining was": (with_field("preset", "phototaxis", TUNE), ["/preset"]),
+    "preset with too many bodies": ({"kind": "pretrain", "preset": "paper", "steps": 32769}, ["/steps"]),
     "unknown field": (with_field("epochs", 3), ["/epochs"]),
     "unknown field with odd characters": (with_field("a/b~cé", 3), ["/a~1b~0cé"]),
     "name not a name": (with_field("name", "Walker"), ["/name"]),
@@ -117,7 +122,8 @@ def test_invalid(service, name):
 # What no schema can tell: it depends on several fields, or on what the service has.
 BEYOND_SCHEMA = {"finetune on nothing", "finetune on both", "pretrain on designs", "pretrain on a population", "unknown controller",
                  "unknown controller of a finetuning", "unknown controller by hash", "finetune from nothing", "sensor with a controller",
-                 "sensor of a finetuning", "population of no evaluation", "population of no campaign", "more bodies than there are", "floor above peak"}
+                 "sensor of a finetuning", "population of no evaluation", "population of no campaign", "more bodies than there are", "floor above peak",
+                 "finetune as a pretraining was", "preset with too many bodies"}
 
 
 def test_the_contract_refuses_the_same():
@@ -203,6 +209,45 @@ def test_settings_are_told_with_their_defaults(trained):
     assert settings["sensor"] == "inverse_sqrt" and settings["physics"]["n_steps"] == 30 and settings["physics"]["dt_s"] == 0.004
     assert settings["seed"] == 1 and settings["n_designs"] is None and settings["population"] is None
     assert trained["name"] == "small" and trained["label"] == "première" and trained["parent"] is None
+
+
+RESTARTS = {"kind": "restarts", "floor": 1e-05}
+PHOTOTAXIS = {"steps": 1400, "batch": 8192, "adam": {"beta1": 0.8, "beta2": 0.999, "epsilon": 1e-08}, "adjoint_bound": 8, "adjoint_rule": "restart", "restart_weight": 3,
+              "schedule": {**RESTARTS, "peak": 0.002, "decay": 0.75, "cycle_steps": 61, "cycle_growth": 22, "warmup_steps": 5}}
+PAPER = {"steps": 1400, "batch": 8192, "adam": {"beta1": 0.9, "beta2": 0.999, "epsilon": 1e-08}, "adjoint_bound": 0, "adjoint_rule": "clip", "restart_weight": 3,
+         "schedule": {**RESTARTS, "peak": 0.001, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 0}}
+SCHEDULE = {**RESTARTS, "peak": 0.004, "decay": 0.7, "cycle_steps": 10, "cycle_growth": 2, "warmup_steps": 0}
+PRESETS = {
+    "phototaxis": ({"preset": "phototaxis"}, PHOTOTAXIS),
+    "paper": ({"preset": "paper"}, PAPER),
+    "paper of a finetuning": ({**TUNE, "preset": "paper"}, {**PAPER, "steps": 6, "batch": 4, "schedule": {
+        "kind": "restarts", "peak": 3.5e-4, "floor": 3.5e-5, "decay": 1, "cycle_steps": 100, "cycle_growth": 1, "warmup_steps": 0}}),
+    "the default": ({**SMALL, "preset": "workstation"}, {"steps": 6, "batch": 4, "adam": PAPER["adam"], "adjoint_bound": 2, "adjoint_rule": "clip", "restart_weight": 3}),
+    "overridden": ({**SMALL, "preset": "phototaxis", "adam": {"beta2": 0.99}, "adjoint_bound": 4},
+                   {**PHOTOTAXIS, "steps": 6, "batch": 4, "adam": {**PHOTOTAXIS["adam"], "beta2": 0.99}, "adjoint_bound": 4}),
+    "another schedule": ({**SMALL, "preset": "phototaxis", "schedule": {"kind": "restarts", "peak": 0.004}}, {**PHOTOTAXIS, "steps": 6, "batch": 4, "schedule": SCHEDULE}),
+}
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets(service, name):
+    """A request that names one has its settings, but for those that it names itself."""
+    request, settings = PRESETS[name]
+    request = {"kind": "pretrain", **request}
+    CONTRACT.validate({"$ref": "#/components/schemas/TrainingRequest"}, request, name)
+    reply = service.request("POST", "/v1/trainings", request)
+    assert reply.status == 202, reply.body
+    assert service.request("DELETE", f"/v1/jobs/{reply.json()['id']}").status == 200
+    told = reply.json()["settings"]
+    assert {key: told[key] for key in settings} == settings
+    assert told["seed"] == 1 and told["gradient_norm_limit"] == 1 and told["physics"]["dt_s"] == 0.004
+
+
+def test_presets_are_named_where_one_is_unknown(service):
+    reply = service.request("POST", "/v1/trainings", {"kind": "pretrain", "preset": "laptop"})
+    assert reply.status == 422 and [fault["detail"] for fault in reply.json()["errors"]] == ['"workstation", "phototaxis" or "paper" is expected'], reply.body
+    reply = service.request("POST", "/v1/trainings", {**TUNE, "preset": "phototaxis"})
+    assert "of a finetuning" in reply.json()["errors"][0]["detail"], reply.body
 
 
 def test_the_end(service, trained):

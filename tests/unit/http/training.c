@@ -1,4 +1,4 @@
-/* The body of POST /v1/trainings: defaults by kind, each fault at its place, all of them at once. */
+/* The body of POST /v1/trainings: defaults by kind and preset, each fault at its place, all of them at once. */
 #include "unit/check.h"
 
 #include "http/training_request.h"
@@ -69,6 +69,46 @@ static void everything(void)
   CHECK(r->record.checkpoint_every_steps == 5 && r->record.checkpoint_every_s == 0 && r->record.checkpoints_kept == 1);
 }
 
+/* The settings of a preset, wherever it stands, and what is named over them. */
+static void presets(void)
+{
+  const struct mo_training_request *r = &parsed.request;
+  const struct mo_training_settings *s = &r->record.settings;
+  REQUIRE(parse(TRAIN "\"preset\":\"phototaxis\"}") == MO_OK);
+  CHECK(s->n_steps == 1400 && s->batch == 8192 && s->seed == 1 && s->beta1 == 0.8 && s->adjoint_bound == 8);
+  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 2e-3 && s->schedule.floor == 1e-5);
+  CHECK(s->schedule.decay == 0.75 && s->schedule.cycle_steps == 61 && s->schedule.cycle_growth == 22);
+  CHECK(s->schedule.warmup_steps == 5 && s->adjoint_rule == MO_ADJOINT_RESTART && s->restart_weight == 3);
+  CHECK(r->record.validate_every_steps == 50 && r->record.checkpoint_every_s == 60);
+  REQUIRE(parse("{\"preset\":\"paper\",\"kind\":\"pretrain\"}") == MO_OK);
+  CHECK(s->batch == 8192 && s->schedule.peak == 1e-3 && s->schedule.decay == 0.7 && s->adjoint_bound == 0);
+  REQUIRE(parse(TUNE "\"preset\":\"paper\"}") == MO_OK);
+  CHECK(s->n_steps == 60 && s->batch == 8192 && s->schedule.peak == 3.5e-4 && s->adjoint_bound == 0);
+  REQUIRE(parse(TUNE "\"preset\":\"workstation\"}") == MO_OK);
+  CHECK(s->n_steps == 60 && s->batch == 256 && s->schedule.peak == 3e-4 && s->adjoint_bound == 2);
+  /* A word spelt with escapes is that word in both passes. */
+  REQUIRE(parse(TRAIN "\"preset\":\"\\u0070aper\"}") == MO_OK);
+  CHECK(s->batch == 8192 && s->beta1 == 0.9);
+  /* Given before the preset or behind it, what is named counts; of adam field by field, of the schedule as a whole. */
+  REQUIRE(
+      parse("{\"steps\":10,\"adam\":{\"beta2\":0.99},\"kind\":\"pretrain\",\"restart_weight\":1,\"preset\":"
+            "\"phototaxis\",\"batch\":7,\"adjoint_bound\":4,\"schedule\":{\"kind\":\"restarts\",\"peak\":0.003}}") ==
+      MO_OK);
+  CHECK(s->n_steps == 10 && s->batch == 7 && s->beta1 == 0.8 && s->beta2 == 0.99 && s->adjoint_bound == 4);
+  CHECK(s->adjoint_rule == MO_ADJOINT_RESTART && s->restart_weight == 1);
+  CHECK(s->schedule.peak == 0.003 && s->schedule.decay == 0.7 && s->schedule.cycle_steps == 10);
+  CHECK(s->schedule.cycle_growth == 2 && s->schedule.warmup_steps == 0);
+  REQUIRE(parse(TRAIN "\"preset\":\"phototaxis\",\"schedule\":\"one-cosine\",\"adjoint_rule\":\"clip\"}") == MO_OK);
+  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->schedule.warmup_steps == 10 && s->batch == 8192);
+  CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
+  /* An unknown one is refused with all names that there are. */
+  CHECK_INT(parse(TRAIN "\"preset\":\"laptop\"}"), MO_ERR_INVALID);
+  REQUIRE(faults.n == 1);
+  CHECK_TEXT(faults.items[0].where, "/preset");
+  for (int i = 0; i < 3; i++)
+    CHECK(strstr(faults.items[0].detail, mo_learning_preset_name((enum mo_learning_preset)i)) != NULL);
+}
+
 static void schedules(void)
 {
   const struct mo_schedule *schedule = &parsed.request.record.settings.schedule;
@@ -101,6 +141,14 @@ static void places(void)
       {"{\"kind\":\"train\"}", "/kind"},
       {"{\"kind\":\"finetune\"}", ""},
       {"{\"kind\":\"finetune\"," DESIGNS ",\"population\":{\"evaluation\":\"1\"}}", ""},
+      {TRAIN "\"preset\":\"Paper\"}", "/preset"},
+      {TRAIN "\"preset\":\"demo\"}", "/preset"},
+      {TRAIN "\"preset\":\"\"}", "/preset"},
+      {TRAIN "\"preset\":null}", "/preset"},
+      {TRAIN "\"preset\":{\"name\":\"paper\"}}", "/preset"},
+      {TRAIN "\"preset\":\"paper of which the name is far too long\"}", "/preset"},
+      {TUNE "\"preset\":\"phototaxis\"}", "/preset"},
+      {TRAIN "\"preset\":\"paper\",\"steps\":32769}", "/steps"},
       {TUNE "\"controller\":null}", "/controller"},
       {TUNE "\"controller\":\"Not A Name\"}", "/controller"},
       {TUNE "\"controller\":5}", "/controller"},
@@ -248,6 +296,7 @@ static void all_at_once(void)
 static const struct check_case cases[] = {
     {"defaults", defaults},
     {"everything", everything},
+    {"presets", presets},
     {"schedules", schedules},
     {"every fault has its place, and is the only one", places},
     {"numbers just beyond their bounds", digits},
