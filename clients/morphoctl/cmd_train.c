@@ -13,6 +13,7 @@
 /* ---- start ---- */
 
 static const struct field fields[] = {
+    {"preset", "preset", FIELD_WORD},
     {"name", "name", FIELD_WORD},
     {"controller", "controller", FIELD_WORD},
     {"sensor", "sensor", FIELD_WORD},

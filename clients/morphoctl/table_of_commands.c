@@ -45,6 +45,9 @@ static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "Th
 static const struct option_spec watch_options[] = {
     {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL, 0, NULL, NULL}};
 static const struct option_spec train_start_options[] = {
+    {"preset", 0, "workstation|phototaxis|paper",
+     "What is not given: workstation, the defaults below (default); phototaxis, as the shipped controller was "
+     "pretrained; paper, as in the paper."},
     {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id)."},
     {"controller", 'c', "NAME",
      "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: default)."},

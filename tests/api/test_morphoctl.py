@@ -205,6 +205,22 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
     assert status == 0 and "Student t, 6 pairs" in out, (out, err)
 
 
+def test_presets_of_trainings(ctl):
+    for more, schedule in ((), 61), (("--schedule", "restarts", "--cycle-growth", "3"), 10):
+        status, out, err = ctl("train", "start", "pretrain", "--preset", "phototaxis", "--beta2", "0.99", *more, *TINY, "--json")
+        assert status == 0, err
+        settings = json.loads(out)["settings"]
+        assert settings["steps"] == 6 and settings["adam"] == {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-8} and settings["adjoint_rule"] == "restart"
+        assert settings["schedule"]["cycle_steps"] == schedule and settings["schedule"]["cycle_growth"] == (3 if more else 22)
+        assert ctl("train", "cancel", json.loads(out)["id"])[0] == 0
+    status, _, err = ctl("train", "start", "pretrain", "--preset", "demo", *TINY)
+    assert status == 6 and '/preset: "workstation", "phototaxis" or "paper" is expected' in err, err
+    status, _, err = ctl("train", "start", "finetune", "--random", "1", "--preset", "phototaxis", *TINY)
+    assert status == 6 and "/preset: " in err, err
+    status, out, _ = ctl("train", "start", "--help")
+    assert status == 0 and "--preset workstation|phototaxis|paper" in out, out
+
+
 def test_finetuning(ctl):
     status, out, err = ctl("train", "start", "finetune", "--random", "3", "--name", "ctl-tuned", *TINY, "--json")
     assert status == 0, err
