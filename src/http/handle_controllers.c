@@ -21,11 +21,11 @@ static int write_controller(struct mo_store *store, struct mo_text *text, const 
     mo_text_add(text, "null");
   mo_text_add(text, ",\"sha256\":");
   mo_hash_write(text, &record->sha256);
-  mo_text_format(
-      text,
-      ",\"bytes\":%llu,\"parameters\":%llu,\"sensor\":\"%s\",\"workspace\":[%u,%u,%u],\"metadata\":%s,\"stored_at\":",
-      (unsigned long long)record->size, (unsigned long long)record->n_parameters, mo_sensor_name(record->sensor),
-      record->workspace.nx, record->workspace.ny, record->workspace.nz, metadata);
+  mo_text_format(text, ",\"bytes\":%llu,\"parameters\":%llu,\"sensor\":\"%s\",\"workspace\":[%u,%u,%u],\"metadata\":",
+                 (unsigned long long)record->size, (unsigned long long)record->n_parameters,
+                 mo_sensor_name(record->sensor), record->workspace.nx, record->workspace.ny, record->workspace.nz);
+  mo_text_json_stored(text, metadata);
+  mo_text_add(text, ",\"stored_at\":");
   mo_text_json_time(text, record->stored_us);
   mo_text_add(text, "}");
   free(metadata);

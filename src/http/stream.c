@@ -44,7 +44,9 @@ void mo_event_write(struct mo_text *text, const struct mo_event *event)
   else
     mo_text_add(text, ",\"job\":null,\"at\":");
   mo_text_json_time(text, event->time_us);
-  mo_text_format(text, ",\"data\":%s}", event->data);
+  mo_text_add(text, ",\"data\":");
+  mo_text_json_stored(text, event->data);
+  mo_text_add(text, "}");
 }
 
 static void frame(struct mo_text *text, const struct mo_event *event)

@@ -123,6 +123,23 @@ void mo_text_json_string(struct mo_text *text, const char *words, size_t n)
   mo_text_bytes(text, "\"", 1);
 }
 
+void mo_text_json_stored(struct mo_text *text, const char *json)
+{
+  const size_t n = strlen(json);
+  size_t whole = 0; /* start of the run that is UTF-8 */
+  for (size_t i = 0; i < n;) {
+    unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
+    if (length > 0) {
+      i += length;
+      continue;
+    }
+    mo_text_bytes(text, json + whole, i - whole);
+    mo_text_add(text, "\xEF\xBF\xBD");
+    whole = ++i;
+  }
+  mo_text_bytes(text, json + whole, n - whole);
+}
+
 void mo_text_json_number(struct mo_text *text, double value)
 {
   if (!isfinite(value)) {

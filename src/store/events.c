@@ -1,4 +1,6 @@
 /* events.c: reading the durable sequence of events. */
+#include <stdio.h>
+
 #include "store/internal.h"
 
 static int range(struct mo_connection *reader, int64_t *oldest, int64_t *newest)
@@ -39,6 +41,8 @@ static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t 
     event->job = sqlite3_column_int64(statement, 2);
     mo_column_text(statement, 3, event->type, sizeof(event->type));
     mo_column_text(statement, 4, event->data, sizeof(event->data));
+    if ((size_t)sqlite3_column_bytes(statement, 4) >= sizeof(event->data)) /* half of it would be no JSON */
+      snprintf(event->data, sizeof(event->data), "{\"unreadable\":\"events.data is too long\"}");
   }
   return step < 0 ? step : n;
 }

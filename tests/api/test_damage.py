@@ -187,14 +187,17 @@ def test_work_that_cannot_be_read(start, tmp_path):
 def test_json_that_is_none(start, tmp_path):
     """Texts that go into replies as they are stored: replies stay JSON, and say what was not."""
     first = start(state=tmp_path)
-    assert first.evaluate({"designs": [DESIGN], "physics": SHORT}).status == 200
+    for n_steps in (8, 9):
+        assert first.evaluate({"designs": [DESIGN], "physics": {"n_steps": n_steps}}).status == 200
     first.stop()
     damage(tmp_path, "UPDATE events SET data = '{\"id\":' WHERE sequence % 2 = 1; UPDATE events SET data = '7' WHERE sequence = 2; "
-                     "UPDATE controllers SET metadata = '}'")
+                     "UPDATE events SET data = '{\"a\":\"x' || CAST(x'ff' AS TEXT) || '\"}' WHERE sequence = 4; "
+                     "UPDATE events SET data = json_object('a', printf('%.*c', 504, 'x')) WHERE sequence = 6; UPDATE controllers SET metadata = '}'")
     service = start(state=tmp_path)
     events = service.request("GET", "/v1/events?format=json&after=0").json()["items"]
-    assert len(events) > 3 and events[0]["data"] == {"unreadable": "events.data is not JSON"}
-    assert events[1]["data"] == {"unreadable": "events.data is no object"} and "unreadable" not in events[3]["data"]
+    assert len(events) > 5 and events[0]["data"] == {"unreadable": "events.data is not JSON"}
+    assert events[1]["data"] == {"unreadable": "events.data is no object"}
+    assert events[3]["data"] == {"a": "x\ufffd"} and events[5]["data"] == {"unreadable": "events.data is too long"}
     with contextlib.closing(service.connection()) as connection:
         connection.request("GET", "/v1/events?after=0", headers={"Accept": "text/event-stream"})
         lines = (line.decode() for line in connection.getresponse())
