@@ -55,6 +55,12 @@ def generations(rows, mode):
     return Scale(0, max([row["generation"] for row in rows if row["mode"] == mode] + [1]))
 
 
+def part_of(losses, child_steps, of_parents):
+    """Of a generation's losses those on its parents, or those on its children, which are the last."""
+    first = max(len(losses) - child_steps, 0)
+    return losses[:first] if of_parents else losses[first:]
+
+
 def learning_curves(kept, mode):
     """Mean losses while learning: (curves, one for each trial; dash). Of step s of n of generation g, at g - 1 + s/n; where a generation has few steps
     on its parents and on its children, and the curve would be a comb, one of each at g."""
@@ -65,8 +71,8 @@ def learning_curves(kept, mode):
     if not 0 < parents <= FEW_STEPS or not 0 < children <= FEW_STEPS:
         return [([{g - 1 + (s + 1) / len(losses): loss for g, losses in enumerate(entry["learning"]) if g > 0 for s, loss in enumerate(losses)}
                   for entry in entries], "")]
-    return [([{g: records.mean(losses[part]) for g, losses in enumerate(entry["learning"]) if losses[part]} for entry in entries], dash)
-            for part, dash in ((slice(-children), ""), (slice(-children, None), "2 3"))]
+    return [([{g: records.mean(part) for g, losses in enumerate(entry["learning"]) if (part := part_of(losses, children, of_parents))} for entry in entries], dash)
+            for of_parents, dash in ((True, ""), (False, "2 3"))]
 
 
 def draw_performance(kept, rows, pretrained, path):
@@ -216,8 +222,9 @@ def comparison(kept, rows, pretrained, best):
             continue
         loss = "test " + spread([group[-1]["mean"] for group in of.values()], ".4f")
         learnt = entries[0]["settings"]["learning"] if any(entry["learning"] for entry in entries) else {}
-        for name, part in (("parents", slice(-learnt.get("child_steps", 0))), ("children", slice(-1, None))):
-            last = [entry["learning"][-1][part][-1] for entry in entries if entry["learning"] and entry["learning"][-1][part]]
+        for name, of_parents in (("parents", True), ("children", False)):
+            parts = [part_of(entry["learning"][-1], learnt["child_steps"], of_parents) for entry in entries if entry["learning"]]
+            last = [losses[-1] for losses in parts if losses]
             loss += f"; training on {name} " + spread(last, ".3f") if last else ""
         length = (max(group[-1]["generation"] for group in of.values()), "generations")
         gpus = entries[0]["machine"]["gpus"] if entries[0]["device"] == "cuda" else []
