@@ -29,8 +29,7 @@ struct mo_exclusion {
   volatile uint64_t n_drawn; /* of the part under way */
   /* Under the mutex. */
   uint32_t users;
-  int64_t
-      drawer; /* the campaign that the others say they wait for; 0: it has left, the next that looks takes its place */
+  int64_t drawer;    /* the others say that they wait for this campaign; 0: it has left, the next to look follows it */
   uint64_t n_before; /* bodies of the parts that are drawn */
   enum state state;
   int error; /* FAILED */
@@ -181,8 +180,8 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
                                    .drawer = exclusion->drawer};
   status = exclusion->state == MAKING ? 1 : exclusion->error;
   pthread_mutex_unlock(&run->jobs->exclusions_mutex);
-  if (drawing->done >
-      0) /* a body takes as long as another: from a second to a minute the rate changes by some per cent */
+  /* A body takes as long as another: from a second to a minute the rate changes by some per cent. */
+  if (drawing->done > 0)
     drawing->seconds_left = passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
   return status;
 }

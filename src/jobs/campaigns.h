@@ -49,10 +49,9 @@ struct mo_campaign_live {
   uint32_t generation;   /* under way */
   uint64_t done, total;  /* of the phase: bodies drawn again, by whichever campaign, learning steps, designs scored */
   double rollouts_per_s; /* 0: not known yet */
-  double
-      seconds_left; /* of the campaign, while nothing is known of its generations of the drawing alone; < 0: not known yet */
-  double busy_s;    /* worker seconds that it has had since it was last started; < 0: it has no share now */
-  char reason[160]; /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: whose drawing it waits for; "" */
+  double seconds_left; /* of the campaign; of the drawing alone while nothing is known of generations; < 0: not known */
+  double busy_s;       /* worker seconds that it has had since it was last started; < 0: it has no share now */
+  char reason[160];    /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: whose drawing it waits for; "" */
 };
 int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live);
 
