@@ -230,5 +230,9 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
     error = join(run, &lineage, exclusion);
   while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
   mo_campaign_show_drawing(run, NULL);
+  if (error == MO_ERR_EXHAUSTED) /* which would end the campaign as if no child could be found */
+    return mo_attempt_fail(&run->attempt, MO_ERR_LIMIT,
+                           "the controller's lineage names more bodies of pretraining than can be found: submit with "
+                           "exclude_pretraining false");
   return error;
 }

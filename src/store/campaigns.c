@@ -265,14 +265,6 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   return MO_OK;
 }
 
-/* The same for a list, which one that cannot be read does not end. */
-static int load_listed(struct mo_connection *reader, int64_t id, void *any)
-{
-  const struct mo_campaign_status *status = any;
-  const int error = load_status(reader, id, any);
-  return mo_job_passed_over(error, &status->job) ? MO_OK : error;
-}
-
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
@@ -303,7 +295,7 @@ int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_quer
   const struct mo_job_query shown = {
       .before = query->before, .state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};
   const char *sql = mo_job_query_waits(&shown) ? shown_sql : query->group != 0 ? group_sql : all_sql;
-  return mo_read_jobs(store, sql, &shown, query->group, limit, load_listed, statuses, sizeof(*statuses));
+  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses, sizeof(*statuses));
 }
 
 static int take_generation(sqlite3_stmt *statement, void *row)

@@ -227,8 +227,12 @@ int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_jo
   reader = mo_reader_acquire(store);
   error = mo_sql_exec(reader, "BEGIN");
   n = error == MO_OK ? read_ids(reader, sql, query, group, ids, limit) : error;
-  for (int64_t i = 0; i < n && error == MO_OK; i++)
-    error = load(reader, ids[i], (char *)statuses + (size_t)i * status_size);
+  for (int64_t i = 0; i < n && error == MO_OK; i++) {
+    char *status = (char *)statuses + (size_t)i * status_size;
+    error = load(reader, ids[i], status);
+    if (mo_job_passed_over(error, (const struct mo_job *)(const void *)status))
+      error = MO_OK;
+  }
   mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }

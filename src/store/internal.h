@@ -207,7 +207,8 @@ int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo
 bool mo_job_query_waits(const struct mo_job_query *query);
 int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query); /* MO_ERR_LIMIT */
 /* A page of jobs of one kind, read in one transaction: `sql` gives their ids for ?1 the id that they are below, ?2 the state, ?3 the limit, ?4
- * the group and, where mo_job_query_waits, ?5 those that wait; `load` reads each into its place. */
+ * the group and, where mo_job_query_waits, ?5 those that wait; `load` reads each into its place, which begins with a struct mo_job. One that
+ * cannot be read does not end the page (mo_job_passed_over). */
 int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_job_query *query, int64_t group,
                      size_t limit, int (*load)(struct mo_connection *reader, int64_t id, void *status), void *statuses,
                      size_t status_size);

@@ -224,14 +224,6 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   return found < 0 ? found : mo_training_code_load(reader, id, &status->code);
 }
 
-/* The same for a list, which one that cannot be read does not end. */
-static int load_listed(struct mo_connection *reader, int64_t id, void *any)
-{
-  const struct mo_training_status *status = any;
-  const int error = load_status(reader, id, any);
-  return mo_job_passed_over(error, &status->job) ? MO_OK : error;
-}
-
 int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_status *status)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
@@ -257,7 +249,7 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
           "?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
   static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
                             " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
-  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_listed, statuses,
+  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_status, statuses,
                       sizeof(*statuses));
 }
 
