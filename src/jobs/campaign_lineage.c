@@ -10,7 +10,7 @@
 
 #include "jobs/campaign_run.h"
 
-#define ANCESTORS_MAX 64
+#define CONTROLLERS_MAX 64 /* of a lineage, the campaign's own first */
 
 struct reading {
   struct mo_campaign_run *run;
@@ -105,11 +105,18 @@ static int add_part(const struct reading *reading)
     return error;
   for (uint32_t i = 0; i < lineage->n_parts; i++)
     most -= lineage->parts[i].n_bodies;
-  if (part.n_bodies > most || lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
+  if (part.n_bodies > most) {
     snprintf(text, sizeof(text),
              "the controller's lineage names more bodies of pretraining than the %" PRIu64
              " that can be drawn again: submit with exclude_pretraining false",
              MO_TRAINING_BODIES_MAX);
+    return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
+  }
+  if (lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
+    snprintf(text, sizeof(text),
+             "the controller's lineage names more than the %d pretrainings whose bodies can be drawn again: "
+             "submit with exclude_pretraining false",
+             MO_LINEAGE_PARTS_MAX);
     return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
   }
   lineage->parts[lineage->n_parts++] = part;
@@ -130,6 +137,16 @@ static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
   error = tell(reading, "morphod.parent",
                "the parent is neither random nor the hash of a file: what it was trained on is not excluded");
   return error != MO_OK ? error : MO_ERR_NOT_FOUND;
+}
+
+static int tell_of_length(const struct reading *reading)
+{
+  char text[128];
+  snprintf(
+      text, sizeof(text),
+      "the lineage is longer than the %d controllers that are read: what the parent was trained on is not excluded",
+      CONTROLLERS_MAX);
+  return tell(reading, "morphod.parent", text);
 }
 
 /* An ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
@@ -153,13 +170,15 @@ int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
   struct reading reading = {run, lineage, run->controller, &sha256};
   int error = MO_OK;
   lineage->n_parts = 0;
-  for (int i = 0; i < ANCESTORS_MAX && reading.controller != NULL && error == MO_OK; i++) {
+  for (int i = 1; reading.controller != NULL && error == MO_OK; i++) {
     struct mo_controller *above = NULL;
     struct mo_sha256 parent;
     error = add_part(&reading);
     if (error == MO_OK)
       error = read_parent(&reading, &parent);
-    if (error == MO_OK)
+    if (error == MO_OK && i == CONTROLLERS_MAX)
+      error = tell_of_length(&reading);
+    else if (error == MO_OK)
       error = load_ancestor(run, &parent, &above);
     if (error == MO_OK)
       sha256 = parent;

@@ -206,6 +206,55 @@ __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
   service_end(&service);
 }
 
+/* "long": so many controllers, each the child of the one before, with `first` at its beginning and `other` after that. */
+static int put_long(struct service *service, int n, const struct said *first, const struct said *other,
+                    char digits[MO_SHA256_DIGITS + 1])
+{
+  int error = put_saying(service, "long", first, digits);
+  for (int i = 1; i < n && error == MO_OK; i++) {
+    char parent[MO_SHA256_DIGITS + 1], seed[16];
+    struct said said = *other;
+    memcpy(parent, digits, sizeof(parent));
+    snprintf(seed, sizeof(seed), "%d", i);
+    said.parent = parent;
+    said.seed = seed;
+    error = put_saying(service, "long", &said, digits);
+  }
+  return error;
+}
+
+/* A lineage ends where it is too long to be read, which is told; with too many pretrainings it is refused, and the words say of what. */
+__attribute__((unused)) static void tells_of_long_lineages(void)
+{
+  const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
+  struct said odd = good, short_one = good;
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  char digits[MO_SHA256_DIGITS + 1];
+  struct service service;
+  struct origin origin;
+  struct mo_job job;
+  int64_t id;
+  REQUIRE(start(&service, 1) == MO_OK);
+  request.controller = "long";
+  request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
+  request.record.settings.generations = 1;
+  origin = origin_of(&request);
+  odd.seed = "none"; /* told as far as it is read */
+  for (int n = 64; n <= 65; n++) {
+    REQUIRE(put_long(&service, n, &odd, &tuned, digits) == MO_OK);
+    id = submit(&service, &request);
+    CHECK(ends_as_plain(&service, id, &origin));
+    CHECK_INT(told(&service, id, NULL, "morphod.seed"), n == 64);
+    CHECK_INT(told(&service, id, NULL, "morphod.parent"), n == 65);
+  }
+  short_one.step = "1";
+  REQUIRE(put_long(&service, 17, &short_one, &short_one, digits) == MO_OK);
+  id = submit(&service, &request);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
+  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "16 pretrainings") != NULL);
+  service_end(&service);
+}
+
 /* What can be read counts, though a descendant or an ancestor cannot be. */
 __attribute__((unused)) static void leaves_out_what_can_be_read(void)
 {
@@ -457,6 +506,7 @@ static const struct check_case cases[] = {
     {"tells how long it draws", tells_how_long_it_draws},
     {"leaves out what was learned from", leaves_out_what_was_learned_from},
     {"tells of what cannot be read", tells_of_what_cannot_be_read},
+    {"tells of long lineages", tells_of_long_lineages},
     {"leaves out what can be read", leaves_out_what_can_be_read},
 #endif
 };
