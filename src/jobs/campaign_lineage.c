@@ -185,8 +185,6 @@ int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
     mo_controller_free(ancestor);
     reading.controller = ancestor = above;
   }
-  if (error == MO_OK && reading.controller != NULL)
-    error = tell(&reading, "morphod.parent", "the lineage goes on above it, too far: what is there is not excluded");
   mo_controller_free(ancestor);
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
