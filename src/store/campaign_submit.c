@@ -31,8 +31,11 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_submis
   }
   if (error == MO_OK)
     error = mo_physics_row(writer, &setting->settings.physics, MO_FLOAT32, setting->settings.sensor, &setting->physics);
-  if (error == MO_OK && record->environment_set[0] != '\0')
+  if (error == MO_OK && record->environment_set[0] != '\0') {
     error = mo_environment_set_find(writer, record->environment_set, &setting->set, &n);
+    if (error == MO_OK && setting->set == 0) /* which says that there is none */
+      error = MO_ERR_CORRUPT;
+  }
   if (error == MO_OK && (n < 1 || n > MO_ENVIRONMENTS_MAX))
     error = setting->set != 0 ? MO_ERR_CORRUPT : MO_ERR_RANGE;
   setting->n_environments = (uint32_t)n;

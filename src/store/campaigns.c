@@ -285,12 +285,12 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
                            struct mo_campaign_status *statuses, size_t limit)
 {
-  static const char shown_sql[] =
-      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job WHERE m.job<?1 AND (?4=0 OR m.replicates_of=?4)"
-      " AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY m.job DESC LIMIT ?3";
-  static const char all_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job WHERE m.job<?1"
+  static const char shown_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1 "
+                                  "AND (?4=0 OR m.replicates_of=?4)"
+                                  " AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY m.job DESC LIMIT ?3";
+  static const char all_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
                                 " AND (?2<0 OR j.state=?2) AND ?4=0 ORDER BY m.job DESC LIMIT ?3";
-  static const char group_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job WHERE m.job<?1"
+  static const char group_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
                                   " AND (?2<0 OR j.state=?2) AND m.replicates_of=?4 ORDER BY m.job DESC LIMIT ?3";
   const struct mo_job_query shown = {
       .before = query->before, .state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};

@@ -254,7 +254,7 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
   setting->n_environments = submission->n_environments;
   if (error == MO_OK && submission->environment_set != NULL) {
     error = mo_environment_set_find(writer, submission->environment_set, &setting->set, &n);
-    if (error == MO_OK && (n < 1 || n > MO_ENVIRONMENTS_MAX))
+    if (error == MO_OK && (setting->set == 0 /* which says that there is none */ || n < 1 || n > MO_ENVIRONMENTS_MAX))
       error = MO_ERR_CORRUPT;
     setting->n_environments = (uint32_t)n;
   }

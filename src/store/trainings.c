@@ -245,9 +245,9 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
                            struct mo_training_status *statuses, size_t limit)
 {
   static const char shown_sql[] =
-      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
+      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
           "?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
-  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job WHERE t.job<?1"
+  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1"
                             " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
   return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_status, statuses,
                       sizeof(*statuses));

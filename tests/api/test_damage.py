@@ -81,6 +81,15 @@ def whole(tmp_path_factory):
     running.close()
 
 
+def copied(whole, folder):
+    """A state folder with the database of `whole`."""
+    with sqlite3.connect(folder / "morphod.db") as copy:
+        whole[0].backup(copy)
+    copy.close()
+    (folder / "controllers").symlink_to(whole[1])
+    return folder
+
+
 def unclean(service, replies):
     """The log's lines of requests that could not do all of their work. A line comes after its reply."""
     until = time.monotonic() + 30
@@ -92,10 +101,7 @@ def unclean(service, replies):
 
 @pytest.mark.parametrize("table, sql, job, words", ROWS, ids=[f"{row[0]}-{i}" for i, row in enumerate(ROWS)])
 def test_a_row(whole, start, tmp_path, table, sql, job, words):
-    with sqlite3.connect(tmp_path / "morphod.db") as copy:
-        whole[0].backup(copy)
-    copy.close()
-    (tmp_path / "controllers").symlink_to(whole[1])
+    copied(whole, tmp_path)
     size = sqlite3.connect(tmp_path / "morphod.db").execute("SELECT length(settings) FROM trainings WHERE job = 2").fetchone()[0]
     words = words.format(size)
     damage(tmp_path, sql)
@@ -182,6 +188,31 @@ def test_work_that_cannot_be_read(start, tmp_path):
         reply = service.request("GET", f"/v1/campaigns/11/{path}")
         assert reply.status == 500 and "campaigns.settings" in reply.json()["detail"], reply.body
     assert service.request("GET", "/v1/evaluations/1/trajectories/0").status == 500
+
+
+def test_a_job_of_another_kind(whole, start, tmp_path):
+    """A training that its job calls an evaluation is in no list of trainings; all others are."""
+    damage(copied(whole, tmp_path), "UPDATE jobs SET kind = 0 WHERE id IN (2, 3)")
+    service = start(state=tmp_path)
+    for kind, damaged in (("training", TRAINING_2), ("campaign", CAMPAIGN_3)):
+        for query in ("", "?state=succeeded"):
+            page = service.request("GET", f"/v1/{kind}s{query}")
+            assert page.status == 200 and [int(item["id"]) for item in page.json()["items"]] == [damaged + 3], page.body
+    page = service.request("GET", "/v1/jobs").json()
+    assert len(page["items"]) == 4 and {int(one["id"]) for one in page["unreadable"]} == {TRAINING_2, CAMPAIGN_3}
+
+
+@pytest.mark.parametrize("sql", ("UPDATE environment_sets SET id = 0", "UPDATE environment_sets SET n = 65", "UPDATE environment_sets SET n = 0"))
+def test_a_named_set(whole, start, tmp_path, sql):
+    """Submissions that name it are refused, those with environments of their own are not, and the service stays."""
+    damage(copied(whole, tmp_path), sql)
+    service = start(state=tmp_path)
+    for path, value in (("/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 7}}), ("/v1/campaigns", CAMPAIGN)):
+        assert service.request("POST", path, value).status == 500
+        reply = service.request("POST", path, {**value, "environments": [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]})
+        assert reply.status == 202, reply.body
+        finish(service, int(reply.json()["id"]))
+        assert service.request("GET", f"/v1/jobs/{reply.json()['id']}").json()["state"] == "succeeded"
 
 
 def test_json_that_is_none(start, tmp_path):
