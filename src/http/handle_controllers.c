@@ -6,6 +6,7 @@
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 /* Writes the description; MO_OK or an error of the store. */
 static int write_controller(struct mo_store *store, struct mo_text *text, const struct mo_controller_record *record)
@@ -62,11 +63,18 @@ void mo_handle_controllers(struct mo_request *request)
   int64_t n = records != NULL ? mo_store_controllers(store, values[1].present ? values[1].text : NULL, records, limit)
                               : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
+  struct mo_unreadable unreadable = {0};
   mo_text_add(&text, "{\"items\":[");
   int code = n < 0 ? (int)n : MO_OK;
+  bool is_first = true;
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
-    if (i > 0)
+    if (records[i].damage != NULL) {
+      mo_unreadable_add_other(&unreadable, "controller", records[i].name, records[i].damage);
+      continue;
+    }
+    if (!is_first)
       mo_text_bytes(&text, ",", 1);
+    is_first = false;
     code = write_controller(store, &text, &records[i]);
   }
   mo_text_add(&text, "],\"next_cursor\":");
@@ -74,6 +82,7 @@ void mo_handle_controllers(struct mo_request *request)
     mo_text_json_string(&text, records[n - 1].name, strlen(records[n - 1].name));
   else
     mo_text_add(&text, "null");
+  mo_unreadable_end(request, &text, &unreadable);
   mo_text_add(&text, "}");
   free(records);
   if (code != MO_OK) {

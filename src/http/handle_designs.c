@@ -9,15 +9,14 @@
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 #define CAMPAIGNS_MAX 100
 
-/* Opens the object: what every representation of a design has. False: no memory. */
-static bool write_head(struct mo_http *http, struct mo_text *text, const struct mo_bits *form, int64_t first_seen_us)
+/* Opens the object: what every representation of a design has. */
+static void write_head(struct mo_text *text, const struct mo_bits *form, const struct mo_body *body,
+                       int64_t first_seen_us)
 {
-  struct mo_body *body;
-  if (mo_body_create(http->lattice, form->words, &body) != MO_OK)
-    return false;
   mo_text_add(text, "{\"id\":");
   mo_bits_write_id(text, form);
   mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels, body->n_masses,
@@ -25,8 +24,6 @@ static bool write_head(struct mo_http *http, struct mo_text *text, const struct 
   mo_bits_write(text, form);
   mo_text_add(text, ",\"first_seen_at\":");
   mo_text_json_time(text, first_seen_us);
-  mo_body_free(body);
-  return true;
 }
 
 static void write_score(struct mo_text *text, const struct mo_design_score *score)
@@ -100,8 +97,15 @@ void mo_handle_design(struct mo_request *request)
     mo_reply_error(request, code, "design");
     return;
   }
+  struct mo_body *body = NULL;
   struct mo_text text = {0};
-  bool good = write_head(http, &text, &design->form, design->first_seen_us);
+  if ((code = mo_body_create(http->lattice, design->form.words, &body)) != MO_OK) {
+    mo_design_free(design);
+    mo_reply_error(request, code, "design");
+    return;
+  }
+  write_head(&text, &design->form, body, design->first_seen_us);
+  mo_body_free(body);
   mo_text_add(&text, ",\"orientations\":[");
   for (uint32_t i = 0; i < design->n_orientations; i++) {
     const struct mo_design_orientation *orientation = &design->orientations[i];
@@ -123,7 +127,6 @@ void mo_handle_design(struct mo_request *request)
     return;
   }
   mo_text_add(&text, "}");
-  text.failed |= !good;
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
 }
@@ -143,34 +146,58 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
   return !isnan(query->after_score);
 }
 
+/* MO_ERR_NO_MEMORY, or 0. A form that is no body is damage. */
+static int write_row(struct mo_request *request, struct mo_text *text, const struct mo_design_query *query,
+                     const struct mo_design_row *row, struct mo_unreadable *unreadable)
+{
+  const char *damage = row->damage;
+  struct mo_body *body = NULL;
+  char id[24];
+  int error = damage == NULL ? mo_body_create(request->http->lattice, row->form.words, &body) : MO_OK;
+  if (error == MO_ERR_NO_MEMORY)
+    return error;
+  if (error != MO_OK)
+    damage = "designs.form is no body";
+  if (damage != NULL) {
+    snprintf(id, sizeof(id), "%" PRId64, row->row);
+    mo_unreadable_add_other(unreadable, "design", id, damage);
+    return MO_OK;
+  }
+  if (text->data[text->size - 1] == '}')
+    mo_text_bytes(text, ",", 1);
+  write_head(text, &row->form, body, row->first_seen_us);
+  mo_body_free(body);
+  if (query->sort == MO_DESIGNS_BY_SCORE) {
+    mo_text_add(text, ",\"score\":");
+    mo_loss_write(text, row->score);
+    mo_text_add(text, ",\"scored_genotype\":");
+    mo_bits_write(text, &row->genotype);
+  }
+  mo_text_add(text, "}");
+  return MO_OK;
+}
+
 static void write_page(struct mo_request *request, const struct mo_design_query *query,
                        const struct mo_design_row *rows, size_t n, size_t limit)
 {
   struct mo_text text = {0};
-  bool good = true;
+  struct mo_unreadable unreadable = {0};
+  int error = MO_OK;
   mo_text_add(&text, "{\"items\":[");
-  for (size_t i = 0; i < n && good; i++) {
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
-    good = write_head(request->http, &text, &rows[i].form, rows[i].first_seen_us);
-    if (query->sort == MO_DESIGNS_BY_SCORE) {
-      mo_text_add(&text, ",\"score\":");
-      mo_loss_write(&text, rows[i].score);
-      mo_text_add(&text, ",\"scored_genotype\":");
-      mo_bits_write(&text, &rows[i].genotype);
-    }
-    mo_text_add(&text, "}");
-  }
+  for (size_t i = 0; i < n && error == MO_OK && !text.failed; i++)
+    error = write_row(request, &text, query, &rows[i], &unreadable);
   if (n < limit || n == 0) {
-    mo_text_add(&text, "],\"next_cursor\":null}");
+    mo_text_add(&text, "],\"next_cursor\":null");
   } else if (query->sort == MO_DESIGNS_BY_ID) {
-    mo_text_format(&text, "],\"next_cursor\":\"%" PRId64 "\"}", rows[n - 1].row);
+    mo_text_format(&text, "],\"next_cursor\":\"%" PRId64 "\"", rows[n - 1].row);
   } else {
     uint64_t bits;
     memcpy(&bits, &rows[n - 1].score, sizeof(bits));
-    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"}", bits, rows[n - 1].genotype_row);
+    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits, rows[n - 1].genotype_row);
   }
-  text.failed |= !good;
+  mo_unreadable_end(request, &text, &unreadable);
+  mo_text_add(&text, "}");
+  text.failed |= error != MO_OK;
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
 }

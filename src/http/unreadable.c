@@ -15,10 +15,31 @@ static void describe(const struct mo_job *job, char words[WORDS_BYTES])
            (int)job->kind < MO_JOB_KINDS ? mo_job_kind_name(job->kind) : "job", (long long)job->id, job->damage);
 }
 
+static void note(struct mo_unreadable *list, const char *words)
+{
+  const size_t used = strlen(list->note);
+  if (list->n_noted == list->n && used + strlen(words) + 2 + sizeof(list->more) < sizeof(list->note)) {
+    snprintf(list->note + used, sizeof(list->note) - used, "%s%s", used > 0 ? "; " : "", words);
+    list->n_noted++;
+  }
+  list->n++;
+}
+
+void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id, const char *damage)
+{
+  char words[WORDS_BYTES];
+  mo_text_add(&list->items, list->n > 0 ? ",{\"id\":" : "{\"id\":");
+  mo_text_json_string(&list->items, id, strlen(id));
+  mo_text_member(&list->items, "kind", kind);
+  mo_text_member(&list->items, "detail", damage);
+  mo_text_add(&list->items, "}");
+  snprintf(words, sizeof(words), "%s %s cannot be read: %s", kind, id, damage);
+  note(list, words);
+}
+
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job)
 {
   char words[WORDS_BYTES];
-  const size_t used = strlen(list->note);
   mo_text_format(&list->items, "%s{\"id\":\"%lld\",\"kind\":", list->n > 0 ? "," : "", (long long)job->id);
   if ((int)job->kind < MO_JOB_KINDS)
     mo_text_format(&list->items, "\"%s\"", mo_job_kind_name(job->kind));
@@ -27,11 +48,7 @@ void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job)
   mo_text_member(&list->items, "detail", job->damage);
   mo_text_add(&list->items, "}");
   describe(job, words);
-  if (list->n_noted == list->n && used + strlen(words) + 2 + sizeof(list->more) < sizeof(list->note)) {
-    snprintf(list->note + used, sizeof(list->note) - used, "%s%s", used > 0 ? "; " : "", words);
-    list->n_noted++;
-  }
-  list->n++;
+  note(list, words);
 }
 
 void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list)

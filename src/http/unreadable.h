@@ -1,4 +1,4 @@
-/* unreadable.h: jobs of which the store has rows that cannot be read: what a list of jobs, a problem and the log tell of them. */
+/* unreadable.h: jobs, designs and controllers of which the store has rows that cannot be read: what a list, a problem and the log tell of them. */
 #ifndef MORPHO_HTTP_UNREADABLE_H
 #define MORPHO_HTTP_UNREADABLE_H
 
@@ -11,6 +11,8 @@ struct mo_unreadable {
   unsigned n, n_noted;
 };
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job); /* one with damage */
+/* Something else that a list is of: a design by its row, a controller by its name. */
+void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id, const char *damage);
 /* Ends the member `unreadable` of a page, if there are any, notes them for the log, and frees the list. */
 void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list);
 

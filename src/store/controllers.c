@@ -313,8 +313,11 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name, str
     int step;
     sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
     sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-    while ((step = mo_sql_step(reader, statement)) > 0 && error == MO_OK)
-      error = record_from_row(statement, &records[n++]);
+    while ((step = mo_sql_step(reader, statement)) > 0) {
+      if (record_from_row(statement, &records[n]) != MO_OK)
+        records[n].damage = "controllers.sha256 is no hash";
+      n++;
+    }
     if (step < 0)
       error = step;
     (void)sqlite3_reset(statement);

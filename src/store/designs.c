@@ -40,7 +40,8 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
     struct mo_design_row *row = &rows[n++];
     memset(row, 0, sizeof(*row));
     row->row = sqlite3_column_int64(statement, 0);
-    error = mo_column_bits(statement, 1, &row->form);
+    if (mo_column_bits(statement, 1, &row->form) != MO_OK)
+      row->damage = "designs.form is no design";
     row->first_seen_us = sqlite3_column_int64(statement, 2);
     row->score = NAN;
   }
@@ -75,7 +76,7 @@ static int find_physics(struct mo_connection *reader, const struct mo_design_que
 static int64_t list_by_score(struct mo_connection *reader, const struct mo_design_query *query,
                              struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"
+  static const char sql[] = "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score FROM set_scores s"
                             " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
                             " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
                             " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
@@ -101,12 +102,14 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
     struct mo_design_row *row = &rows[n++];
     memset(row, 0, sizeof(*row));
     row->genotype_row = sqlite3_column_int64(statement, 0);
-    error = mo_column_double(statement, 1, &row->score);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 2, &row->genotype);
     row->row = sqlite3_column_int64(statement, 3);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 4, &row->form);
+    if (mo_column_double(statement, 1, &row->score) != MO_OK) {
+      row->damage = "set_scores.bits is no score";
+      row->score = sqlite3_column_double(statement, 6);
+    } else if (mo_column_bits(statement, 2, &row->genotype) != MO_OK)
+      row->damage = "genotypes.bits is no design";
+    else if (mo_column_bits(statement, 4, &row->form) != MO_OK)
+      row->damage = "designs.form is no design";
     row->first_seen_us = sqlite3_column_int64(statement, 5);
   }
   (void)sqlite3_reset(statement);

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import re
+import shutil
 import sqlite3
 import subprocess
 import time
@@ -200,6 +201,58 @@ def test_a_job_of_another_kind(whole, start, tmp_path):
             assert page.status == 200 and [int(item["id"]) for item in page.json()["items"]] == [damaged + 3], page.body
     page = service.request("GET", "/v1/jobs").json()
     assert len(page["items"]) == 4 and {int(one["id"]) for one in page["unreadable"]} == {TRAINING_2, CAMPAIGN_3}
+
+
+DESIGNS = "/v1/designs", "/v1/designs?sort=score"
+OTHERS = (
+    (DESIGNS, "UPDATE designs SET form = x'00' WHERE id = (SELECT design FROM genotypes WHERE id = (SELECT min(genotype) FROM set_scores))",
+     "design", "designs.form is no design"),
+    (DESIGNS, "UPDATE designs SET form = zeroblob(length(form)) WHERE id = (SELECT design FROM genotypes WHERE id = (SELECT min(genotype) FROM set_scores))",
+     "design", "designs.form is no body"),
+    (DESIGNS[1:], "UPDATE genotypes SET bits = x'01' WHERE id = (SELECT min(genotype) FROM set_scores)", "design", "genotypes.bits is no design"),
+    (DESIGNS[1:], "UPDATE set_scores SET bits = x'01' WHERE genotype = (SELECT min(genotype) FROM set_scores)", "design", "set_scores.bits is no score"),
+    (("/v1/controllers",), "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
+     "UPDATE controller_names SET controller = 99 WHERE name = 'training-2'",
+     "controller", "controllers.sha256 is no hash"),
+)
+
+
+@pytest.mark.parametrize("paths, sql, kind, words", OTHERS, ids=[str(i) for i in range(len(OTHERS))])
+def test_a_design_or_controller(whole, start, tmp_path, paths, sql, kind, words):
+    """Lists serve all others and name it, whole and page by page; work goes on."""
+    state = copied(whole, tmp_path)
+    if kind == "design":  # with the default physics, by which designs are sorted
+        (state / "controllers").unlink()
+        shutil.copytree(whole[1], state / "controllers")
+        first = start(state=state)
+        for cells in ([[0, 0, 0]], [[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 0, 1]]):
+            assert first.evaluate({"designs": [{"cells": cells}]}).json()["state"] == "succeeded"
+        first.stop()
+        sql = sql.replace("FROM set_scores)", "FROM set_scores WHERE physics = (SELECT max(physics) FROM set_scores))")
+    service = start(state=state)
+    before = {path: service.request("GET", path).json()["items"] for path in paths}
+    service.stop()
+    damage(state, sql)
+    service = start("--log-format=logfmt", state=state)
+    for path in paths:
+        reply = service.request("GET", path)
+        page = reply.json()
+        assert reply.status == 200 and len(before[path]) > 2 and len(page["items"]) == len(before[path]) - 1, reply.body
+        assert all(item in before[path] for item in page["items"])
+        entry = {"id": page["unreadable"][0]["id"], "kind": kind, "detail": words}
+        assert page["unreadable"] == [entry] and (kind == "design" or entry["id"] == "training-2")
+        assert f'reason="{kind} {entry["id"]} cannot be read: {words}"' in unclean(service, [reply])[-1]
+        seen, damaged, cursor = [], [], ""
+        while cursor is not None:
+            one = service.request("GET", f"{path}{'&' if '?' in path else '?'}limit=1{cursor}").json()
+            seen += one["items"]
+            damaged += one.get("unreadable", [])
+            cursor = None if one["next_cursor"] is None else f"&cursor={one['next_cursor']}"
+        assert seen == page["items"] and damaged == [entry]
+    command = [MORPHOCTL, kind, "list", *(["--sort", "score"] if "score" in paths[-1] else []), "--server", service.addresses[0]]
+    shown = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert f"{kind} {entry['id']} cannot be read by the server: {words}" in shown.stderr
+    assert service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 6}}).json()["state"] == "succeeded"
 
 
 @pytest.mark.parametrize("sql", ("UPDATE environment_sets SET id = 0", "UPDATE environment_sets SET n = 65", "UPDATE environment_sets SET n = 0"))
