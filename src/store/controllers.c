@@ -297,7 +297,10 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   mo_column_text(statement, 7, record->name, sizeof(record->name));
   record->version = sqlite3_column_int64(statement, 8);
   record->stored_us = sqlite3_column_int64(statement, 9);
-  return mo_column_hash(statement, 0, &record->sha256);
+  if (mo_column_hash(statement, 0, &record->sha256) == MO_OK)
+    return MO_OK;
+  record->damage = "controllers.sha256 is no hash";
+  return MO_ERR_CORRUPT;
 }
 
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
@@ -313,11 +316,8 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name, str
     int step;
     sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
     sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-    while ((step = mo_sql_step(reader, statement)) > 0) {
-      if (record_from_row(statement, &records[n]) != MO_OK)
-        records[n].damage = "controllers.sha256 is no hash";
-      n++;
-    }
+    while ((step = mo_sql_step(reader, statement)) > 0)
+      (void)record_from_row(statement, &records[n++]); /* it says so itself */
     if (step < 0)
       error = step;
     (void)sqlite3_reset(statement);

@@ -108,7 +108,7 @@ struct mo_controller_record {
   struct mo_workspace workspace;
   uint64_t n_parameters;
   int64_t stored_us;  /* when this name got this content (by hash: when the content came) */
-  const char *damage; /* of a list's: what of it cannot be read, by table and column; the name can. NULL: all is well */
+  const char *damage; /* what of it cannot be read, by table and column; the name can. NULL: all is well */
 };
 
 /* One page row of designs. */

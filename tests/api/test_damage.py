@@ -217,6 +217,14 @@ OTHERS = (
 )
 
 
+def test_the_default_controller(whole, start, tmp_path):
+    """Without it nothing starts; the words say which row."""
+    damage(copied(whole, tmp_path), "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
+                                    "UPDATE controller_names SET controller = 99 WHERE name = 'default'")
+    with pytest.raises(RuntimeError, match="the controller default cannot be read: controllers.sha256 is no hash"):
+        start(state=tmp_path)
+
+
 @pytest.mark.parametrize("paths, sql, kind, words", OTHERS, ids=[str(i) for i in range(len(OTHERS))])
 def test_a_design_or_controller(whole, start, tmp_path, paths, sql, kind, words):
     """Lists serve all others and name it, whole and page by page; work goes on."""
