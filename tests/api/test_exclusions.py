@@ -65,8 +65,9 @@ def test_a_drawing_is_told_and_handed_over(start):
     service = start()
     total = 1024 * 200000
     put(service, "long", **pretrained(200000))
-    first, second = (submit(service, controller="long", workspace=[3, 3, 2]) for _ in range(2))
+    first = submit(service, controller="long", workspace=[3, 3, 2])
     drawn = awaited(service, first, lambda seen: seen["progress"]["seconds_left"] is not None)
+    second = submit(service, controller="long", workspace=[3, 3, 2])  # not before: either may begin
     waits = awaited(service, second, lambda seen: seen["progress"]["seconds_left"] is not None)
     for seen in (drawn, waits):
         assert seen["state"] == "running" and seen["phase"] == "preparing" and seen["newest"] is None, seen
