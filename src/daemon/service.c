@@ -239,10 +239,11 @@ static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTE
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
-  struct mo_controller_record record = {.damage = mo_error_text(MO_ERR_CORRUPT)};
+  struct mo_controller_record record = {.damage = ""};
   int status = mo_store_controller(service->store, "default", &record);
   if (status == MO_ERR_CORRUPT)
-    snprintf(message->text, sizeof(message->text), "the controller default cannot be read: %s", record.damage);
+    snprintf(message->text, sizeof(message->text), "the controller default cannot be read: %s",
+             record.damage[0] != '\0' ? record.damage : mo_error_text(status));
   if (status != MO_ERR_NOT_FOUND)
     return status;
   const char *path = settings->default_controller != NULL ? settings->default_controller

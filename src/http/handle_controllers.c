@@ -68,7 +68,7 @@ void mo_handle_controllers(struct mo_request *request)
   int code = n < 0 ? (int)n : MO_OK;
   bool is_first = true;
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
-    if (records[i].damage != NULL) {
+    if (records[i].damage[0] != '\0') {
       mo_unreadable_add_other(&unreadable, "controller", records[i].name, records[i].damage);
       continue;
     }

@@ -150,17 +150,15 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
 static int write_row(struct mo_request *request, struct mo_text *text, const struct mo_design_query *query,
                      const struct mo_design_row *row, struct mo_unreadable *unreadable)
 {
-  const char *damage = row->damage;
+  const bool whole = row->damage[0] == '\0';
   struct mo_body *body = NULL;
-  char id[24];
-  int error = damage == NULL ? mo_body_create(request->http->lattice, row->form.words, &body) : MO_OK;
-  if (error == MO_ERR_NO_MEMORY)
-    return error;
-  if (error != MO_OK)
-    damage = "designs.form is no body";
-  if (damage != NULL) {
+  char id[24], words[64];
+  if (whole && mo_body_create(request->http->lattice, row->form.words, &body) == MO_ERR_NO_MEMORY)
+    return MO_ERR_NO_MEMORY;
+  if (body == NULL) {
     snprintf(id, sizeof(id), "%" PRId64, row->row);
-    mo_unreadable_add_other(unreadable, "design", id, damage);
+    snprintf(words, sizeof(words), "designs.form of row %" PRId64 " is no body", row->row);
+    mo_unreadable_add_other(unreadable, "design", id, whole ? words : row->damage);
     return MO_OK;
   }
   if (text->data[text->size - 1] == '}')

@@ -35,8 +35,9 @@ static void tag(struct mo_request *request, const char *what, const struct mo_jo
 }
 
 /* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is not, or not any more, in the state that is
- * asked for (−1: any). MO_ERR_CORRUPT: with its damage. */
-static int write_job(struct mo_http *http, struct mo_text *text, struct mo_job *job, int state, const char *before)
+ * asked for (−1: any). */
+static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job, int state,
+                     const char *before)
 {
   int code = MO_OK;
   if (job->kind == MO_JOB_TRAINING) {
@@ -47,8 +48,6 @@ static int write_job(struct mo_http *http, struct mo_text *text, struct mo_job *
       mo_text_add(text, before);
       mo_training_json_job(text, training, &live);
     }
-    if (code == MO_ERR_CORRUPT)
-      memcpy(job->damage, training->job.damage, sizeof(job->damage));
     free(training);
   } else if (job->kind == MO_JOB_CAMPAIGN) {
     struct mo_campaign_live live;
@@ -58,8 +57,6 @@ static int write_job(struct mo_http *http, struct mo_text *text, struct mo_job *
       mo_text_add(text, before);
       mo_campaign_json_job(text, campaign, &live);
     }
-    if (code == MO_ERR_CORRUPT)
-      memcpy(job->damage, campaign->job.damage, sizeof(job->damage));
     free(campaign);
   } else {
     mo_text_add(text, before);
@@ -329,6 +326,8 @@ void mo_handle_jobs(struct mo_request *request)
     size_t size = text.size;
     if (jobs[i].damage[0] == '\0')
       code = write_job(request->http, &text, &jobs[i], query.state, comma);
+    if (code == MO_ERR_CORRUPT)
+      (void)mo_store_job_damage(request->http->services.store, jobs[i].id, &jobs[i]);
     if (jobs[i].damage[0] != '\0') {
       mo_unreadable_add(&unreadable, &jobs[i]);
       code = MO_OK;

@@ -6,6 +6,7 @@
 #include "http/field.h"
 #include "http/server.h"
 #include "http/training_json.h"
+#include "http/unreadable.h"
 
 #define HELD_OUT_DESIGNS_MAX 1000
 #define HELD_OUT_PLACES_MAX  64
@@ -39,6 +40,25 @@ static int export_checkpoint(struct mo_http *http, const struct mo_training_stat
   mo_controller_free(controller);
   mo_training_free(training);
   return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
+}
+
+/* Of the training's result, or of a checkpoint (step 0: the newest): a row says what the file must be, and one of them does not. */
+static void reply_damaged(struct mo_request *request, const struct mo_training_status *status, bool result,
+                          uint32_t step)
+{
+  static const char words[] = "in the state folder of the service is missing or damaged.";
+  struct mo_training_checkpoint_row newest = {.step = step};
+  char digits[MO_SHA256_DIGITS + 1];
+  if (mo_reply_unreadable(request))
+    return;
+  mo_sha256_to_hex(&status->result_sha256, digits);
+  if (step == 0 && !result)
+    (void)mo_store_training_checkpoints(request->http->services.store, status->job.id, &newest, 1);
+  if (result)
+    mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s", digits, words);
+  else
+    mo_reply_problem(request, 500, NULL, "The file trainings/%lld/%u.checkpoint %s", (long long)status->job.id,
+                     newest.step, words);
 }
 
 void mo_handle_training_controller(struct mo_request *request)
@@ -85,8 +105,7 @@ void mo_handle_training_controller(struct mo_request *request)
                          ? "The training has ended without a result and keeps no checkpoint."
                          : "The training has no checkpoint yet.");
   else if (code == MO_ERR_CORRUPT)
-    mo_reply_problem(request, 500, NULL, "The file of the %s in the state folder of the service is missing or damaged.",
-                     status->has_result && at == n_steps ? "controller" : "checkpoint");
+    reply_damaged(request, status, at == n_steps && status->has_result, (uint32_t)step);
   else if (code != MO_OK)
     mo_reply_error(request, code, "controller");
   else {

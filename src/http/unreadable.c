@@ -1,6 +1,7 @@
 /* unreadable.c: see unreadable.h. */
 #include "http/unreadable.h"
 
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -65,48 +66,63 @@ void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct 
   mo_text_free(&list->items);
 }
 
-/* What of the rows of a job cannot be read, in its damage. */
-static bool find_damage(struct mo_store *store, int64_t id, struct mo_job *job)
+/* "Design 7 cannot be read: …", of what the path names. */
+static void reply(struct mo_request *request, const char *words)
 {
-  int code = mo_store_job(store, id, job);
-  struct mo_training_status *training =
-      code == MO_OK && job->kind == MO_JOB_TRAINING ? malloc(sizeof(*training)) : NULL;
-  struct mo_campaign_status *campaign =
-      code == MO_OK && job->kind == MO_JOB_CAMPAIGN ? malloc(sizeof(*campaign)) : NULL;
-  if (training != NULL && (code = mo_store_training(store, id, training)) == MO_ERR_CORRUPT)
-    memcpy(job->damage, training->job.damage, sizeof(job->damage));
-  if (campaign != NULL && (code = mo_store_campaign(store, id, campaign)) == MO_ERR_CORRUPT)
-    memcpy(job->damage, campaign->job.damage, sizeof(job->damage));
-  free(training);
-  free(campaign);
-  return code == MO_ERR_CORRUPT && job->damage[0] != '\0';
+  mo_reply_problem(request, 500, NULL, "%c%s. The log of the service has the request's id.",
+                   words[0] >= 'a' && words[0] <= 'z' ? words[0] - 'a' + 'A' : words[0], words + 1);
 }
 
-static bool path_is_of_job(const struct mo_request *request)
+static bool path_begins(const struct mo_request *request, const char *beginning)
 {
-  static const char *const paths[] = {"/v1/jobs/", "/v1/evaluations/", "/v1/trainings/", "/v1/campaigns/"};
-  for (size_t i = 0; i < sizeof(paths) / sizeof(paths[0]); i++)
-    if (strncmp(request->path, paths[i], strlen(paths[i])) == 0)
-      return true;
-  return false;
+  return strncmp(request->path, beginning, strlen(beginning)) == 0;
+}
+
+static bool find_job(struct mo_store *store, const char *digits, char words[WORDS_BYTES])
+{
+  struct mo_job *job = malloc(sizeof(*job));
+  int64_t id;
+  const bool found = job != NULL && mo_decimal(digits, strlen(digits), 1, INT64_MAX, &id) &&
+                     mo_store_job_damage(store, id, job) == MO_OK;
+  if (found)
+    describe(job, words);
+  free(job);
+  return found;
+}
+
+static bool find_design(struct mo_store *store, const char *digits, char words[WORDS_BYTES])
+{
+  char damage[MO_DAMAGE_BYTES];
+  struct mo_bits form;
+  int64_t row;
+  if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, digits, strlen(digits), form.words) != MO_OK ||
+      mo_store_design_damage(store, &form, &row, damage) != MO_OK)
+    return false;
+  snprintf(words, WORDS_BYTES, "design %" PRId64 " cannot be read: %s", row, damage);
+  return true;
+}
+
+static bool find_controller(struct mo_store *store, const char *name, char words[WORDS_BYTES])
+{
+  struct mo_controller_record record;
+  if (mo_store_controller(store, name, &record) != MO_ERR_CORRUPT || record.damage[0] == '\0')
+    return false;
+  snprintf(words, WORDS_BYTES, "controller %s cannot be read: %s", name, record.damage);
+  return true;
 }
 
 bool mo_reply_unreadable(struct mo_request *request)
 {
-  const char *digits = request->parameters[0];
-  struct mo_job *job = NULL;
-  bool damaged = false;
-  int64_t id;
-  if (path_is_of_job(request) && mo_decimal(digits, strlen(digits), 1, INT64_MAX, &id))
-    job = malloc(sizeof(*job));
-  if (job != NULL && find_damage(request->http->services.store, id, job)) {
-    char words[WORDS_BYTES];
-    describe(job, words);
-    if (words[0] >= 'a' && words[0] <= 'z')
-      words[0] = (char)(words[0] - 'a' + 'A');
-    mo_reply_problem(request, 500, NULL, "%s. The log of the service has the request's id.", words);
-    damaged = true;
-  }
-  free(job);
-  return damaged;
+  struct mo_store *store = request->http->services.store;
+  const char *name = request->parameters[0];
+  char words[WORDS_BYTES];
+  const bool found = path_begins(request, "/v1/designs/")       ? find_design(store, name, words)
+                     : path_begins(request, "/v1/controllers/") ? find_controller(store, name, words)
+                     : path_begins(request, "/v1/jobs/") || path_begins(request, "/v1/evaluations/") ||
+                             path_begins(request, "/v1/trainings/") || path_begins(request, "/v1/campaigns/")
+                         ? find_job(store, name, words)
+                         : false;
+  if (found)
+    reply(request, words);
+  return found;
 }

@@ -16,7 +16,7 @@ void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const
 /* Ends the member `unreadable` of a page, if there are any, notes them for the log, and frees the list. */
 void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list);
 
-/* Whether the path names a job that cannot be read: then the 500 that says so is made. */
+/* Whether a row is found that keeps what the path names from being read: then the 500 that says so is made. */
 bool mo_reply_unreadable(struct mo_request *request);
 
 #endif

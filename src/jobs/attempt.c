@@ -153,6 +153,16 @@ static void halt(struct mo_attempt *attempt, int (*save)(void *context), void *c
   (void)mo_attempt_persist(attempt, write_failure, attempt, "the note of an error");
 }
 
+/* Words for an error that came without any: of stored data that cannot be read, which row it is. */
+static void describe(struct mo_attempt *attempt, int error)
+{
+  struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
+  const bool found = job != NULL && mo_store_job_damage(attempt->jobs->store, attempt->id, job) == MO_OK;
+  snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s", kind_of(attempt)->noun,
+           found ? job->damage : mo_error_text(error));
+  free(job);
+}
+
 bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context), void *context)
 {
   switch (error) {
@@ -166,8 +176,7 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
   default: break;
   }
   if (attempt->text[0] == '\0')
-    snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s", kind_of(attempt)->noun,
-             mo_error_text(error));
+    describe(attempt, error);
   mo_attempt_warn(attempt, error, attempt->text);
   attempt->winding_down = true;
   attempt->error = error;

@@ -174,7 +174,10 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
 {
   char digits[MO_SHA256_DIGITS + 1];
   int error = mo_store_load_work(jobs->store, active->id, &active->work);
-  snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(error));
+  struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
+  const bool found = job != NULL && mo_store_job_damage(jobs->store, active->id, job) == MO_OK;
+  snprintf(text, 256, "the job could not be prepared: %s", found ? job->damage : mo_error_text(error));
+  free(job);
   if (error != MO_OK)
     return error;
   active->cells = calloc(active->work->job.rollouts_total, 1);

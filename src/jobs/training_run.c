@@ -179,9 +179,8 @@ static int begin_anew(struct run *run)
   if (error == MO_OK)
     error = mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL, n,
                                &run->learner.training, &message);
-  if (error != MO_OK && run->attempt.text[0] == '\0')
-    snprintf(run->attempt.text, sizeof(run->attempt.text), "the training cannot be prepared: %.200s",
-             message.text[0] != '\0' ? message.text : mo_error_text(error));
+  if (error != MO_OK && run->attempt.text[0] == '\0' && message.text[0] != '\0')
+    snprintf(run->attempt.text, sizeof(run->attempt.text), "the training cannot be prepared: %.200s", message.text);
   free(genotypes);
   mo_controller_free(parent);
   return error;

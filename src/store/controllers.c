@@ -283,7 +283,7 @@ int mo_controller_find(struct mo_connection *connection, const char *name, int64
   return error;
 }
 
-#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"
+#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,c.id"
 
 static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
 {
@@ -294,12 +294,13 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
       (struct mo_workspace){(uint16_t)sqlite3_column_int(statement, 3), (uint16_t)sqlite3_column_int(statement, 4),
                             (uint16_t)sqlite3_column_int(statement, 5)};
   record->n_parameters = (uint64_t)sqlite3_column_int64(statement, 6);
-  mo_column_text(statement, 7, record->name, sizeof(record->name));
-  record->version = sqlite3_column_int64(statement, 8);
-  record->stored_us = sqlite3_column_int64(statement, 9);
+  mo_column_text(statement, 8, record->name, sizeof(record->name));
+  record->version = sqlite3_column_int64(statement, 9);
+  record->stored_us = sqlite3_column_int64(statement, 10);
   if (mo_column_hash(statement, 0, &record->sha256) == MO_OK)
     return MO_OK;
-  record->damage = "controllers.sha256 is no hash";
+  snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash",
+           (long long)sqlite3_column_int64(statement, 7));
   return MO_ERR_CORRUPT;
 }
 

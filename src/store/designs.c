@@ -1,5 +1,6 @@
 /* designs.c: reading designs and what is known of them. */
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -24,6 +25,11 @@ int mo_store_design_count(struct mo_store *store, uint64_t *n)
 
 /* ---- lists ---- */
 
+static void damaged(struct mo_design_row *row, const char *column, int64_t at, const char *what)
+{
+  snprintf(row->damage, sizeof(row->damage), "%s of row %lld is %s", column, (long long)at, what);
+}
+
 static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,
                            struct mo_design_row *rows, size_t limit)
 {
@@ -41,7 +47,7 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
     memset(row, 0, sizeof(*row));
     row->row = sqlite3_column_int64(statement, 0);
     if (mo_column_bits(statement, 1, &row->form) != MO_OK)
-      row->damage = "designs.form is no design";
+      damaged(row, "designs.form", row->row, "no design");
     row->first_seen_us = sqlite3_column_int64(statement, 2);
     row->score = NAN;
   }
@@ -76,7 +82,8 @@ static int find_physics(struct mo_connection *reader, const struct mo_design_que
 static int64_t list_by_score(struct mo_connection *reader, const struct mo_design_query *query,
                              struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score FROM set_scores s"
+  static const char sql[] = "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score,s.controller,"
+                            "s.environment_set FROM set_scores s"
                             " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
                             " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
                             " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
@@ -104,12 +111,15 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
     row->genotype_row = sqlite3_column_int64(statement, 0);
     row->row = sqlite3_column_int64(statement, 3);
     if (mo_column_double(statement, 1, &row->score) != MO_OK) {
-      row->damage = "set_scores.bits is no score";
+      snprintf(row->damage, sizeof(row->damage),
+               "set_scores.bits of genotype %lld, controller %lld, physics %lld and set %lld is no score",
+               (long long)row->genotype_row, (long long)sqlite3_column_int64(statement, 7), (long long)physics,
+               (long long)sqlite3_column_int64(statement, 8));
       row->score = sqlite3_column_double(statement, 6);
     } else if (mo_column_bits(statement, 2, &row->genotype) != MO_OK)
-      row->damage = "genotypes.bits is no design";
+      damaged(row, "genotypes.bits", row->genotype_row, "no design");
     else if (mo_column_bits(statement, 4, &row->form) != MO_OK)
-      row->damage = "designs.form is no design";
+      damaged(row, "designs.form", row->row, "no design");
     row->first_seen_us = sqlite3_column_int64(statement, 5);
   }
   (void)sqlite3_reset(statement);

@@ -107,8 +107,8 @@ struct mo_controller_record {
   enum mo_sensor sensor;
   struct mo_workspace workspace;
   uint64_t n_parameters;
-  int64_t stored_us;  /* when this name got this content (by hash: when the content came) */
-  const char *damage; /* what of it cannot be read, by table and column; the name can. NULL: all is well */
+  int64_t stored_us;            /* when this name got this content (by hash: when the content came) */
+  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the name can. "": all is well */
 };
 
 /* One page row of designs. */
@@ -119,7 +119,8 @@ struct mo_design_row {
   struct mo_bits genotype; /* sort=score: the oriented, placed genotype that has the score */
   double score;            /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
   int64_t genotype_row;    /* sort=score: with score, the cursor */
-  const char *damage;      /* what of it cannot be read, by table and column; the cursor can. NULL: all is well */
+  char damage
+      [MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the cursor can. "": all is well */
 };
 
 /* Scores of one oriented genotype under one setting: of a whole named set, or of one environment that is in none. */

@@ -89,6 +89,10 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
 /* MO_ERR_NOT_FOUND. MO_ERR_CORRUPT: with job->damage, which is "" when the database itself is damaged. */
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
 
+/* After a reading of a job, or of what belongs to it, has given MO_ERR_CORRUPT: which row that is, in job->damage; the job's id and kind are
+ * there, too. MO_ERR_NOT_FOUND: there is no such job, or no row is found. A campaign of a million designs takes seconds. */
+int mo_store_job_damage(struct mo_store *store, int64_t id, struct mo_job *job);
+
 struct mo_job_query {
   int64_t before; /* only ids below this; 0: from the newest */
   int state;      /* enum mo_job_state or −1 */
@@ -115,6 +119,10 @@ int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t
 
 int mo_store_design(struct mo_store *store, const struct mo_bits *form,
                     struct mo_design **design); /* MO_ERR_NOT_FOUND */
+
+/* After that has given MO_ERR_CORRUPT: which row it is, and that of the design. MO_ERR_NOT_FOUND as of jobs. */
+int mo_store_design_damage(struct mo_store *store, const struct mo_bits *form, int64_t *row,
+                           char words[MO_DAMAGE_BYTES]);
 
 enum mo_design_sort { MO_DESIGNS_BY_ID = 0 /* order of first sight */, MO_DESIGNS_BY_SCORE = 1 /* best first */ };
 struct mo_design_query {

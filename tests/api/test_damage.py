@@ -206,14 +206,15 @@ def test_a_job_of_another_kind(whole, start, tmp_path):
 DESIGNS = "/v1/designs", "/v1/designs?sort=score"
 OTHERS = (
     (DESIGNS, "UPDATE designs SET form = x'00' WHERE id = (SELECT design FROM genotypes WHERE id = (SELECT min(genotype) FROM set_scores))",
-     "design", "designs.form is no design"),
+     "design", "designs.form of row {design} is no design"),
     (DESIGNS, "UPDATE designs SET form = zeroblob(length(form)) WHERE id = (SELECT design FROM genotypes WHERE id = (SELECT min(genotype) FROM set_scores))",
-     "design", "designs.form is no body"),
-    (DESIGNS[1:], "UPDATE genotypes SET bits = x'01' WHERE id = (SELECT min(genotype) FROM set_scores)", "design", "genotypes.bits is no design"),
-    (DESIGNS[1:], "UPDATE set_scores SET bits = x'01' WHERE genotype = (SELECT min(genotype) FROM set_scores)", "design", "set_scores.bits is no score"),
+     "design", "designs.form of row {design} is no body"),
+    (DESIGNS[1:], "UPDATE genotypes SET bits = x'01' WHERE id = (SELECT min(genotype) FROM set_scores)", "design", "genotypes.bits of row {genotype} is no design"),
+    (DESIGNS[1:], "UPDATE set_scores SET bits = x'01' WHERE genotype = (SELECT min(genotype) FROM set_scores)", "design",
+     "set_scores.bits of genotype {genotype}, controller 1, physics {physics} and set 1 is no score"),
     (("/v1/controllers",), "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
      "UPDATE controller_names SET controller = 99 WHERE name = 'training-2'",
-     "controller", "controllers.sha256 is no hash"),
+     "controller", "controllers.sha256 of row 99 is no hash"),
 )
 
 
@@ -221,7 +222,7 @@ def test_the_default_controller(whole, start, tmp_path):
     """Without it nothing starts; the words say which row."""
     damage(copied(whole, tmp_path), "INSERT INTO controllers SELECT 99, x'00', size, sensor, nx, ny, nz, n_parameters, metadata, stored_us FROM controllers LIMIT 1; "
                                     "UPDATE controller_names SET controller = 99 WHERE name = 'default'")
-    with pytest.raises(RuntimeError, match="the controller default cannot be read: controllers.sha256 is no hash"):
+    with pytest.raises(RuntimeError, match="the controller default cannot be read: controllers.sha256 of row 99 is no hash"):
         start(state=tmp_path)
 
 
@@ -237,6 +238,11 @@ def test_a_design_or_controller(whole, start, tmp_path, paths, sql, kind, words)
             assert first.evaluate({"designs": [{"cells": cells}]}).json()["state"] == "succeeded"
         first.stop()
         sql = sql.replace("FROM set_scores)", "FROM set_scores WHERE physics = (SELECT max(physics) FROM set_scores))")
+    keys = ("physics", "genotype", "design")
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+        found = database.execute("SELECT physics, genotype, design FROM set_scores JOIN genotypes ON id = genotype"
+                                 " ORDER BY physics DESC, genotype LIMIT 1").fetchone()
+        words = words.format(**dict(zip(keys, found)))
     service = start(state=state)
     before = {path: service.request("GET", path).json()["items"] for path in paths}
     service.stop()
@@ -261,6 +267,112 @@ def test_a_design_or_controller(whole, start, tmp_path, paths, sql, kind, words)
     shown = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert f"{kind} {entry['id']} cannot be read by the server: {words}" in shown.stderr
     assert service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 6}}).json()["state"] == "succeeded"
+
+
+BITS = "UPDATE genotypes SET bits = x'01' WHERE id = (SELECT {})"
+# The damage, what is asked, what it is called, and the words; {0} is what the statement behind them gives.
+SINGLE = (
+    (BITS.format("min(genotype) FROM evaluation_designs WHERE job = 1"), "/v1/evaluations/1", "Evaluation 1",
+     "genotypes.bits of row {0} is no design", "SELECT genotype FROM evaluation_designs WHERE job = 1"),
+    ("UPDATE designs SET form = x'00' WHERE id = (SELECT design FROM genotypes WHERE id = (SELECT genotype FROM evaluation_designs WHERE job = 1))",
+     "/v1/evaluations/1", "Evaluation 1", "designs.form of row {0} is no design",
+     "SELECT design FROM genotypes WHERE id = (SELECT genotype FROM evaluation_designs WHERE job = 1)"),
+    ("UPDATE evaluation_designs SET genotype = 99 WHERE job = 1", "/v1/evaluations/1", "Evaluation 1",
+     "evaluation_designs.genotype of job 1 is 99, which genotypes has not", None),
+    ("DELETE FROM evaluation_designs WHERE job = 1", "/v1/evaluations/1", "Evaluation 1", "evaluation_designs of job 1 has 0 rows, not those from 0 to 0", None),
+    ("DELETE FROM evaluation_environments WHERE job = 1 AND position = 5", "/v1/evaluations/1", "Evaluation 1",
+     "evaluation_environments of job 1 has 9 rows, not those from 0 to 9", None),
+    ("UPDATE scores SET loss = x'01' WHERE environment = 3", "/v1/evaluations/1", "Evaluation 1",
+     "scores.loss of genotype {0}, controller 1, physics 1 and environment 3 is no number", "SELECT genotype FROM evaluation_designs WHERE job = 1"),
+    ("UPDATE recomputed SET stored = x'01' WHERE environment = 2", "/v1/evaluations/7", "Evaluation 7",
+     "recomputed.stored of job 7, position 0 and environment 2 is no number", None),
+    ("UPDATE trajectories SET com = x'01'", "/v1/evaluations/7/trajectories/0", "Evaluation 7", "trajectories.com of row 1 has 1 bytes", None),
+    ("UPDATE trajectories SET stride = 0", "/v1/evaluations/7/trajectories/0", "Evaluation 7", "trajectories.stride of row 1 is 0", None),
+    (BITS.format("min(genotype) FROM training_designs WHERE job = 2"), "/v1/trainings/2/held-out", "Training 2",
+     "genotypes.bits of row {0} is no design", "SELECT genotype FROM training_designs WHERE job = 2"),
+    ("UPDATE training_checkpoints SET sha256 = x'01' WHERE job = 2", "/v1/trainings/2/checkpoints", "Training 2",
+     "training_checkpoints.sha256 of job 2 and step 1 is no hash", None),
+    ("UPDATE training_checkpoints SET sha256 = x'01' WHERE job = 2; UPDATE trainings SET result = NULL WHERE job = 2", "/v1/trainings/2/controller",
+     "Training 2", "training_checkpoints.sha256 of job 2 and step 1 is no hash", None),
+    ("UPDATE campaign_populations SET population = x'0102' WHERE job = 3 AND generation = 1", "/v1/campaigns/3/population", "Campaign 3",
+     "campaign_populations.population of row {0} has 2 bytes", "SELECT id FROM campaign_populations WHERE job = 3 AND generation = 1"),
+    ("UPDATE campaign_populations SET births = x'' WHERE job = 3 AND generation = 1", "/v1/campaigns/3/designs/0", "Campaign 3",
+     "campaigns.n_designs of job 3 is {0}, campaign_populations.births has 4", "SELECT n_designs FROM campaigns WHERE job = 3"),
+    ("DELETE FROM campaign_designs WHERE job = 3 AND number = 0", "/v1/campaigns/3/population?generation=0", "Campaign 3",
+     "campaign_designs of job 3 has {0} rows, not those from 0 to {0}", "SELECT n_designs - 1 FROM campaigns WHERE job = 3"),
+    ("UPDATE campaign_designs SET score = x'01' WHERE job = 3 AND number = 2", "/v1/campaigns/3/phylogeny", "Campaign 3",
+     "campaign_designs.score of job 3 and number 2 is no number", None),
+    (BITS.format("genotype FROM campaign_designs WHERE job = 3 AND number = 1"), "/v1/campaigns/3/designs/1", "Campaign 3",
+     "genotypes.bits of row {0} is no design", "SELECT genotype FROM campaign_designs WHERE job = 3 AND number = 1"),
+    ("INSERT INTO campaign_checkpoints VALUES(3, 1, 0, x'01', 7, 1700000000000000)", "/v1/campaigns/3/checkpoints", "Campaign 3",
+     "campaign_checkpoints.sha256 of job 3, generation 1 and step 0 is no hash", None),
+    ("UPDATE scores SET loss = x'01' WHERE environment = 4", DESIGN, "Design {1}",
+     "scores.loss of genotype {0}, controller 1, physics 1 and environment 4 is no number", "SELECT genotype, design FROM evaluation_designs"
+     " JOIN genotypes ON id = genotype WHERE job = 1"),
+    (BITS.format("min(genotype) FROM evaluation_designs WHERE job = 1"), DESIGN, "Design {1}", "genotypes.bits of row {0} is no design",
+     "SELECT genotype, design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
+    ("UPDATE physics SET encoding = x'0901' WHERE id = 1", DESIGN, "Design {0}", "physics.encoding of row 1 cannot be decoded",
+     "SELECT design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
+    ("UPDATE environments SET sha256 = x'01' WHERE id = 1", DESIGN, "Design {0}", "environments.sha256 of row 1 is no hash",
+     "SELECT design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
+    (OTHERS[-1][1], "/v1/controllers/training-2", "Controller training-2", "controllers.sha256 of row 99 is no hash", None),
+)
+
+
+@pytest.fixture(scope="module")
+def recorded(whole, tmp_path_factory):
+    """The jobs of `whole`, and an evaluation that recorded and computed again, with what was computed."""
+    from service import Service
+    state = tmp_path_factory.mktemp("recorded")
+    with sqlite3.connect(state / "morphod.db") as copy:
+        whole[0].backup(copy)
+    copy.close()
+    shutil.copytree(whole[1], state / "controllers")
+    running = Service(state=state)
+    evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT, "verify": True, "record": ["com"]})
+    assert evaluation.json()["id"] == "7" and evaluation.json()["state"] == "succeeded", evaluation.body
+    form = evaluation.json()["results"][0]["id"]
+    running.close()
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+        copy = sqlite3.connect(state / "copy")
+        database.backup(copy)
+    yield (copy, whole[1]), form
+    copy.close()
+
+
+@pytest.mark.parametrize("sql, path, name, words, found", SINGLE, ids=[f"{i}-{row[3].split()[0]}" for i, row in enumerate(SINGLE)])
+def test_what_belongs_to_one(recorded, start, tmp_path, sql, path, name, words, found):
+    """A damaged row of what a job, a design or a controller consists of: the reply and the log say which it is."""
+    state = copied(recorded[0], tmp_path)
+    if path is DESIGN:
+        path = f"/v1/designs/{recorded[1]}"
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+        values = database.execute(found or "SELECT 0").fetchone()
+    name, words = name.format(*values), words.format(*values)
+    service = start(state=state)
+    assert service.request("GET", path, headers={"Accept": "*/*"}).status == 200
+    service.stop()
+    damage(state, sql)
+    service = start("--log-format=logfmt", state=state)
+    reply = service.request("GET", path, headers={"Accept": "*/*"})
+    assert reply.status == 500 and reply.json()["detail"] == f"{name} cannot be read: {words}. The log of the service has the request's id.", reply.body
+    line = unclean(service, [reply])[-1]
+    assert "level=warning" in line and f"{name} cannot be read: {words}." in line
+    assert service.evaluate({"designs": [{"cells": [[0, 0, 0]]}], "physics": {"n_steps": 3}, "environments": [
+        {"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]}).json()["state"] == "succeeded"
+
+
+def test_work_with_a_damaged_row(whole, start, tmp_path):
+    """Jobs whose designs cannot be read fail with the row, and the log has it."""
+    state = copied(whole, tmp_path)
+    damage(state, "UPDATE jobs SET state = 0, finished_us = 0 WHERE id < 4; UPDATE campaigns SET ended = 0, generations = 2 WHERE job = 3; "
+                  "UPDATE genotypes SET bits = CAST(id AS BLOB)")
+    service = start("--log-format=logfmt", state=state)
+    for job, kind in KINDS.items():
+        finish(service, job)
+        error = service.request("GET", f"/v1/jobs/{job}").json()["error"]
+        assert re.search(r": genotypes.bits of row \d+ is no design$", error["detail"]), error
+        assert error["detail"] in service.log_text(), kind
 
 
 @pytest.mark.parametrize("sql", ("UPDATE environment_sets SET id = 0", "UPDATE environment_sets SET n = 65", "UPDATE environment_sets SET n = 0"))
