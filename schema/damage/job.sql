@@ -107,10 +107,12 @@ WITH used(t, job, environment) AS (
 )
 SELECT CASE
     WHEN e.id IS NULL THEN printf('%s.environment of job %d is %d, which environments has not', t, job, environment)
-    ELSE printf('environments.data of row %d is no environment', e.id)
+    WHEN length(e.data) IS NOT 528 THEN printf('environments.data of row %d is no environment', e.id)
+    WHEN length(e.sha256) IS NOT 32 THEN printf('environments.sha256 of row %d is no hash', e.id)
+    ELSE printf('environments.data of row %d has not the hash environments.sha256', e.id)
   END
 FROM used LEFT JOIN environments e ON e.id = used.environment
-WHERE length(e.data) IS NOT 528
+WHERE length(e.data) IS NOT 528 OR e.sha256 IS NOT sha256(e.data)
 LIMIT 1;
 
 WITH used(t, job, genotype) AS (

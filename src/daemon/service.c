@@ -390,6 +390,9 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   service->crash_marker = true;
   if (last_marker != NULL)
     log_warning("the last process crashed while it computed a job", LOG_TEXT("marker", last_marker));
+  if (mo_store_repairs(service->store)[0] != '\0')
+    log_warning("damaged rows of the test set paper-test were written again",
+                LOG_TEXT("rows", mo_store_repairs(service->store)));
   mo_store_subscribe(service->store, log_events, service, &service->subscription);
 
   struct mo_compute_config compute = {.n_workers = (uint32_t)settings->workers,

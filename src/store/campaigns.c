@@ -348,8 +348,9 @@ int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group
 
 int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo_environment **ret, uint32_t *ret_n)
 {
-  static const char sql[] = "SELECT e.data FROM campaign_environments x JOIN environments e ON e.id=x.environment"
-                            " WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] =
+      "SELECT e.data,e.sha256 FROM campaign_environments x JOIN environments e ON e.id=x.environment"
+      " WHERE x.job=?1 ORDER BY x.position";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_environment *environments = NULL;
   struct mo_campaign_head head = {0};
@@ -368,11 +369,7 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
   if (statement != NULL) {
     sqlite3_bind_int64(statement, 1, head.group);
     while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      const void *data = sqlite3_column_blob(statement, 0);
-      if (n == head.n_environments || data == NULL || sqlite3_column_bytes(statement, 0) != MO_ENVIRONMENT_BYTES)
-        error = MO_ERR_CORRUPT;
-      else
-        mo_decode_environment(data, &environments[n++]);
+      error = n == head.n_environments ? MO_ERR_CORRUPT : mo_column_environment(statement, 0, 1, &environments[n++]);
     }
     if (step < 0)
       error = step;

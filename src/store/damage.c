@@ -16,12 +16,28 @@ _Static_assert(MO_BITS_BYTES == 18 && MO_PHYSICS_BYTES == 93 && MO_ENVIRONMENT_B
 
 enum { OF_DESIGN = 0, OF_JOB = 1 }; /* of the embedded files */
 
+/* sha256(x): the hash of a BLOB, as a BLOB. */
+static void hash_of(sqlite3_context *context, int n, sqlite3_value **values)
+{
+  struct mo_sha256 hash;
+  const void *bytes = sqlite3_value_blob(values[0]);
+  (void)n;
+  if (bytes == NULL) {
+    sqlite3_result_null(context);
+    return;
+  }
+  mo_sha256_of(bytes, (size_t)sqlite3_value_bytes(values[0]), &hash);
+  sqlite3_result_blob(context, hash.bytes, sizeof(hash.bytes), SQLITE_TRANSIENT);
+}
+
 /* The first words that a file's statements give for the value that `bind` binds as their parameter. */
 static int find(struct mo_connection *reader, size_t file, void (*bind)(sqlite3_stmt *statement, const void *value),
                 const void *value, char words[MO_DAMAGE_BYTES])
 {
   const char *sql = (const char *)damage_files[file].bytes;
-  int error = MO_OK;
+  int error = mo_sql_error(reader->db, sqlite3_create_function(reader->db, "sha256", 1,
+                                                               SQLITE_UTF8 | SQLITE_DETERMINISTIC | SQLITE_DIRECTONLY,
+                                                               NULL, hash_of, NULL, NULL));
   words[0] = '\0';
   while (error == MO_OK && words[0] == '\0' && *sql != '\0') {
     sqlite3_stmt *statement = NULL; /* asked so seldom that a connection need not keep it */

@@ -54,6 +54,8 @@ void mo_bind_hash(sqlite3_stmt *statement, int index, const struct mo_sha256 *ha
 /* Columns with their checks: MO_ERR_CORRUPT. */
 int mo_column_hash(sqlite3_stmt *statement, int column, struct mo_sha256 *hash);
 int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits);
+/* An environment, checked against its hash. */
+int mo_column_environment(sqlite3_stmt *statement, int data, int sha256, struct mo_environment *environment);
 int mo_column_double(sqlite3_stmt *statement, int column, double *value); /* 8-byte BLOB */
 void mo_column_text(sqlite3_stmt *statement, int column, char *text, size_t size);
 
@@ -80,6 +82,7 @@ struct mo_store {
   int64_t idempotency_keep_us;
   void (*fatal)(void *context, const char *what);
   void *fatal_context;
+  char repairs[256]; /* what the opening has put right */
 
   /* Readers. */
   pthread_mutex_t readers_mutex;
@@ -279,7 +282,8 @@ int mo_job_folders_clean(const struct mo_store *store, const char *path,
 
 /* Row of a controller by name or "sha256:…". MO_ERR_NOT_FOUND. */
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row);
-int mo_register_paper_test(struct mo_store *store);
+/* Makes the paper's test set, or puts it right, and notes in store->repairs what was damaged. When the writer has started. */
+int mo_put_paper_test_right(struct mo_store *store);
 int64_t mo_monotonic_us(void);
 
 #endif

@@ -333,7 +333,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, s
     error = mo_writer_start(store);
   }
   if (error == MO_OK) {
-    error = mo_register_paper_test(store);
+    error = mo_put_paper_test_right(store);
     if (error != MO_OK)
       mo_writer_stop(store);
   }
@@ -345,6 +345,11 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, s
   }
   *ret = store;
   return MO_OK;
+}
+
+const char *mo_store_repairs(const struct mo_store *store)
+{
+  return store->repairs;
 }
 
 void mo_store_close(struct mo_store *store)

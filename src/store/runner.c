@@ -301,7 +301,7 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
 
 static int load_environments(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char sql[] = "SELECT x.position,x.environment,e.data FROM evaluation_environments x"
+  static const char sql[] = "SELECT x.position,x.environment,e.data,e.sha256 FROM evaluation_environments x"
                             " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   int error = MO_OK;
   uint32_t n = 0;
@@ -311,12 +311,10 @@ static int load_environments(struct mo_connection *reader, int64_t id, struct mo
     return error;
   sqlite3_bind_int64(statement, 1, id);
   while ((step = mo_sql_step(reader, statement)) > 0) {
-    const void *data = sqlite3_column_blob(statement, 2);
-    if (n == work->n_environments || sqlite3_column_int64(statement, 0) != n || data == NULL ||
-        sqlite3_column_bytes(statement, 2) != MO_ENVIRONMENT_BYTES)
+    if (n == work->n_environments || sqlite3_column_int64(statement, 0) != n ||
+        mo_column_environment(statement, 2, 3, &work->environments[n]) != MO_OK)
       return MO_ERR_CORRUPT;
     work->environment_rows[n] = sqlite3_column_int64(statement, 1);
-    mo_decode_environment(data, &work->environments[n]);
     n++;
   }
   if (step < 0)

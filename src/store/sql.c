@@ -186,6 +186,20 @@ int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits)
   return mo_decode_bits(blob, (size_t)sqlite3_column_bytes(statement, column), bits);
 }
 
+int mo_column_environment(sqlite3_stmt *statement, int data, int sha256, struct mo_environment *environment)
+{
+  const void *bytes = sqlite3_column_blob(statement, data);
+  struct mo_sha256 hash, found;
+  if (bytes == NULL || sqlite3_column_bytes(statement, data) != MO_ENVIRONMENT_BYTES ||
+      mo_column_hash(statement, sha256, &hash) != MO_OK)
+    return MO_ERR_CORRUPT;
+  mo_sha256_of(bytes, MO_ENVIRONMENT_BYTES, &found);
+  if (!mo_sha256_equal(&hash, &found))
+    return MO_ERR_CORRUPT;
+  mo_decode_environment(bytes, environment);
+  return MO_OK;
+}
+
 int mo_column_double(sqlite3_stmt *statement, int column, double *value)
 {
   const void *blob = sqlite3_column_blob(statement, column);

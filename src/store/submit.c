@@ -129,52 +129,6 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
   return error;
 }
 
-struct new_set {
-  const char *name;
-  const struct mo_environment *environments;
-  uint32_t n;
-};
-
-/* What a folder has once called by a name keeps that meaning there: a set that exists is left alone. */
-static int register_set(struct mo_store *store, void *arguments)
-{
-  static const char set_sql[] = "INSERT INTO environment_sets(name,n) VALUES(?1,?2)";
-  static const char member_sql[] =
-      "INSERT INTO environment_set_members(environment_set,position,environment) VALUES(?1,?2,?3)";
-  const struct new_set *set = arguments;
-  struct mo_connection *writer = &store->writer;
-  int64_t row = 0, n = 0, environment = 0;
-  sqlite3_stmt *statement;
-  int error = mo_environment_set_find(writer, set->name, &row, &n);
-  if (error != MO_ERR_NOT_FOUND)
-    return error;
-  statement = mo_sql(writer, set_sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_text(statement, 1, set->name, -1, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 2, set->n);
-  error = mo_sql_run(writer, statement);
-  row = sqlite3_last_insert_rowid(writer->db);
-  for (uint32_t i = 0; i < set->n && error == MO_OK; i++) {
-    error = mo_environment_row(writer, &set->environments[i], &environment);
-    if (error == MO_OK && (statement = mo_sql(writer, member_sql, &error)) != NULL) {
-      sqlite3_bind_int64(statement, 1, row);
-      sqlite3_bind_int64(statement, 2, i);
-      sqlite3_bind_int64(statement, 3, environment);
-      error = mo_sql_run(writer, statement);
-    }
-  }
-  return error;
-}
-
-int mo_register_paper_test(struct mo_store *store)
-{
-  struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  struct new_set set = {"paper-test", environments, MO_PAPER_TEST_COUNT};
-  mo_environment_paper_test(environments);
-  return mo_write(store, register_set, &set);
-}
-
 /* ---- submission ---- */
 
 int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id)

@@ -1,6 +1,7 @@
 """Rows that cannot be read: the lists serve all others and name these, each says so itself, the log has the reason, and nothing stops."""
 
 import contextlib
+import hashlib
 import json
 import re
 import shutil
@@ -349,11 +350,9 @@ def test_what_belongs_to_one(recorded, start, tmp_path, sql, path, name, words, 
     with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
         values = database.execute(found or "SELECT 0").fetchone()
     name, words = name.format(*values), words.format(*values)
-    service = start(state=state)
-    assert service.request("GET", path, headers={"Accept": "*/*"}).status == 200
-    service.stop()
-    damage(state, sql)
     service = start("--log-format=logfmt", state=state)
+    assert service.request("GET", path, headers={"Accept": "*/*"}).status == 200
+    damage(state, sql)
     reply = service.request("GET", path, headers={"Accept": "*/*"})
     assert reply.status == 500 and reply.json()["detail"] == f"{name} cannot be read: {words}. The log of the service has the request's id.", reply.body
     line = unclean(service, [reply])[-1]
@@ -377,15 +376,77 @@ def test_work_with_a_damaged_row(whole, start, tmp_path):
 
 @pytest.mark.parametrize("sql", ("UPDATE environment_sets SET id = 0", "UPDATE environment_sets SET n = 65", "UPDATE environment_sets SET n = 0"))
 def test_a_named_set(whole, start, tmp_path, sql):
-    """Submissions that name it are refused, those with environments of their own are not, and the service stays."""
-    damage(copied(whole, tmp_path), sql)
-    service = start(state=tmp_path)
+    """Damaged while the service runs: submissions that name it are refused, those with environments of their own are not, and the service stays."""
+    service = start(state=copied(whole, tmp_path))
+    damage(tmp_path, sql)
     for path, value in (("/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 7}}), ("/v1/campaigns", CAMPAIGN)):
         assert service.request("POST", path, value).status == 500
         reply = service.request("POST", path, {**value, "environments": [{"light_xy_m": [4.5, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]})
         assert reply.status == 202, reply.body
         finish(service, int(reply.json()["id"]))
         assert service.request("GET", f"/v1/jobs/{reply.json()['id']}").json()["state"] == "succeeded"
+
+
+FLIP = "UPDATE environments SET data = CAST(substr(data, 1, 99) || x'42' || substr(data, 101) AS BLOB) WHERE id = 3"
+PAPER_TEST = (
+    ("UPDATE environment_sets SET id = 0", "environment_sets.id of row 1"),
+    ("UPDATE environment_sets SET n = 65", "environment_sets.n of row 1"),
+    ("UPDATE environments SET data = x'00' WHERE id = 3", "environments.data of row 3"),
+    (FLIP, "environments.data of row 3"),
+    ("UPDATE environments SET sha256 = zeroblob(32) WHERE id = 3", "environments.sha256 of row 3"),
+    (FLIP + "; UPDATE environments SET sha256 = x'01' WHERE id = 3", "environments.sha256 of row 3, environments.data of row 3"),
+    ("UPDATE environment_set_members SET environment = 1 WHERE position = 4", "environment_set_members.environment of set 1 and position 4"),
+    ("UPDATE environment_set_members SET environment = 99 WHERE position = 4", "environment_set_members.environment of set 1 and position 4"),
+    ("DELETE FROM environment_set_members WHERE position = 4", "environment_set_members.environment of set 1 and position 4"),
+    ("UPDATE environment_set_members SET position = 64 WHERE position = 4",
+     "environment_set_members.position of set 1, environment_set_members.environment of set 1 and position 4"),
+    ("DELETE FROM environment_set_members", "environment_set_members.environment of set 1 and position 0, "),
+)
+
+
+@pytest.mark.parametrize("sql, rows", PAPER_TEST, ids=[str(i) for i in range(len(PAPER_TEST))])
+def test_the_papers_test_set(whole, start, tmp_path, sql, rows):
+    """A constant of the code: each start writes again what is damaged, in the same rows, so that stored scores stay its scores."""
+    damage(copied(whole, tmp_path), sql)
+    service = start("--log-format=logfmt", state=tmp_path)
+    lines = [line for line in service.log_text().splitlines() if "paper-test were written again" in line]
+    assert len(lines) == 1 and "level=warning" in lines[0] and f'rows="{rows}' in lines[0]
+    again = service.evaluate({"designs": [DESIGN], "physics": SHORT}).json()
+    assert again["state"] == "succeeded" and again["rollouts_cached"] == 10, again
+    assert again["results"] == service.request("GET", "/v1/evaluations/1").json()["results"]
+    checked = service.evaluate({"designs": [DESIGN], "physics": SHORT, "verify": True}).json()
+    assert checked["state"] == "succeeded" and checked["results"][0]["agrees"] is True, checked
+    service.stop()
+    damage_free = start("--log-format=logfmt", state=tmp_path)
+    assert "paper-test were written again" not in damage_free.log_text()
+    design = damage_free.request("GET", f"/v1/designs/{again['results'][0]['id']}").json()
+    assert {score["environments"] for orientation in design["orientations"] for score in orientation["scores"]} == {"paper-test"}
+
+
+def test_a_test_set_of_another_version(whole, start, tmp_path):
+    """What a folder calls paper-test keeps that meaning."""
+    copied(whole, tmp_path)
+    with contextlib.closing(sqlite3.connect(tmp_path / "morphod.db")) as database:
+        rows = database.execute("SELECT id, data FROM environments").fetchall()
+        for row, data in rows:
+            data = data[8:16] + data[:8] + data[16:]
+            database.execute("UPDATE environments SET data = ?, sha256 = ? WHERE id = ?", (data, hashlib.sha256(data).digest(), row))
+        database.commit()
+        rows = database.execute("SELECT * FROM environments").fetchall()
+        service = start(state=tmp_path)
+        assert service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 6}}).json()["state"] == "succeeded"
+        assert "were written again" not in service.log_text() and database.execute("SELECT * FROM environments").fetchall() == rows
+
+
+def test_an_environment_with_another_hash(whole, start, tmp_path):
+    """Nothing is computed in an environment that is not what its scores are filed under."""
+    service = start(state=copied(whole, tmp_path))
+    damage(tmp_path, FLIP)
+    for path, value in POSTS[::2]:
+        job = service.request("POST", path, {**value, "physics": {"n_steps": 7}}).json()["id"]
+        finish(service, job)
+        error = service.request("GET", f"/v1/jobs/{job}").json()["error"]
+        assert error["detail"].endswith(": environments.data of row 3 has not the hash environments.sha256"), error
 
 
 def test_json_that_is_none(start, tmp_path):
