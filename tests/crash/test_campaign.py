@@ -75,22 +75,38 @@ def history(daemon, job):
             "populations": populations, "weights": weights}
 
 
+def counted(daemon):
+    """What was computed for campaigns in this life: rollouts, steps of learning."""
+    text = daemon.get("/metrics").text
+    return [int(re.search(rf"^morphod_campaign_{what}_total (\d+)", text, re.M)[1]) for what in ("rollouts", "learning_steps")]
+
+
 def rollouts(daemon):
-    """Computed for campaigns in this life."""
-    found = re.search(r"^morphod_campaign_rollouts_total (\d+)", daemon.get("/metrics").text, re.M)
-    return int(found[1])
+    return counted(daemon)[0]
+
+
+def work(daemon):
+    """The same as one number: a step counts as a block of ten rollouts, so that kills find both."""
+    n, steps = counted(daemon)
+    return n + 10 * steps
+
+
+def await_work(daemon, job, least):
+    """The campaign, when so much was computed in this life, or when it has ended."""
+    until = time.monotonic() + 600
+    while work(daemon) < least and campaign(daemon, job)["state"] in ("queued", "running"):
+        assert time.monotonic() < until, daemon.tail()
+    return campaign(daemon, job)
 
 
 def kill_one_campaign(daemon, generator, value, round_name, n_kills):
     """Runs a campaign undisturbed, and again with up to n_kills kills. (kills, kills while it ran)"""
     quiet = daemon(f"undisturbed-{round_name}", workers=2)
     with quiet:
-        begin = time.monotonic()
         job = post(quiet, "/v1/campaigns", value)["id"]
         finish(quiet, job, timeout_s=600)
-        seconds = time.monotonic() - begin
         expected = history(quiet, job)
-        needed = rollouts(quiet)
+        needed, all_work = rollouts(quiet), work(quiet)
         assert quiet.stop()[0] == 0
     assert len(expected["populations"]) == value["generations"] + 1
 
@@ -104,10 +120,10 @@ def kill_one_campaign(daemon, generator, value, round_name, n_kills):
         assert campaign(victim, job)["attempts"] == 0, "a kill counted as an attempt"
         if kills == n_kills:
             break
-        time.sleep(generator.uniform(0, seconds / 5))
-        if campaign(victim, job)["state"] == "succeeded":
+        state = await_work(victim, job, generator.uniform(0, all_work / 5))["state"]
+        if state == "succeeded":
             break
-        kills_while_running += campaign(victim, job)["state"] == "running"
+        kills_while_running += state == "running"
         computed += rollouts(victim)
         victim.kill()
         kills += 1
