@@ -335,9 +335,7 @@ int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
   if (folder == NULL)
     return MO_ERR_NO_MEMORY;
   pthread_mutex_lock(&store->checkpoints_mutex);
-  error = mo_write(store, remove_rows, &call);
-  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
-    error = mo_write(store, remove_rows, &call);
+  error = mo_write_urgent(store, remove_rows, &call);
   mo_campaign_checkpoint_end(store, &call.checkpoint, error);
   if (error == MO_OK)
     (void)store->files->rmdir(store->files->context, folder); /* when nothing is left */

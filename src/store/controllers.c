@@ -253,7 +253,7 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 {
   if (mo_controller_name_check(name) != MO_OK)
     return MO_ERR_NOT_FOUND;
-  return mo_write(store, remove_name, (void *)name);
+  return mo_write_urgent(store, remove_name, (void *)name);
 }
 
 /* ---- reading ---- */

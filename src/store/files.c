@@ -12,6 +12,8 @@
 
 #include "store/internal.h"
 
+#define PIECE_BYTES ((size_t)1 << 20)
+
 /* Want of descriptors or memory passes: the file is as good as it was. */
 static int open_error(void)
 {
@@ -136,11 +138,16 @@ static int write_error(void)
   return errno == ENOSPC || errno == EDQUOT || errno == EFBIG ? MO_ERR_NO_SPACE : open_error();
 }
 
-static int write_and_sync(const struct mo_file_operations *files, int fd, const uint8_t *bytes, size_t size)
+static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *bytes, size_t size)
 {
+  const struct mo_file_operations *files = store->files;
   size_t written = 0;
   while (written < size) {
-    ssize_t n = files->write(files->context, fd, bytes + written, size - written);
+    const size_t left = size - written;
+    ssize_t n;
+    if (atomic_load(&store->is_short)) /* what was given back is for others */
+      return MO_ERR_NO_SPACE;
+    n = files->write(files->context, fd, bytes + written, left < PIECE_BYTES ? left : PIECE_BYTES);
     if (n < 0 && errno == EINTR)
       continue;
     if (n < 0)
@@ -179,7 +186,7 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path, 
     free(temporary);
     return error;
   }
-  error = write_and_sync(files, fd, bytes, size);
+  error = write_and_sync(store, fd, bytes, size);
   if (files->close(files->context, fd) != 0 && error == MO_OK)
     error = write_error();
   if (error == MO_OK && files->rename(files->context, temporary, path, true) != 0)

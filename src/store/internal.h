@@ -66,6 +66,7 @@ struct mo_operation {
   int (*run)(struct mo_store *store, void *arguments);
   void *arguments;
   void (*done)(void *arguments, int status); /* NULL: somebody waits */
+  bool is_urgent;                            /* may use the room that is set aside */
   int status;
   bool finished;
   size_t first_event; /* of this operation in the batch's events */
@@ -105,6 +106,7 @@ struct mo_store {
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
   int wal_frames, checkpoint_frames;
+  bool reserve_whole;
 
   pthread_mutex_t
       checkpoints_mutex; /* files of trainings and campaigns with their rows; taken before anything is written */
@@ -119,13 +121,17 @@ struct mo_store {
 
   atomic_uint_fast64_t commits, operations, operations_failed, queued, commit_ns;
   atomic_int_fast64_t database_bytes, wal_bytes, heartbeat_us;
-  atomic_bool no_space, is_fatal, reserve_held;
+  atomic_bool no_space, is_fatal;
+  atomic_bool is_short; /* some of the room that was set aside is in use: what is not urgent changes nothing */
   atomic_uint file_counter;
 };
 
 /* Runs `run` on the writer's thread and waits for its commit. */
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments);
-/* The same without waiting; `done` frees what is to be freed. */
+/* The same for what people need on a full disk: it may use the room that is set aside. Small, and nothing
+ * that jobs do or try again by themselves. */
+int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments);
+/* Like mo_write without waiting; `done` frees what is to be freed. */
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
                    void (*done)(void *arguments, int status));
 /* From any thread: what was acknowledged may not be on the disk. */
@@ -142,8 +148,9 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 
 /* ---- room set aside ---- */
 
-void mo_reserve_make(struct mo_store *store); /* if it is not there; by the writer, every few seconds at most */
-bool mo_reserve_use(struct mo_store *store);  /* true: there is some room now */
+/* Of the writer's thread alone. */
+void mo_reserve_make(struct mo_store *store); /* if it is not whole; every few seconds at most */
+bool mo_reserve_cut(struct mo_store *store);  /* true: there is some room now, and the store is short of it */
 
 /* ---- shared queries ---- */
 

@@ -1,48 +1,79 @@
-/* reserve.c: a little room that is set aside, so that people can still say "cancel" when the disk is full.
+/* reserve.c: a little room that is set aside, so that people can still pause, cancel and delete when the disk is full.
  *
- * A file of 512 KiB holds the room. A change of a job's state that finds none gives it back and tries once more; the writer sets
- * it aside again when there is room. On file systems that compress or share blocks it may hold less than its size. */
+ * A file of 4 MiB holds the room: a change of a job's state takes some 20 KiB of the log. An urgent operation that finds none gives a slice of
+ * the file back and is run again. From then on the store is short of room: only urgent operations may change anything, no file is written, and
+ * the log is not copied into the database, for jobs try their writes again every second, and each of these would take what was given back. That
+ * ends when the file is whole again, which comes before all that waits for room. On file systems that compress or share blocks it may hold less
+ * than its size. */
 #include <errno.h>
 #include <fcntl.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "store/internal.h"
 
-#define RESERVE_BYTES (512 << 10)
+#define RESERVE_BYTES ((off_t)4 << 20)
+#define SLICE_BYTES   ((off_t)256 << 10)
 #define EVERY_US      INT64_C(5000000)
+#define SHORT_US      INT64_C(100000) /* while others wait for it */
 
-static bool is_there(const char *path)
+static int open_reserve(const struct mo_store *store, int flags, off_t *size)
 {
   struct stat status;
-  return stat(path, &status) == 0 && status.st_size == RESERVE_BYTES;
+  int fd = open(store->reserve_path, O_WRONLY | O_CLOEXEC | flags, 0600);
+  if (fd < 0)
+    return -1;
+  if (fstat(fd, &status) != 0) {
+    close(fd);
+    return -1;
+  }
+  *size = status.st_size;
+  return fd;
+}
+
+/* 0 or what posix_fallocate() and open() say. */
+static int make_whole(const struct mo_store *store)
+{
+  off_t size = 0;
+  int error = 0;
+  int fd = open_reserve(store, O_CREAT, &size);
+  if (fd < 0)
+    return errno;
+  if (size != RESERVE_BYTES)
+    error = posix_fallocate(fd, 0, RESERVE_BYTES);
+  if (error != 0 || size > RESERVE_BYTES) /* what a failure has taken is not set aside */
+    (void)ftruncate(fd, error != 0 ? size : RESERVE_BYTES);
+  close(fd);
+  return error;
 }
 
 void mo_reserve_make(struct mo_store *store)
 {
+  const bool is_short = atomic_load(&store->is_short);
   int64_t now = mo_monotonic_us();
-  int fd;
-  bool whole;
-  if (atomic_load(&store->reserve_held) || (store->reserve_us != 0 && now - store->reserve_us < EVERY_US))
+  int error;
+  if (store->reserve_whole || (store->reserve_us != 0 && now - store->reserve_us < (is_short ? SHORT_US : EVERY_US)))
     return;
   store->reserve_us = now;
-  whole = is_there(store->reserve_path);
-  if (!whole) {
-    fd = open(store->reserve_path, O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
-    if (fd < 0)
-      return;
-    whole = posix_fallocate(fd, 0, RESERVE_BYTES) == 0;
-    close(fd);
-    if (!whole)
-      (void)unlink(store->reserve_path);
-  }
-  atomic_store(&store->reserve_held, whole);
+  error = make_whole(store);
+  store->reserve_whole = error == 0;
+  if (error == 0 || error == EFBIG) /* a limit on files does not pass as want of room does */
+    atomic_store(&store->is_short, false);
 }
 
-bool mo_reserve_use(struct mo_store *store)
+bool mo_reserve_cut(struct mo_store *store)
 {
-  return atomic_exchange(&store->reserve_held, false) && unlink(store->reserve_path) == 0;
+  off_t size = 0;
+  bool was_cut;
+  int fd = open_reserve(store, 0, &size);
+  store->reserve_whole = false;
+  if (fd < 0)
+    return false;
+  was_cut = size > 0 && ftruncate(fd, size > SLICE_BYTES ? size - SLICE_BYTES : 0) == 0;
+  close(fd);
+  if (was_cut) {
+    atomic_store(&store->is_short, true);
+    atomic_store(&store->no_space, true);
+  }
+  return was_cut;
 }

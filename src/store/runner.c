@@ -90,9 +90,9 @@ static int change_job(struct mo_store *store, void *arguments)
 int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change, enum mo_job_state *before)
 {
   struct change_arguments call = {.id = id, .change = change};
-  int error = mo_write(store, change_job, &call);
-  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
-    error = mo_write(store, change_job, &call);
+  /* To set jobs going again helps nobody on a full disk, and could be asked for without end. */
+  const bool is_urgent = change == MO_CHANGE_CANCEL || change == MO_CHANGE_PAUSE;
+  int error = is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
   if (error == MO_OK && before != NULL)
     *before = call.before;
   return error;
@@ -133,10 +133,7 @@ static int set_weight(struct mo_store *store, void *arguments)
 int mo_store_set_weight(struct mo_store *store, int64_t id, double weight)
 {
   struct weight_arguments call = {.id = id, .weight = weight};
-  int error = mo_write(store, set_weight, &call);
-  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
-    error = mo_write(store, set_weight, &call);
-  return error;
+  return mo_write(store, set_weight, &call);
 }
 
 /* ---- start ---- */

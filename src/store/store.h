@@ -4,7 +4,8 @@
  *   <path>/controllers/<sha256>.safetensors     weights, by content
  *   <path>/trainings/<job>/<step>.checkpoint    states of trainings (store/trainings.h)
  *   <path>/campaigns/<job>/<generation>-<step>.checkpoint    states of the learning of campaigns (store/campaigns.h)
- *   <path>/reserve                              512 KiB that a change of a job's state may use when the disk is full
+ *   <path>/reserve                              4 MiB that pausing, cancelling and deleting may use when the disk is full; until they are there
+ *                                               again all other writes give MO_ERR_NO_SPACE
  *   <path>/lock                                 held while a process uses the folder
  *
  * One connection, on a thread of its own, writes: callers hand it operations, each runs in a savepoint, all that are waiting

@@ -300,9 +300,7 @@ int mo_store_training_checkpoints_remove(struct mo_store *store, int64_t id, uin
   if (folder == NULL)
     return MO_ERR_NO_MEMORY;
   pthread_mutex_lock(&store->checkpoints_mutex);
-  error = mo_write(store, remove_rows, &call);
-  if (error == MO_ERR_NO_SPACE && mo_reserve_use(store))
-    error = mo_write(store, remove_rows, &call);
+  error = mo_write_urgent(store, remove_rows, &call);
   for (size_t i = 0; i < call.removed.n && error == MO_OK; i++)
     remove_file(store, id, call.removed.steps[i]);
   if (error == MO_OK)

@@ -3,9 +3,10 @@
  * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one transaction, commits once, and then
  * releases the callers: under load one fsync serves many. An operation that fails rolls back alone. When SQLite gives up the
  * whole transaction (disk full, out of memory), or the commit itself fails for want of room, each operation is run again in a
- * transaction of its own, so that one that is too large does not take others with it. An I/O error that is not want of space is
- * fatal at once: after a failed fsync nobody knows what the disk holds, and a second one may succeed without having written, so
- * nothing is tried again: the process must end and recover from the log. */
+ * transaction of its own, so that one that is too large does not take others with it; one that people need on a full disk gets
+ * the room that is set aside (reserve.c). An I/O error that is not want of space is fatal at once: after a failed fsync nobody
+ * knows what the disk holds, and a second one may succeed without having written, so nothing is tried again: the process must end
+ * and recover from the log. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,6 +21,7 @@
 #define SPACE_PROBE_US  INT64_C(1000000)
 #define RESTART_US      INT64_C(5000000)
 #define RESTART_WAIT_MS 250
+#define SLICES_MAX      4
 
 int64_t mo_monotonic_us(void)
 {
@@ -110,6 +112,15 @@ static int prepare_transactions(struct mo_store *store)
   return MO_OK;
 }
 
+/* While the store is short of room an operation that is not urgent may find that there is nothing to do, no more. To be rolled back. */
+static int run_operation(struct mo_store *store, struct mo_operation *operation)
+{
+  const sqlite3_int64 before = sqlite3_total_changes64(store->writer.db);
+  const int error = operation->run(store, operation->arguments);
+  const bool is_refused = !operation->is_urgent && atomic_load(&store->is_short);
+  return error == MO_OK && is_refused && sqlite3_total_changes64(store->writer.db) != before ? MO_ERR_NO_SPACE : error;
+}
+
 /* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up. */
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
@@ -119,7 +130,7 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
   error = run_sql(store, savepoint_sql);
   if (error != MO_OK)
     return error; /* there is none to go back to */
-  operation->status = operation->run(store, operation->arguments);
+  operation->status = run_operation(store, operation);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
   if (operation->status != MO_OK) {
@@ -154,7 +165,7 @@ static int run_alone(struct mo_store *store, struct mo_operation *operation)
     return MO_ERR_IO;
   error = run_sql(store, begin_sql);
   if (error == MO_OK)
-    error = operation->run(store, operation->arguments);
+    error = run_operation(store, operation);
   if (error == MO_OK)
     error = sqlite3_get_autocommit(store->writer.db) ? MO_ERR_IO : commit(store);
   return error;
@@ -178,7 +189,7 @@ static void release(struct mo_store *store, struct mo_operation *operation)
   atomic_fetch_sub(&store->queued, 1);
   if (operation->status == MO_ERR_NO_SPACE)
     atomic_store(&store->no_space, true);
-  else if (operation->status == MO_OK)
+  else if (operation->status == MO_OK && !atomic_load(&store->is_short))
     atomic_store(&store->no_space, false);
   if (operation->status != MO_OK)
     atomic_fetch_add(&store->operations_failed, 1);
@@ -214,26 +225,38 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
   tell(store);
 }
 
-/* One alone needs no savepoint: a large one would copy every page that it changes. */
+/* With the room that is set aside, slice by slice: others may take some of it before they see that it is not theirs. */
+static void finish_urgent(struct mo_store *store, struct mo_operation *operation)
+{
+  for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store); n++)
+    finish_alone(store, operation);
+}
+
+/* One alone needs no savepoint: a large one would copy every page that it changes. While the store is short of room each runs alone: a
+ * commit also writes the pages that an operation before it had changed and then rolled back. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
+  bool each_alone;
   int error = MO_OK;
   store->n_events = 0;
-  if (first->next == NULL)
-    finish_alone(store, first);
-  else
+  if (atomic_load(&store->is_short))
+    mo_reserve_make(store);
+  each_alone = first->next == NULL || atomic_load(&store->is_short);
+  if (!each_alone)
     error = run_together(store, first);
-  if (error != MO_OK) {
-    if (error == MO_ERR_IO)
-      declare_fatal(store); /* run_alone() runs nothing any more */
+  if (error == MO_ERR_IO)
+    declare_fatal(store); /* run_alone() runs nothing any more */
+  if (error != MO_OK)
     abandon(store);
+  if (each_alone || error != MO_OK)
     for (operation = first; operation != NULL; operation = operation->next)
       finish_alone(store, operation);
-  }
   tell(store);
   for (operation = first; operation != NULL; operation = next) {
     next = operation->next;
+    if (operation->is_urgent)
+      finish_urgent(store, operation);
     release(store, operation);
   }
 }
@@ -282,7 +305,7 @@ static void probe_space(struct mo_store *store)
 {
   int64_t now = mo_monotonic_us();
   int error;
-  if (!atomic_load(&store->no_space) || now - store->last_probe_us < SPACE_PROBE_US)
+  if (!atomic_load(&store->no_space) || atomic_load(&store->is_short) || now - store->last_probe_us < SPACE_PROBE_US)
     return;
   store->last_probe_us = now;
   error = mo_sql_exec(&store->writer, "INSERT INTO meta(key,value) VALUES('space probes',1)"
@@ -324,13 +347,15 @@ static void maintain(struct mo_store *store)
   int error = MO_OK;
   if (atomic_load(&store->is_fatal))
     return;
-  probe_space(store);
-  if (!atomic_load(&store->no_space))
+  if (atomic_load(&store->is_short) || !atomic_load(&store->no_space))
     mo_reserve_make(store);
-  if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
-    prune(store);
-  if (store->wal_frames >= store->checkpoint_frames)
-    checkpoint(store);
+  probe_space(store);
+  if (!atomic_load(&store->is_short)) {
+    if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
+      prune(store);
+    if (store->wal_frames >= store->checkpoint_frames)
+      checkpoint(store);
+  }
   statement = mo_sql(writer, pages_sql, &error);
   if (statement != NULL && mo_sql_integer(writer, statement, &pages) == MO_OK)
     atomic_store(&store->database_bytes, pages * 4096);
@@ -438,15 +463,24 @@ static int enqueue(struct mo_store *store, struct mo_operation *operation)
   return MO_OK;
 }
 
-int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+static int write_and_wait(struct mo_store *store, struct mo_operation operation)
 {
-  struct mo_operation operation = {.run = run, .arguments = arguments};
   int error;
   if (pthread_cond_init(&operation.released, NULL) != 0)
     return MO_ERR_NO_MEMORY;
   error = enqueue(store, &operation);
   pthread_cond_destroy(&operation.released);
   return error != MO_OK ? error : operation.status;
+}
+
+int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+{
+  return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments});
+}
+
+int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+{
+  return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
 }
 
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,

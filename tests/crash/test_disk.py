@@ -99,6 +99,80 @@ def test_full_disk_while_it_computes(small_disk, seed):
     assert stored_scores(quiet.state) == full
 
 
+def test_campaigns_wait_on_a_full_disk(small_disk, seed):
+    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the room that is set aside comes back first."""
+    one = Daemon(small_disk + "/d")
+    one.log = pathlib.Path(small_disk).parent / "log"
+    one.port_file = pathlib.Path(small_disk).parent / "address"
+    reserve = one.state / "reserve"
+
+    def held():
+        return reserve.stat().st_size if reserve.exists() else 0
+
+    def generation(job):
+        done = one.get(f"/v1/campaigns/{job}").json()["progress"]["generation"]
+        return -1 if done is None else done
+
+    def state(job):
+        reply = one.get(f"/v1/campaigns/{job}")
+        assert reply.status_code == 200, reply.text
+        return reply.json()["state"], reply.json()["reason"]
+
+    def ask(verb, job, *expected):
+        reply = one.session.post(f"{one.address}/v1/campaigns/{job}/{verb}")
+        assert reply.status_code in expected, f"{verb} {job}: {reply.text}\n{one.tail()}"
+        if reply.status_code == 507:
+            assert "full" in reply.json()["detail"], reply.text
+        return reply.status_code
+
+    def until(condition, what):
+        end = time.monotonic() + 30
+        while not condition():
+            assert time.monotonic() < end, f"{what}\n{one.tail()}"
+            time.sleep(0.05)
+
+    try:
+        one.start()
+        jobs = []
+        for k in range(3):
+            reply = one.session.post(one.address + "/v1/campaigns", json={
+                "mode": "zero-shot", "population": 64, "generations": 100000, "seed": seed + k, "physics": {"n_steps": 30},
+                "exclude_pretraining": False})
+            assert reply.status_code == 202, reply.text
+            jobs.append(reply.json()["id"])
+        until(lambda: all(generation(job) >= 2 for job in jobs), "nothing runs")
+        whole = held()
+        filler = fill(small_disk)
+        until(lambda: all(reason and "no space" in reason for _, reason in map(state, jobs)), "no campaign waits")
+        first, second, third = jobs
+        for k in range(30):  # the log may have a few pages of its own left
+            ask("pause", first, 200, 202)
+            time.sleep(0.3)
+            ask("resume", first, 200, 202, 507)
+            time.sleep(0.3)  # the others try again every second
+            if k >= 4 and held() < whole:
+                break
+        assert one.get("/readyz").status_code == 503
+        ask("cancel", second, 200, 202)
+        assert state(second)[0] == "cancelled"
+        ask("pause", third, 200, 202)
+        assert ask("resume", third, 200, 202, 507) == 507, "what is set aside is not for that"
+        ask("cancel", third, 200, 202)
+        ask("pause", first, 200, 202)
+        assert one.get("/v1/jobs").status_code == 200 and one.get(f"/v1/campaigns/{first}/population").status_code == 200
+        assert 0 < held() < whole
+        filler.unlink()
+        until(lambda: held() == whole and one.get("/readyz").status_code == 200, "no room is seen")
+        ask("resume", first, 200, 202)
+        before = generation(first)
+        until(lambda: generation(first) > before, "it does not go on")
+        ask("cancel", first, 200, 202)
+        assert one.stop()[0] == 0
+        check_database(one.state)
+    finally:
+        one.close()
+
+
 def test_start_on_a_full_disk(small_disk, seed):
     one = Daemon(small_disk + "/d")
     one.log = pathlib.Path(small_disk).parent / "log"

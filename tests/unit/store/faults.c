@@ -3,7 +3,6 @@
 #include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
-#include <sys/mount.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -526,81 +525,6 @@ static void refuses_an_unwritable_folder(void)
   fixture_end(&fixture);
 }
 
-/* Appends to a file until nothing fits any more. */
-static void fill_up(const char *path)
-{
-  static const char zeros[4096];
-  int fd = open(path, O_WRONLY | O_CREAT | O_APPEND, 0600);
-  for (size_t n = sizeof(zeros); fd >= 0 && n > 0; n /= 2)
-    while (write(fd, zeros, n) == (ssize_t)n)
-      ;
-  if (fd >= 0)
-    close(fd);
-}
-
-/* On a file system of 8 MiB of its own; only root can make one. */
-static void survives_a_small_file_system(void)
-{
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
-  struct mo_controller *controller = NULL;
-  struct mo_controller_record record;
-  struct mo_job job;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  char filler[512], reserve[512];
-  int64_t id = 0, last = 0;
-  bool replayed, created;
-  int error = MO_OK;
-  REQUIRE(fixture_folder(&fixture) == 0);
-  if (mount("none", fixture.path, "tmpfs", 0, "size=8m,mode=0700") != 0) {
-    printf("# no right to mount: only the simulated full disk was tested\n");
-    fixture_end(&fixture);
-    return;
-  }
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(fixture_controller(fixture.store, "default", 1, &record), MO_OK);
-  REQUIRE(fixture_bodies(3, 100, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 100);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &last, &replayed), MO_OK);
-  snprintf(filler, sizeof(filler), "%s/filler", fixture.path);
-  snprintf(reserve, sizeof(reserve), "%s/reserve", fixture.path);
-  CHECK(access(reserve, F_OK) == 0);
-  fill_up(filler);
-  for (int i = 0; i < 2000 && error == MO_OK; i++) { /* what is left inside the log's last pages */
-    error = mo_store_submit(fixture.store, &submission, &id, &replayed);
-    if (error == MO_OK)
-      last = id;
-  }
-  CHECK_INT(error, MO_ERR_NO_SPACE);
-  /* Full to the last byte: what is running can be cancelled all the same. */
-  fill_up(filler);
-  CHECK_INT(mo_store_change_job(fixture.store, last, MO_CHANGE_CANCEL, NULL), MO_OK);
-  CHECK(access(reserve, F_OK) != 0);
-  fill_up(filler);
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
-  REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
-  CHECK_INT(mo_store_controller_put(fixture.store, "big", bytes, size, controller, &record, &created), MO_ERR_NO_SPACE);
-  free(bytes);
-  mo_controller_free(controller);
-  CHECK_INT(mo_store_job(fixture.store, last + 1, &job), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  unlink(filler);
-  CHECK_INT(mo_store_submit(fixture.store, &submission, &id, &replayed), MO_OK);
-  CHECK(id > last);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK(access(reserve, F_OK) == 0); /* set aside again */
-  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  umount(fixture.path);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
-}
-
 static const struct check_case cases[] = {
     {"survives a disk that is full at any write", survives_a_full_disk},
     {"trains on a full disk", trains_on_a_full_disk},
@@ -611,6 +535,5 @@ static const struct check_case cases[] = {
     {"keeps its log short under readers that overlap", keeps_its_log_short},
     {"shares commits among writers", shares_commits},
     {"refuses an unwritable folder", refuses_an_unwritable_folder},
-    {"survives a small file system", survives_a_small_file_system},
 };
 CHECK_MAIN(cases)
