@@ -91,8 +91,12 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
     snprintf(path, sizeof(path), "/v1/jobs/%s%s", id, verb);
     struct reply reply;
     int status = transport_send(ctl, &(struct request){.method = method, .path = path}, &reply);
-    json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
-    if (job != NULL && ctl->json)
+    const bool is_unreadable = status == STATUS_OK && reply.status == 204;
+    json_t *job = status == STATUS_OK && !is_unreadable ? reply_json(&reply) : NULL;
+    if (is_unreadable && !ctl->quiet)
+      print_plain_line(stderr, "job %s is cancelled; the server cannot read it: morphoctl job show %s says why", id,
+                       id);
+    else if (job != NULL && ctl->json)
       print_json(job);
     else if (job != NULL && !ctl->quiet)
       print_plain_line(stdout, "job %s is %s%s", id, text_of(job, "state"),

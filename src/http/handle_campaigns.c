@@ -78,28 +78,36 @@ int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status
   return code;
 }
 
-static void reply_campaign(struct mo_request *request, unsigned http_status, int64_t id)
+/* An error: there is no reply yet. */
+static int write_reply(struct mo_request *request, unsigned http_status, int64_t id)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
   struct mo_campaign_live live;
   struct mo_text text = {0};
   int code = status != NULL ? mo_read_campaign(request->http, id, status, &live) : MO_ERR_NO_MEMORY;
   if (code != MO_OK) {
-    mo_reply_error(request, code, "campaign");
     free(status);
-    return;
+    return code;
   }
   bool final = mo_job_state_is_final(status->job.state);
   mo_campaign_json_write(&text, status, &live);
   free(status);
   mo_reply_json(request, http_status, &text);
   if (request->reply.status != http_status)
-    return;
+    return MO_OK;
   mo_reply_etag_of_body(request);
   if (request->wait_s >= 0 && http_status == 200)
     snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
   if (!final && request->method != MO_POST)
     request->reply.retry_after_s = 1;
+  return MO_OK;
+}
+
+static void reply_campaign(struct mo_request *request, unsigned http_status, int64_t id)
+{
+  int code = write_reply(request, http_status, id);
+  if (code != MO_OK)
+    mo_reply_error(request, code, "campaign");
 }
 
 /* Parses and stores; false: a reply is made. */
@@ -209,14 +217,14 @@ void mo_handle_campaign_change(struct mo_request *request)
   struct mo_query_value none;
   int64_t id;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
+      !mo_job_is_even_unreadable(request, id, MO_JOB_CAMPAIGN, "campaign"))
     return;
   bool pause = request->route == MO_ROUTE_CAMPAIGN_PAUSE, resume = request->route == MO_ROUTE_CAMPAIGN_RESUME;
   int code = pause    ? mo_jobs_pause(http->services.jobs, id)
              : resume ? mo_jobs_resume(http->services.jobs, id)
                       : mo_jobs_cancel(http->services.jobs, id);
   struct mo_job *job = malloc(sizeof(*job));
-  if (code == MO_ERR_CONFLICT && job != NULL && mo_store_job(http->services.store, id, job) == MO_OK)
+  if (code == MO_ERR_CONFLICT && job != NULL && mo_job_is_known(job, mo_store_job(http->services.store, id, job)))
     mo_reply_problem(request, 409, NULL, "The campaign cannot be %s: it is %s.",
                      pause    ? "paused"
                      : resume ? "resumed"
@@ -224,8 +232,10 @@ void mo_handle_campaign_change(struct mo_request *request)
                      mo_job_state_name(job->state));
   else if (code != MO_OK)
     mo_reply_error(request, code, "campaign");
-  else
-    reply_campaign(request, 200, id);
+  else if ((code = write_reply(request, 200, id)) == MO_ERR_CORRUPT && !pause && !resume)
+    mo_reply_cancelled_unreadable(request);
+  else if (code != MO_OK)
+    mo_reply_error(request, code, "campaign");
   free(job);
 }
 
@@ -291,7 +301,8 @@ static bool begin_checkpoints(struct mo_request *request, int64_t *id)
 {
   struct mo_query_value none;
   return mo_query_read(request, NULL, &none, 0) && mo_accepts_json(request) && mo_path_id(request, 0, id) &&
-         mo_job_is(request, *id, MO_JOB_CAMPAIGN, "campaign");
+         (request->method == MO_DELETE ? mo_job_is_even_unreadable : mo_job_is)(request, *id, MO_JOB_CAMPAIGN,
+                                                                                "campaign");
 }
 
 void mo_handle_campaign_checkpoints(struct mo_request *request)

@@ -65,8 +65,8 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
   return code;
 }
 
-/* Writes the evaluation (with results if there are any) or the job, as `status`. */
-static void reply_job(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
+/* Writes the evaluation (with results if there are any) or the job, as `status`. An error: there is no reply yet. */
+static int write_reply(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_text text = {0};
@@ -80,12 +80,11 @@ static void reply_job(struct mo_request *request, unsigned status, struct mo_job
   mo_evaluation_results_free(results);
   if (code != MO_OK) {
     mo_text_free(&text);
-    mo_reply_error(request, code, with_results ? "evaluation" : "job");
-    return;
+    return code;
   }
   mo_reply_json(request, status, &text);
   if (request->reply.status != status)
-    return;
+    return MO_OK;
   if (job->kind != MO_JOB_EVALUATION)
     mo_reply_etag_of_body(request); /* its progress is not in the row */
   else
@@ -94,6 +93,14 @@ static void reply_job(struct mo_request *request, unsigned status, struct mo_job
     snprintf(request->reply.applied, sizeof(request->reply.applied), "wait=%d", request->wait_s);
   if (!mo_job_state_is_final(job->state))
     request->reply.retry_after_s = 1;
+  return MO_OK;
+}
+
+static void reply_job(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
+{
+  int code = write_reply(request, status, job, with_results);
+  if (code != MO_OK)
+    mo_reply_error(request, code, with_results ? "evaluation" : "job");
 }
 
 enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_job *job, int *code)
@@ -359,18 +366,19 @@ void mo_handle_job_change(struct mo_request *request)
   int code = request->route == MO_ROUTE_JOB_PAUSE    ? mo_jobs_pause(jobs, id)
              : request->route == MO_ROUTE_JOB_RESUME ? mo_jobs_resume(jobs, id)
                                                      : mo_jobs_cancel(jobs, id);
-  bool conflict = code == MO_ERR_CONFLICT;
-  if (code == MO_OK || conflict) {
-    int read = mo_store_job(request->http->services.store, id, job);
-    if (read != MO_OK)
-      code = read;
-  }
-  if (conflict && code == MO_ERR_CONFLICT)
+  const bool conflict = code == MO_ERR_CONFLICT, cancelled = code == MO_OK && request->route == MO_ROUTE_JOB;
+  if (code == MO_OK || conflict)
+    code = mo_store_job(request->http->services.store, id, job);
+  if (conflict && mo_job_is_known(job, code)) {
     mo_reply_problem(request, 409, NULL, "The job cannot be %s: it is %s.", verb, mo_job_state_name(job->state));
-  else if (code != MO_OK)
-    mo_reply_error(request, code, "job");
-  else
-    reply_job(request, 200, job, false);
+  } else {
+    if (code == MO_OK)
+      code = write_reply(request, 200, job, false);
+    if (code == MO_ERR_CORRUPT && cancelled)
+      mo_reply_cancelled_unreadable(request);
+    else if (code != MO_OK)
+      mo_reply_error(request, code, "job");
+  }
   request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
   free(job);
 }

@@ -378,7 +378,7 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
   bool one = request->route == MO_ROUTE_TRAINING_CHECKPOINT;
   int64_t id, step = 0;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
+      !mo_job_is_even_unreadable(request, id, MO_JOB_TRAINING, "training"))
     return;
   int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step) ? MO_ERR_NOT_FOUND : MO_OK;
   if (code == MO_OK)

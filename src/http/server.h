@@ -173,6 +173,8 @@ bool mo_query_form(struct mo_request *request, const struct mo_query_value *form
                    const char *const *types, int n, int *form);
 /* Whether `id` is a job of this kind; false: the 404 about a `what` is made. */
 bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what);
+/* The same for those who only want to be rid of it: its kind has to be readable, no more. */
+bool mo_job_is_even_unreadable(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what);
 /* What a submission begins with: no parameters, JSON in both directions, a service that takes work, and a well-formed Idempotency-Key, which
  * goes into `key` with the body's hash ("": there is none). False: the 4xx or 503 is made. */
 struct mo_submission_key {
@@ -210,6 +212,8 @@ enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const cha
                                  void (*reply)(struct mo_request *request, struct mo_job *job));
 /* Whether the job that the store gave with this code is of another kind than that (−1: any), also if it cannot be read. */
 bool mo_job_is_another(const struct mo_job *job, int code, int kind);
+/* Whether this reading of a job found it, if with damage. */
+bool mo_job_is_known(const struct mo_job *job, int code);
 /* Lists of jobs: the state that is asked for (−1: any), the cursor (0: none), false: the 400 is made; the reply, from n items of which the
  * last is job `last` (n negative: an error), behind those in `text` and with those that cannot be read (emptied). */
 bool mo_query_state(struct mo_request *request, const struct mo_query_value *value, int *state);

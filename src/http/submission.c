@@ -128,22 +128,38 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
                   ours.ny, ours.nz);
 }
 
-bool mo_job_is_another(const struct mo_job *job, int code, int kind)
+bool mo_job_is_known(const struct mo_job *job, int code)
 {
-  const bool known = code == MO_OK || (code == MO_ERR_CORRUPT && job->damage[0] != '\0');
-  return known && kind >= 0 && job->kind != (enum mo_job_kind)kind;
+  return code == MO_OK || (code == MO_ERR_CORRUPT && job->damage[0] != '\0');
 }
 
-bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
+bool mo_job_is_another(const struct mo_job *job, int code, int kind)
+{
+  return mo_job_is_known(job, code) && kind >= 0 && job->kind != (enum mo_job_kind)kind;
+}
+
+static bool check_kind(struct mo_request *request, int64_t id, enum mo_job_kind kind, bool readable, const char *what)
 {
   struct mo_job *job = malloc(sizeof(*job));
   int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
   if (job != NULL && mo_job_is_another(job, code, (int)kind))
     code = MO_ERR_NOT_FOUND;
+  else if (job != NULL && !readable && mo_job_is_known(job, code))
+    code = MO_OK;
   free(job);
   if (code != MO_OK)
     mo_reply_error(request, code, what);
   return code == MO_OK;
+}
+
+bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
+{
+  return check_kind(request, id, kind, true, what);
+}
+
+bool mo_job_is_even_unreadable(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
+{
+  return check_kind(request, id, kind, false, what);
 }
 
 void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,

@@ -126,3 +126,11 @@ bool mo_reply_unreadable(struct mo_request *request)
     reply(request, words);
   return found;
 }
+
+void mo_reply_cancelled_unreadable(struct mo_request *request)
+{
+  char words[WORDS_BYTES];
+  if (find_job(request->http->services.store, request->parameters[0], words))
+    mo_request_note(request, "%s", words);
+  mo_reply_static(request, 204, NULL, "", 0);
+}

@@ -18,5 +18,7 @@ void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct 
 
 /* Whether a row is found that keeps what the path names from being read: then the 500 that says so is made. */
 bool mo_reply_unreadable(struct mo_request *request);
+/* The job that the path names was cancelled and cannot be read: 204, and a note for the log. */
+void mo_reply_cancelled_unreadable(struct mo_request *request);
 
 #endif

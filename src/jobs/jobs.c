@@ -354,6 +354,25 @@ static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
   return error;
 }
 
+/* One that cannot be read: it goes to all who may run it, for even its kind may be what cannot be read. */
+static int cancel_unreadable(struct mo_jobs *jobs, int64_t id, struct mo_wish *wish)
+{
+  int error = mo_store_change_job(jobs->store, id, MO_CHANGE_CANCEL, NULL);
+  if (error != MO_OK) {
+    free(wish);
+    return error;
+  }
+  atomic_fetch_add(&jobs->cancelled, 1);
+  if (mo_jobs_recount(jobs) != MO_OK)
+    mo_jobs_closed(jobs, 0);
+  mo_runners_wish(&jobs->trainings, id, MO_WISH_CANCEL);
+  mo_runners_wish(&jobs->campaigns, id, MO_WISH_CANCEL);
+  wish->id = id;
+  wish->cancel = true;
+  tell_scheduler(jobs, wish);
+  return MO_OK;
+}
+
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
 {
   struct mo_wish *wish = calloc(1, sizeof(*wish));
@@ -364,6 +383,8 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   if (wish == NULL)
     return MO_ERR_NO_MEMORY;
   error = mo_store_job(jobs->store, id, &job);
+  if (error == MO_ERR_CORRUPT && change_to == MO_CHANGE_CANCEL)
+    return cancel_unreadable(jobs, id, wish);
   runners = error == MO_OK ? runners_of(jobs, job.kind) : NULL;
   if (runners != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED) {
     free(wish);

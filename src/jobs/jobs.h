@@ -89,8 +89,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
 
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in the job's state. Asking for the
  * state that the job is in already (pause of a paused job, cancel of a cancelled one excepted) is a conflict. ---- */
-int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id);
-int mo_jobs_pause(struct mo_jobs *jobs, int64_t id); /* pausing a paused job: MO_OK, nothing changes */
+int mo_jobs_cancel(struct mo_jobs *jobs, int64_t id); /* also one that cannot be read */
+int mo_jobs_pause(struct mo_jobs *jobs, int64_t id);  /* pausing a paused job: MO_OK, nothing changes */
 /* A job whose devices are lost, or have no memory for its smallest part, is paused, with MO_ERR_DEVICE and the reason; so it is again
  * when it is resumed and nothing has changed.
  * Resuming a queued or running job: MO_OK, nothing changes. A training or campaign that has failed goes on from what it has saved, with

@@ -126,6 +126,8 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   job->version = sqlite3_column_int64(row, 1);
   job->kind = kind >= 0 && kind < MO_JOB_KINDS ? (enum mo_job_kind)kind : (enum mo_job_kind)MO_JOB_KINDS;
   job->weight = sqlite3_column_double(row, 28);
+  if (state >= 0 && state < MO_JOB_STATES)
+    job->state = (enum mo_job_state)state;
   if (kind < 0 || kind >= MO_JOB_KINDS)
     return mo_job_damaged(job, "jobs.kind is %d", kind);
   if (state < 0 || state >= MO_JOB_STATES)
@@ -134,7 +136,6 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
     return mo_job_damaged(job, "jobs.priority is %d", priority);
   if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
     return mo_job_damaged(job, "jobs.weight is %s", MO_NUMBER(job->weight));
-  job->state = (enum mo_job_state)state;
   job->priority = (enum mo_urgency)priority;
   job->back_end = sqlite3_column_int(row, 34) != 0 ? MO_ON_DEVICE : MO_ON_CPU;
   job->has_label = sqlite3_column_type(row, 5) != SQLITE_NULL;

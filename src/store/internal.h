@@ -179,6 +179,7 @@ int mo_job_damaged(struct mo_job *job, const char *format, ...) __attribute__((f
 int mo_job_undecodable(struct mo_job *job, const char *column_name, sqlite3_stmt *row, int column);
 /* Whether a list may go on behind this error: it is of this job alone. */
 bool mo_job_passed_over(int error, const struct mo_job *job);
+/* MO_ERR_CORRUPT: the state cannot be read. A kind that cannot be read is MO_JOB_KINDS. */
 int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
                      enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
 

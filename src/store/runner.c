@@ -31,10 +31,10 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
   found = sqlite3_column_int64(statement, 0);
   found_kind = sqlite3_column_int64(statement, 1);
   (void)sqlite3_reset(statement);
+  *kind = found_kind >= 0 && found_kind < MO_JOB_KINDS ? (enum mo_job_kind)found_kind : (enum mo_job_kind)MO_JOB_KINDS;
   if (found < 0 || found >= MO_JOB_STATES)
     return MO_ERR_CORRUPT;
   *state = (enum mo_job_state)found;
-  *kind = (enum mo_job_kind)found_kind;
   return MO_OK;
 }
 
@@ -69,6 +69,8 @@ static int change_job(struct mo_store *store, void *arguments)
   int error = mo_job_state_get(writer, call->id, &call->before, &kind);
   if (error == MO_OK)
     error = check_change(call, kind, &is_idle);
+  else if (error == MO_ERR_CORRUPT && call->change == MO_CHANGE_CANCEL)
+    error = MO_OK; /* over, whatever it was */
   if (error != MO_OK || is_idle)
     return error;
   statement = mo_sql(writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, &error);
@@ -82,8 +84,11 @@ static int change_job(struct mo_store *store, void *arguments)
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}", (long long)call->id,
-           mo_job_kind_name(kind), mo_job_state_name(target));
+  if ((int)kind == MO_JOB_KINDS) /* it cannot be read */
+    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"state\":\"%s\"}", (long long)call->id, mo_job_state_name(target));
+  else
+    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}", (long long)call->id,
+             mo_job_kind_name(kind), mo_job_state_name(target));
   return mo_writer_event(store, call->id, types[call->change], data);
 }
 
