@@ -1,5 +1,9 @@
 -- What keeps the design of the form :form from being read: as in job.sql.
 
+SELECT printf('designs.first_seen_us of row %d is %d', id, first_seen_us)
+FROM designs
+WHERE form = :form AND first_seen_us NOT BETWEEN 1 AND 253402300799999999;
+
 SELECT printf('genotypes.bits of row %d is no design', id)
 FROM genotypes
 WHERE design = (SELECT id FROM designs WHERE form = :form) AND length(bits) IS NOT 18

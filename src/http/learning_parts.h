@@ -6,8 +6,7 @@
 #include <morpho/learning.h>
 
 #include "http/json.h"
-
-#define MO_CHECKPOINT_SECONDS_MAX 86400
+#include "store/trainings.h"
 
 /* A schedule by name, or as an object whose missing fields are those of the paper's pretraining or of one cosine. Untouched if it
  * is not valid. */

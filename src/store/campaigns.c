@@ -1,10 +1,12 @@
 /* campaigns.c: campaigns as they are read: what was asked for, how far they are, their generations and learning curves. */
 #include "store/campaigns.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "store/campaign_rows.h"
 
 /* ---- rows of numbers: one list gives the columns, and where each goes ---- */
@@ -188,6 +190,28 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo
   return error;
 }
 
+enum { FIRST = MO_JOB_N_COLUMNS };
+
+/* What is not in the columns of every job. */
+static int check_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  static const struct mo_column_range ranges[] = {
+      {FIRST + 3, "campaigns.n_listed", 0, MO_POPULATION_MAX},
+      {FIRST + 4, "campaigns.initial_campaign", 0, MO_ID_MAX},
+      {FIRST + 5, "campaigns.replicates_of", 1, MO_ID_MAX},
+      {FIRST + 6, "campaigns.replicate", 0, MO_REPLICATES_MAX - 1},
+      {FIRST + 7, "campaigns.replicates", 1, MO_REPLICATES_MAX},
+      {FIRST + 8, "campaigns.checkpoint_every_s", 0, MO_CHECKPOINT_SECONDS_MAX},
+      {FIRST + 10, "campaigns.n_designs", 0, (int64_t)MO_CAMPAIGN_DESIGNS_MAX},
+      {FIRST + 14, "campaigns.scored", 0, UINT32_MAX}};
+  const char *preset = (const char *)sqlite3_column_text(row, FIRST + 1);
+  enum mo_preset known;
+  int error = mo_job_name(job, row, FIRST, "campaigns.name");
+  if (error == MO_OK && preset != NULL && preset[0] != '\0' && mo_preset_from_name(preset, &known) != MO_OK)
+    error = mo_job_damaged(job, "campaigns.preset is none");
+  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) : error;
+}
+
 static int load_record(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
 {
   static const char sql[] =
@@ -195,7 +219,6 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
       "m.replicates_of,m.replicate,m.replicates,m.checkpoint_every_s,m.generation,m.n_designs,m.best_score,"
       "m.diversity_max,m.ended,CASE m.scored_generation WHEN m.generation+1 THEN m.scored ELSE 0 END,r.sha256,"
       "m.settings" MO_JOB_TABLES "LEFT JOIN controllers r ON r.id=m.result WHERE j.id=?1 AND j.kind=2";
-  enum { FIRST = MO_JOB_N_COLUMNS };
   struct mo_campaign_record *record = &status->record;
   int error = MO_OK;
   int step;
@@ -210,6 +233,8 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   if (error == MO_OK)
     error = mo_decode_campaign(sqlite3_column_blob(row, FIRST + 16), (size_t)sqlite3_column_bytes(row, FIRST + 16),
                                &record->settings);
+  if (error == MO_OK)
+    error = check_row(row, &status->job);
   record->settings.generations = status->job.steps_total;
   mo_column_text(row, FIRST, record->name, sizeof(record->name));
   mo_column_text(row, FIRST + 1, record->preset, sizeof(record->preset));
@@ -238,6 +263,22 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   return error;
 }
 
+/* Its numbers that are never none. */
+static int check_generation(const struct mo_campaign_generation *generation, struct mo_job *job)
+{
+  const struct {
+    const char *name;
+    double value, most;
+  } numbers[] = {{"diversity", generation->stats.diversity, 1},
+                 {"turnover", generation->turnover, 1},
+                 {"seconds", generation->seconds, DBL_MAX}};
+  for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++)
+    if (!(numbers[i].value >= 0 && numbers[i].value <= numbers[i].most))
+      return mo_job_damaged(job, "campaign_generations.%s of generation %lld is %s", numbers[i].name,
+                            (long long)generation->generation, MO_NUMBER(numbers[i].value));
+  return MO_OK;
+}
+
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char sql[] =
@@ -262,7 +303,7 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
                                      (long long)status->generation);
   read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last);
   (void)sqlite3_reset(row);
-  return MO_OK;
+  return check_generation(&status->last, &status->job);
 }
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)

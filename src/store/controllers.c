@@ -283,7 +283,23 @@ int mo_controller_find(struct mo_connection *connection, const char *name, int64
   return error;
 }
 
-#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters,c.id"
+#define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"
+
+/* The first that replies cannot say. */
+static const struct mo_column_range *find_outside(sqlite3_stmt *row)
+{
+  static const struct mo_column_range ranges[] = {
+      {1, "controllers.size", 1, INT64_MAX}, {2, "controllers.sensor", 0, MO_SENSOR_INVERSE_SQUARE},
+      {3, "controllers.nx", 1, UINT16_MAX},  {4, "controllers.ny", 1, UINT16_MAX},
+      {5, "controllers.nz", 1, UINT16_MAX},  {6, "controllers.n_parameters", 1, INT64_MAX},
+      {10, "stored_us", 1, MO_TIME_US_MAX}};
+  for (size_t i = 0; i < sizeof(ranges) / sizeof(ranges[0]); i++) {
+    const int64_t value = sqlite3_column_int64(row, ranges[i].column);
+    if (value < ranges[i].least || value > ranges[i].most)
+      return &ranges[i];
+  }
+  return NULL;
+}
 
 static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
 {
@@ -297,18 +313,31 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   mo_column_text(statement, 8, record->name, sizeof(record->name));
   record->version = sqlite3_column_int64(statement, 9);
   record->stored_us = sqlite3_column_int64(statement, 10);
-  if (mo_column_hash(statement, 0, &record->sha256) == MO_OK)
+  const long long row = sqlite3_column_int64(statement, 7);
+  const struct mo_column_range *outside = find_outside(statement);
+  if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
+    snprintf(record->damage, sizeof(record->damage),
+             "controller_names.controller of %s is %lld, which controllers has not", record->name, row);
+  else if (mo_column_hash(statement, 0, &record->sha256) != MO_OK)
+    snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash", row);
+  else if (outside != NULL && outside->column == 10 && record->name[0] != '\0')
+    snprintf(record->damage, sizeof(record->damage), "controller_names.stored_us of %s is %lld", record->name,
+             (long long)record->stored_us);
+  else if (outside != NULL)
+    snprintf(record->damage, sizeof(record->damage), "%s%s of row %lld is %lld",
+             outside->column == 10 ? "controllers." : "", outside->name, row,
+             (long long)sqlite3_column_int64(statement, outside->column));
+  else
     return MO_OK;
-  snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash",
-           (long long)sqlite3_column_int64(statement, 7));
   return MO_ERR_CORRUPT;
 }
 
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
                              size_t limit)
 {
-  static const char sql[] = "SELECT " CONTROLLER_COLUMNS ",n.name,n.version,n.stored_us FROM controller_names n"
-                            " JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name LIMIT ?2";
+  static const char sql[] =
+      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
+      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name LIMIT ?2";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   int64_t n = 0;
@@ -330,9 +359,10 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name, str
 
 int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record)
 {
-  static const char by_name[] = "SELECT " CONTROLLER_COLUMNS ",n.name,n.version,n.stored_us FROM controller_names n"
-                                " JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
-  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",'',1,c.stored_us FROM controllers c WHERE c.id=?1";
+  static const char by_name[] =
+      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
+      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
+  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",c.id,'',1,c.stored_us FROM controllers c WHERE c.id=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   bool hashed = strncmp(name, "sha256:", 7) == 0;
   sqlite3_stmt *statement = NULL;

@@ -11,7 +11,7 @@
 /* What the statements have as numbers. */
 _Static_assert(MO_BITS_BYTES == 18 && MO_PHYSICS_BYTES == 93 && MO_ENVIRONMENT_BYTES == 528 && MO_BIRTH_BYTES == 9 &&
                    MO_MEMBER_BYTES == 12 && MO_STEPS_MAX == 1000000 && MO_DEFAULT_MASSES == 245 &&
-                   MO_ENVIRONMENTS_MAX == 64,
+                   MO_ENVIRONMENTS_MAX == 64 && MO_TIME_US_MAX == 253402300799999999,
                "schema/damage has other limits");
 
 enum { OF_DESIGN = 0, OF_JOB = 1 }; /* of the embedded files */

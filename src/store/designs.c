@@ -30,6 +30,14 @@ static void damaged(struct mo_design_row *row, const char *column, int64_t at, c
   snprintf(row->damage, sizeof(row->damage), "%s of row %lld is %s", column, (long long)at, what);
 }
 
+static void take_time(struct mo_design_row *row, int64_t time_us)
+{
+  row->first_seen_us = time_us;
+  if (row->damage[0] == '\0' && (time_us < 1 || time_us > MO_TIME_US_MAX))
+    snprintf(row->damage, sizeof(row->damage), "designs.first_seen_us of row %lld is %lld", (long long)row->row,
+             (long long)time_us);
+}
+
 static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,
                            struct mo_design_row *rows, size_t limit)
 {
@@ -48,7 +56,7 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
     row->row = sqlite3_column_int64(statement, 0);
     if (mo_column_bits(statement, 1, &row->form) != MO_OK)
       damaged(row, "designs.form", row->row, "no design");
-    row->first_seen_us = sqlite3_column_int64(statement, 2);
+    take_time(row, sqlite3_column_int64(statement, 2));
     row->score = NAN;
   }
   return step < 0 ? step : error != MO_OK ? error : n;
@@ -120,7 +128,7 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
       damaged(row, "genotypes.bits", row->genotype_row, "no design");
     else if (mo_column_bits(statement, 4, &row->form) != MO_OK)
       damaged(row, "designs.form", row->row, "no design");
-    row->first_seen_us = sqlite3_column_int64(statement, 5);
+    take_time(row, sqlite3_column_int64(statement, 5));
   }
   (void)sqlite3_reset(statement);
   (void)sqlite3_clear_bindings(statement);
@@ -296,6 +304,8 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
   (void)sqlite3_clear_bindings(statement);
   if (step <= 0)
     return step < 0 ? step : MO_ERR_NOT_FOUND;
+  if (design->first_seen_us < 1 || design->first_seen_us > MO_TIME_US_MAX)
+    return MO_ERR_CORRUPT;
   design->form = *form;
   error = load_orientations(reader, row, design, genotypes);
   for (uint32_t i = 0; i < design->n_orientations && error == MO_OK && room != UINT32_MAX; i++)

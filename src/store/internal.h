@@ -154,6 +154,10 @@ bool mo_reserve_cut(struct mo_store *store);  /* true: there is some room now, a
 
 /* ---- shared queries ---- */
 
+/* What replies can say: times before the year 10000, ids of 18 digits. */
+#define MO_TIME_US_MAX INT64_C(253402300799999999)
+#define MO_ID_MAX      INT64_C(999999999999999999)
+
 /* A column with the text of a JSON object, which goes into replies as it is: if it is none, one that says so in its place. */
 #define MO_JSON_COLUMN(table, column)                                                                                  \
   "CASE WHEN NOT json_valid(" column ") THEN json_object('unreadable','" table "." column " is not JSON')"             \
@@ -177,6 +181,14 @@ int mo_job_from_row(sqlite3_stmt *statement, struct mo_job *job);
 int mo_job_damaged(struct mo_job *job, const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* The same of a BLOB that cannot be decoded. */
 int mo_job_undecodable(struct mo_job *job, const char *column_name, sqlite3_stmt *row, int column);
+/* What replies can say of a column: numbers from least to most, and names, or none. Else MO_ERR_CORRUPT, noted. */
+struct mo_column_range {
+  int column;
+  const char *name;
+  int64_t least, most;
+};
+int mo_job_ranges(struct mo_job *job, sqlite3_stmt *row, const struct mo_column_range *ranges, size_t n);
+int mo_job_name(struct mo_job *job, sqlite3_stmt *row, int column, const char *name);
 /* Whether a list may go on behind this error: it is of this job alone. */
 bool mo_job_passed_over(int error, const struct mo_job *job);
 /* MO_ERR_CORRUPT: the state cannot be read. A kind that cannot be read is MO_JOB_KINDS. */

@@ -152,6 +152,29 @@ static int make_set(struct mo_connection *writer, int64_t *set)
   return error;
 }
 
+/* The set whose name is damaged, if there is one: it gets its name back. MO_ERR_NOT_FOUND. */
+static int find_named_otherwise(struct mo_connection *writer, struct putting_right *call, int64_t *set)
+{
+  static const char find_sql[] = "SELECT id FROM environment_sets ORDER BY id LIMIT 1"; /* no other is ever made */
+  static const char name_sql[] = "UPDATE environment_sets SET name='" NAME "' WHERE id=?1";
+  unsigned n = 0, n_known = 0;
+  int changed = 0;
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(writer, find_sql, &error);
+  if (statement == NULL)
+    return error;
+  error = mo_sql_integer(writer, statement, set);
+  if (error == MO_OK)
+    error = read_members(writer, call, *set, &n, &n_known);
+  if (error == MO_OK && (n_known == 0 || n_known * 2 < n))
+    error = MO_ERR_NOT_FOUND;
+  if (error == MO_OK)
+    error = change(writer, name_sql, *set, 0, 0, &changed);
+  if (error == MO_OK)
+    tell(call, "environment_sets.name of row %lld", (long long)*set);
+  return error;
+}
+
 /* Members whose set is lost: a row has its number by which they name it. 0: there are none. */
 static int find_lost(struct mo_connection *writer, int64_t *set)
 {
@@ -195,6 +218,8 @@ static int put_right(struct mo_store *store, void *arguments)
   int64_t found = 0, set = 0, lost = 0, size = 0;
   call->words[0] = '\0';
   int error = mo_environment_set_find(writer, NAME, &found, &size);
+  if (error == MO_ERR_NOT_FOUND)
+    error = find_named_otherwise(writer, call, &found);
   call->is_there = error == MO_OK;
   if (error == MO_ERR_NOT_FOUND)
     error = make_set(writer, &found);

@@ -144,6 +144,19 @@ static int validation_from_row(sqlite3_stmt *row, void *any)
   return MO_OK;
 }
 
+/* What is not in the columns of every job. */
+static int check_row(sqlite3_stmt *row, struct mo_job *job)
+{
+  static const struct mo_column_range ranges[] = {
+      {MO_JOB_N_COLUMNS + 1, "trainings.population", 0, MO_ID_MAX},
+      {MO_JOB_N_COLUMNS + 2, "trainings.validate_every_steps", 0, MO_TRAINING_STEPS_MAX},
+      {MO_JOB_N_COLUMNS + 3, "trainings.checkpoint_every_steps", 0, MO_TRAINING_STEPS_MAX},
+      {MO_JOB_N_COLUMNS + 4, "trainings.checkpoint_every_s", 0, MO_CHECKPOINT_SECONDS_MAX},
+      {MO_JOB_N_COLUMNS + 5, "trainings.checkpoints_kept", 1, MO_CHECKPOINTS_KEPT_MAX}};
+  int error = mo_job_name(job, row, MO_JOB_N_COLUMNS, "trainings.name");
+  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) : error;
+}
+
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
 {
   static const char sql[] = "SELECT " MO_JOB_COLUMNS
@@ -163,6 +176,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
   error = mo_job_from_row(row, &status->job);
   if (error == MO_OK) /* they can be decoded: that was tried */
     error = mo_decode_training(sqlite3_column_blob(row, 26), (size_t)sqlite3_column_bytes(row, 26), &record->settings);
+  if (error == MO_OK)
+    error = check_row(row, &status->job);
   mo_column_text(row, 24, record->parent_name, sizeof(record->parent_name));
   record->n_designs = status->job.n_designs;
   status->step = status->job.steps_done;

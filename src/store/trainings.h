@@ -13,7 +13,8 @@
 
 #include "store/store.h"
 
-#define MO_CHECKPOINTS_KEPT_MAX 100
+#define MO_CHECKPOINTS_KEPT_MAX   100
+#define MO_CHECKPOINT_SECONDS_MAX 86400 /* between two */
 
 /* What a training is: immutable after submission. */
 struct mo_training_record {

@@ -391,6 +391,7 @@ FLIP = "UPDATE environments SET data = CAST(substr(data, 1, 99) || x'42' || subs
 PAPER_TEST = (
     ("UPDATE environment_sets SET id = 0", "environment_sets.id of row 1"),
     ("UPDATE environment_sets SET n = 65", "environment_sets.n of row 1"),
+    ("UPDATE environment_sets SET name = 'pap' || x'ff'", "environment_sets.name of row 1"),
     ("UPDATE environments SET data = x'00' WHERE id = 3", "environments.data of row 3"),
     (FLIP, "environments.data of row 3"),
     ("UPDATE environments SET sha256 = zeroblob(32) WHERE id = 3", "environments.sha256 of row 3"),

@@ -94,7 +94,8 @@ void put_start(struct put *put, uint64_t seed)
   memset(put->note, 'x', length);
   put->note[length] = '\0';
   put->entry = (struct mo_metadata_entry){.key = put->key, .value = put->note};
-  put->controller = (struct mo_controller){.workspace = MO_DEFAULT_WORKSPACE, .metadata = &put->entry, .n_metadata = 1};
+  put->controller = (struct mo_controller){
+      .workspace = MO_DEFAULT_WORKSPACE, .n_parameters = 1, .metadata = &put->entry, .n_metadata = 1};
   put->size = life_content(seed, &put->bytes);
 }
 
