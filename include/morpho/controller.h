@@ -67,6 +67,10 @@ void mo_controller_randomize(struct mo_controller *controller, uint64_t seed);
  * the weights: only their present values are accepted), MO_ERR_NO_MEMORY, MO_ERR_LIMIT (1024 entries, 64 KiB each). */
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value);
 const char *mo_controller_get_metadata(const struct mo_controller *controller, const char *key); /* NULL: none */
+/* A whole number, ≥ 0, that is a member of an entry that is a JSON object. MO_ERR_NOT_FOUND: there is no such entry; MO_ERR_FORMAT: it is no
+ * object, or has no such number; MO_ERR_NO_MEMORY. */
+int mo_controller_get_metadata_number(const struct mo_controller *controller, const char *key, const char *member,
+                                      uint64_t *number);
 
 /* Reads a safetensors file (path) or its bytes. Checks everything before trusting anything: header length and JSON, exactly the
  * expected tensors, dtype F32, shapes that agree with one workspace (metadata "workspace" = "6x6x4" names it; without it the

@@ -42,21 +42,14 @@ static int tell(const struct reading *reading, const char *field, const char *de
 
 /* ---- one controller ---- */
 
-static bool read_number(const char *text, const char *ends, uint64_t *number)
+static bool read_number(const char *text, uint64_t *number)
 {
   char *end = NULL;
   if (text == NULL || *text < '0' || *text > '9')
     return false;
   errno = 0;
   *number = strtoull(text, &end, 10);
-  return errno == 0 && (*end == '\0' || strchr(ends, *end) != NULL);
-}
-
-static bool read_batch(const char *settings, uint64_t *batch)
-{
-  static const char key[] = "\"batch\":";
-  const char *found = settings != NULL ? strstr(settings, key) : NULL;
-  return found != NULL && read_number(found + sizeof(key) - 1, ",}", batch) && *batch > 0;
+  return errno == 0 && *end == '\0';
 }
 
 /* The bodies of a pretraining; n_bodies 0: none, or it cannot be known. */
@@ -64,19 +57,20 @@ static int read_pretraining(const struct reading *reading, struct mo_lineage_par
 {
   const struct mo_controller *controller = reading->controller;
   uint64_t steps = 0, batch = 0;
+  const int read = mo_controller_get_metadata_number(controller, "morphod.settings", "batch", &batch);
   const struct {
     const char *field, *detail;
     bool is_read;
   } fields[] = {
       {"morphod.seed", "the seed of the pretraining cannot be read: its bodies are not excluded",
-       read_number(mo_controller_get_metadata(controller, "morphod.seed"), "", &part->seed)},
+       read_number(mo_controller_get_metadata(controller, "morphod.seed"), &part->seed)},
       {"morphod.step", "the number of steps cannot be read: the bodies of the pretraining are not excluded",
-       read_number(mo_controller_get_metadata(controller, "morphod.step"), "", &steps)},
+       read_number(mo_controller_get_metadata(controller, "morphod.step"), &steps)},
       {"morphod.settings", "the batch cannot be read: the bodies of the pretraining are not excluded",
-       read_batch(mo_controller_get_metadata(controller, "morphod.settings"), &batch)},
+       read == MO_OK && batch > 0},
   };
   bool is_whole = true;
-  int error = MO_OK;
+  int error = read == MO_ERR_NO_MEMORY ? read : MO_OK;
   for (size_t i = 0; i < sizeof(fields) / sizeof(fields[0]) && error == MO_OK; i++) {
     is_whole = is_whole && fields[i].is_read;
     if (!fields[i].is_read)

@@ -74,7 +74,9 @@ static int put_line(struct service *service)
   (void)mo_controller_set_metadata(controller, "morphod.kind", "pretrain");
   (void)mo_controller_set_metadata(controller, "morphod.seed", "31");
   (void)mo_controller_set_metadata(controller, "morphod.step", "1000000");
-  (void)mo_controller_set_metadata(controller, "morphod.settings", "{\"steps\":1000000,\"batch\":64,\"x\":1}");
+  (void)mo_controller_set_metadata(
+      controller, "morphod.settings",
+      "{\"steps\": 1000000, \"x\": {\"batch\":1}, \"batch\" : 64}"); /* as others may write it */
   for (int i = 0; i < 5 && error == MO_OK; i++) {
     (void)mo_controller_set_metadata(controller, "morphod.parent", parent);
     error = put(service, "line", controller, &sha256);
@@ -173,6 +175,9 @@ __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
       {{"pretrain", "random", NULL, "-40", settings}, {"morphod.seed", "morphod.step"}},
       {{"pretrain", "random", "31", "40", "{\"steps\":900}"}, {"morphod.settings"}},
       {{"pretrain", "random", "31", "40", "{\"batch\":\"64\"}"}, {"morphod.settings"}},
+      {{"pretrain", "random", "31", "40", "{\"x\":{\"batch\":64}}"}, {"morphod.settings"}},
+      {{"pretrain", "random", "31", "40", "{\"batch\":64"}, {"morphod.settings"}},
+      {{"pretrain", "random", "31", "40", "{\"batch\":9223372036854775808}"}, {"morphod.settings"}},
       {{"pretrain", "random", "31", "40", "{\"batch\":0}"}, {"morphod.settings"}},
       {{"finetune", "chance", "31", "40", settings}, {"morphod.parent"}},
   };
