@@ -146,6 +146,27 @@ class Service:
             return received, ended
 
 
+def awaited(service, path, holds, seconds=60):
+    """What GET gives as soon as holds(it)."""
+    deadline = time.monotonic() + seconds
+    while True:
+        seen = service.request("GET", path).json()
+        if holds(seen):
+            return seen
+        assert time.monotonic() < deadline, f"{seen}\n{service.log_text()[-2000:]}"
+        time.sleep(0.01)
+
+
+def await_end(service, path, seconds=60):
+    """The reply that tells of the end of a job."""
+    deadline = time.monotonic() + seconds
+    while True:
+        reply = service.request("GET", path, headers={"Prefer": "wait=10"})
+        if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
+            return reply
+        assert time.monotonic() < deadline, reply.body
+
+
 def tiny_controller(service):
     """Stores a controller of 1 × 1 × 1 voxels, made here, as "tiny"."""
     shapes = {"net.0.weight": [256, 13], "net.0.bias": [256], "net.1.weight": [256], "net.1.bias": [256], "net.3.weight": [256, 256],

@@ -6,7 +6,7 @@ import io
 import time
 
 import pytest
-from service import CONTRACT, DESIGN, tiny_controller
+from service import CONTRACT, DESIGN, await_end, awaited, tiny_controller
 
 BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
@@ -196,12 +196,7 @@ def test_controller_of_another_workspace(service):
 
 
 def finished(service, id, seconds=60):
-    deadline = time.monotonic() + seconds
-    while True:
-        reply = service.request("GET", f"/v1/campaigns/{id}", headers={"Prefer": "wait=10"})
-        if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
-            return reply
-        assert time.monotonic() < deadline, reply.body
+    return await_end(service, f"/v1/campaigns/{id}", seconds)
 
 
 def run(service, value):
@@ -420,32 +415,22 @@ def test_replicates_wait_for_the_slowest(service):
     assert service.request("GET", path).json() == {"items": [], "next_after": None, "more": False}
 
 
-def until(service, id, test, seconds=30):
-    deadline = time.monotonic() + seconds
-    while True:
-        value = service.request("GET", f"/v1/campaigns/{id}").json()
-        if test(value):
-            return value
-        assert time.monotonic() < deadline, value
-        time.sleep(0.02)
-
-
 def test_pause_resume_extend_cancel(service):
     id = service.request("POST", "/v1/campaigns", LONG).json()["id"]
     path = f"/v1/campaigns/{id}"
-    running = until(service, id, lambda value: value["progress"]["generation"] is not None and value["phase"] != "idle")
+    running = awaited(service, path, lambda value: value["progress"]["generation"] is not None and value["phase"] != "idle")
     assert running["state"] == "running" and running["progress"]["under_way"] >= 1 and running["reason"] is None
     assert service.request("GET", path).headers["Retry-After"]
     reply = service.request("POST", path + "/extend", {"generations": 1})
     assert reply.status == 422 and reply.pointers() == ["/generations"], reply.body  # it has as many as there may be
     assert service.request("POST", path + "/pause").json()["state"] == "paused"
     assert service.request("POST", path + "/pause").status == 200
-    paused = until(service, id, lambda value: value["phase"] == "idle")
+    paused = awaited(service, path, lambda value: value["phase"] == "idle")
     job = service.request("GET", f"/v1/jobs/{id}").json()
     assert job["state"] == "paused" and job["campaign"]["generation"] == paused["progress"]["generation"] and job["campaign"]["mode"] == "zero-shot"
     assert paused["id"] in [one["id"] for one in service.request("GET", "/v1/campaigns?state=paused").json()["items"]]
     assert service.request("POST", path + "/resume").json()["state"] in ("queued", "running")
-    until(service, id, lambda value: (value["progress"]["generation"] or 0) > paused["progress"]["generation"])
+    awaited(service, path, lambda value: (value["progress"]["generation"] or 0) > paused["progress"]["generation"])
     assert service.request("POST", f"/v1/jobs/{id}/pause").json()["state"] == "paused"
     assert service.request("POST", f"/v1/jobs/{id}/resume").status == 200
     assert service.request("POST", path + "/cancel").json()["state"] == "cancelled"

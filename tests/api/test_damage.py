@@ -10,7 +10,7 @@ import subprocess
 import time
 
 import pytest
-from service import DESIGN, SHORT
+from service import DESIGN, SHORT, await_end
 from test_morphoctl import MORPHOCTL
 
 TRAINING = {"kind": "finetune", "steps": 1, "batch": 2, "designs": [DESIGN], "physics": {"n_steps": 8}, "validation": {"every_steps": 0}}
@@ -55,10 +55,7 @@ def damage(state, sql):
 
 
 def finish(service, job):
-    until = time.monotonic() + 60
-    while service.request("GET", f"/v1/jobs/{job}").json()["state"] not in ("succeeded", "failed", "cancelled"):
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    return await_end(service, f"/v1/jobs/{job}").json()
 
 
 @pytest.fixture(scope="module")

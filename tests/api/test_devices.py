@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from service import BINARY, SOURCE, Service
+from service import BINARY, SOURCE, Service, awaited
 
 MODULE = pathlib.Path(BINARY).parents[2] / "tests" / "device" / "fake-device.so"
 MORPHOCTL = pathlib.Path(os.environ.get("MORPHOCTL", SOURCE / "build" / "clients" / "morphoctl" / "morphoctl"))
@@ -41,13 +41,7 @@ def fake(**what):
 
 
 def await_state(service, path, *states, seconds=60):
-    deadline = time.monotonic() + seconds
-    while True:
-        reply = service.request("GET", path).json()
-        if reply["state"] in states:
-            return reply
-        assert time.monotonic() < deadline, reply
-        time.sleep(0.05)
+    return awaited(service, path, lambda seen: seen["state"] in states, seconds)
 
 
 def run(service, kind, request):

@@ -9,18 +9,9 @@ import time
 
 import pytest
 
-from service import DESIGN, SHORT
+from service import DESIGN, SHORT, await_end
 
 BATCH = [{"cells": [[x, y, 0], [x, y, 1], [(x + 1) % 6, y, 0]]} for x in range(5) for y in range(6)]
-
-
-def finished(service, location, limit=60):
-    deadline = time.monotonic() + limit
-    while True:
-        reply = service.request("GET", location, headers={"Prefer": "wait=10"})
-        if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
-            return reply
-        assert time.monotonic() < deadline
 
 
 def test_one_design(service):
@@ -39,7 +30,7 @@ def test_one_design(service):
 def test_accepted_then_polled(service):
     reply = service.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 37}, "label": "réglage"})
     assert reply.status == 202 and "results" not in reply.json()
-    done = finished(service, reply.headers["Location"])
+    done = await_end(service, reply.headers["Location"])
     assert done.json()["label"] == "réglage" and len(done.json()["results"]) == 1
     again = service.request("GET", reply.headers["Location"], headers={"If-None-Match": done.headers["ETag"]})
     assert again.status == 304 and again.body == b""
@@ -111,7 +102,7 @@ def test_verify(service):
 def test_batch(service):
     reply = service.request("POST", "/v1/evaluations", {"designs": BATCH, "physics": SHORT})
     assert reply.json()["priority"] == "batch" and reply.json()["n_designs"] == 30
-    results = finished(service, reply.headers["Location"]).json()["results"]
+    results = await_end(service, reply.headers["Location"]).json()["results"]
     alone = service.evaluate({"designs": [BATCH[7]], "physics": SHORT}).json()["results"][0]
     assert len(results) == 30 and results[7] == alone
     assert service.evaluate({"designs": [BATCH[7]], "physics": SHORT, "priority": "batch"}).json()["priority"] == "batch"
@@ -156,7 +147,7 @@ def test_short_wait_gives_202(service):
     assert got.status == 200 and 0.8 < time.monotonic() - begun < 3 and got.headers["Retry-After"]
     cancelled = service.request("DELETE", "/v1/jobs/" + reply.json()["id"])
     assert cancelled.status == 200
-    assert finished(service, reply.headers["Location"]).json()["state"] == "cancelled"
+    assert await_end(service, reply.headers["Location"]).json()["state"] == "cancelled"
 
 
 def test_clients_that_left_do_not_wait(start):
@@ -280,7 +271,7 @@ def test_everything_survives_a_restart(start, tmp_path):
     assert second.request("GET", reply.headers["Location"]).json() == reply.json()
     same = second.request("POST", "/v1/evaluations", {"designs": BATCH, "physics": {"n_steps": 1500}}, headers={"Idempotency-Key": "again"})
     assert same.json()["id"] == open_job["id"]
-    assert finished(second, same.headers["Location"]).json()["state"] == "succeeded"
+    assert await_end(second, same.headers["Location"]).json()["state"] == "succeeded"
     assert second.evaluate({"designs": BATCH[:5], "physics": SHORT}).json()["results"] == reply.json()["results"]
     events = second.request("GET", f"/v1/events?format=json&job={open_job['id']}").json()["items"]
     assert [event["type"] for event in events][0] == "job.created" and events[-1]["type"] == "job.finished"

@@ -4,7 +4,7 @@ import json
 import struct
 import time
 
-from service import BOOTSTRAP
+from service import BOOTSTRAP, awaited
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
 SMALL = {"mode": "zero-shot", "population": 8, "generations": 1, "environments": HERE, "physics": {"n_steps": 30}}
@@ -37,22 +37,11 @@ def campaign(service, id):
     return service.request("GET", f"/v1/campaigns/{id}").json()
 
 
-def awaited(service, id, holds, seconds=60):
-    """The campaign as soon as holds(campaign)."""
-    deadline = time.monotonic() + seconds
-    while True:
-        seen = campaign(service, id)
-        if holds(seen):
-            return seen
-        assert time.monotonic() < deadline, seen
-        time.sleep(0.01)
-
-
 def test_a_lineage_that_cannot_be_read(start):
     service = start()
     digits = put(service, "odd", **pretrained("many", seed="none"))
     id = submit(service, controller="odd")
-    done = awaited(service, id, lambda seen: seen["state"] not in ("queued", "running"))
+    done = awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["state"] not in ("queued", "running"))
     assert done["state"] == "succeeded" and done["progress"]["generation"] == 1
     events = service.request("GET", f"/v1/events?format=json&job={id}&after=0&limit=100").json()["items"]
     told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
@@ -66,9 +55,9 @@ def test_a_drawing_is_told_and_handed_over(start):
     total = 1024 * 200000
     put(service, "long", **pretrained(200000))
     first = submit(service, controller="long", workspace=[3, 3, 2])
-    drawn = awaited(service, first, lambda seen: seen["progress"]["seconds_left"] is not None)
+    drawn = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["progress"]["seconds_left"] is not None)
     second = submit(service, controller="long", workspace=[3, 3, 2])  # not before: either may begin
-    waits = awaited(service, second, lambda seen: seen["progress"]["seconds_left"] is not None)
+    waits = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["progress"]["seconds_left"] is not None)
     for seen in (drawn, waits):
         assert seen["state"] == "running" and seen["phase"] == "preparing" and seen["newest"] is None, seen
         assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen["progress"]["seconds_left"] > 1
@@ -77,13 +66,13 @@ def test_a_drawing_is_told_and_handed_over(start):
     assert job["state"] == "running" and job["reason"] == waits["reason"]
     waits = campaign(service, second)
     assert service.request("POST", f"/v1/campaigns/{first}/pause").status == 200
-    draws = awaited(service, second, lambda seen: seen["reason"] is None)
+    draws = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["reason"] is None)
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
     assert service.request("POST", f"/v1/campaigns/{first}/resume").status == 200
-    waits = awaited(service, first, lambda seen: seen["reason"] is not None)
+    waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
     assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws["progress"]["done"]
     begun = time.monotonic()
     for id in (second, first):
         assert service.request("POST", f"/v1/campaigns/{id}/cancel").status == 200
-        awaited(service, id, lambda seen: seen["phase"] == "idle")
+        awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["phase"] == "idle")
     assert time.monotonic() - begun < 10

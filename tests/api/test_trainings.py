@@ -8,7 +8,7 @@ import struct
 import time
 
 import pytest
-from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT, tiny_controller
+from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT, await_end, tiny_controller
 
 BAR = {"cells": [[x, 2, 0] for x in range(4)]}
 SMALL = {"steps": 6, "batch": 4, "physics": {"n_steps": 30}, "validation": {"every_steps": 3, "designs": 3, "environments": 2},
@@ -179,13 +179,8 @@ def test_population_that_has_not_succeeded(service):
     assert service.request("POST", "/v1/trainings", {"kind": "finetune", "population": {"evaluation": job}}).status == 409
 
 
-def finished(service, training, limit=60):
-    deadline = time.monotonic() + limit
-    while True:
-        reply = service.request("GET", f"/v1/trainings/{training}", headers={"Prefer": "wait=10"})
-        if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
-            return reply
-        assert time.monotonic() < deadline, reply.body
+def finished(service, training, seconds=60):
+    return await_end(service, f"/v1/trainings/{training}", seconds)
 
 
 @pytest.fixture(scope="module")

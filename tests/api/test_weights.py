@@ -1,9 +1,9 @@
 """Weights: what jobs take, show, change and refuse, and what /metrics tells of worker time."""
 
 import re
-import time
 
 import pytest
+from service import awaited
 
 DESIGNS = [{"cells": [[x, y, 0] for x in range(n) for y in range(6)]} for n in (2, 3, 4)]
 LONG = {"designs": DESIGNS, "physics": {"n_steps": 1000000}, "priority": "batch"}
@@ -13,13 +13,6 @@ TRAINING = {"kind": "finetune", "designs": DESIGNS, "steps": 1000, "batch": 8, "
 def worker_seconds(service):
     text = service.request("GET", "/metrics").body.decode()
     return {kind: float(value) for kind, value in re.findall(r'^morphod_job_worker_seconds_total\{kind="(\w+)"\} (\S+)$', text, re.M)}
-
-
-def await_training(service, training, wanted):
-    deadline = time.monotonic() + 30
-    while not wanted(service.request("GET", f"/v1/trainings/{training}").json()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def test_taken_shown_and_changed(service):
@@ -48,13 +41,13 @@ def test_of_a_training(service):
     training = service.request("POST", "/v1/trainings", {**TRAINING, "weight": 3}).json()
     assert training["weight"] == 3
     path = f"/v1/jobs/{training['id']}"
-    await_training(service, training["id"], lambda state: state["progress"]["step"] >= 2)
+    awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["progress"]["step"] >= 2)
     running = service.request("GET", f"/v1/trainings/{training['id']}").json()
     assert running["progress"]["busy_s"] > 0
     assert service.request("POST", path + "/weight", {"weight": 0.5}).json()["weight"] == 0.5
     assert service.request("GET", f"/v1/trainings/{training['id']}").json()["weight"] == 0.5
     assert service.request("DELETE", path).status == 200
-    await_training(service, training["id"], lambda state: state["phase"] == "idle")
+    awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["phase"] == "idle")
     seconds = worker_seconds(service)
     assert set(seconds) == {"evaluation", "training", "campaign"} and seconds["training"] > 0
 
