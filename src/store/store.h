@@ -93,7 +93,7 @@ int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, stru
 int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job);
 
 /* After a reading of a job, or of what belongs to it, has given MO_ERR_CORRUPT: which row that is, in job->damage; the job's id and kind are
- * there, too. MO_ERR_NOT_FOUND: there is no such job, or no row is found. A campaign of a million designs takes seconds. */
+ * there, too. MO_ERR_NOT_FOUND: there is no such job, or no row is found. A campaign of a million designs takes half a second. */
 int mo_store_job_damage(struct mo_store *store, int64_t id, struct mo_job *job);
 
 struct mo_job_query {
