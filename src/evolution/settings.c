@@ -195,16 +195,9 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
   return MO_OK;
 }
 
+/* What a campaign says in its own words; the rest is that of the training inside. */
 static int check_learning(const struct mo_campaign_settings *settings, struct mo_message *message)
 {
-  const struct mo_bounded numbers[] = {
-      {"beta1", settings->beta1, 0.0, 1.0, false, true},
-      {"beta2", settings->beta2, 0.0, 1.0, false, true},
-      {"epsilon", settings->epsilon, 0.0, 1.0, true, false},
-      {"gradient_norm_limit", settings->norm_limit, 0.0, MO_GRADIENT_NORM_LIMIT_MAX, false, false},
-      {"adjoint_bound", settings->adjoint_bound, 0.0, MO_ADJOINT_BOUND_MAX, false, false},
-      {"restart_weight", settings->restart_weight, 0.0, MO_RESTART_WEIGHT_MAX, false, false},
-  };
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
                    "population is %" PRIu32 "; it must be at most %d in a campaign that learns (few-shot, "
@@ -213,18 +206,11 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
   if (settings->batch > MO_TRAINING_BATCH_MAX)
     return mo_fail(message, MO_ERR_RANGE, "batch is %" PRIu32 "; it must be 1 to %d, or 0 for the population",
                    settings->batch, MO_TRAINING_BATCH_MAX);
-  if (settings->sensor != MO_SENSOR_INVERSE_SQRT && settings->sensor != MO_SENSOR_INVERSE_SQUARE)
-    return mo_fail(message, MO_ERR_INVALID, "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
-                   (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT, (int)MO_SENSOR_INVERSE_SQUARE);
-  if (mo_adjoint_rule_name(settings->adjoint_rule)[0] == '?')
-    return mo_fail(message, MO_ERR_INVALID, "adjoint_rule is %d; it must be %d (clip) or %d (restart)",
-                   (int)settings->adjoint_rule, (int)MO_ADJOINT_CLIP, (int)MO_ADJOINT_RESTART);
   int r = check_steps(settings, message);
-  if (r == MO_OK)
-    r = mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
-  if (r == MO_OK)
-    r = mo_schedule_check(&settings->schedule, message);
-  return r;
+  if (r != MO_OK)
+    return r;
+  const struct mo_training_settings training = mo_campaign_training(settings, 0);
+  return mo_training_settings_check(&training, message);
 }
 
 int mo_campaign_settings_check(const struct mo_campaign_settings *settings, struct mo_message *message)
