@@ -22,6 +22,11 @@ class Scale:
         return (value - self.low) / (self.high - self.low)
 
 
+def label(value):
+    """Of a tick: three digits, and all of a number that has more of them before the point."""
+    return f"{value:.3g}" if abs(value) < 1000 else f"{value:.6g}"
+
+
 def log_ticks(low, high):
     values = [d * 10.0 ** k for k in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1) for d in (1, 2, 5)]
     return [value for value in values if low * 0.999 <= value <= high * 1.001]
@@ -84,14 +89,14 @@ class Panel:
     def axes(self, x_name="", y_name="", x_labels=True, x_grid=False):
         for value in self.y.ticks:
             self.chart.out.append(f'<line class="grid" x1="{self.left}" y1="{self.at_y(value):.1f}" x2="{self.right}" y2="{self.at_y(value):.1f}"/>'
-                                  f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" text-anchor="end">{value:.6g}</text>')
+                                  f'<text x="{self.left - 8}" y="{self.at_y(value) + 4:.1f}" text-anchor="end">{label(value)}</text>')
         taken = -math.inf  # up to where there are labels
         for value in self.x.ticks:
             if x_grid:
                 self.chart.out.append(f'<line class="grid" x1="{self.at_x(value):.1f}" y1="{self.top}" x2="{self.at_x(value):.1f}" y2="{self.bottom}"/>')
-            half = 3.6 * len(f"{value:.6g}")  # of a label's width, about
+            half = 3.6 * len(label(value))  # of its width, about
             if x_labels and self.at_x(value) - half > taken:
-                self.chart.out.append(f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" text-anchor="middle">{value:.6g}</text>')
+                self.chart.out.append(f'<text x="{self.at_x(value):.1f}" y="{self.bottom + 18}" text-anchor="middle">{label(value)}</text>')
                 taken = self.at_x(value) + half
         if x_name:
             self.chart.text(f"{(self.left + self.right) / 2:.1f}", self.bottom + 34, x_name, text_anchor="middle", fill="#444")
