@@ -61,6 +61,16 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
+static void on_threads(uint32_t workers, void *(*work)(void *context), void *context)
+{
+  pthread_t threads[WORKERS_MAX];
+  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
+  for (uint32_t i = 0; i < workers; i++)
+    must(pthread_create(&threads[i], NULL, work, context) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+  for (uint32_t i = 0; i < workers; i++)
+    pthread_join(threads[i], NULL);
+}
+
 /* ---- scenes ---- */
 
 struct scene {
@@ -167,18 +177,13 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
 {
   static struct reference r = {.lock = PTHREAD_MUTEX_INITIALIZER};
   struct mo_controller *controller = weights_of(weights);
-  pthread_t threads[WORKERS_MAX];
   make_scene(&r.scene, LIKE);
   r.controller = controller;
   r.options = options_of(weights);
   r.options.weight = 1.0 / LIKE;
   for (int i = 0; i < BLOCKS; i++)
     r.sums[i] = must_have(calloc(controller->n_parameters, sizeof(double)));
-  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
-  for (uint32_t i = 0; i < workers; i++)
-    must(pthread_create(&threads[i], NULL, reference_work, &r) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
-  for (uint32_t i = 0; i < workers; i++)
-    pthread_join(threads[i], NULL);
+  on_threads(workers, reference_work, &r);
   for (int i = 1; i < BLOCKS; i++) {
     mo_gradient_counts_add(&r.counts[0], &r.counts[i]);
     for (size_t k = 0; k < controller->n_parameters; k++)
@@ -357,16 +362,11 @@ static void check_alone(const struct scene *s, uint32_t workers)
   struct mo_controller *controller = weights_of("1");
   const struct mo_physics physics = mo_default_physics();
   const struct mo_gradient_options options = options_of("restart:");
-  pthread_t threads[WORKERS_MAX];
   double differ[LIKE];
   uint32_t n = 0, nearer = 0;
   a.scene = s;
   a.controller = controller;
-  workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
-  for (uint32_t i = 0; i < workers; i++)
-    must(pthread_create(&threads[i], NULL, alone_work, &a) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
-  for (uint32_t i = 0; i < workers; i++)
-    pthread_join(threads[i], NULL);
+  on_threads(workers, alone_work, &a);
   for (uint32_t i = 0; i < LIKE; i++) {
     struct result r;
     struct likeness like[2];
