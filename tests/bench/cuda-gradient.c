@@ -5,7 +5,7 @@
  *                                                    diverge or whose adjoints do, calls that are cancelled
  *   cuda-gradient alone [WORKERS]                    robots whose adjoints begin anew, each alone, against float64 under the same weight
  *                                                    and under another
- *   cuda-gradient time                               learning steps of 8192 and of 1024 robots
+ *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, otherwise of 1024 and of 8192
  *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
  * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound, with the usual weight
@@ -546,8 +546,12 @@ int main(int argc, char **argv)
   struct scene s;
   if (strcmp(what, "time") == 0) {
     make_scene(&s, 8192);
-    time_steps(&s, 1024, 0);
-    time_steps(&s, 8192, STEP_BOUND_S);
+    for (int i = 2; i < argc; i++)
+      time_steps(&s, (uint32_t)atoi(argv[i]), 0);
+    if (argc <= 2) {
+      time_steps(&s, 1024, 0);
+      time_steps(&s, 8192, STEP_BOUND_S);
+    }
   } else if (strcmp(what, "alone") == 0) {
     make_scene(&s, LIKE);
     check_alone(&s, argc > 2 ? (uint32_t)atoi(argv[2]) : 1);

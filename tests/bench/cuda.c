@@ -2,6 +2,7 @@
  *
  *   cuda-bench MODULE check [references]   agreement, bits, divergence, cancelling; references: a file to keep the float64 losses in
  *   cuda-bench MODULE time                 8192 bodies × 10 environments, evolved bodies, smaller batches
+ *   cuda-bench MODULE spread               8192 bodies × 10 environments over all devices, and in parts on one
  *   cuda-bench MODULE short                a few steps of everything, for compute-sanitizer
  *
  * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. To be run from the top of the source tree. */
@@ -504,6 +505,103 @@ static void time_all(struct mo_device_controller *controller)
   free_bodies(bodies, N);
 }
 
+/* ---- devices beside each other ---- */
+
+enum { PARTS_MAX = 8 };
+
+/* A device's share of the rows, as the daemon would cut them. */
+struct part {
+  pthread_t thread;
+  struct mo_device *device;
+  struct mo_device_score score;
+  double took_s;
+  int status;
+};
+
+static void *score_part(void *context)
+{
+  struct part *part = context;
+  const double start = now_s();
+  part->status = module->score(part->device, &part->score);
+  part->took_s = now_s() - start;
+  return NULL;
+}
+
+/* Parts on devices of their own, at once, or one after the other on the first. The longest; the best of three. */
+static double time_parts(struct mo_device *const *devices, struct mo_device_controller *const *controllers,
+                         const struct mo_robot *robots, uint32_t n, uint32_t n_parts, int at_once,
+                         struct mo_outcome *outcomes)
+{
+  double best = INFINITY;
+  for (int repeat = -1; repeat < REPEATS; repeat++) { /* the first warms up */
+    struct part parts[PARTS_MAX];
+    double longest = 0;
+    for (uint32_t i = 0; i < n_parts; i++) {
+      const uint32_t first = (uint32_t)((uint64_t)n * i / n_parts), end = (uint32_t)((uint64_t)n * (i + 1) / n_parts);
+      parts[i] = (struct part){.device = devices[at_once ? i : 0],
+                               .score = {.controller = controllers[at_once ? i : 0],
+                                         .robots = robots + first,
+                                         .n = end - first,
+                                         .physics = mo_default_physics(),
+                                         .precision = MO_DEVICE_EXACT,
+                                         .outcomes = outcomes + first}};
+      if (!at_once)
+        score_part(&parts[i]);
+      else
+        must(pthread_create(&parts[i].thread, NULL, score_part, &parts[i]) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+    }
+    for (uint32_t i = 0; i < n_parts; i++) {
+      if (at_once)
+        pthread_join(parts[i].thread, NULL);
+      must(parts[i].status, "score of a part");
+      longest = fmax(longest, parts[i].took_s);
+    }
+    if (repeat >= 0)
+      best = fmin(best, longest);
+  }
+  return best;
+}
+
+static void spread(uint32_t n_devices)
+{
+  enum { N = 8192, ROWS = N * MO_PAPER_TEST_COUNT };
+  struct mo_device *devices[PARTS_MAX] = {device};
+  struct mo_device_controller *controllers[PARTS_MAX] = {NULL};
+  struct mo_environment environments[MO_PAPER_TEST_COUNT];
+  struct mo_body **bodies = random_bodies(N, 1);
+  struct mo_robot *robots = calloc(ROWS, sizeof(*robots));
+  struct mo_outcome *outcomes = calloc(ROWS, sizeof(*outcomes));
+  must(robots == NULL || outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "rows");
+  mo_environment_paper_test(environments);
+  for (uint32_t i = 0; i < ROWS; i++)
+    robots[i] = (struct mo_robot){bodies[i / MO_PAPER_TEST_COUNT], environments + i % MO_PAPER_TEST_COUNT};
+  n_devices = n_devices < PARTS_MAX ? n_devices : PARTS_MAX;
+  for (uint32_t i = 0; i < n_devices; i++) {
+    if (i > 0)
+      must(module->open(i, &devices[i]), "open");
+    must(module->controller_create(devices[i], golden.controller, &controllers[i]), "controller");
+  }
+  const double alone = time_parts(devices, controllers, robots, ROWS, 1, 1, outcomes);
+  const uint64_t bits = hash_of(outcomes, ROWS);
+  printf("random bodies, %d x %d, exact, host and device: %.4f s\n", N, MO_PAPER_TEST_COUNT, alone);
+  for (uint32_t n = 2; n <= PARTS_MAX; n *= 2) {
+    const int at_once = n <= n_devices;
+    const double longest = time_parts(devices, controllers, robots, ROWS, n, at_once, outcomes);
+    printf("%s of %u parts: %.4f s, 1 / %.2f of the whole\n",
+           at_once ? "on as many devices at once, the longest" : "one after the other on one device, the longest", n,
+           longest, alone / longest);
+    expect(hash_of(outcomes, ROWS) == bits, "the same bits");
+  }
+  for (uint32_t i = 0; i < n_devices; i++) {
+    module->controller_free(devices[i], controllers[i]);
+    if (i > 0)
+      module->close(devices[i]);
+  }
+  free(outcomes);
+  free(robots);
+  free_bodies(bodies, N);
+}
+
 static void load(const char *path)
 {
   const struct mo_device_module *(*entry)(void) = NULL;
@@ -520,7 +618,7 @@ static void load(const char *path)
 int main(int argc, char **argv)
 {
   if (argc < 2) {
-    fprintf(stderr, "usage: cuda-bench MODULE [check [REFERENCES] | time | short]\n");
+    fprintf(stderr, "usage: cuda-bench MODULE [check [REFERENCES] | time | spread | short]\n");
     return 2;
   }
   const char *what = argc > 2 ? argv[2] : "check";
@@ -540,6 +638,8 @@ int main(int argc, char **argv)
   must(module->controller_create(device, golden.controller, &controller), "controller");
   if (strcmp(what, "time") == 0) {
     time_all(controller);
+  } else if (strcmp(what, "spread") == 0) {
+    spread(n);
   } else if (strcmp(what, "short") == 0) {
     check_sizes(3, 1);
     check_bits(controller, 20, 3);
