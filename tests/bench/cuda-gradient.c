@@ -1,11 +1,12 @@
 /* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run; built with the module (src/compute/cuda/meson.build).
  *
  *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
- *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory; robots that
- *                                                    diverge or whose adjoints do, calls that are cancelled
+ *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory, groups
+ *                                                    in halves; robots that diverge or whose adjoints do, calls that are cancelled
  *   cuda-gradient alone [WORKERS]                    robots whose adjoints begin anew, each alone, against float64 under the same weight
  *                                                    and under another
- *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, otherwise of 1024 and of 8192
+ *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole groups and with halves,
+ *                                                    otherwise of 1024 and of 8192
  *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
  *
  * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound, with the usual weight
@@ -20,7 +21,7 @@
 #include <string.h>
 #include <time.h>
 
-enum { LIKE = 256, REPEATS = 5, BLOCKS = 16, WORKERS_MAX = 64 };
+enum { LIKE = 256, MOST = 8192, REPEATS = 5, BLOCKS = 16, WORKERS_MAX = 64 };
 #define COSINE_BOUND 0.99
 #define STEP_BOUND_S 0.25
 
@@ -229,11 +230,10 @@ static void run_with(struct result *r, const struct mo_controller *controller, c
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f "
-         "(layout %.3f, "
-         "upload %.3f); "
-         "%.1f GB, %u groups, %u passes, %u ways back\n",
+         "(layout %.3f, upload %.3f); %.1f GB, %u groups%s, %u passes, %u ways back\n",
          n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s,
-         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->passes, p->walks);
+         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups,
+         p->halved > 0 ? " in halves" : "", p->passes, p->walks);
 }
 
 static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
@@ -423,6 +423,51 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   mo_controller_free(controller);
 }
 
+static int same_result(const struct result *a, const struct result *b, size_t n_parameters)
+{
+  return memcmp(a->call.d_parameters, b->call.d_parameters, n_parameters * sizeof(float)) == 0 &&
+         memcmp(a->call.outcomes, b->call.outcomes, a->call.n * sizeof(*a->call.outcomes)) == 0 &&
+         memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
+}
+
+/* A group by one block and by two, where robots end in a group of 16, where adjoints begin anew, where some diverge, and where some are left out. */
+static void check_halves(const struct scene *s)
+{
+  const struct {
+    const char *name;
+    const char *options;
+    uint32_t n;
+    double stiffness, bound, last_layer; /* times the usual */
+  } cases[] = {{"clipped", "", 300, 1, 1, 1},
+               {"beginning anew", "restart:", 256, 1, 1, 1},
+               {"springs 1.7 times as stiff", "", 200, 1.7, 1, 1},
+               {"no bound", "", 200, 1, 0, 81}};
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_controller *controller = weights_of("1");
+    struct mo_physics physics = mo_default_physics();
+    struct mo_gradient_options options = options_of(cases[i].options);
+    struct result whole, halves;
+    char what[96];
+    physics.stiffness_n_per_m *= cases[i].stiffness;
+    options.adjoint_bound *= cases[i].bound;
+    for (size_t k = 0; k < (size_t)controller->n_springs * MO_HIDDEN; k++)
+      controller->weight[MO_HIDDEN_LAYERS][k] *= (float)cases[i].last_layer;
+    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_NEVER);
+    run_with(&whole, controller, s, 0, cases[i].n, &physics, &options, 0);
+    expect(mo_cuda_gradient_times(state)->halved == 0, "whole groups");
+    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_ALWAYS);
+    run_with(&halves, controller, s, 0, cases[i].n, &physics, &options, 0);
+    expect(mo_cuda_gradient_times(state)->halved == mo_cuda_gradient_times(state)->passes, "groups in halves");
+    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_IF_FASTER);
+    snprintf(what, sizeof(what), "whole groups and halves have the same bits: %s", cases[i].name);
+    expect(same_result(&whole, &halves, controller->n_parameters), what);
+    print_counts(cases[i].name, &whole.call.counts);
+    drop(&whole);
+    drop(&halves);
+    mo_controller_free(controller);
+  }
+}
+
 static int is_finite(const struct result *r, size_t n)
 {
   for (size_t k = 0; k < n; k++)
@@ -513,10 +558,12 @@ static void check_cancel(const struct scene *s)
   mo_controller_free(controller);
 }
 
-static void time_steps(const struct scene *s, uint32_t n, double bound_s)
+static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves halves, double bound_s)
 {
+  static const char *const names[] = {"", " as whole groups", " as groups in halves"};
   struct mo_controller *controller = weights_of("1");
   double total[REPEATS], device[REPEATS];
+  mo_cuda_gradient_set_halves(state, halves);
   for (int i = -1; i < REPEATS; i++) {
     struct result r;
     run(&r, controller, s, 0, n, 1000, 0);
@@ -528,7 +575,9 @@ static void time_steps(const struct scene *s, uint32_t n, double bound_s)
   }
   qsort(total, REPEATS, sizeof(*total), ascending);
   qsort(device, REPEATS, sizeof(*device), ascending);
-  printf("%u robots: median %.3f s, of the device %.3f s\n", n, total[REPEATS / 2], device[REPEATS / 2]);
+  mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_IF_FASTER);
+  printf("%u robots%s: median %.3f s, of the device %.3f s\n", n, names[halves], total[REPEATS / 2],
+         device[REPEATS / 2]);
   if (bound_s > 0)
     expect(device[REPEATS / 2] <= bound_s, "a learning step of 8192 within 0.25 s of the device");
   mo_controller_free(controller);
@@ -545,12 +594,19 @@ int main(int argc, char **argv)
   }
   struct scene s;
   if (strcmp(what, "time") == 0) {
-    make_scene(&s, 8192);
-    for (int i = 2; i < argc; i++)
-      time_steps(&s, (uint32_t)atoi(argv[i]), 0);
+    make_scene(&s, MOST);
+    for (int i = 2; i < argc; i++) {
+      const uint32_t n = (uint32_t)atoi(argv[i]);
+      if (n < 1 || n > MOST) {
+        fprintf(stderr, "cuda-gradient: 1 to %d robots\n", MOST);
+        return 2;
+      }
+      for (int halves = MO_CUDA_HALVES_IF_FASTER; halves <= MO_CUDA_HALVES_ALWAYS; halves++)
+        time_steps(&s, n, (enum mo_cuda_halves)halves, 0);
+    }
     if (argc <= 2) {
-      time_steps(&s, 1024, 0);
-      time_steps(&s, 8192, STEP_BOUND_S);
+      time_steps(&s, 1024, MO_CUDA_HALVES_IF_FASTER, 0);
+      time_steps(&s, MOST, MO_CUDA_HALVES_IF_FASTER, STEP_BOUND_S);
     }
   } else if (strcmp(what, "alone") == 0) {
     make_scene(&s, LIKE);
@@ -568,6 +624,7 @@ int main(int argc, char **argv)
     for (int i = 2; i + 1 < argc; i += 2)
       check_likeness(argv[i], argv[i + 1], &s);
     check_bits(&s, 250);
+    check_halves(&s);
     check_rare(&s);
     check_cancel(&s);
   }

@@ -112,6 +112,8 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
     status = cudaMemGetInfo(&free_bytes, &total_bytes);
   s->total_bytes = total_bytes;
   if (status == cudaSuccess)
+    status = cudaDeviceGetAttribute(&s->multiprocessors, cudaDevAttrMultiProcessorCount, device);
+  if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->stream, cudaStreamNonBlocking);
   if (status == cudaSuccess)
     status = cudaStreamCreateWithFlags(&s->beside, cudaStreamNonBlocking);
@@ -127,6 +129,11 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
   }
   *ret = s;
   return MO_OK;
+}
+
+void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *s, enum mo_cuda_halves halves)
+{
+  s->halves = halves;
 }
 
 void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *s)

@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Version of the code, for fingerprints: changes with every change of a bit. */
-#define MO_CUDA_GRADIENT_CODE "gradient-3"
+#define MO_CUDA_GRADIENT_CODE "gradient-4"
 
 /* What lasts from one call to the next on one device: its buffers, which grow to what the calls need. */
 struct mo_cuda_gradient_state;
@@ -17,6 +17,10 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret); /*
 void mo_cuda_gradient_free(struct mo_cuda_gradient_state *state);             /* NULL-safe */
 /* Gives device memory back: others need it. It is asked for again by the next call. */
 void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
+/* Whether groups of robots are walked in halves, by two blocks each, where there are multiprocessors for them: the bits are the same. For checks:
+ * the state begins with MO_CUDA_HALVES_IF_FASTER. */
+enum mo_cuda_halves { MO_CUDA_HALVES_IF_FASTER, MO_CUDA_HALVES_NEVER, MO_CUDA_HALVES_ALWAYS };
+void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *state, enum mo_cuda_halves halves);
 
 /* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
 int mo_cuda_gradient_run(struct mo_cuda_gradient_state *state, struct mo_device_gradient *gradient,
@@ -34,6 +38,7 @@ struct mo_cuda_gradient_profile {
   double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device, by its clock */
   uint64_t device_bytes;                                             /* held */
   uint32_t passes, groups, walks; /* parts in which the call went; groups; ways back */
+  uint32_t halved;                /* passes whose groups were walked in halves */
 };
 const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *state);
 

@@ -26,41 +26,19 @@ struct output_copy {
   }
 };
 
-/* Their sums over rows: products with ones, of each sixteenth tile. */
-template <int MT> __device__ __forceinline__ void back<MT>::sum_outputs() const
-{
-  const uint32_t ones = 0x3f803f80;
-  float *to = output_sums + (lane >> 2);
-  const uint32_t from =
-      shared_address(outputs) + (uint32_t)((lane & 7) + (lane >> 4) * 8) * width * 2 + (uint32_t)(lane >> 3 & 1) * 16;
-#pragma unroll 1
-  for (int tile = warp; tile < n_outputs; tile += MO_GP_WARPS) {
-    float sum[4] = {0, 0, 0, 0};
-#pragma unroll
-    for (int m = 0; m < MT; m++) {
-      uint32_t a[4];
-      load_matrices_transposed(a, from + (uint32_t)(m * 16) * width * 2 + (uint32_t)tile * 32);
-      multiply<true>(sum, a, ones, ones);
-    }
-    if ((lane & 3) == 0) {
-      atomicAdd(to + tile * MO_GP_TILE, sum[0]);
-      atomicAdd(to + tile * MO_GP_TILE + 8, sum[2]);
-    }
-  }
-}
-
-template <int MT>
-__device__ __forceinline__ void back<MT>::load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
-                                                      float (&factor)[MT][2])
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2],
+                                                             float (&factor)[MT][2])
 {
   const int column = warp * 16 + 4 * (lane & 3);
-  const uint2 *normal = (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-  const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * ROWS;
+  const uint2 *normal =
+      (const uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+  const float *scale = (const float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
   for (int m = 0; m < MT; m++)
 #pragma unroll
     for (int h = 0; h < 2; h++) {
-      const int row = m * 16 + h * 8 + (lane >> 2);
+      const int row = group_row(m * 16 + h * 8 + (lane >> 2));
       uint2 two;
       asm volatile("ld.global.cs.v2.u32 {%0, %1}, [%2];"
                    : "=r"(two.x), "=r"(two.y)
@@ -72,19 +50,18 @@ __device__ __forceinline__ void back<MT>::load_normal(int layer, uint32_t step, 
 }
 
 /* sums: ∂loss/∂ what ReLU gave. Leaves ∂loss/∂ what the layer summed in `left`, and on the tape where n was. */
-template <int MT>
-__device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums,
-                                                         const __half2 (&n)[MT][2][2], const float (&factors)[MT][2],
-                                                         const norm_columns &columns)
+template <int MT, int SHARE>
+__device__ __forceinline__ void
+back<MT, SHARE>::norm_relu_back(int layer, uint32_t step, warp_sums<MT> &sums, const __half2 (&n)[MT][2][2],
+                                const float (&factors)[MT][2], const norm_columns &columns)
 {
   const int column = warp * 16 + 4 * (lane & 3);
-  uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-  float2 s[MT][2], d_shifts[2], d_gains[2];
-  float *bias = norms + layer * 3 * MO_HIDDEN + column, *gain_sum = bias + MO_HIDDEN, *shift_sum = gain_sum + MO_HIDDEN;
+  uint2 *dense = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+  float2 s[MT][2], d_shifts[MT][2], d_gains[MT][2];
+  float *gain_sum = norm_sums + layer * 2 * MO_HIDDEN + column, *shift_sum = gain_sum + MO_HIDDEN;
 #pragma unroll
   for (int j = 0; j < 2; j++) {
     const float2 gain = columns.gain[j], shift = columns.shift[j];
-    float2 d_shift, d_gain;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -92,23 +69,20 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
         const float2 at = __half22float2(n[m][h][j]);
         const float d0 = fmaf(at.x, gain.x, shift.x) > 0 ? sums.c[m][j][2 * h] : 0.0f;
         const float d1 = fmaf(at.y, gain.y, shift.y) > 0 ? sums.c[m][j][2 * h + 1] : 0.0f;
-        const bool begins = m == 0 && h == 0;
-        d_shift = begins ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
-        d_gain = begins ? make_float2(d0 * at.x, d1 * at.y)
-                        : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
+        float2 &d_shift = d_shifts[half_of(h)][j], &d_gain = d_gains[half_of(h)][j];
+        d_shift = begins(m, h) ? make_float2(d0, d1) : make_float2(d_shift.x + d0, d_shift.y + d1);
+        d_gain = begins(m, h) ? make_float2(d0 * at.x, d1 * at.y)
+                              : make_float2(fmaf(d0, at.x, d_gain.x), fmaf(d1, at.y, d_gain.y));
         const float e0 = d0 * gain.x, e1 = d1 * gain.y;
         sums.c[m][j][2 * h] = e0;
         sums.c[m][j][2 * h + 1] = e1;
         const float2 part_of = make_float2(e0 + e1, fmaf(e0, at.x, e1 * at.y));
         s[m][h] = j == 0 ? part_of : make_float2(s[m][h].x + part_of.x, s[m][h].y + part_of.y);
       }
-    d_shifts[j] = d_shift;
-    d_gains[j] = d_gain;
   }
   add_columns(shift_sum, d_shifts);
   add_columns(gain_sum, d_gains);
   sum_rows<MT>(part, warp, lane, s);
-  float2 d_bias[2];
 #pragma unroll
   for (int m = 0; m < MT; m++)
 #pragma unroll
@@ -123,15 +97,13 @@ __device__ __forceinline__ void back<MT>::norm_relu_back(int layer, uint32_t ste
         d[j] = make_float2(factor * (sums.c[m][j][2 * h] - fmaf(at.x, along, mean)),
                            factor * (sums.c[m][j][2 * h + 1] - fmaf(at.y, along, mean)));
         sound = sound && fabsf(d[j].x) <= MO_GK_LARGE && fabsf(d[j].y) <= MO_GK_LARGE;
-        d_bias[j] = m == 0 && h == 0 ? d[j] : make_float2(d_bias[j].x + d[j].x, d_bias[j].y + d[j].y);
       }
       if (!sound)
         failed[row] = 1;
       const uint2 both = four(__float22bfloat162_rn(d[0]), __float22bfloat162_rn(d[1]));
       *(uint2 *)(left + row * MO_GK_ROW + column) = both;
-      __stcs(dense + row * (MO_HIDDEN / 4) + (column >> 2), both);
+      __stcs(dense + group_row(row) * (MO_HIDDEN / 4) + (column >> 2), both);
     }
-  add_columns(bias, d_bias);
   __syncthreads();
 }
 
@@ -193,11 +165,11 @@ static __device__ __forceinline__ uint4 load_tile(const uint4 *from, uint32_t fo
 }
 
 /* As many tiles as the ring has, which then has those whose numbers are the bytes of `then`. FIRST: the first `before` are left out. */
-template <int MT>
+template <int MT, int SHARE>
 template <bool FIRST>
-__device__ __forceinline__ void back<MT>::add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
-                                                    left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
-                                                    const uint2 &then, int before)
+__device__ __forceinline__ void back<MT, SHARE>::add_round(warp_sums<MT> &sums, weights_ahead<MO_GK_AHEAD_BACK> &ahead,
+                                                           left_tile<MT> (&a)[2], uint32_t left_at, const uint4 *from,
+                                                           const uint2 &then, int before)
 {
 #pragma unroll
   for (int i = 0; i < MO_GK_AHEAD_BACK; i++) {
@@ -209,9 +181,9 @@ __device__ __forceinline__ void back<MT>::add_round(warp_sums<MT> &sums, weights
 }
 
 /* Where the tiles are is known two rounds before they are multiplied, so that nothing keeps a load from its place. */
-template <int MT>
-__device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> &sums,
-                                                   weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::add_last(uint32_t step, warp_sums<MT> &sums,
+                                                          weights_ahead<MO_GK_AHEAD_BACK> &ahead)
 {
   enum { N = MO_GK_AHEAD_BACK };
   const int before = lead();
@@ -224,9 +196,10 @@ __device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> 
   left_tile<MT> a[2];
   const int row = warp * 2 + lane / 16, part_of = lane % 16;
   const bool any = row < ROWS;
-  output_copy copy = {shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
-                      (uint4 *)(tape + output_at + ((size_t)step * ROWS + row) * (n_outputs * MO_GP_TILE * 2)) +
-                          part_of - 2 * before};
+  output_copy copy = {
+      shared_address(outputs + row * width) + (uint32_t)part_of * 16 - (uint32_t)before * 32,
+      (uint4 *)(tape + output_at + ((size_t)step * TAPE_ROWS + group_row(row)) * (n_outputs * MO_GP_TILE * 2)) +
+          part_of - 2 * before};
   a[0].load(left_at, width * 2);
   if (before > 0) {
     copy.read(any && part_of >= 2 * before);
@@ -248,8 +221,8 @@ __device__ __forceinline__ void back<MT>::add_last(uint32_t step, warp_sums<MT> 
 }
 
 /* `ahead` has the last layer's first weights. */
-template <int MT>
-__device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::control_back(uint32_t step, weights_ahead<MO_GK_AHEAD_BACK> &ahead)
 {
   const uint32_t left_at = left_address(left, MO_GK_ROW * 2, lane);
   const int column = warp * 16 + 4 * (lane & 3);
@@ -260,7 +233,6 @@ __device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ah
   sums.clear();
   load_normal(2, step, n, factors);
   add_last(step, sums, ahead);
-  sum_outputs();
   columns.load(k.weights, 2, column);
   norm_relu_back(2, step, sums, n, factors, columns);
 #pragma unroll 1
@@ -285,9 +257,9 @@ __device__ __forceinline__ void back<MT>::control_back(uint32_t step, weights_ah
 }
 
 /* What the step before this one will read. */
-template <int MT> __device__ __forceinline__ void back<MT>::fetch_step(uint32_t step)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::fetch_step(uint32_t step)
 {
-  const uint32_t masses = 12 * n_masses, chunks = 64 * n_chunks, normals = ROWS * MO_HIDDEN * 2;
+  const uint32_t masses = 12 * n_masses, chunks = 64 * n_chunks, normals = TAPE_ROWS * MO_HIDDEN * 2;
   fetch(tape + position_at + (size_t)step * masses, masses);
   fetch(tape + velocity_at + (size_t)step * masses, masses);
   fetch(tape + activation_at + (size_t)step * chunks, chunks);
@@ -296,37 +268,35 @@ template <int MT> __device__ __forceinline__ void back<MT>::fetch_step(uint32_t 
     fetch(tape + normal_at + l * layer_bytes + (size_t)step * normals, normals);
 }
 
-template <int MT> __device__ __forceinline__ void back<MT>::run()
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::run()
 {
-  const int n = 3 * (n0 + n1);
-  const uint64_t state = 3 * (g.first_mass + first);
+  const uint64_t state = 3 * (g.first_mass + group_first());
   float *own_gx = gx + 3 * first;
   const bool is_first = end_step == k.n_steps;
   for (uint32_t i = threadIdx.x; i < ROWS * width / 2; i += MO_GK_THREADS)
     ((uint32_t *)outputs)[i] = 0;
-  for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
-    norms[i] = 0;
   if (is_first)
-    for (int i = threadIdx.x; i < n_outputs * MO_GP_TILE; i += MO_GK_THREADS)
-      output_sums[i] = 0;
+    for (int i = threadIdx.x; i < MT * MO_GP_NORM_FLOATS; i += MO_GK_THREADS)
+      norm_sums[i] = 0;
   if (threadIdx.x < ROWS)
     failed[threadIdx.x] = 0;
 #pragma unroll
   for (int r = 0; r < MT; r++) {
-    const mo_gk_result &before = k.results[first_row + warp + 16 * r];
+    const int row = own_row(r);
+    const mo_gk_result &before = k.results[first_row + group_row(row)];
     excluded[r] = before.diverged || before.excluded || before.zeroed;
     if (lane == 0) {
-      const double start_m = k.rows[first_row + warp + 16 * r].start_m;
+      const double start_m = k.rows[first_row + group_row(row)].start_m;
       const back_row now = {
           start_m * start_m, before.largest * before.largest, before.steps, before.clipped, before.zeroed, 0};
-      result[warp + 16 * r] = now;
+      result[row] = now;
     }
   }
   __syncthreads();
   if (is_first)
     start();
   else
-    for (int i = lane; i < n; i += 32) {
+    for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
       own_gx[i] = k.position[state + i];
       ((float *)(mass + first + i / 3))[3 + i % 3] = k.velocity[state + i];
     }
@@ -334,8 +304,8 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
   uint32_t inputs = 0;
 #pragma unroll
   for (int i = 0; i < HELD; i++)
-    if (lane + 32 * i < n0 + n1)
-      inputs |= (uint32_t)__ldg(input + lane + 32 * i) << 8 * i;
+    if (lane_begin() + 32 * i < end())
+      inputs |= (uint32_t)__ldg(input + lane_begin() + 32 * i) << 8 * i;
   for (uint32_t step = end_step; step-- > first_step;) {
     held h;
     forget();
@@ -353,7 +323,7 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
     forget();
     sense_back(inputs);
   }
-  for (int i = lane; i < n; i += 32) {
+  for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
     k.position[state + i] = own_gx[i];
     k.velocity[state + i] = ((const float *)(mass + first + i / 3))[3 + i % 3];
   }
@@ -361,42 +331,48 @@ template <int MT> __device__ __forceinline__ void back<MT>::run()
 #pragma unroll
   for (int r = 0; r < MT; r++)
     if (lane == 0) {
-      const int row = warp + 16 * r;
-      mo_gk_result &after = k.results[first_row + row];
+      const int row = own_row(r);
+      mo_gk_result &after = k.results[first_row + group_row(row)];
       after.largest = sqrt(result[row].largest);
       after.steps = result[row].steps;
       after.clipped = result[row].clipped;
       after.zeroed = result[row].zeroed || (failed[row] && !excluded[r]);
     }
-  const mo_gp_sum place = mo_gp_sum_of(&g);
-  float *sums = k.sums + g.sum_at;
-  __syncthreads();
-  for (int i = threadIdx.x; i < 9 * MO_HIDDEN; i += MO_GK_THREADS)
-    sums[place.bias[0] + i] = norms[i] + (is_first ? 0.0f : sums[place.bias[0] + i]);
 }
 
+/* Of 16 rows: rare, and with registers of its own. */
+static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
+                                               const mo_gk_task &task)
+{
+  back<1, 1>(k, g, shared, task).run();
+}
+
+/* HALVES: of groups of 32 rows. */
+template <bool HALVES>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   mo_gk_task task;
   if (!take_task(k, (uint32_t *)shared, &task))
     return;
-  const mo_gp_group &g = k.groups[task.group];
-  if (g.n_rows == 32)
-    back<2>(k, g, shared, task.part).run();
+  const mo_gp_group &g = k.groups[task.walk >> 1];
+  if (g.n_rows == MO_GP_ROWS_MAX)
+    back<HALVES ? 1 : 2, HALVES ? 2 : 1>(k, g, shared, task).run();
   else
-    back<1>(k, g, shared, task.part).run();
+    walk_small(k, g, shared, task);
   end_task(k, task);
 }
 
 extern "C" int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  return allow_shared(back_kernel, block_bytes, dynamic_bytes);
+  const int status = allow_shared(back_kernel<true>, block_bytes, dynamic_bytes);
+  return status != 0 ? status : allow_shared(back_kernel<false>, block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
-  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_groups;
-  back_kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
+  (k->halves ? back_kernel<true>
+             : back_kernel<false>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

@@ -19,17 +19,21 @@ struct back_mass {
 
 template <int MT> struct left_tile;
 
-template <int MT> struct back {
-  enum { ROWS = 16 * MT, HELD = 4 };
+template <int MT, int SHARE> struct back : walker<MT, SHARE> {
+  using own = walker<MT, SHARE>;
+  using own::begin, own::end, own::first, own::first_chunk, own::group_first, own::group_row, own::half,
+      own::half_begin, own::is_second, own::lane, own::lane_begin, own::n0, own::n1, own::n_own, own::own_begin,
+      own::own_chunks, own::own_masses, own::own_row, own::pair_row, own::pair_sync, own::ROWS, own::TAPE_ROWS,
+      own::warp;
+  enum { HELD = 4 };
   /* The first of a lane's masses, on their way from the tape. */
   struct held {
     float v[HELD][3];
   };
   const mo_gk &k;
   const mo_gp_group &g;
-  int warp, lane;
   /* Copies of what the group says: a store might change the original, as far as the compiler knows. */
-  int n_masses, n_chunks, first, n0, n1, own_chunks;
+  int n_masses, n_chunks;
   uint32_t first_row;
   const uint8_t *input;
   const uint32_t *list; /* this lane's springs */
@@ -38,36 +42,31 @@ template <int MT> struct back {
   uint32_t position_at, velocity_at, activation_at, normal_at, scale_at; /* on the group's tape, in bytes */
   uint32_t layer_bytes, output_at; /* from one layer to the next; ∂loss/∂ outputs */
   uint32_t width;                  /* of ∂loss/∂ outputs in shared memory */
-  back_mass *mass;                 /* (n_masses) */
-  float *gx;                       /* (n_masses, 3) ∂loss/∂ positions */
+  back_mass *mass;                 /* (n_own) */
+  float *gx;                       /* (n_own, 3) ∂loss/∂ positions */
   __nv_bfloat16 *outputs, *left;
   float2 *part;
-  float *norms; /* (3 layers, bias gain shift, 256) */
-  int *failed;  /* (rows) */
+  int *failed; /* (rows) */
   lane_row *rows;
   uint8_t *output_tile;
-  float *output_sums; /* of all steps */
+  float *norm_sums; /* (halves, layers, 2, 256) of all steps */
   int n_outputs;
   bool excluded[2];
   back_row *result;              /* (rows) */
   uint32_t first_step, end_step; /* of this part */
 
-  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared, uint32_t nth)
-      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32),
-        first_step(((args.n_steps - 1) / args.part_steps - nth) * args.part_steps),
+  __device__ __forceinline__ back(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
+                                  const mo_gk_task &task)
+      : own(group, task.walk & 1), k(args), g(group),
+        first_step(((args.n_steps - 1) / args.part_steps - task.part) * args.part_steps),
         end_step(min(first_step + args.part_steps, args.n_steps))
   {
-    const mo_gp_pair &pair = g.pair[warp];
     n_masses = (int)g.n_masses;
     n_chunks = (int)g.n_chunks;
-    first = (int)pair.first_mass;
-    n0 = (int)pair.n_masses[0];
-    n1 = MT > 1 ? (int)pair.n_masses[1] : 0;
-    own_chunks = (int)pair.n_chunks;
     first_row = g.first_row;
-    input = k.input + g.first_mass + first;
-    list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
-    chunk_at = pair.first_chunk * 32 + lane;
+    input = k.input + g.first_mass + group_first();
+    list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
+    chunk_at = first_chunk * 32 + lane;
     const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
     tape = k.tape + g.tape_at;
     position_at = (uint32_t)at.position;
@@ -91,18 +90,16 @@ template <int MT> struct back {
     shared += ROWS * MO_GK_PART * 8;
     rows = (lane_row *)shared;
     shared += ROWS * sizeof(lane_row);
-    load_rows(rows, k.rows + g.first_row, ROWS);
-    output_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).output_bias;
+    own::load_rows(rows, k.rows + g.first_row);
+    norm_sums = k.sums + g.sum_at + mo_gp_sum_of(&g).norm + half * MO_GP_NORM_FLOATS;
     outputs = (__nv_bfloat16 *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
-    norms = (float *)shared;
-    shared += 9 * MO_HIDDEN * 4;
     failed = (int *)shared;
     shared += ROWS * 4;
     result = (back_row *)shared;
     shared += ROWS * sizeof(back_row);
     mass = (back_mass *)shared;
-    gx = (float *)(mass + n_masses);
+    gx = (float *)(mass + n_own);
   }
 
   /* What follows from these is made again where it is needed: the compiler would make it before the first step, and have no registers for it. */
@@ -111,11 +108,6 @@ template <int MT> struct back {
     asm volatile(""
                  : "+r"(warp), "+r"(lane), "+r"(n_masses), "+r"(n_chunks), "+r"(first), "+r"(n0), "+r"(n1),
                    "+r"(n_outputs));
-  }
-
-  __device__ __forceinline__ int own_masses(int r) const
-  {
-    return r == 0 ? n0 : n1;
   }
 
   __device__ __forceinline__ void aim(int r, double dx, double dy, double weight);
@@ -131,7 +123,7 @@ template <int MT> struct back {
   /* The i-th mass put aside: in the rows of the network's last adjoint that this warp alone has read. */
   __device__ __forceinline__ uint16_t *aside(int i)
   {
-    return (uint16_t *)left + (warp + 16 * (i >> 8)) * MO_GK_ROW + (i & 255);
+    return (uint16_t *)left + own_row(i >> 8) * MO_GK_ROW + (i & 255);
   }
 
   __device__ __forceinline__ void strikes_back(uint32_t step, int n, const float (&scale)[2]);
@@ -142,22 +134,40 @@ template <int MT> struct back {
 
   __device__ __forceinline__ void springs_back(uint32_t step);
 
-  __device__ __forceinline__ void sum_outputs() const;
-
-  /* Sums over rows of this lane's four columns, added to the sums of this launch. Lanes 4, 8 and 16 apart have other rows of the same columns;
-   * each of them ends with one column. */
-  __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[2])
+  /* Which of the block's halves row 16 m + 8 h + lane / 4 is of, and whether it is this lane's first of it. */
+  static __device__ __forceinline__ int half_of(int h)
   {
-    const bool odd = lane & 4, second = lane & 8;
-    float2 own = odd ? make_float2(d[0].y, d[1].y) : make_float2(d[0].x, d[1].x);
-    const float2 far = odd ? make_float2(d[0].x, d[1].x) : make_float2(d[0].y, d[1].y);
-    own.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
-    own.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
-    float sum = second ? own.y : own.x;
-    sum += __shfl_xor_sync(0xffffffffu, second ? own.x : own.y, 8);
-    sum += __shfl_xor_sync(0xffffffffu, sum, 16);
-    if (lane < 16)
-      to[2 * second + odd] += sum;
+    return MT > 1 ? h : 0;
+  }
+  static __device__ __forceinline__ bool begins(int m, int h)
+  {
+    return m == 0 && (MT > 1 || h == 0);
+  }
+
+  /* Sums over rows of this lane's four columns, by halves, added to those of all steps. Lanes 4, 8 and 16 apart have other rows of the same columns;
+   * each of them ends with one column, of one half. */
+  __device__ __forceinline__ void add_columns(float *to, const float2 (&d)[MT][2])
+  {
+    const bool odd = lane & 4, second = lane & 8, upper = lane & 16;
+    float sum[MT];
+#pragma unroll
+    for (int h = 0; h < MT; h++) {
+      float2 near = odd ? make_float2(d[h][0].y, d[h][1].y) : make_float2(d[h][0].x, d[h][1].x);
+      const float2 far = odd ? make_float2(d[h][0].x, d[h][1].x) : make_float2(d[h][0].y, d[h][1].y);
+      near.x += __shfl_xor_sync(0xffffffffu, far.x, 4);
+      near.y += __shfl_xor_sync(0xffffffffu, far.y, 4);
+      sum[h] = second ? near.y : near.x;
+      sum[h] += __shfl_xor_sync(0xffffffffu, second ? near.x : near.y, 8);
+    }
+    to += 2 * second + odd;
+    if (MT > 1)
+      atomicAdd(to + (upper ? MO_GP_NORM_FLOATS : 0),
+                (upper ? sum[MT - 1] : sum[0]) + __shfl_xor_sync(0xffffffffu, upper ? sum[0] : sum[MT - 1], 16));
+    else {
+      sum[0] += __shfl_xor_sync(0xffffffffu, sum[0], 16);
+      if (!upper)
+        atomicAdd(to, sum[0]);
+    }
   }
 
   __device__ __forceinline__ void load_normal(int layer, uint32_t step, __half2 (&n)[MT][2][2], float (&factor)[MT][2]);

@@ -5,10 +5,11 @@
 #include "compute/cuda/gradient_back.cuh"
 
 /* ∂loss/∂ the final state of row r, whose centre of mass is (dx, dy) from the light, times `weight`. */
-template <int MT> __device__ __forceinline__ void back<MT>::aim(int r, double dx, double dy, double weight)
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::aim(int r, double dx, double dy, double weight)
 {
-  const int n = own_masses(r), from = first + (r == 0 ? 0 : n0);
-  const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + warp + 16 * r].start_m;
+  const int n = own_masses(r), from = first + own_begin(r);
+  const double far = sqrt(dx * dx + dy * dy), start_m = k.rows[first_row + group_row(own_row(r))].start_m;
   const double scale = far > 0 && !excluded[r] && n > 0 ? weight / (far * start_m * n) : 0.0;
 #pragma unroll 1
   for (int m = lane; m < n; m += 32) {
@@ -21,27 +22,27 @@ template <int MT> __device__ __forceinline__ void back<MT>::aim(int r, double dx
   }
 }
 
-template <int MT> __device__ __forceinline__ void back<MT>::start()
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::start()
 {
 #pragma unroll
   for (int r = 0; r < MT; r++) {
-    const mo_gp_row &own = k.rows[first_row + warp + 16 * r];
-    const mo_gk_result &end = k.results[first_row + warp + 16 * r];
-    aim(r, end.com_end[0] - own.light_m[0], end.com_end[1] - own.light_m[1], 1.0);
+    const int row = group_row(own_row(r));
+    const double *light = k.rows[first_row + row].light_m, *com = k.results[first_row + row].com_end;
+    aim(r, com[0] - light[0], com[1] - light[1], 1.0);
   }
 }
 
 /* Row r's adjoint begins anew, with the masses where they are before the step: rare, and small rather than fast. */
-template <int MT> __device__ __forceinline__ void back<MT>::restart(int r)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::restart(int r)
 {
-  const int n = own_masses(r), from = first + (r == 0 ? 0 : n0);
-  const lane_row &own = rows[warp + 16 * r];
+  const int n = own_masses(r), from = first + own_begin(r);
+  const lane_row &of = rows[own_row(r)];
   double dx = 0, dy = 0;
 #pragma unroll 1
   for (int m = lane; m < n; m += 32) {
     const float2 xy = mass[from + m].xy;
-    dx += (double)xy.x - (double)own.light[0];
-    dy += (double)xy.y - (double)own.light[1];
+    dx += (double)xy.x - (double)of.light[0];
+    dy += (double)xy.y - (double)of.light[1];
   }
 #pragma unroll 1
   for (int far = 16; far > 0; far >>= 1) {
@@ -52,20 +53,19 @@ template <int MT> __device__ __forceinline__ void back<MT>::restart(int r)
 }
 
 /* Asks for where this warp's masses were before `step`, and for how fast the first of each lane's were: they come while something else goes on. */
-template <int MT> __device__ __forceinline__ void back<MT>::hold(uint32_t step, held &h)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::hold(uint32_t step, held &h)
 {
-  const int n = n0 + n1;
-  const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
-  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
+  const float *position = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
+  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
 #pragma unroll
   for (int i = 0; i < HELD; i++) {
-    const int m = lane + 32 * i;
+    const int m = lane_begin() + 32 * i;
 #pragma unroll
     for (int axis = 0; axis < 3; axis++)
-      h.v[i][axis] = m < n ? __ldg(velocity + axis * n_masses + m) : 0.0f;
+      h.v[i][axis] = m < end() ? __ldg(velocity + axis * n_masses + m) : 0.0f;
   }
 #pragma unroll 1
-  for (int m = lane; m < n; m += 32) {
+  for (int m = lane_begin(); m < end(); m += 32) {
     const uint32_t to = shared_address(&mass[first + m]);
     copy_ahead(to, position + m);
     copy_ahead(to + 4, position + n_masses + m);
@@ -73,19 +73,18 @@ template <int MT> __device__ __forceinline__ void back<MT>::hold(uint32_t step, 
   }
 }
 
-/* Measures the adjoints of both rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
-template <int MT> __device__ __forceinline__ uint32_t back<MT>::limit(float (&scale)[2])
+/* Measures the adjoints of this warp's rows' states, says by what to scale them, or, by bits, which are to begin anew. Compared are squares. */
+template <int MT, int SHARE> __device__ __forceinline__ uint32_t back<MT, SHARE>::limit(float (&scale)[2])
 {
   uint32_t anew = 0;
   double sum_x[2] = {0, 0}, sum_v[2] = {0, 0};
-  const int n = n0 + n1;
 #pragma unroll 1
-  for (int m = lane; m < n; m += 32) {
+  for (int m = lane_begin(); m < end(); m += 32) {
     const float *a = gx + 3 * (first + m);
     const float2 yz = mass[first + m].gyz;
     const double x = a[0], y = a[1], z = a[2], u = mass[first + m].z_gx.y, v = yz.x, w = yz.y;
     const double of_x = fma(x, x, fma(y, y, z * z)), of_v = fma(u, u, fma(v, v, w * w));
-    if (MT > 1 && m >= n0) {
+    if (is_second(m)) {
       sum_x[1] += of_x;
       sum_v[1] += of_v;
     } else {
@@ -105,18 +104,18 @@ template <int MT> __device__ __forceinline__ uint32_t back<MT>::limit(float (&sc
   for (int r = 0; r < MT; r++) {
     if (excluded[r] || own_masses(r) == 0)
       continue;
-    back_row &own = result[warp + 16 * r]; /* all lanes have the same to write: the first does */
-    const double square = own.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
-    const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[warp + 16 * r];
+    back_row &of = result[own_row(r)]; /* all lanes have the same to write: the first does */
+    const double square = of.start_squared * fmax(sum_x[r], MO_ADJOINT_RATE_PER_S * MO_ADJOINT_RATE_PER_S * sum_v[r]);
+    const bool bad = !(sum_x[r] < 1e300) || !(sum_v[r] < 1e300) || failed[own_row(r)];
     const bool scaled = !bad && k.bound > 0 && square > k.bound * k.bound;
     __syncwarp();
     if (lane == 0) {
-      own.steps++;
-      own.clipped += scaled;
+      of.steps++;
+      of.clipped += scaled;
       if (bad)
-        own.zeroed = 1;
+        of.zeroed = 1;
       else
-        own.largest = fmax(own.largest, square);
+        of.largest = fmax(of.largest, square);
     }
     if (bad) {
       excluded[r] = true;
@@ -129,21 +128,22 @@ template <int MT> __device__ __forceinline__ uint32_t back<MT>::limit(float (&sc
 }
 
 /* The masses that strike the ground, of which all are known: each lane has one. */
-template <int MT> __device__ __forceinline__ void back<MT>::strikes_back(uint32_t step, int n, const float (&scale)[2])
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::strikes_back(uint32_t step, int n, const float (&scale)[2])
 {
-  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
+  const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
 #pragma unroll 1
   for (int i = lane; i < n; i += 32) {
     const int m = *aside(i);
     const float v[3] = {__ldg(velocity + m), __ldg(velocity + n_masses + m), __ldg(velocity + 2 * n_masses + m)};
-    const bool second = m >= n0;
-    const lane_row &own = rows[warp + (second ? 16 : 0)];
+    const bool second = is_second(m);
+    const lane_row &of = rows[own_row(second)];
     const float s = second ? scale[1] : scale[0];
     back_mass &to = mass[first + m];
     float *d = gx + 3 * (first + m);
     const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
     float dp[3] = {s * d[0], s * d[1], s * d[2]}, dv[3] = {s * to.z_gx.y, s * to.gyz.x, s * to.gyz.y};
-    mo_move_back(&k.physics, own.heights, own.highest, p, v, dp, dv);
+    mo_move_back(&k.physics, of.heights, of.highest, p, v, dp, dv);
     for (int axis = 0; axis < 3; axis++)
       d[axis] = dp[axis];
     to.z_gx.y = dv[0];
@@ -152,20 +152,20 @@ template <int MT> __device__ __forceinline__ void back<MT>::strikes_back(uint32_
 }
 
 /* A mass that does not strike; one that does is put aside: few do, and it takes long. */
-template <int MT>
-__device__ __forceinline__ void back<MT>::move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::move_one(int m, const float *v, const float (&scale)[2], int &n_aside)
 {
   bool struck = false;
-  if (m < n0 + n1) {
-    const bool second = m >= n0;
-    const lane_row &own = rows[warp + (second ? 16 : 0)];
+  if (m < end()) {
+    const bool second = is_second(m);
+    const lane_row &of = rows[own_row(second)];
     const float s = second ? scale[1] : scale[0];
     float *d = gx + 3 * (first + m);
     back_mass &to = mass[first + m];
     const float p[3] = {to.xy.x, to.xy.y, to.z_gx.x};
     float next[3];
     mo_ground g;
-    struck = s > 0 && mo_strikes(&k.physics, own.heights, own.highest, p, v, next, &g);
+    struck = s > 0 && mo_strikes(&k.physics, of.heights, of.highest, p, v, next, &g);
     if (!struck) {
       float dp[3] = {0, 0, 0}, dv[3] = {0, 0, 0};
       if (s > 0) {
@@ -188,9 +188,8 @@ __device__ __forceinline__ void back<MT>::move_one(int m, const float *v, const 
   n_aside += __popc(which);
 }
 
-template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t step, const held &h)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::move_back(uint32_t step, const held &h)
 {
-  const int n = n0 + n1;
   float scale[2];
   int n_aside = 0;
   const uint32_t anew = limit(scale);
@@ -205,19 +204,19 @@ template <int MT> __device__ __forceinline__ void back<MT>::move_back(uint32_t s
   }
 #pragma unroll
   for (int i = 0; i < HELD; i++)
-    move_one(lane + 32 * i, h.v[i], scale, n_aside);
+    move_one(lane_begin() + 32 * i, h.v[i], scale, n_aside);
 #pragma unroll 1
-  for (int base = 32 * HELD; base < n; base += 32) {
-    const int m = base + lane;
-    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first + m;
+  for (int far = 32 * HELD; begin() + far < end(); far += 32) {
+    const int m = lane_begin() + far;
+    const float *velocity = (const float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first() + m;
     float v[3];
     for (int axis = 0; axis < 3; axis++)
-      v[axis] = m < n ? __ldg(velocity + axis * n_masses) : 0.0f;
+      v[axis] = m < end() ? __ldg(velocity + axis * n_masses) : 0.0f;
     move_one(m, v, scale, n_aside);
   }
   __syncwarp();
   strikes_back(step, n_aside, scale);
-  __syncwarp();
+  pair_sync(); /* springs are of both rows */
 }
 
 /* Read once: the first-level cache is left to others. */
@@ -268,7 +267,7 @@ static __device__ __forceinline__ void store_if_less(uint32_t a, uint32_t b, uin
 }
 
 /* As on the way forward. ∂loss/∂ a spring's output goes to its place from one of its ends. */
-template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_t step)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::springs_back(uint32_t step)
 {
   enum { N = MO_GK_SPRINGS_AHEAD_BACK };
   const int16_t *kept = (const int16_t *)(tape + activation_at) + (size_t)step * n_chunks * 32 + chunk_at;
@@ -277,7 +276,8 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
     return;
   const uint32_t own_mass = kept_value(shared_address(mass + first)),
                  own_gx = kept_value(shared_address(gx + 3 * first));
-  const uint32_t to = kept_value(shared_address(outputs + warp * width)), to_second = kept_value(16 * width * 2);
+  const uint32_t to = kept_value(shared_address(outputs + pair_row(0) * width)),
+                 to_second = kept_value((pair_row(1) - pair_row(0)) * width * 2);
   uint32_t bad = 0;
   uint32_t now[N], then[N];
   int16_t kept_now[N], kept_then[N];
@@ -286,9 +286,9 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
     now[i] = load_once(list + 32 * i);
     kept_now[i] = load_once(kept + 32 * i);
   }
-  uint32_t s = now[0], own = MO_GP_SPRING_OWN(s);
+  uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
   back_mass other = load_mass(own_mass, MO_GP_SPRING_OTHER(s)),
-            here = load_mass(own_mass, own == MO_GP_NO_MASS ? 0 : own);
+            here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
   float sum[3] = {0, 0, 0};
   for (int c = 0;; c += N) {
     const uint32_t *far = list + 32 * (c + N);
@@ -314,20 +314,20 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
       const uint32_t row = MO_GP_SPRING_ROW(s);
       if (!(fabsf(d_sum) <= MO_GK_LARGE))
         bad |= 1 + row;
-      store_if_less(own, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
+      store_if_less(at, MO_GP_SPRING_OTHER(s), to + 2 * MO_GP_SPRING_OUTPUT(s) + row * to_second, d_sum);
       if (s & MO_GP_SPRING_LAST) {
-        if (own != MO_GP_NO_MASS)
+        if (at != MO_GP_NO_MASS)
           for (int axis = 0; axis < 3; axis++)
-            add_shared(own_gx + 12 * own + 4 * axis, sum[axis]);
-        own = MO_GP_SPRING_OWN(next);
-        here = load_mass(own_mass, own == MO_GP_NO_MASS ? 0 : own);
+            add_shared(own_gx + 12 * at + 4 * axis, sum[axis]);
+        at = MO_GP_SPRING_OWN(next);
+        here = load_mass(own_mass, at == MO_GP_NO_MASS ? 0 : at);
         sum[0] = sum[1] = sum[2] = 0;
       }
       if (c + i + 1 == n) {
         if (bad & 1)
-          atomicOr(failed + warp, 1);
+          atomicOr(failed + pair_row(0), 1);
         if (bad & 2)
-          atomicOr(failed + warp + 16, 1);
+          atomicOr(failed + pair_row(1), 1);
         __syncwarp();
         return;
       }
@@ -343,50 +343,51 @@ template <int MT> __device__ __forceinline__ void back<MT>::springs_back(uint32_
 }
 
 /* ∂loss/∂ what a mass senses, less its row's mean. inputs: of the first of this lane's masses, their places among the network's inputs. */
-template <int MT> __device__ __forceinline__ void back<MT>::sense_back(uint32_t inputs)
+template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::sense_back(uint32_t inputs)
 {
-  const int n = n0 + n1;
-  const __nv_bfloat16 *own = left + warp * MO_GK_ROW;
   float d[HELD], sum[2] = {0, 0};
-  const auto sensed = [&](int m, uint32_t at) { return __bfloat162float(own[(m >= n0 ? 16 * MO_GK_ROW : 0) + at]); };
+  const auto sensed = [&](int m, uint32_t at) {
+    return __bfloat162float(left[own_row(is_second(m)) * MO_GK_ROW + at]);
+  };
 #pragma unroll
   for (int i = 0; i < HELD; i++) {
-    const int m = lane + 32 * i;
-    d[i] = m < n ? sensed(m, inputs >> 8 * i & 0xffu) : 0.0f;
-    sum[0] += m < n0 ? d[i] : 0.0f;
-    sum[1] += m < n0 ? 0.0f : d[i];
+    const int m = lane_begin() + 32 * i;
+    d[i] = m < end() ? sensed(m, inputs >> 8 * i & 0xffu) : 0.0f;
+    sum[0] += is_second(m) ? 0.0f : d[i];
+    sum[1] += is_second(m) ? d[i] : 0.0f;
   }
 #pragma unroll 1
-  for (int m = lane + 32 * HELD; m < n; m += 32) {
+  for (int m = lane_begin() + 32 * HELD; m < end(); m += 32) {
     const float more = sensed(m, __ldg(input + m));
-    sum[0] += m < n0 ? more : 0.0f;
-    sum[1] += m < n0 ? 0.0f : more;
+    sum[0] += is_second(m) ? 0.0f : more;
+    sum[1] += is_second(m) ? more : 0.0f;
   }
 #pragma unroll
   for (int far = 16; far > 0; far >>= 1)
 #pragma unroll
     for (int r = 0; r < MT; r++)
       sum[r] += __shfl_xor_sync(0xffffffffu, sum[r], far);
-  const float mean[2] = {sum[0] / (float)max(n0, 1), sum[1] / (float)max(n1, 1)};
+  const float mean[2] = {sum[0] / (float)max(own_masses(0), 1), sum[1] / (float)max(own_masses(MT - 1), 1)};
 #pragma unroll
   for (int i = 0; i < HELD; i++)
-    if (lane + 32 * i < n)
-      push_back(lane + 32 * i, d[i], mean);
+    if (lane_begin() + 32 * i < end())
+      push_back(lane_begin() + 32 * i, d[i], mean);
 #pragma unroll 1
-  for (int m = lane + 32 * HELD; m < n; m += 32)
+  for (int m = lane_begin() + 32 * HELD; m < end(); m += 32)
     push_back(m, sensed(m, __ldg(input + m)), mean);
   __syncwarp();
 }
 
 /* To the mass's adjoint, whose velocity then goes back through drag. */
-template <int MT> __device__ __forceinline__ void back<MT>::push_back(int m, float d, const float (&mean)[2])
+template <int MT, int SHARE>
+__device__ __forceinline__ void back<MT, SHARE>::push_back(int m, float d, const float (&mean)[2])
 {
-  const bool second = m >= n0;
-  const lane_row &own = rows[warp + (second ? 16 : 0)];
+  const bool second = is_second(m);
+  const lane_row &of = rows[own_row(second)];
   back_mass &to = mass[first + m];
   float *d_place = gx + 3 * (first + m);
   const float2 z_gx = to.z_gx, gyz = to.gyz;
-  const float away[3] = {to.xy.x - own.light[0], to.xy.y - own.light[1], z_gx.x - own.light[2]};
+  const float away[3] = {to.xy.x - of.light[0], to.xy.y - of.light[1], z_gx.x - of.light[2]};
   const float push = (d - (second ? mean[1] : mean[0])) * mo_light_slope(&k.physics, away);
   for (int axis = 0; axis < 3; axis++)
     d_place[axis] = fmaf(push, away[axis], d_place[axis]);

@@ -26,13 +26,15 @@ struct strikes {
   }
 };
 
-template <int MT> struct forward {
-  enum { ROWS = 16 * MT };
+template <int MT, int SHARE> struct forward : walker<MT, SHARE> {
+  using own = walker<MT, SHARE>;
+  using own::begin, own::end, own::first, own::first_chunk, own::group_first, own::group_row, own::half_begin,
+      own::is_second, own::lane, own::n0, own::n1, own::n_own, own::own_begin, own::own_chunks, own::own_masses,
+      own::own_row, own::pair_row, own::pair_sync, own::ROWS, own::TAPE_ROWS, own::warp;
   const mo_gk &k;
   const mo_gp_group &g;
-  const int warp, lane;
   /* Copies of what the group says: a store to the tape might change the original, as far as the compiler knows. */
-  int n_masses, n_chunks, first, n0, n1, own_chunks;
+  int n_masses, n_chunks;
   uint32_t first_row;
   const uint32_t *list; /* this lane's springs */
   uint32_t chunk_at;
@@ -42,32 +44,28 @@ template <int MT> struct forward {
   uint32_t layer_bytes; /* from one layer to the next */
   uint32_t width;       /* of the outputs in shared memory */
   float *norms;         /* (layers, 3, 256) biases, gains, shifts */
-  float4 *x;            /* (n_masses) */
-  float *v;             /* (n_masses, 3) as the springs find it, after drag and gravity */
+  float4 *x;            /* (n_own) */
+  float *v;             /* (n_own, 3) as the springs find it, after drag and gravity */
   int16_t *outputs;
   __half *left; /* (rows, MO_GK_ROW) */
   float2 *part;
   lane_row *rows;
   uint8_t *output_tile;
-  uint8_t *input; /* (n_masses) each mass's place among the inputs */
+  uint8_t *input; /* (n_own) each mass's place among the inputs */
   int n_outputs;
   bool dead[2];                  /* rows of this warp whose rollout has ended */
   uint32_t first_step, end_step; /* of this part */
 
-  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared, uint32_t nth)
-      : k(args), g(group), warp(threadIdx.x / 32), lane(threadIdx.x % 32), first_step(nth * args.part_steps),
+  __device__ __forceinline__ forward(const mo_gk &args, const mo_gp_group &group, unsigned char *shared,
+                                     const mo_gk_task &task)
+      : own(group, task.walk & 1), k(args), g(group), first_step(task.part * args.part_steps),
         end_step(min(first_step + args.part_steps, args.n_steps))
   {
-    const mo_gp_pair &pair = g.pair[warp];
     n_masses = (int)g.n_masses;
     n_chunks = (int)g.n_chunks;
-    first = (int)pair.first_mass;
-    n0 = (int)pair.n_masses[0];
-    n1 = MT > 1 ? (int)pair.n_masses[1] : 0;
-    own_chunks = (int)pair.n_chunks;
     first_row = g.first_row;
-    list = k.springs + (g.first_chunk + pair.first_chunk) * 32 + lane;
-    chunk_at = pair.first_chunk * 32 + lane;
+    list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;
+    chunk_at = first_chunk * 32 + lane;
     const mo_gp_tape at = mo_gp_tape_of(&g, k.n_steps);
     tape = k.tape + g.tape_at;
     position_at = (uint32_t)at.position;
@@ -90,7 +88,7 @@ template <int MT> struct forward {
     shared += ROWS * MO_GK_PART * 8;
     rows = (lane_row *)shared;
     shared += ROWS * sizeof(lane_row);
-    load_rows(rows, k.rows + g.first_row, ROWS);
+    own::load_rows(rows, k.rows + g.first_row);
     outputs = (int16_t *)shared;
     shared += (ROWS * width * 2 + 15) / 16 * 16;
     norms = (float *)shared;
@@ -103,29 +101,23 @@ template <int MT> struct forward {
       }
     shared += MO_HIDDEN_LAYERS * 3 * MO_HIDDEN * 4;
     x = (float4 *)shared;
-    v = (float *)(x + n_masses);
-    input = (uint8_t *)(v + 3 * n_masses);
-    for (int i = threadIdx.x; i < n_masses; i += MO_GK_THREADS)
-      input[i] = k.input[g.first_mass + i];
-  }
-
-  __device__ __forceinline__ int own_masses(int r) const
-  {
-    return r == 0 ? n0 : n1;
+    v = (float *)(x + n_own);
+    input = (uint8_t *)(v + 3 * n_own);
+    for (int i = threadIdx.x; i < n_own; i += MO_GK_THREADS)
+      input[i] = k.input[g.first_mass + half_begin + i];
   }
 
   __device__ __forceinline__ void sense(uint32_t step)
   {
-    int from = 0;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
-      const int row = warp + 16 * r, n = own_masses(r);
+      const int row = own_row(r), n = own_masses(r), from = own_begin(r);
       __half *to = left + row * MO_GK_ROW;
       ((uint4 *)to)[lane] = make_uint4(0, 0, 0, 0);
       __syncwarp();
       if (n > 0 && !dead[r]) {
-        const lane_row &own = rows[row];
-        const float lx = own.light[0], ly = own.light[1], lz = own.light[2];
+        const lane_row &of = rows[row];
+        const float lx = of.light[0], ly = of.light[1], lz = of.light[2];
         float light[8], sum = 0;
 #pragma unroll
         for (int j = 0; j < 8; j++) {
@@ -148,7 +140,6 @@ template <int MT> struct forward {
       }
       if (lane < MO_CPG_INPUTS)
         to[MO_DEFAULT_MASSES + lane] = __float2half_rn(__ldg(k.generators + step * MO_CPG_INPUTS + lane));
-      from += n;
     }
   }
 
@@ -165,7 +156,7 @@ template <int MT> struct forward {
       for (int i = 0; i < 4; i++)
         kept[i] = __float22bfloat162_rn(__half22float2(*(const __half2 *)&words[i]));
       const uint2 low = four(kept[0], kept[1]), high = four(kept[2], kept[3]);
-      *(uint4 *)(to + row * (MO_HIDDEN * 2) + 16 * lane) = make_uint4(low.x, low.y, high.x, high.y);
+      *(uint4 *)(to + group_row(row) * (MO_HIDDEN * 2) + 16 * lane) = make_uint4(low.x, low.y, high.x, high.y);
     }
   }
 
@@ -195,13 +186,13 @@ template <int MT> struct forward {
       }
     sum_rows<MT>(part, warp, lane, s);
     const float4 gain = *(const float4 *)(columns + MO_HIDDEN), shift = *(const float4 *)(columns + 2 * MO_HIDDEN);
-    uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * ROWS * (MO_HIDDEN / 4);
-    float *scale = (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * ROWS;
+    uint2 *normal = (uint2 *)(tape + normal_at + layer * layer_bytes) + (size_t)step * TAPE_ROWS * (MO_HIDDEN / 4);
+    float *scale = (float *)(tape + scale_at) + ((size_t)step * MO_HIDDEN_LAYERS + layer) * TAPE_ROWS;
 #pragma unroll
     for (int m = 0; m < MT; m++)
 #pragma unroll
       for (int h = 0; h < 2; h++) {
-        const int row = m * 16 + h * 8 + (lane >> 2), at = row * (MO_HIDDEN / 4) + (column >> 2);
+        const int row = m * 16 + h * 8 + (lane >> 2), on_tape = group_row(row);
         const float mean = s[m][h].x * (1.0f / MO_HIDDEN);
         const float variance = fmaxf(fmaf(-mean, mean, s[m][h].y * (1.0f / MO_HIDDEN)), 0.0f);
         const float factor = rsqrtf(variance + (float)MO_LAYERNORM_EPSILON);
@@ -213,9 +204,9 @@ template <int MT> struct forward {
         y[0] = make_float2(fmaxf(fmaf(n[0].x, gain.x, shift.x), 0.0f), fmaxf(fmaf(n[0].y, gain.y, shift.y), 0.0f));
         y[1] = make_float2(fmaxf(fmaf(n[1].x, gain.z, shift.z), 0.0f), fmaxf(fmaf(n[1].y, gain.w, shift.w), 0.0f));
         *(uint2 *)(left + row * MO_GK_ROW + column) = four(__float22half2_rn(y[0]), __float22half2_rn(y[1]));
-        normal[at] = four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
+        normal[on_tape * (MO_HIDDEN / 4) + (column >> 2)] = four(__float22half2_rn(n[0]), __float22half2_rn(n[1]));
         if (warp == 0 && (lane & 3) == 0)
-          scale[row] = factor;
+          scale[on_tape] = factor;
       }
     __syncthreads();
   }
@@ -307,7 +298,7 @@ template <int MT> struct forward {
           return in_turn<2>{output_tiles(warp), output_tiles(warp + MO_GP_WARPS)};
         });
       norm_relu(layer, step, sums[0]);
-      keep_left(tape + hidden_at + layer * layer_bytes + (size_t)step * ROWS * (MO_HIDDEN * 2));
+      keep_left(tape + hidden_at + layer * layer_bytes + (size_t)step * TAPE_ROWS * (MO_HIDDEN * 2));
     }
     int u = warp;
 #pragma unroll 1
@@ -360,7 +351,7 @@ template <int MT> struct forward {
   {
     spring p;
     p.other = x[first + MO_GP_SPRING_OTHER(s)];
-    p.a = outputs[(warp + 16 * MO_GP_SPRING_ROW(s)) * width + MO_GP_SPRING_OUTPUT(s)];
+    p.a = outputs[pair_row(MO_GP_SPRING_ROW(s)) * width + MO_GP_SPRING_OUTPUT(s)];
     return p;
   }
 
@@ -377,9 +368,9 @@ template <int MT> struct forward {
 #pragma unroll
     for (int i = 0; i < N; i++)
       now[i] = __ldg(list + 32 * i);
-    uint32_t s = now[0], own = MO_GP_SPRING_OWN(s);
+    uint32_t s = now[0], at = MO_GP_SPRING_OWN(s);
     spring p = spring_of(s);
-    float4 here = x[first + (own == MO_GP_NO_MASS ? 0 : own)];
+    float4 here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
     float sum[3] = {0, 0, 0};
     for (int c = 0;; c += N) {
       if (c + N < n) {
@@ -398,11 +389,11 @@ template <int MT> struct forward {
         for (int axis = 0; axis < 3; axis++)
           sum[axis] = fmaf(-f, d[axis], sum[axis]);
         if (s & MO_GP_SPRING_LAST) {
-          if (own != MO_GP_NO_MASS)
+          if (at != MO_GP_NO_MASS)
             for (int axis = 0; axis < 3; axis++)
-              v[3 * (first + own) + axis] += sum[axis];
-          own = MO_GP_SPRING_OWN(next);
-          here = x[first + (own == MO_GP_NO_MASS ? 0 : own)];
+              v[3 * (first + at) + axis] += sum[axis];
+          at = MO_GP_SPRING_OWN(next);
+          here = x[first + (at == MO_GP_NO_MASS ? 0 : at)];
           sum[0] = sum[1] = sum[2] = 0;
         }
         if (c + i + 1 == n) {
@@ -431,16 +422,15 @@ template <int MT> struct forward {
 
   __device__ __forceinline__ void move(uint32_t step)
   {
-    const int n = n0 + n1;
-    float *keep = (float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + first;
+    float *keep = (float *)(tape + velocity_at) + (size_t)step * 3 * n_masses + group_first();
     bool sane[2] = {true, true};
     strikes aside = {(uint16_t *)part + warp * 64, 0};
-    for (int base = 0; base < n; base += 32) {
-      const int m = base + lane;
+    for (int from = begin(); from < end(); from += 32) {
+      const int m = from + lane;
       bool struck = false;
-      if (m < n) {
-        const bool second = m >= n0, ended = second ? dead[1] : dead[0];
-        const lane_row &own = rows[warp + (second ? 16 : 0)];
+      if (m < end()) {
+        const bool second = is_second(m), ended = second ? dead[1] : dead[0];
+        const lane_row &of = rows[own_row(second)];
         const float *pv = v + 3 * (first + m);
         const float4 before = x[first + m];
         const float p[3] = {before.x, before.y, before.z};
@@ -450,50 +440,48 @@ template <int MT> struct forward {
         keep[m] = u[0];
         keep[n_masses + m] = u[1];
         keep[2 * n_masses + m] = u[2];
-        struck = !ended && mo_strikes(&k.physics, own.heights, own.highest, p, u, next, &ground);
+        struck = !ended && mo_strikes(&k.physics, of.heights, of.highest, p, u, next, &ground);
         if (ended)
           leave(m, p, u);
         else if (!struck && !leave(m, next, u))
           (second ? sane[1] : sane[0]) = false;
       }
       aside.add(struck, m, lane);
-      while (aside.n >= 32 || (base + 32 >= n && aside.n > 0)) {
+      while (aside.n >= 32 || (from + 32 >= end() && aside.n > 0)) {
         if (lane < aside.n) {
           const int at = aside.mass[lane];
-          const bool second = at >= n0;
-          const lane_row &own = rows[warp + (second ? 16 : 0)];
+          const bool second = is_second(at);
+          const lane_row &of = rows[own_row(second)];
           const float *pv = v + 3 * (first + at);
           const float4 before = x[first + at];
           float p[3] = {before.x, before.y, before.z}, u[3] = {pv[0], pv[1], pv[2]};
-          mo_move(&k.physics, own.heights, own.highest, p, u);
+          mo_move(&k.physics, of.heights, of.highest, p, u);
           if (!leave(at, p, u))
             (second ? sane[1] : sane[0]) = false;
         }
         aside.done(lane);
       }
     }
-    int from = 0;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
       if (!__all_sync(0xffffffffu, sane[r]) && !dead[r]) {
-        const float *before = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + first + from;
+        const int from = own_begin(r);
+        const float *before = (const float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first() + from;
         for (int m = lane; m < own_masses(r); m += 32)
           x[first + from + m] = make_float4(before[m], before[n_masses + m], before[2 * n_masses + m], 0);
         if (lane == 0)
-          k.results[first_row + warp + 16 * r].diverged = (int32_t)step + 1;
+          k.results[first_row + group_row(own_row(r))].diverged = (int32_t)step + 1;
         dead[r] = true;
       }
-      from += own_masses(r);
     }
     __syncwarp();
   }
 
   __device__ __forceinline__ void finish()
   {
-    int from = first;
 #pragma unroll
     for (int r = 0; r < MT; r++) {
-      const int n = own_masses(r);
+      const int n = own_masses(r), from = first + own_begin(r);
       double sum[3] = {0, 0, 0};
       for (int m = lane; m < n; m += 32) {
         const float4 p = x[from + m];
@@ -505,29 +493,30 @@ template <int MT> struct forward {
       for (int axis = 0; axis < 3; axis++)
         sum[axis] = sum_lanes(sum[axis]);
       if (lane < 3 && n > 0)
-        k.results[first_row + warp + 16 * r].com_end[lane] = (lane == 0 ? sum[0] : lane == 1 ? sum[1] : sum[2]) / n;
-      from += n;
+        k.results[first_row + group_row(own_row(r))].com_end[lane] = (lane == 0   ? sum[0]
+                                                                      : lane == 1 ? sum[1]
+                                                                                  : sum[2]) /
+                                                                     n;
     }
   }
 
   __device__ __forceinline__ void run()
   {
-    const int n = 3 * (n0 + n1);
-    const uint64_t state_at = 3 * (g.first_mass + first);
+    const uint64_t state_at = 3 * (g.first_mass + group_first());
     float *state_x = k.position + state_at, *state_v = k.velocity + state_at;
     float *own_v = v + 3 * first;
-    for (int m = lane; m < n0 + n1; m += 32)
+    for (int m = begin() + lane; m < end(); m += 32)
       x[first + m] = make_float4(state_x[3 * m], state_x[3 * m + 1], state_x[3 * m + 2], 0);
-    for (int i = lane; i < n; i += 32) {
+    for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
       own_v[i] = first_step > 0 ? state_v[i] : i % 3 == 2 ? -k.physics.fall : 0.0f;
     }
-    dead[0] = k.results[first_row + warp].diverged != 0;
-    dead[1] = MT > 1 && k.results[first_row + warp + 16 * (MT - 1)].diverged != 0;
+    dead[0] = k.results[first_row + group_row(own_row(0))].diverged != 0;
+    dead[1] = MT > 1 && k.results[first_row + group_row(own_row(MT - 1))].diverged != 0;
     __syncthreads();
     for (uint32_t step = first_step; step < end_step; step++) {
       weights_ahead<MO_GK_AHEAD> ahead;
-      float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + first;
-      for (int m = lane; m < n0 + n1; m += 32) {
+      float *keep = (float *)(tape + position_at) + (size_t)step * 3 * n_masses + group_first();
+      for (int m = begin() + lane; m < end(); m += 32) {
         const float4 p = x[first + m];
         keep[m] = p.x;
         keep[n_masses + m] = p.y;
@@ -536,13 +525,14 @@ template <int MT> struct forward {
       sense(step);
       ahead.start([&](int i) { return hidden_tiles(0) + i * 32; });
       __syncthreads();
-      keep_left(tape + input_at + (size_t)step * ROWS * (MO_GP_INPUTS * 2));
+      keep_left(tape + input_at + (size_t)step * TAPE_ROWS * (MO_GP_INPUTS * 2));
       control(step, ahead);
       __syncthreads();
       springs(step);
+      pair_sync(); /* the other warp's springs, too */
       move(step);
     }
-    for (int i = lane; i < n; i += 32) {
+    for (int i = 3 * begin() + lane; i < 3 * end(); i += 32) {
       state_x[i] = ((const float *)(x + first + i / 3))[i % 3];
       state_v[i] = own_v[i];
     }
@@ -551,28 +541,39 @@ template <int MT> struct forward {
   }
 };
 
+/* Of 16 rows: rare, and with registers of its own. */
+static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
+                                               const mo_gk_task &task)
+{
+  forward<1, 1>(k, g, shared, task).run();
+}
+
+/* HALVES: of groups of 32 rows. */
+template <bool HALVES>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   mo_gk_task task;
   if (!take_task(k, (uint32_t *)shared, &task))
     return;
-  const mo_gp_group &g = k.groups[task.group];
-  if (g.n_rows == 32)
-    forward<2>(k, g, shared, task.part).run();
+  const mo_gp_group &g = k.groups[task.walk >> 1];
+  if (g.n_rows == MO_GP_ROWS_MAX)
+    forward<HALVES ? 1 : 2, HALVES ? 2 : 1>(k, g, shared, task).run();
   else
-    forward<1>(k, g, shared, task.part).run();
+    walk_small(k, g, shared, task);
   end_task(k, task);
 }
 
 extern "C" int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  return allow_shared(forward_kernel, block_bytes, dynamic_bytes);
+  const int status = allow_shared(forward_kernel<true>, block_bytes, dynamic_bytes);
+  return status != 0 ? status : allow_shared(forward_kernel<false>, block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
-  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_groups;
-  forward_kernel<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
+  (k->halves ? forward_kernel<true>
+             : forward_kernel<false>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

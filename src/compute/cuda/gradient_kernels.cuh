@@ -44,7 +44,7 @@ struct mo_gk_result {
 struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
-  const uint32_t *order; /* (n_groups) groups, those that take longest first */
+  const uint32_t *order; /* (n_walks) MO_GK_WALK: those that take longest first */
   const uint8_t *input;
   const uint32_t *springs;
   const float *generators; /* (n_steps, 5) */
@@ -56,19 +56,24 @@ struct mo_gk {
   struct mo_lane_physics physics;
   double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
-  uint32_t n_steps, n_groups;
+  bool halves;   /* groups of 32 rows are walked by two blocks each */
+  uint32_t n_steps, n_walks;
   uint32_t part_steps; /* of a task */
-  uint32_t *tickets;   /* tasks handed out, then (of all groups) parts done; 0 before a launch */
+  uint32_t *tickets;   /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
   const volatile int *
       cancel; /* not 0: end soon. On the device: the host's memory is read so slowly (1.3 µs each, one after the other) that
                                * products waited three times as long for it as they took */
 };
 
-/* A way through all steps falls into *tasks*, a part of the steps of one group each, so that no multiprocessor waits long for the last. A
- * block does one. Tasks are handed out part by part, in each the groups that take longest first; a task's block waits until its group's part
+/* What one block at a time walks through all steps: a group, or half of one. */
+#define MO_GK_WALK(group, half) ((uint32_t)(group) << 1 | (uint32_t)(half))
+
+/* A way through all steps falls into *tasks*, a part of the steps of one walk each, so that no multiprocessor waits long for the last. A
+ * block does one. Tasks are handed out part by part, in each the walks that take longest first; a task's block waits until its walk's part
  * before it is done, which an earlier ticket's block does: so it is never waited for in vain. */
 struct mo_gk_task {
-  uint32_t group, part;
+  uint32_t walk; /* MO_GK_WALK */
+  uint32_t part;
 };
 
 #ifdef __CUDACC__
@@ -162,8 +167,8 @@ static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticke
 {
   if (threadIdx.x == 0) {
     uint32_t t = atomicAdd(k.tickets, 1);
-    const uint32_t part = t / k.n_groups;
-    const uint32_t *done = k.tickets + 1 + k.order[t % k.n_groups];
+    const uint32_t part = t / k.n_walks;
+    const uint32_t *done = k.tickets + 1 + k.order[t % k.n_walks];
     for (uint32_t at = 0;; __nanosleep(500)) {
       asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(at) : "l"(done) : "memory");
       if (*k.cancel != 0)
@@ -178,8 +183,8 @@ static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticke
   __syncthreads();
   if (t == UINT32_MAX)
     return false;
-  task->group = k.order[t % k.n_groups];
-  task->part = t / k.n_groups;
+  task->walk = k.order[t % k.n_walks];
+  task->part = t / k.n_walks;
   return true;
 }
 
@@ -188,8 +193,7 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   __syncthreads();
   if (threadIdx.x == 0) {
     __threadfence();
-    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.group), "r"(task.part + 1)
-                 : "memory");
+    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.walk), "r"(task.part + 1) : "memory");
   }
 }
 
@@ -226,12 +230,98 @@ struct lane_row {
   float light[3], highest, heights[MO_TERRAIN_HEIGHTS];
 };
 
-static __device__ __forceinline__ void load_rows(lane_row *to, const mo_gp_row *rows, int n)
-{
-  enum { WORDS = sizeof(lane_row) / 4 };
-  for (int i = threadIdx.x; i < n * WORDS; i += MO_GK_THREADS)
-    ((float *)to)[i] = rows[i / WORDS].light[i % WORDS];
-}
+/* What a block walks: a group, whose warps have a pair each (SHARE 1), two rows of 32 or one of 16; or half of a group of 32 rows (SHARE 2), where
+ * two warps have a pair: one of its rows each, and each some of the springs of both. Rows and masses are counted in the block; on the tape and
+ * in the tables they are the group's. */
+template <int MT, int SHARE> struct walker {
+  enum { ROWS = 16 * MT, TAPE_ROWS = SHARE > 1 ? MO_GP_ROWS_MAX : ROWS, PAIRS = MO_GP_WARPS / SHARE };
+  int warp, lane, half, half_begin; /* its first mass, of the group's */
+  int first, n0, n1, n_own;         /* the pair's first mass; masses of its rows; of all of the block */
+  int own_chunks;
+  uint32_t first_chunk; /* of the group's */
+
+  __device__ __forceinline__ walker(const mo_gp_group &g, uint32_t nth_half)
+      : warp(threadIdx.x / 32), lane(threadIdx.x % 32), half(SHARE > 1 ? (int)nth_half : 0)
+  {
+    const mo_gp_pair &pair = g.pair[PAIRS * half + warp / SHARE];
+    half_begin = SHARE > 1 ? (int)g.pair[PAIRS * half].first_mass : 0;
+    n_own = (int)(SHARE > 1 && half == 0 ? g.pair[PAIRS].first_mass : g.n_masses) - half_begin;
+    first = (int)pair.first_mass - half_begin;
+    n0 = (int)pair.n_masses[0];
+    n1 = MT * SHARE > 1 ? (int)pair.n_masses[1] : 0;
+    first_chunk = pair.first_chunk + (has_second() ? pair.split : 0);
+    own_chunks = (int)(SHARE == 1 ? pair.n_chunks : has_second() ? pair.n_chunks - pair.split : pair.split);
+  }
+
+  /* Whether this warp's only row is the pair's second. */
+  __device__ __forceinline__ bool has_second() const
+  {
+    return SHARE > 1 && (warp & 1);
+  }
+  /* The masses of this warp's rows, of the pair's. */
+  __device__ __forceinline__ int begin() const
+  {
+    return has_second() ? n0 : 0;
+  }
+  __device__ __forceinline__ int end() const
+  {
+    return SHARE > 1 && !has_second() ? n0 : n0 + n1;
+  }
+  /* The pair's first mass, of the group's. */
+  __device__ __forceinline__ int group_first() const
+  {
+    return SHARE > 1 ? half_begin + first : first;
+  }
+
+  /* The pair's k-th row; this warp's r-th; a row's place in the group. */
+  __device__ __forceinline__ int pair_row(int k) const
+  {
+    return warp / SHARE + PAIRS * k;
+  }
+  __device__ __forceinline__ int own_row(int r) const
+  {
+    return pair_row(SHARE > 1 ? has_second() : r);
+  }
+  __device__ __forceinline__ int group_row(int row) const
+  {
+    return SHARE == 1 ? row : row % PAIRS + PAIRS * half + 16 * (row / PAIRS);
+  }
+
+  /* The masses of this warp's r-th row: how many, and where they begin among the pair's. */
+  __device__ __forceinline__ int own_masses(int r) const
+  {
+    return SHARE > 1 ? end() - begin() : r == 0 ? n0 : n1;
+  }
+  __device__ __forceinline__ int own_begin(int r) const
+  {
+    return SHARE > 1 ? begin() : r == 0 ? 0 : n0;
+  }
+  /* Which of this warp's rows the pair's m-th mass is of. */
+  __device__ __forceinline__ bool is_second(int m) const
+  {
+    return MT > 1 && m >= n0;
+  }
+  /* This lane's first mass of this warp's: a lane has the same of a row's, whether its warp has one row or two. */
+  __device__ __forceinline__ int lane_begin() const
+  {
+    return SHARE == 1 ? lane : begin() + ((lane - begin()) & 31);
+  }
+
+  __device__ __forceinline__ void pair_sync() const
+  {
+    if (SHARE == 1)
+      __syncwarp();
+    else
+      asm volatile("bar.sync %0, %1;" ::"r"(1 + warp / SHARE), "n"(32 * SHARE) : "memory");
+  }
+
+  __device__ __forceinline__ void load_rows(lane_row *to, const mo_gp_row *rows) const
+  {
+    enum { WORDS = sizeof(lane_row) / 4 };
+    for (int i = threadIdx.x; i < ROWS * WORDS; i += MO_GK_THREADS)
+      ((float *)to)[i] = rows[group_row(i / WORDS)].light[i % WORDS];
+  }
+};
 
 /* What a lane's four columns of a normalised layer are given: columns 2 j, 2 j + 1 in [j]. */
 struct norm_columns {

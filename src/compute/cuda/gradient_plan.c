@@ -183,7 +183,13 @@ static int fill_springs(struct shard *s, const struct mo_gp_group *g, const stru
       own[c * MO_GP_LANES] = MO_GP_SPRING(there ? m : MO_GP_NO_MASS, m, 0, m >= pair->n_masses[0], 0);
     chunks[(end - 1) * MO_GP_LANES + place % MO_GP_LANES] |= MO_GP_SPRING_LAST;
   }
-  pair->n_chunks = order.n_chunks;
+  pair->n_chunks = pair->split = order.n_chunks;
+  for (uint32_t i = 0; i * MO_GP_LANES < order.n_masses; i++) { /* a mass's springs stay together */
+    const uint32_t before = order.chunk[i], after = order.n_chunks - before;
+    const uint32_t longer = pair->split > order.n_chunks - pair->split ? pair->split : order.n_chunks - pair->split;
+    if (before < longer && after < longer)
+      pair->split = before;
+  }
   s->n_chunks += order.n_chunks;
   return MO_OK;
 }

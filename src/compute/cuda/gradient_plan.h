@@ -5,6 +5,9 @@
  * A lane takes a mass and adds up its springs, each of which is computed from both ends: so no two lanes write one number. Its masses go by
  * falling number of springs, 32 at a time, and the springs of 32 masses as *chunks*, the n-th of each mass in the n-th.
  *
+ * Where a device has more multiprocessors than there are groups, a group of 32 rows can be walked by two blocks, each of which has half of the pairs
+ * and two warps to a pair. What these sum over rows themselves is summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
+ *
  * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has; the first for all inputs: groups lack none
  * that would be worth leaving out. How a shard is laid out depends on its robots alone. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
@@ -23,6 +26,8 @@ enum {
   MO_GP_WARPS = 16,
   MO_GP_LANES = 32,
   MO_GP_ROWS_MAX = 32,
+  MO_GP_HALF_ROWS = 16,
+  MO_GP_NORM_FLOATS = MO_HIDDEN_LAYERS * 2 * MO_HIDDEN, /* what a half sums over its rows */
   MO_GP_TILE = 16,
   MO_GP_INPUTS = 256,       /* 245 masses, 5 generators, 6 places that stay empty */
   MO_GP_OUTPUT_TILES = 103, /* 1648 springs */
@@ -48,6 +53,7 @@ struct mo_gp_pair {
   uint32_t first_mass;            /* of the group's masses */
   uint32_t n_masses[2];           /* of row w and of row w + 16 */
   uint32_t first_chunk, n_chunks; /* of the group's chunks */
+  uint32_t split;                 /* how many of them the first of two warps has */
 };
 
 struct mo_gp_group {
@@ -87,11 +93,12 @@ struct mo_gp_tape {
 };
 /* And in a group's sums, in floats. */
 struct mo_gp_sum {
-  uint64_t output;                                                                  /* (16 n_outputs, 256) */
-  uint64_t hidden[2];                                                               /* (256, 256) */
-  uint64_t input;                                                                   /* (256, 256) */
-  uint64_t bias[MO_HIDDEN_LAYERS], gain[MO_HIDDEN_LAYERS], shift[MO_HIDDEN_LAYERS]; /* (256) */
-  uint64_t output_bias;                                                             /* (16 n_outputs) */
+  uint64_t output;      /* (16 n_outputs, 256) */
+  uint64_t hidden[2];   /* (256, 256) */
+  uint64_t input;       /* (256, 256) */
+  uint64_t output_bias; /* (16 n_outputs) */
+  uint64_t bias;        /* (layers, 256) */
+  uint64_t norm;        /* (halves, layers, 2, 256): gains, shifts */
   uint64_t floats;
 };
 
@@ -130,17 +137,14 @@ MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)
   for (int l = 0; l < 2; l++)
     s.hidden[l] = at, at += MO_HIDDEN * MO_HIDDEN;
   s.input = at, at += (uint64_t)MO_GP_INPUTS * MO_HIDDEN;
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
-    s.bias[l] = at, at += MO_HIDDEN;
-    s.gain[l] = at, at += MO_HIDDEN;
-    s.shift[l] = at, at += MO_HIDDEN;
-  }
   s.output_bias = at, at += (uint64_t)g->n_outputs * MO_GP_TILE;
+  s.bias = at, at += MO_HIDDEN_LAYERS * MO_HIDDEN;
+  s.norm = at, at += g->n_rows / MO_GP_HALF_ROWS * MO_GP_NORM_FLOATS;
   s.floats = at;
   return s;
 }
 
-/* Shared memory of a group, in bytes, on the way forward and back. */
+/* Shared memory of a group, in bytes, on the way forward and back: places and velocities with what LayerNorm is given, or with their adjoints. */
 MO_GP_BOTH uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
 {
   const uint32_t rows = n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
@@ -148,7 +152,8 @@ MO_GP_BOTH uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint3
                                   + 8 * (MO_GP_WARPS + 2)          /* partial sums */
                                   + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
                                   + 4 + 32);                       /* flags; what is counted */
-  return rows + n_masses * 36 + 12 * MO_HIDDEN * 3 + 1024;
+  const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS, back = n_masses * 36;
+  return rows + (forward > back ? forward : back) + 1024;
 }
 
 struct mo_gp_options {

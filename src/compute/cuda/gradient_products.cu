@@ -1,7 +1,7 @@
 /* gradient_products.cu: the parameters' gradient as products over rows × steps, its sum over a shard's groups, and weights as tiles.
  *
  * A block has 128 × 256 numbers of one matrix of one group: ∂loss/∂ (what the layer summed)ᵀ times what the layer was given, over all rows of the
- * group and the launch's steps in order; the launches are added in order too, and the groups in collect. So no sum depends on which other groups there are, nor on the device. */
+ * group and the launch's steps in order, and times ones, which gives the biases' sums; the launches are added in order too, and the groups in collect. So no sum depends on which other groups there are, nor on the device. */
 #include "compute/cuda/gradient_products.cuh"
 
 enum {
@@ -64,7 +64,7 @@ static __global__ void __launch_bounds__(THREADS, 1)
   const uint32_t left_at = (uint32_t)(((lane & 7) + (lane >> 4) * 8) * M_ROW + m0 + ((lane >> 3) & 1) * 8) * 2;
   const uint32_t right_at =
       (uint32_t)(DEPTH * M_ROW + ((lane & 7) + ((lane >> 3) & 1) * 8) * N_ROW + n0 + (lane >> 4) * 8) * 2;
-  float c[2][8][4];
+  float c[2][8][4], sums[2][4] = {};
 #pragma unroll
   for (int i = 0; i < 2; i++)
 #pragma unroll
@@ -105,10 +105,21 @@ static __global__ void __launch_bounds__(THREADS, 1)
           multiply<true>(c[m][2 * j], a[m], b[j][0], b[j][1]);
           multiply<true>(c[m][2 * j + 1], a[m], b[j][2], b[j][3]);
         }
+      if (n0 == 0) {
+#pragma unroll
+        for (int m = 0; m < 2; m++)
+          multiply<true>(sums[m], a[m], ONES, ONES);
+      }
     }
   }
   if (idle)
     return;
+#pragma unroll
+  for (int m = 0; m < 2; m++)
+#pragma unroll
+    for (int h = 0; h < 2; h++)
+      if (n0 == 0 && (lane & 3) == 0)
+        add_bias(o, m0 + m * 16 + h * 8 + (lane >> 2), first == 0, sums[m][2 * h]);
 #pragma unroll
   for (int m = 0; m < 2; m++)
 #pragma unroll
@@ -136,9 +147,14 @@ static __device__ double of_group(const mo_gp_group &g, const float *sums, uint3
         return from[sum.hidden[layer - 1] + i];
       i -= SQUARE;
     }
-    if (i < 3 * MO_HIDDEN)
-      return from[sum.bias[layer] + i];
-    i -= 3 * MO_HIDDEN;
+    if (i < MO_HIDDEN)
+      return from[sum.bias + layer * MO_HIDDEN + i];
+    i -= MO_HIDDEN;
+    if (i < 2 * MO_HIDDEN) {
+      const float *at = from + sum.norm + layer * 2 * MO_HIDDEN + i;
+      return g.n_rows > MO_GP_HALF_ROWS ? (double)at[0] + at[MO_GP_NORM_FLOATS] : at[0];
+    }
+    i -= 2 * MO_HIDDEN;
   }
   const bool is_bias = i >= MO_DEFAULT_SPRINGS * MO_HIDDEN;
   const uint32_t spring = is_bias ? i - MO_DEFAULT_SPRINGS * MO_HIDDEN : i / MO_HIDDEN, column = i % MO_HIDDEN;

@@ -18,7 +18,8 @@ static __device__ __forceinline__ void copy_ahead(uint32_t to, const void *from,
 struct operands {
   const __nv_bfloat16 *left, *right; /* (depth, left_row), (depth, 256) */
   int left_row, left_columns, depth;
-  float *to; /* (left_columns, 256) */
+  float *to;   /* (left_columns, 256) */
+  float *bias; /* (left_columns) sums of the left one over its rows */
 };
 
 static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t job, uint32_t first, uint32_t end)
@@ -27,22 +28,25 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
   const int kind = (int)(job >> 4 & 15), block = (int)(job & 15);
   const mo_gp_tape tape = mo_gp_tape_of(&g, k.n_steps);
   const mo_gp_sum sum = mo_gp_sum_of(&g);
-  uint64_t left, right, to;
+  uint64_t left, right, to, bias;
   int m_all = MO_HIDDEN;
   if (kind == MO_GK_JOB_OUTPUT) {
     m_all = (int)g.n_outputs * MO_GP_TILE;
     left = tape.d_output;
     right = tape.hidden[2];
     to = sum.output;
+    bias = sum.output_bias;
   } else if (kind == MO_GK_JOB_INPUT) {
     left = tape.normal[0];
     right = tape.input;
     to = sum.input;
+    bias = sum.bias;
   } else {
     const int layer = kind == MO_GK_JOB_HIDDEN_2 ? 2 : 1;
     left = tape.normal[layer];
     right = tape.hidden[layer - 1];
     to = sum.hidden[layer - 1];
+    bias = sum.bias + layer * MO_HIDDEN;
   }
   const unsigned char *base = k.tape + g.tape_at;
   operands o;
@@ -52,6 +56,7 @@ static __device__ __forceinline__ operands operands_of(const mo_gk &k, uint32_t 
   o.left_columns = m_all - block * MO_GK_JOB_COLUMNS;
   o.depth = (int)((end - first) * g.n_rows);
   o.to = k.sums + g.sum_at + to + (size_t)block * MO_GK_JOB_COLUMNS * MO_HIDDEN;
+  o.bias = k.sums + g.sum_at + bias + block * MO_GK_JOB_COLUMNS;
   return o;
 }
 
@@ -65,6 +70,15 @@ static __device__ __forceinline__ void add_pair(const operands &o, int row, int 
   *at = make_float2(before.x + x, before.y + y);
 }
 
+static __device__ __forceinline__ void add_bias(const operands &o, int row, bool is_first, float x)
+{
+  if (row < o.left_columns)
+    o.bias[row] = (is_first ? 0.0f : o.bias[row]) + x;
+}
+
+/* Two bfloat16: what the left operand is multiplied with for its sums. */
+enum { ONES = 0x3f803f80 };
+
 /* ---- compute capability 9.0 ---- */
 
 enum {
@@ -73,7 +87,8 @@ enum {
   WIDE_LINES = WIDE_DEPTH * 128, /* bytes of 64 columns */
   WIDE_STAGE = WIDE_LINES * (MO_GK_JOB_COLUMNS + MO_HIDDEN) / 64,
   WIDE_THREADS = 256,
-  WIDE_SHARED = WIDE_STAGES * WIDE_STAGE + 1024 /* for the first line's place */
+  WIDE_ONES = 256,                                          /* bytes: eight columns of sixteen rows */
+  WIDE_SHARED = WIDE_STAGES * WIDE_STAGE + WIDE_ONES + 1024 /* for the first line's place */
 };
 
 #ifdef __CUDA_ARCH_FEAT_SM90_ALL
@@ -127,6 +142,20 @@ static __device__ __forceinline__ uint64_t wide_operand(uint32_t address)
   return (uint64_t)(address >> 4) | (uint64_t)(WIDE_LINES >> 4) << 16 | (uint64_t)(1024 >> 4) << 32 | (uint64_t)1 << 62;
 }
 
+/* Of ones, in any order. */
+static __device__ __forceinline__ uint64_t wide_ones(uint32_t address)
+{
+  return (uint64_t)(address >> 4) | (uint64_t)(128 >> 4) << 16 | (uint64_t)(128 >> 4) << 32;
+}
+
+/* Adds sixteen rows of the left one to its sums: c[2 h] is row 16 (warp % 4) + 8 h + lane/4, the rest is the same again. */
+static __device__ __forceinline__ void wide_sum(float (&c)[4], uint64_t left, uint64_t ones)
+{
+  asm volatile("wgmma.mma_async.sync.aligned.m64n8k16.f32.bf16.bf16 {%0, %1, %2, %3}, %4, %5, 1, 1, 1, 1, 1;"
+               : "+f"(c[0]), "+f"(c[1]), "+f"(c[2]), "+f"(c[3])
+               : "l"(left), "l"(ones));
+}
+
 #define WIDE_8(c, i)                                                                                                   \
   "+f"((c)[i]), "+f"((c)[(i) + 1]), "+f"((c)[(i) + 2]), "+f"((c)[(i) + 3]), "+f"((c)[(i) + 4]), "+f"((c)[(i) + 5]),    \
       "+f"((c)[(i) + 6]), "+f"((c)[(i) + 7])
@@ -155,10 +184,12 @@ static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t jo
   const int warp = threadIdx.x / 32, lane = threadIdx.x % 32, half = __shfl_sync(0xffffffffu, warp / 4, 0);
   const bool idle = half * 64 >= o.left_columns;
   const uint32_t base = (shared_address(shared) + 1023) / 1024 * 1024, last = base + WIDE_STAGES * WIDE_STAGE;
-  float c[128];
+  float c[128], sums[4] = {0, 0, 0, 0};
 #pragma unroll
   for (int i = 0; i < 128; i++)
     c[i] = 0;
+  if (threadIdx.x < WIDE_ONES / 4)
+    asm volatile("st.shared.u32 [%0], %1;" ::"r"(last + threadIdx.x * 4), "r"(ONES) : "memory");
   const int n = (o.depth + WIDE_DEPTH - 1) / WIDE_DEPTH;
   wide_copies ahead(o);
 #pragma unroll
@@ -177,8 +208,10 @@ static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t jo
       const uint64_t left = wide_operand(stage + half * WIDE_LINES),
                      right = wide_operand(stage + MO_GK_JOB_COLUMNS / 64 * WIDE_LINES);
 #pragma unroll
-      for (int row = 0; row < WIDE_DEPTH; row += 16)
+      for (int row = 0; row < WIDE_DEPTH; row += 16) {
         wide_multiply(c, left + row * 128 / 16, right + row * 128 / 16);
+        wide_sum(sums, left + row * 128 / 16, wide_ones(last));
+      }
       asm volatile("wgmma.commit_group.sync.aligned;" ::: "memory");
     }
     if (i + WIDE_STAGES - 2 < n)
@@ -191,6 +224,10 @@ static __device__ __forceinline__ void wide_products(const mo_gk &k, uint32_t jo
   asm volatile("wgmma.wait_group.sync.aligned 0;" ::: "memory");
   if (idle)
     return;
+#pragma unroll
+  for (int h = 0; h < 2; h++)
+    if ((lane & 3) == 0)
+      add_bias(o, warp * 16 + h * 8 + (lane >> 2), first == 0, sums[2 * h]);
 #pragma unroll
   for (int j = 0; j < 32; j++)
 #pragma unroll

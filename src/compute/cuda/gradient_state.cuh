@@ -62,6 +62,8 @@ struct mo_cuda_gradient_state {
   mo_gk_weights tiles;
   uint32_t shared_bytes;
   uint64_t total_bytes; /* of the device's memory */
+  int multiprocessors;
+  mo_cuda_halves halves;
   char error[256];
   mo_cuda_gradient_profile profile;
 

@@ -271,6 +271,17 @@ static void check_spring(const struct batch *b, const struct mo_gp_group *g, con
   found[row]++;
 }
 
+/* What two warps would have of the pair's chunks: whole sets of masses, and no other place to part them is more even. */
+static void check_split(const struct mo_gp_pair *pair, const uint32_t *springs)
+{
+  const uint32_t n = pair->n_chunks, longer = pair->split > n - pair->split ? pair->split : n - pair->split;
+  REQUIRE(pair->split <= n);
+  CHECK(pair->split == 0 || (springs[(pair->split - 1) * MO_GP_LANES] & MO_GP_SPRING_LAST) != 0);
+  for (uint32_t c = 0; c < n; c++)
+    if (springs[c * MO_GP_LANES] & MO_GP_SPRING_LAST)
+      CHECK((c + 1 > n - c - 1 ? c + 1 : n - c - 1) >= longer);
+}
+
 static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan, const struct mo_gp_group *g,
                        uint32_t w, uint8_t *seen)
 {
@@ -300,6 +311,7 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
       first = c + 1;
   }
   CHECK(n_masses == pair->n_masses[0] + pair->n_masses[1]);
+  check_split(pair, springs);
   uint64_t mass = g->first_mass + pair->first_mass;
   for (uint32_t k = 0; k < 2 && w + 16 * k < g->n_rows; k++) {
     const struct mo_gp_row *row = rows + (size_t)16 * k;
