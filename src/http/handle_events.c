@@ -1,9 +1,12 @@
 /* handle_events.c: events as a page, and the beginning of a stream (stream.c has the rest). */
+#include <inttypes.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/field.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 static void reply_page(struct mo_request *request, int64_t after, int64_t job, size_t limit)
 {
@@ -20,18 +23,28 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
     return;
   }
   struct mo_text text = {0};
+  struct mo_unreadable unreadable = {0};
+  const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
-    if (i > 0)
-      mo_text_bytes(&text, ",", 1);
+    if (events[i].damage[0] != '\0') {
+      char id[24];
+      snprintf(id, sizeof(id), "%" PRId64, events[i].sequence);
+      mo_unreadable_add_other(&unreadable, "event", id, events[i].damage);
+      continue;
+    }
+    mo_text_add(&text, comma);
+    comma = ",";
     mo_event_write(&text, &events[i]);
   }
   /* A short page has seen all there is, also of what the filter left out. */
   int64_t next = (size_t)n == limit ? events[n - 1].sequence : newest > after ? newest : after;
-  if (after > newest)
+  if (after > newest || next > newest) /* the newest whose place can be told */
     next = newest;
   bool reset = (after > 0 && after < oldest - 1) || after > newest;
-  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s}", (long long)next, reset ? "true" : "false");
+  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s", (long long)next, reset ? "true" : "false");
+  mo_unreadable_end(request, &text, &unreadable);
+  mo_text_add(&text, "}");
   free(events);
   mo_reply_json(request, 200, &text);
 }

@@ -186,8 +186,14 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
     mo_text_format(&text, "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
                    (long long)after, (long long)oldest, (long long)newest);
   }
+  uint64_t n_sent = 0;
   for (int64_t i = 0; i < n; i++)
-    frame(&text, &page[i]);
+    if (page[i].damage[0] == '\0') {
+      frame(&text, &page[i]);
+      n_sent++;
+    } else if (stream->request->reason[0] == '\0') {
+      mo_request_note(stream->request, "event %lld cannot be read: %s", (long long)page[i].sequence, page[i].damage);
+    }
   pthread_mutex_lock(&http->streams.lock);
   if (n < 0 || text.failed) {
     stream->ended = true; /* the client comes back and asks again from where it was */
@@ -196,7 +202,7 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
     stream->last = n > 0 ? page[n - 1].sequence : after;
     if (text.size > 0)
       put(stream, text.data, text.size, mo_http_clock_us());
-    atomic_fetch_add(&http->metrics.events_sent, (uint64_t)n);
+    atomic_fetch_add(&http->metrics.events_sent, n_sent);
     stream->live = n < PAGE_EVENTS && !stream->news;
   }
   bool more = !stream->ended && !stream->live && stream->buffer.size - stream->read < BUFFER_BYTES / 2;

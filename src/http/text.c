@@ -128,13 +128,14 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   const size_t n = strlen(json);
   size_t whole = 0; /* start of the run that is UTF-8 */
   for (size_t i = 0; i < n;) {
+    const bool is_break = json[i] == '\n' || json[i] == '\r'; /* between values: a stream's event is one line */
     unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
-    if (length > 0) {
+    if (length > 0 && !is_break) {
       i += length;
       continue;
     }
     mo_text_bytes(text, json + whole, i - whole);
-    mo_text_add(text, "\xEF\xBF\xBD");
+    mo_text_add(text, is_break ? " " : "\xEF\xBF\xBD");
     whole = ++i;
   }
   mo_text_bytes(text, json + whole, n - whole);

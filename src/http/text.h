@@ -22,7 +22,7 @@ void mo_text_format(struct mo_text *text, const char *format, ...) __attribute__
 
 /* A JSON string with its quotes. Bytes that are not UTF-8 become U+FFFD. */
 void mo_text_json_string(struct mo_text *text, const char *words, size_t n);
-/* A JSON text as it is stored. Bytes in its strings that are not UTF-8 become U+FFFD. */
+/* A JSON text as it is stored, in one line. Bytes in its strings that are not UTF-8 become U+FFFD. */
 void mo_text_json_stored(struct mo_text *text, const char *json);
 /* The shortest of 15, 16 or 17 significant digits that reads back as the same float64; null if it is not finite. */
 void mo_text_json_number(struct mo_text *text, double value);

@@ -1,4 +1,4 @@
-/* unreadable.h: jobs, designs and controllers of which the store has rows that cannot be read: what a list, a problem and the log tell of them. */
+/* unreadable.h: jobs, designs, controllers and events of which the store has rows that cannot be read: what a list, a problem and the log tell of them. */
 #ifndef MORPHO_HTTP_UNREADABLE_H
 #define MORPHO_HTTP_UNREADABLE_H
 
@@ -11,7 +11,7 @@ struct mo_unreadable {
   unsigned n, n_noted;
 };
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job); /* one with damage */
-/* Something else that a list is of: a design by its row, a controller by its name. */
+/* Something else that a list is of: a design by its row, a controller by its name, an event by its place. */
 void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id, const char *damage);
 /* Ends the member `unreadable` of a page, if there are any, notes them for the log, and frees the list. */
 void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list);

@@ -160,7 +160,7 @@ bool mo_reserve_cut(struct mo_store *store);  /* true: there is some room now, a
 
 /* A column with the text of a JSON object, which goes into replies as it is: if it is none, one that says so in its place. */
 #define MO_JSON_COLUMN(table, column)                                                                                  \
-  "CASE WHEN NOT json_valid(" column ") THEN json_object('unreadable','" table "." column " is not JSON')"             \
+  "CASE WHEN json_valid(" column ") IS NOT 1 THEN json_object('unreadable','" table "." column " is not JSON')"        \
   " WHEN json_type(" column ")<>'object' THEN json_object('unreadable','" table "." column " is no object')"           \
   " ELSE " column " END"
 

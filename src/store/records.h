@@ -97,6 +97,8 @@ struct mo_event {
                        "campaign.generation", "campaign.diversity_collapse", "campaign.extended",
                        "campaign.lineage_unreadable", "controller.stored", "controller.removed" */
   char data[512]; /* a JSON object */
+  char damage
+      [MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the sequence can. "": all is well */
 };
 
 struct mo_controller_record {

@@ -83,7 +83,8 @@ int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void 
 void mo_store_unsubscribe(struct mo_store *store, int handle); /* after it returns, the listener is not called again */
 
 /* Events with sequence > after, ascending, at most `limit`; job 0: all. Returns the number written to `events` or an error.
- * *oldest, *newest (nullable): the range that is kept (0, 0: none yet). after < *oldest − 1: some were pruned: `reset`. */
+ * One that cannot be read is there with its damage.
+ * *oldest, *newest (nullable): the range that is kept (0, 0: none yet), up to 18 digits. after < *oldest − 1: some were pruned: `reset`. */
 int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events, size_t limit,
                         int64_t *oldest, int64_t *newest);
 

@@ -12,6 +12,7 @@ LISTS = {
     "jobs": (*JOBS, "/v1/trainings", "/v1/campaigns"), "evaluations": JOBS, "trainings": TRAININGS, "campaigns": CAMPAIGNS, "physics": JOBS,
     "training_steps": TRAININGS, "training_validations": TRAININGS, "training_checkpoints": TRAININGS, "training_code": TRAININGS,
     "campaign_generations": CAMPAIGNS, "environment_sets": CAMPAIGNS, "controllers": ("/v1/controllers",), "controller_names": ("/v1/controllers",),
+    "events": ("/v1/events?format=json&after=0&limit=1000",),
     "designs": (*DESIGNS, "/v1/designs?sort=score"), "genotypes": ("/v1/designs?sort=score",), "set_scores": ("/v1/designs?sort=score",),
 }
 ALONE = {"controllers": "/v1/controllers/default", "controller_names": "/v1/controllers/default", "trainings": "/v1/trainings/2", "campaigns": "/v1/campaigns/3"}
@@ -19,7 +20,8 @@ VALUES = {"INTEGER": (-1, 0, 1 << 33, 1 << 62, -(1 << 62)), "REAL": (-1.0, 0.0, 
 # What must not pass: these show that the damage is seen.
 NAMED = ("jobs.created_us", "jobs.started_us", "jobs.label", "evaluations.controller_name", "trainings.checkpoints_kept", "trainings.name",
          "campaigns.replicates", "campaigns.generations", "campaign_generations.diversity", "controllers.sensor", "controllers.nx",
-         "controller_names.controller", "controller_names.stored_us", "designs.first_seen_us", "environment_sets.name")
+         "controller_names.controller", "controller_names.stored_us", "designs.first_seen_us", "environment_sets.name",
+         "events.time_us", "events.job", "events.type")
 
 
 @pytest.fixture(scope="module")
