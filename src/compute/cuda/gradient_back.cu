@@ -365,8 +365,12 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __g
 
 extern "C" int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  const int status = allow_shared(back_kernel<true>, block_bytes, dynamic_bytes);
-  return status != 0 ? status : allow_shared(back_kernel<false>, block_bytes, dynamic_bytes);
+  uint32_t halves = 0;
+  int status = allow_shared(back_kernel<true>, block_bytes, &halves);
+  if (status == 0)
+    status = allow_shared(back_kernel<false>, block_bytes, dynamic_bytes);
+  *dynamic_bytes = min(*dynamic_bytes, halves);
+  return status;
 }
 
 extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
