@@ -21,6 +21,7 @@ struct laid_out {
   uint32_t n, n_parts;
   struct mo_physics physics;
   struct mo_device_layout **parts; /* (devices) that keep their memory */
+  int *statuses;                   /* (devices) of laying them out */
 };
 
 struct mo_device_gradients {
@@ -42,9 +43,13 @@ int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_grad
   made->devices = devices;
   made->n_threads = n_workers < SUM_THREADS_MAX ? n_workers : SUM_THREADS_MAX;
   pthread_mutex_init(&made->mutex, NULL);
-  for (int b = 0; b < 2; b++)
+  bool there = true;
+  for (int b = 0; b < 2; b++) {
     made->batches[b].parts = calloc(devices->n, sizeof(struct mo_device_layout *));
-  if (made->batches[0].parts == NULL || made->batches[1].parts == NULL) {
+    made->batches[b].statuses = calloc(devices->n, sizeof(int));
+    there = there && made->batches[b].parts != NULL && made->batches[b].statuses != NULL;
+  }
+  if (!there) {
     mo_device_gradients_free(made);
     return MO_ERR_NO_MEMORY;
   }
@@ -60,6 +65,7 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
     for (uint32_t p = 0; gradients->batches[b].parts != NULL && p < gradients->devices->n; p++)
       gradients->devices->module->layout_free(gradients->batches[b].parts[p]);
     free(gradients->batches[b].parts);
+    free(gradients->batches[b].statuses);
   }
   gradients->devices->module->release(gradients->shards);
   pthread_mutex_destroy(&gradients->mutex);
@@ -123,6 +129,27 @@ void mo_device_gradients_forget(struct mo_device_gradients *gradients)
   pthread_mutex_unlock(&gradients->mutex);
 }
 
+struct laying_out {
+  struct mo_devices *devices;
+  struct laid_out *batch;
+};
+
+static void lay_out_parts(void *context, size_t first, size_t end)
+{
+  const struct laying_out *laying = context;
+  struct mo_devices *devices = laying->devices;
+  struct laid_out *batch = laying->batch;
+  for (uint32_t p = (uint32_t)first; p < end; p++) {
+    const struct part part = part_of(batch->n, batch->n_parts, p);
+    const struct mo_device *device = working_device(devices, p);
+    batch->statuses[p] = device == NULL
+                             ? MO_ERR_DEVICE
+                             : devices->module->lay_out(device, batch->robots + part.first, part.end - part.first,
+                                                        &batch->physics, &batch->parts[p]);
+  }
+}
+
+/* Parts at the same time: a part has a thread for each of its shards, which are few where there are many parts. */
 int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots, uint32_t n,
                        const struct mo_physics *physics)
 {
@@ -143,13 +170,10 @@ int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_ro
   batch->n = n;
   batch->physics = *physics;
   batch->n_parts = parts_of(devices, n);
-  for (uint32_t p = 0; p < batch->n_parts && status == MO_OK; p++) {
-    const struct part part = part_of(n, batch->n_parts, p);
-    const struct mo_device *device = working_device(devices, p);
-    status = device == NULL ? MO_ERR_DEVICE
-                            : devices->module->lay_out(device, robots + part.first, part.end - part.first, physics,
-                                                       &batch->parts[p]);
-  }
+  struct laying_out laying = {devices, batch};
+  mo_parallel(batch->n_parts, batch->n_parts, lay_out_parts, &laying);
+  for (uint32_t p = 0; p < batch->n_parts && status == MO_OK; p++)
+    status = batch->statuses[p];
   pthread_mutex_lock(&gradients->mutex);
   batch->state = status == MO_OK ? READY : FREE;
   pthread_mutex_unlock(&gradients->mutex);

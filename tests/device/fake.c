@@ -9,9 +9,11 @@
  *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory to be opened
  *   MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
  *   MORPHO_FAKE_FAULT         laying out robots is a fault of memory
+ *   MORPHO_FAKE_MEET          layouts are made so many at a time: one that waits 20 s for the others fails
  *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
+#include <pthread.h>
 #include <signal.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -188,6 +190,26 @@ static uint64_t springs_of(const struct mo_robot *robots, uint32_t n)
   return sum;
 }
 
+/* false: the others did not come. */
+static bool meet(uint32_t n)
+{
+  static pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  static pthread_cond_t came = PTHREAD_COND_INITIALIZER;
+  static uint64_t met;
+  struct timespec end;
+  int status = 0;
+  clock_gettime(CLOCK_REALTIME, &end);
+  end.tv_sec += 20;
+  pthread_mutex_lock(&mutex);
+  const uint64_t all = (met++ / n + 1) * n;
+  pthread_cond_broadcast(&came);
+  while (met < all && status == 0)
+    status = pthread_cond_timedwait(&came, &mutex, &end);
+  const bool there = met >= all;
+  pthread_mutex_unlock(&mutex);
+  return there;
+}
+
 static int fake_lay_out(const struct mo_device *device, const struct mo_robot *robots, uint32_t n,
                         const struct mo_physics *physics, struct mo_device_layout **layout)
 {
@@ -195,6 +217,8 @@ static int fake_lay_out(const struct mo_device *device, const struct mo_robot *r
   (void)physics;
   if (number("MORPHO_FAKE_FAULT", 0) > 0)
     raise(SIGSEGV);
+  if (!meet(number("MORPHO_FAKE_MEET", 1)))
+    return MO_ERR_DEVICE;
   if (*layout == NULL && (*layout = malloc(sizeof(**layout))) == NULL)
     return MO_ERR_NO_MEMORY;
   **layout = (struct mo_device_layout){robots, n, springs_of(robots, n)};

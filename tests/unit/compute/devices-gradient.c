@@ -119,6 +119,7 @@ static void gradients_are_laid_out_ahead(void)
     const char number[] = {(char)('0' + n), 0};
     REQUIRE(setup());
     set("MORPHO_FAKE_HASTE", "1");
+    set("MORPHO_FAKE_MEET", number); /* the parts are laid out at the same time */
     compute = open_devices(number);
     struct mo_gradient_state *state = NULL;
     REQUIRE(mo_gradient_state_create(compute, &state) == MO_OK);
