@@ -111,7 +111,7 @@ static int check_parents(struct mo_connection *writer, struct commit_arguments *
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
   static const char sql[] =
-      "UPDATE jobs SET version=version+1,attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
+      "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
   const struct mo_campaign_generation *row = &call->commit->row;
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;

@@ -62,7 +62,7 @@ struct finish_arguments {
 
 static int finish(struct mo_store *store, void *arguments)
 {
-  static const char job_sql[] = "UPDATE jobs SET state=3,version=version+1,finished_us=?3,error=0,error_text=NULL"
+  static const char job_sql[] = "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
                                 " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2"
                                 " AND (SELECT generations FROM campaigns WHERE job=?1)<=?4";
   static const char sql[] = "UPDATE campaigns SET ended=?2,result=nullif(?3,0) WHERE job=?1";

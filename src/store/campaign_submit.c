@@ -303,7 +303,7 @@ static int check_learning(struct mo_connection *writer, int64_t id, enum mo_camp
 static int extend(struct mo_store *store, void *arguments)
 {
   static const char find_sql[] = "SELECT m.settings,m.generations,m.ended FROM campaigns m WHERE m.job=?1";
-  static const char job_sql[] = "UPDATE jobs SET version=version+1,state=CASE state WHEN 3 THEN 0 ELSE state END,"
+  static const char job_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION ",state=CASE state WHEN 3 THEN 0 ELSE state END,"
                                 "finished_us=CASE state WHEN 3 THEN 0 ELSE finished_us END WHERE id=?1";
   static const char sql[] = "UPDATE campaigns SET generations=?2,ended=0,result=NULL WHERE job=?1";
   struct extend_arguments *call = arguments;

@@ -158,6 +158,11 @@ bool mo_reserve_cut(struct mo_store *store);  /* true: there is some room now, a
 #define MO_TIME_US_MAX INT64_C(253402300799999999)
 #define MO_ID_MAX      INT64_C(999999999999999999)
 
+/* Of a job's row, what each change counts: a damaged number, which one more might not fit, begins anew, so that nothing keeps the job from being
+ * run, ended or cancelled. */
+#define MO_NEXT_VERSION "version=iif(version BETWEEN 1 AND 999999999999999998,version+1,1)"
+#define MO_NEXT_ATTEMPT "(min(max(attempts,0),4294967294)+1)"
+
 /* A column with the text of a JSON object, which goes into replies as it is: if it is none, one that says so in its place. */
 #define MO_JSON_COLUMN(table, column)                                                                                  \
   "CASE WHEN json_valid(" column ") IS NOT 1 THEN json_object('unreadable','" table "." column " is not JSON')"        \

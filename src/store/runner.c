@@ -52,10 +52,10 @@ static int check_change(const struct change_arguments *call, enum mo_job_kind ki
 
 static int change_job(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3,"
+  static const char sql[] = "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,"
                             "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
                             "error_text=CASE error WHEN ?4 THEN NULL ELSE error_text END WHERE id=?1";
-  static const char retry_sql[] = "UPDATE jobs SET state=?2,version=version+1,finished_us=?3,attempts=0,error=0,"
+  static const char retry_sql[] = "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,attempts=0,error=0,"
                                   "error_text=NULL WHERE id=?1";
   static const char *const types[] = {"job.finished", "job.paused", "job.resumed", "job.resumed"};
   static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED, MO_JOB_QUEUED};
@@ -110,7 +110,7 @@ struct weight_arguments {
 
 static int set_weight(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET weight=?2,version=version+1 WHERE id=?1 AND weight<>?2";
+  static const char sql[] = "UPDATE jobs SET weight=?2," MO_NEXT_VERSION " WHERE id=?1 AND weight<>?2";
   const struct weight_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;
@@ -152,10 +152,11 @@ struct requeue_arguments {
 /* A job that brings the process down with its first block is still queued in the database: its start was not written. */
 static int requeue(struct mo_store *store, void *arguments)
 {
-  static const char crash_sql[] = "UPDATE jobs SET attempts=attempts+1,error=?2,error_text=?3,version=version+1,"
-                                  "state=CASE WHEN attempts+1>=?4 THEN 4 ELSE 0 END,"
-                                  "finished_us=CASE WHEN attempts+1>=?4 THEN ?5 ELSE 0 END WHERE id=?1 AND state<=1";
-  static const char sql[] = "UPDATE jobs SET state=0,version=version+1 WHERE state=1";
+  static const char crash_sql[] =
+      "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT ",error=?2,error_text=?3," MO_NEXT_VERSION ","
+      "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?4 THEN 4 ELSE 0 END,"
+      "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?4 THEN ?5 ELSE 0 END WHERE id=?1 AND state<=1";
+  static const char sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE state=1";
   struct requeue_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;

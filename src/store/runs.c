@@ -14,7 +14,7 @@ int mo_run_changed(struct mo_connection *writer, sqlite3_stmt *statement)
 
 int mo_run_touch(struct mo_store *store, int64_t id, enum mo_job_kind kind)
 {
-  static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND kind=?3 AND state<=2 AND epoch=?2";
+  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND kind=?3 AND state<=2 AND epoch=?2";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
   if (statement == NULL)
@@ -54,7 +54,7 @@ struct start_arguments {
 
 static int start(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET state=1,epoch=?2,version=version+1,"
+  static const char sql[] = "UPDATE jobs SET state=1,epoch=?2," MO_NEXT_VERSION ","
                             "started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
                             " WHERE id=?1 AND kind=?4 AND state=0";
   const struct start_arguments *call = arguments;
@@ -88,12 +88,13 @@ struct park_arguments {
 static int park(struct mo_store *store, void *arguments)
 {
   static const char park_sql[] =
-      "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
-  static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=version+1,error=?4,error_text=?5,"
-                                  "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
-                                  "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
-                                  " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
-  static const char halt_sql[] = "UPDATE jobs SET state=2,version=version+1,error=?4,error_text=?5"
+      "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
+  static const char retry_sql[] =
+      "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT "," MO_NEXT_VERSION ",error=?4,error_text=?5,"
+      "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
+      "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?3 ELSE 0 END"
+      " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
+  static const char halt_sql[] = "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5"
                                  " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
   struct park_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;

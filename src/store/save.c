@@ -232,18 +232,19 @@ int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_desi
 /* ---- steps of jobs ---- */
 
 static const char start_sql[] =
-    "UPDATE jobs SET state=1,epoch=?2,version=version+1,started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
+    "UPDATE jobs SET state=1,epoch=?2," MO_NEXT_VERSION ",started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
     " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
-static const char progress_sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND state=1 AND epoch=?2";
-static const char succeed_sql[] = "UPDATE jobs SET state=3,version=version+1,finished_us=?3,error=0,error_text=NULL"
+static const char progress_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
+static const char succeed_sql[] = "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
                                   " WHERE id=?1 AND state=1 AND epoch=?2";
-static const char retry_sql[] = "UPDATE jobs SET attempts=attempts+1,version=version+1,error=?4,error_text=?5,"
-                                "state=CASE WHEN attempts+1>=?6 THEN 4 ELSE 0 END,"
-                                "finished_us=CASE WHEN attempts+1>=?6 THEN ?3 ELSE 0 END"
-                                " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
-static const char park_sql[] = "UPDATE jobs SET state=0,version=version+1 WHERE id=?1 AND state=1 AND epoch=?2";
+static const char retry_sql[] =
+    "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT "," MO_NEXT_VERSION ",error=?4,error_text=?5,"
+    "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
+    "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?3 ELSE 0 END"
+    " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
+static const char park_sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
 
-static const char halt_sql[] = "UPDATE jobs SET state=2,version=version+1,error=?4,error_text=?5"
+static const char halt_sql[] = "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5"
                                " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
 
 static int apply_counts(struct mo_connection *writer, const struct mo_job_update *update)
@@ -296,7 +297,7 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
 /* The step came too late. */
 static int apply_late_counts(struct mo_connection *writer, const struct mo_job_update *update)
 {
-  static const char sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1 AND state IN (0,2)";
+  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state IN (0,2)";
   int error = MO_OK;
   sqlite3_stmt *statement;
   if (update->total == 0)

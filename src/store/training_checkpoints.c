@@ -264,7 +264,7 @@ static int choose(struct mo_connection *writer, struct removal_arguments *call, 
 static int remove_rows(struct mo_store *store, void *arguments)
 {
   static const char delete_sql[] = "DELETE FROM training_checkpoints WHERE job=?1 AND step=?2";
-  static const char version_sql[] = "UPDATE jobs SET version=version+1 WHERE id=?1";
+  static const char version_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1";
   struct removal_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state;

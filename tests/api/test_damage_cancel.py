@@ -104,3 +104,26 @@ def test_a_running_campaign(start, tmp_path, sql):
         assert time.monotonic() < until
         time.sleep(0.02)
     assert value(tmp_path, f"SELECT state FROM jobs WHERE id = {job}") == 5
+
+
+LARGEST = (1 << 63) - 1
+
+
+@pytest.mark.parametrize("column, number", (("version", LARGEST), ("version", -LARGEST), ("attempts", LARGEST), ("attempts", -LARGEST)))
+def test_a_number_that_is_counted_on(whole, start, tmp_path, column, number):  # noqa: F811
+    """One more does not fit: a job that is to run runs or fails all the same, and a paused one can be cancelled."""
+    damage(copied(whole, tmp_path), f"UPDATE jobs SET {column} = {number}; UPDATE jobs SET state = 2, finished_us = 0 WHERE id < 4; "
+                                    "UPDATE jobs SET state = 0, finished_us = 0 WHERE id > 3")
+    service = start(state=tmp_path)
+    for job in (1, 2, 3):
+        reply = service.request("DELETE", f"/v1/jobs/{job}")
+        assert reply.status == (200 if column == "version" else 204), reply.body
+        assert value(tmp_path, f"SELECT state FROM jobs WHERE id = {job}") == 5
+    until = time.monotonic() + 30
+    while value(tmp_path, "SELECT count(*) FROM jobs WHERE state < 3") != 0:
+        assert time.monotonic() < until, service.log_text()
+        time.sleep(0.05)
+    ended = value(tmp_path, "SELECT group_concat(state) FROM jobs WHERE id > 3")
+    assert ended == ("4,4,4" if (column, number) == ("attempts", LARGEST) else "3,3,3"), service.log_text()
+    for job in (4, 5, 6):
+        assert service.request("GET", f"/v1/jobs/{job}").status == 200
