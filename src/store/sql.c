@@ -27,6 +27,8 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_IOERR:
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
+    if (code == SQLITE_IOERR_SHMSIZE) /* of the log's index, of which nothing has to last; errno has changed since */
+      return MO_ERR_NO_SPACE;
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
     /* A failed fsync is never "no space": what the kernel dropped is unknown. */
     if (code != SQLITE_IOERR_FSYNC && code != SQLITE_IOERR_DIR_FSYNC &&

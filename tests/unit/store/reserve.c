@@ -8,7 +8,8 @@
 #include "../check.h"
 #include "training_fixture.h"
 
-#define JOBS 60
+#define JOBS        60
+#define FRAME_BYTES (4096 + 24) /* of the log */
 
 /* ---- a file system of its own ---- */
 
@@ -233,8 +234,55 @@ static void keeps_it_for_people(void)
   end(&small);
 }
 
+/* The log's index, a file too, grows by 32 KiB where the log passes its 4062nd frame: no room for that is no room, and nothing worse. */
+static void grows_the_index_of_the_log(void)
+{
+  struct small small;
+  struct mo_store_stats stats = {.wal_bytes = 0};
+  struct mo_submission one;
+  int64_t ids[JOBS], id = 0;
+  bool replayed;
+  if (!begin(&small, "40m"))
+    return;
+  const struct mo_store_config config = {.path = small.fixture.path, .checkpoint_frames = 1000000};
+  mo_store_close(small.fixture.store);
+  small.fixture.store = NULL;
+  REQUIRE(mo_store_open(&config, &small.fixture.store, &small.fixture.message) == MO_OK);
+  one = small.submission;
+  one.n_designs = 1;
+  for (int i = 0; i < JOBS; i++)
+    CHECK_INT(mo_store_submit(small.fixture.store, &one, &ids[i], &replayed), MO_OK);
+  while (stats.wal_bytes < (int64_t)3950 * FRAME_BYTES) {
+    REQUIRE(mo_store_submit(small.fixture.store, &small.submission, &id, &replayed) == MO_OK);
+    mo_store_get_stats(small.fixture.store, &stats);
+  }
+  CHECK(stats.wal_bytes < (int64_t)4000 * FRAME_BYTES);
+  fill_all(&small);
+  unlink(small.reserve);
+  for (int i = 0; i < JOBS; i++) {
+    int error = MO_ERR_NO_SPACE;
+    fill_up(small.filler);
+    for (int pages = 0; pages < 40 && error == MO_ERR_NO_SPACE;
+         pages++) { /* at some time there is room for the log, but not for its index */
+      error = mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_CANCEL, NULL);
+      if (error == MO_ERR_NO_SPACE)
+        CHECK_INT(truncate(small.filler, size_of(small.filler) - 4096), 0);
+    }
+    CHECK_INT(error, MO_OK);
+  }
+  mo_store_get_stats(small.fixture.store, &stats);
+  CHECK(stats.wal_bytes > (int64_t)4100 * FRAME_BYTES);
+  CHECK(!stats.fatal);
+  unlink(small.filler);
+  CHECK_INT(submit_soon(&small, &id), MO_OK);
+  CHECK_INT(fixture_reopen(&small.fixture), MO_OK);
+  CHECK_INT(mo_store_check(small.fixture.store, &small.fixture.message), MO_OK);
+  end(&small);
+}
+
 static const struct check_case cases[] = {
     {"survives a small file system", survives_a_small_file_system},
     {"keeps the room for people", keeps_it_for_people},
+    {"grows the index of the log", grows_the_index_of_the_log},
 };
 CHECK_MAIN(cases)
