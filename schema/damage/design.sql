@@ -35,6 +35,11 @@ FROM environment_sets s LEFT JOIN environment_set_members m ON m.environment_set
 WHERE :form IS NOT NULL AND (s.n NOT BETWEEN 1 AND 64 OR m.position NOT BETWEEN 0 AND s.n - 1)
 LIMIT 1;
 
+SELECT printf('environment_set_members.environment_set of position %d is %d, which environment_sets has not', position, environment_set)
+FROM environment_set_members
+WHERE :form IS NOT NULL AND environment_set NOT IN (SELECT id FROM environment_sets)
+LIMIT 1;
+
 SELECT printf('campaign_designs.score of job %d and number %d is no number', x.job, x.number)
 FROM genotypes g CROSS JOIN campaign_designs x ON x.genotype = g.id
 WHERE g.design = (SELECT id FROM designs WHERE form = :form) AND length(x.score) IS NOT 8

@@ -168,7 +168,8 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
                                                   {7, "jobs.started_us", 0, MO_TIME_US_MAX},
                                                   {8, "jobs.finished_us", 0, MO_TIME_US_MAX},
                                                   {9, "jobs.attempts", 0, UINT32_MAX}};
-  int kind = sqlite3_column_int(row, 2), state = sqlite3_column_int(row, 3), priority = sqlite3_column_int(row, 4);
+  const int64_t kind = sqlite3_column_int64(row, 2), state = sqlite3_column_int64(row, 3),
+                priority = sqlite3_column_int64(row, 4);
   memset(job, 0, sizeof(*job));
   job->id = sqlite3_column_int64(row, 0);
   job->version = sqlite3_column_int64(row, 1);
@@ -177,11 +178,11 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   if (state >= 0 && state < MO_JOB_STATES)
     job->state = (enum mo_job_state)state;
   if (kind < 0 || kind >= MO_JOB_KINDS)
-    return mo_job_damaged(job, "jobs.kind is %d", kind);
+    return mo_job_damaged(job, "jobs.kind is %lld", (long long)kind);
   if (state < 0 || state >= MO_JOB_STATES)
-    return mo_job_damaged(job, "jobs.state is %d", state);
+    return mo_job_damaged(job, "jobs.state is %lld", (long long)state);
   if (priority < MO_BATCH || priority > MO_INTERACTIVE)
-    return mo_job_damaged(job, "jobs.priority is %d", priority);
+    return mo_job_damaged(job, "jobs.priority is %lld", (long long)priority);
   if (!(job->weight >= MO_WEIGHT_MIN && job->weight <= MO_WEIGHT_MAX))
     return mo_job_damaged(job, "jobs.weight is %s", MO_NUMBER(job->weight));
   if (mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) != MO_OK)

@@ -188,13 +188,15 @@ static int find_lost(struct mo_connection *writer, int64_t *set)
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 
-/* Its number, its size, and no members beyond that. */
+/* Its number, its size, and no members beyond that, nor of sets that there are not: no reply could say whose they are. */
 static int put_set(struct mo_connection *writer, struct putting_right *call, int64_t found, int64_t set)
 {
   static const char row_sql[] = "UPDATE environment_sets SET id=?2 WHERE id=?1 AND id<>?2";
   static const char n_sql[] = "UPDATE environment_sets SET n=?2 WHERE id=?1 AND n<>?2";
   static const char others_sql[] = "DELETE FROM environment_set_members WHERE environment_set=?1 AND position NOT"
                                    " BETWEEN 0 AND ?2-1";
+  static const char strays_sql[] = "DELETE FROM environment_set_members WHERE environment_set NOT IN (SELECT id FROM"
+                                   " environment_sets)";
   int changed = 0;
   int error = change(writer, row_sql, found, set, 0, &changed);
   if (error == MO_OK && changed > 0)
@@ -207,6 +209,10 @@ static int put_set(struct mo_connection *writer, struct putting_right *call, int
     error = change(writer, others_sql, set, MO_PAPER_TEST_COUNT, 0, &changed);
   if (error == MO_OK && changed > 0)
     tell(call, "environment_set_members.position of set %lld", (long long)set);
+  if (error == MO_OK)
+    error = change(writer, strays_sql, 0, 0, 0, &changed);
+  if (error == MO_OK && changed > 0)
+    tell(call, "environment_set_members.environment_set of %d rows", changed);
   return error;
 }
 
@@ -232,6 +238,10 @@ static int put_right(struct mo_store *store, void *arguments)
     error = read_members(writer, call, set = lost, &n, &n_known);
   if (error != MO_OK || n_known * 2 < n)
     return error;
+  if (!call->is_there && n > 0) { /* made again: its members had outlived it */
+    call->is_there = true;
+    tell(call, "environment_sets.name of row %lld", (long long)set);
+  }
   error = put_set(writer, call, found, set);
   for (unsigned k = 0; k < MO_PAPER_TEST_COUNT && error == MO_OK; k++)
     error = put_member(writer, call, set, k);

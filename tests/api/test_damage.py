@@ -23,6 +23,8 @@ ROWS = (
     ("jobs", "UPDATE jobs SET weight = 0 WHERE id = 1", EVALUATION, "jobs.weight is 0"),
     ("jobs", "UPDATE jobs SET priority = 7 WHERE id = 2", TRAINING_2, "jobs.priority is 7"),
     ("jobs", "UPDATE jobs SET state = 9 WHERE id = 3", CAMPAIGN_3, "jobs.state is 9"),
+    ("jobs", "UPDATE jobs SET state = 4294967296 WHERE id = 1", EVALUATION, "jobs.state is 4294967296"),
+    ("jobs", "UPDATE jobs SET priority = -4294967296 WHERE id = 1", EVALUATION, "jobs.priority is -4294967296"),
     ("evaluations", "UPDATE evaluations SET n_designs = 0 WHERE job = 1", EVALUATION, "evaluations.n_designs is 0"),
     ("evaluations", "UPDATE evaluations SET n_environments = 65 WHERE job = 1", EVALUATION, "evaluations.n_environments is 65"),
     ("evaluations", "DELETE FROM evaluations WHERE job = 1", EVALUATION, "evaluations.n_environments is 0"),
@@ -313,6 +315,9 @@ SINGLE = (
      "SELECT design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
     ("UPDATE environments SET sha256 = x'01' WHERE id = 1", DESIGN, "Design {0}", "environments.sha256 of row 1 is no hash",
      "SELECT design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
+    ("UPDATE environment_set_members SET environment_set = 7 WHERE position = 4", DESIGN, "Design {0}",
+     "environment_set_members.environment_set of position 4 is 7, which environment_sets has not",
+     "SELECT design FROM evaluation_designs JOIN genotypes ON id = genotype WHERE job = 1"),
     (OTHERS[-1][1], "/v1/controllers/training-2", "Controller training-2", "controllers.sha256 of row 99 is no hash", None),
 )
 
@@ -399,6 +404,9 @@ PAPER_TEST = (
     ("UPDATE environment_set_members SET position = 64 WHERE position = 4",
      "environment_set_members.position of set 1, environment_set_members.environment of set 1 and position 4"),
     ("DELETE FROM environment_set_members", "environment_set_members.environment of set 1 and position 0, "),
+    ("UPDATE environment_set_members SET environment_set = 7 WHERE position = 4",
+     "environment_set_members.environment_set of 1 rows, environment_set_members.environment of set 1 and position 4"),
+    ("DELETE FROM environment_sets", "environment_sets.name of row 1"),
 )
 
 
