@@ -35,13 +35,12 @@ static int open_reserve(const struct mo_store *store, int flags, off_t *size)
 static int make_whole(const struct mo_store *store)
 {
   off_t size = 0;
-  int error = 0;
+  int error;
   int fd = open_reserve(store, O_CREAT, &size);
   if (fd < 0)
     return errno;
-  if (size != RESERVE_BYTES)
-    error = posix_fallocate(fd, 0, RESERVE_BYTES);
-  if (error != 0 || size > RESERVE_BYTES) /* what a failure has taken is not set aside */
+  error = posix_fallocate(fd, 0, RESERVE_BYTES); /* whatever its size: in a copy of the folder it may be holes */
+  if (error != 0 || size > RESERVE_BYTES)        /* what a failure has taken is not set aside */
     (void)ftruncate(fd, error != 0 ? size : RESERVE_BYTES);
   close(fd);
   return error;

@@ -134,6 +134,25 @@ static void survives_a_small_file_system(void)
   end(&small);
 }
 
+/* A copy of a state folder may have holes where the room was. */
+static void fills_the_holes_of_a_copy(void)
+{
+  struct small small;
+  struct stat status = {.st_blocks = 0};
+  if (!begin(&small, "24m"))
+    return;
+  const int64_t whole = size_of(small.reserve);
+  mo_store_close(small.fixture.store);
+  small.fixture.store = NULL;
+  CHECK_INT(truncate(small.reserve, 0), 0);
+  CHECK_INT(truncate(small.reserve, whole), 0);
+  CHECK_INT(fixture_reopen(&small.fixture), MO_OK);
+  CHECK_INT(stat(small.reserve, &status), 0);
+  CHECK_INT(status.st_size, whole);
+  CHECK(status.st_blocks * 512 >= whole);
+  end(&small);
+}
+
 struct retries {
   struct small *small;
   atomic_bool stop;
@@ -282,6 +301,7 @@ static void grows_the_index_of_the_log(void)
 
 static const struct check_case cases[] = {
     {"survives a small file system", survives_a_small_file_system},
+    {"fills the holes of a copy", fills_the_holes_of_a_copy},
     {"keeps the room for people", keeps_it_for_people},
     {"grows the index of the log", grows_the_index_of_the_log},
 };
