@@ -7,20 +7,22 @@
 #include "http/campaign_json.h"
 #include "http/field.h"
 #include "http/server.h"
+#include "http/unreadable.h"
 
 #define ROWS_READ_MAX 5000 /* of one page of replicates, over all of them: 10 µs each */
 
 enum curve_kind { CURVE_GENERATIONS, CURVE_LEARNING, CURVE_REPLICATES };
 
 struct curve {
+  struct mo_request *request;
   struct mo_store *store;
   enum curve_kind kind;
   bool csv, headed;
   int64_t id;
-  int64_t after;       /* generation; −1: none */
-  uint32_t after_step; /* learning */
-  uint64_t left;       /* rows that may still be told */
-  uint64_t written;
+  int64_t after;                    /* generation; −1: none */
+  uint32_t after_step;              /* learning */
+  uint64_t left;                    /* rows that may still be told */
+  struct mo_unreadable *unreadable; /* NULL: a CSV */
   /* Replicates: those that count, and the newest generation that all of them have. */
   int64_t members[MO_REPLICATES_MAX];
   uint32_t n_members;
@@ -29,10 +31,26 @@ struct curve {
 
 /* ---- pages: each adds at most `limit` rows and returns how many, or an error ---- */
 
-static void separate(const struct curve *curve, struct mo_text *text, int64_t i)
+static void separate(const struct curve *curve, struct mo_text *text)
 {
-  if (!curve->csv && (curve->written > 0 || i > 0))
+  if (!curve->csv && text->size > 0 && text->data[text->size - 1] == '}')
     mo_text_bytes(text, ",", 1);
+}
+
+static void leave_out_generation(const struct curve *curve, int64_t job, const struct mo_campaign_generation *row)
+{
+  char id[24], place[48];
+  snprintf(id, sizeof(id), "%u", row->generation);
+  snprintf(place, sizeof(place), "generation %u", row->generation);
+  mo_unreadable_row(curve->request, curve->unreadable, job, "generation", id, place, &row->damage);
+}
+
+static void leave_out_step(const struct curve *curve, const struct mo_campaign_step *row)
+{
+  char id[24], place[48];
+  snprintf(id, sizeof(id), "%u.%u", row->generation, row->step);
+  snprintf(place, sizeof(place), "step %u of generation %u", row->step, row->generation);
+  mo_unreadable_row(curve->request, curve->unreadable, curve->id, "step", id, place, &row->damage);
 }
 
 static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text *text)
@@ -41,9 +59,13 @@ static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text
   int64_t n = rows != NULL ? mo_store_campaign_generations(curve->store, curve->id, curve->after, rows, limit)
                            : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
-    separate(curve, text, i);
-    (curve->csv ? mo_campaign_csv_generation : mo_campaign_json_generation)(text, &rows[i]);
     curve->after = rows[i].generation;
+    if (rows[i].damage.column != NULL) {
+      leave_out_generation(curve, curve->id, &rows[i]);
+      continue;
+    }
+    separate(curve, text);
+    (curve->csv ? mo_campaign_csv_generation : mo_campaign_json_generation)(text, &rows[i]);
   }
   free(rows);
   return n;
@@ -56,10 +78,14 @@ static int64_t add_steps(struct curve *curve, size_t limit, struct mo_text *text
                                                      rows, limit)
                            : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
-    separate(curve, text, i);
-    (curve->csv ? mo_campaign_csv_step : mo_campaign_json_step)(text, &rows[i]);
     curve->after = rows[i].generation;
     curve->after_step = rows[i].step;
+    if (rows[i].damage.column != NULL) {
+      leave_out_step(curve, &rows[i]);
+      continue;
+    }
+    separate(curve, text);
+    (curve->csv ? mo_campaign_csv_step : mo_campaign_json_step)(text, &rows[i]);
   }
   free(rows);
   return n;
@@ -80,12 +106,19 @@ static int64_t add_replicates(struct curve *curve, size_t limit, struct mo_text 
   int64_t code = rows != NULL && sums != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   for (uint32_t m = 0; m < curve->n_members && code >= 0; m++) {
     code = mo_store_campaign_generations(curve->store, curve->members[m], curve->after, rows, (size_t)n);
-    for (int64_t i = 0; i < code; i++)
-      if (rows[i].generation >= first && rows[i].generation < first + n)
+    for (int64_t i = 0; i < code; i++) {
+      if (rows[i].generation < first || rows[i].generation >= first + n)
+        continue;
+      if (rows[i].damage.column != NULL)
+        leave_out_generation(curve, curve->members[m], &rows[i]);
+      else
         mo_replicate_add(&sums[rows[i].generation - first], &rows[i]);
+    }
   }
   for (int64_t i = 0; i < n && code >= 0; i++) {
-    separate(curve, text, i);
+    if (sums[i].campaigns == 0)
+      continue;
+    separate(curve, text);
     (curve->csv ? mo_replicate_csv : mo_replicate_json)(text, &sums[i]);
   }
   free(rows);
@@ -107,7 +140,6 @@ static int add_page(struct curve *curve, struct mo_text *text)
                                                : add_replicates(curve, limit, text);
   if (n < 0)
     return (int)n;
-  curve->written += (uint64_t)n;
   curve->left -= (uint64_t)n;
   return curve->kind == CURVE_REPLICATES ? curve->n_members > 0 && curve->after < curve->newest : (size_t)n == limit;
 }
@@ -137,6 +169,7 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   mo_text_add(&text, "{\"items\":[");
   int more = add_page(curve, &text);
   if (more < 0) {
+    mo_text_free(&curve->unreadable->items);
     mo_text_free(&text);
     mo_reply_error(request, more, "page");
     return;
@@ -148,6 +181,7 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   else
     mo_text_add(&text, "],\"next_after\":null");
   mo_text_member_bool(&text, "more", more > 0);
+  mo_unreadable_end(request, &text, curve->unreadable);
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
@@ -195,7 +229,10 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
   static const char *const forms[] = {"json", "csv"};
   static const char *const types[] = {"application/json", "text/csv"};
   struct mo_query_value values[3];
-  struct curve curve = {.store = request->http->services.store, .kind = kind, .after = kind == CURVE_LEARNING ? 0 : -1};
+  struct curve curve = {.request = request,
+                        .store = request->http->services.store,
+                        .kind = kind,
+                        .after = kind == CURVE_LEARNING ? 0 : -1};
   int64_t limit = 0;
   int form;
   if (!mo_query_read(request, names, values, 3) || !mo_query_form(request, &values[2], forms, types, 2, &form))
@@ -215,7 +252,9 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
     mo_reply_error(request, code, "campaign");
     return MO_HANDLED;
   }
+  struct mo_unreadable unreadable = {0};
   if (!curve.csv) {
+    curve.unreadable = &unreadable;
     reply_page(request, &curve);
     return MO_HANDLED;
   }

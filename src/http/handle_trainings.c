@@ -215,7 +215,9 @@ void mo_handle_trainings(struct mo_request *request)
 
 /* One page of either curve; the two differ in their rows alone. */
 struct curve {
+  struct mo_request *request;
   struct mo_store *store;
+  struct mo_unreadable *unreadable; /* NULL: a CSV */
   bool validations;
   int64_t id, after; /* after −1: from step 0 */
   uint32_t stride;
@@ -237,6 +239,19 @@ static int64_t read_rows(const struct curve *curve, size_t limit)
 static int64_t step_of_row(const struct curve *curve, int64_t i)
 {
   return curve->validations ? curve->rows.validations[i].step : curve->rows.steps[i].report.step;
+}
+
+static bool leave_out(const struct curve *curve, int64_t i)
+{
+  const struct mo_row_damage *damage =
+      curve->validations ? &curve->rows.validations[i].damage : &curve->rows.steps[i].damage;
+  char place[32];
+  if (damage->column == NULL)
+    return false;
+  snprintf(place, sizeof(place), "step %lld", (long long)step_of_row(curve, i));
+  mo_unreadable_row(curve->request, curve->unreadable, curve->id, curve->validations ? "validation" : "step",
+                    place + strlen("step "), place, damage);
+  return true;
 }
 
 static void write_row(struct mo_text *text, const struct curve *curve, int64_t i, bool csv)
@@ -262,7 +277,9 @@ static int write_rows(struct mo_text *text, struct curve *curve, size_t limit, b
     if (n < 0)
       return (int)n;
     for (int64_t i = 0; i < n; i++, written++) {
-      if (!csv && written > 0)
+      if (leave_out(curve, i))
+        continue;
+      if (!csv && text->size > 0 && text->data[text->size - 1] == '}')
         mo_text_bytes(text, ",", 1);
       write_row(text, curve, i, csv);
     }
@@ -283,6 +300,8 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
   mo_text_add(&text, !csv ? "{\"items\":[" : curve->validations ? mo_training_csv_validations : mo_training_csv_steps);
   int code = write_rows(&text, curve, limit, csv, &more);
   if (code != MO_OK || (csv && text.failed)) {
+    if (!csv)
+      mo_text_free(&curve->unreadable->items);
     mo_text_free(&text);
     mo_reply_error(request, code != MO_OK ? code : MO_ERR_NO_MEMORY, "page");
     return;
@@ -293,9 +312,11 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
       mo_reply_extra(request, "Morphod-Next-After", "%lld", (long long)curve->after);
   } else {
     if (curve->after >= 0)
-      mo_text_format(&text, "],\"next_after\":%lld,\"more\":%s}", (long long)curve->after, more ? "true" : "false");
+      mo_text_format(&text, "],\"next_after\":%lld,\"more\":%s", (long long)curve->after, more ? "true" : "false");
     else
-      mo_text_add(&text, "],\"next_after\":null,\"more\":false}");
+      mo_text_add(&text, "],\"next_after\":null,\"more\":false");
+    mo_unreadable_end(request, &text, curve->unreadable);
+    mo_text_add(&text, "}");
     mo_reply_json(request, 200, &text);
   }
   mo_reply_etag_of_body(request);
@@ -322,7 +343,10 @@ static void handle_curve(struct mo_request *request, bool validations)
       !mo_query_number(request, "stride", &values[2], 1, MO_TRAINING_STEPS_MAX, &stride) ||
       !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
-  struct curve curve = {.store = request->http->services.store,
+  struct mo_unreadable unreadable = {0};
+  struct curve curve = {.request = request,
+                        .unreadable = form == 1 ? NULL : &unreadable,
+                        .store = request->http->services.store,
                         .validations = validations,
                         .id = id,
                         .after = after,

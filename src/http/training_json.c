@@ -85,7 +85,7 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
                            const struct mo_training_live *live)
 {
   const struct mo_training_report *last = &status->last.report;
-  bool runs = live->phase != MO_TRAINING_IDLE, any = status->step > 0;
+  bool runs = live->phase != MO_TRAINING_IDLE, any = status->step > 0 && status->last.damage.column == NULL;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
   mo_text_member_number(text, "mean_loss", any ? last->mean_loss : (double)NAN);
@@ -149,7 +149,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_settings(text, record, population_kind);
   write_progress(text, status, live);
   mo_text_add(text, ",\"validation\":");
-  if (status->has_validation)
+  if (status->has_validation && status->validation.damage.column == NULL)
     mo_training_json_validation(text, &status->validation);
   else
     mo_text_add(text, "null");

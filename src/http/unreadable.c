@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/number.h"
 #include "http/field.h"
 
 #define WORDS_BYTES (MO_DAMAGE_BYTES + 64)
@@ -36,6 +37,18 @@ void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const
   mo_text_add(&list->items, "}");
   snprintf(words, sizeof(words), "%s %s cannot be read: %s", kind, id, damage);
   note(list, words);
+}
+
+void mo_unreadable_row(struct mo_request *request, struct mo_unreadable *list, int64_t job, const char *kind,
+                       const char *id, const char *place, const struct mo_row_damage *damage)
+{
+  char words[MO_DAMAGE_BYTES];
+  snprintf(words, sizeof(words), "%s of job %" PRId64 " and %s is %s", damage->column, job, place,
+           MO_NUMBER(damage->value));
+  if (list != NULL)
+    mo_unreadable_add_other(list, kind, id, words);
+  else if (request->reason[0] == '\0')
+    mo_request_note(request, "%s %s cannot be read: %s", kind, id, words);
 }
 
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job)

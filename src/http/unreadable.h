@@ -13,6 +13,10 @@ struct mo_unreadable {
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job); /* one with damage */
 /* Something else that a list is of: a design by its row, a controller by its name, an event by its place. */
 void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id, const char *damage);
+/* A row of a curve of `job`, of which `place` says which ("step 5"); `id` is what `after` calls it. It is left out of a CSV (list NULL), and
+ * noted for the log if it is the first. */
+void mo_unreadable_row(struct mo_request *request, struct mo_unreadable *list, int64_t job, const char *kind,
+                       const char *id, const char *place, const struct mo_row_damage *damage);
 /* Ends the member `unreadable` of a page, if there are any, notes them for the log, and frees the list. */
 void mo_unreadable_end(struct mo_request *request, struct mo_text *text, struct mo_unreadable *list);
 

@@ -175,6 +175,8 @@ static int read_history(struct mo_campaign_run *run)
     n = mo_store_campaign_generations(run->jobs->store, run->id, after, rows, HISTORY_ROWS);
     for (int64_t i = 0; i < n; i++) {
       after = rows[i].generation;
+      if (rows[i].damage.column != NULL)
+        continue;
       if (rows[i].stats.diversity > run->diversity_max) {
         run->diversity_max = rows[i].stats.diversity;
         run->is_warned = false;

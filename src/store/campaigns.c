@@ -11,10 +11,12 @@
 
 /* ---- rows of numbers: one list gives the columns, and where each goes ---- */
 
-enum kind { U32, U64, I64, REAL, FLAG };
+/* REAL: any number, or none. AMOUNT: from 0. SHARE: from 0 to 1. */
+enum kind { U32, U64, TIME, REAL, AMOUNT, SHARE, FLAG };
 struct field {
   enum kind kind;
   size_t offset;
+  const char *name;
 };
 
 static double column_number(sqlite3_stmt *row, int column)
@@ -22,18 +24,40 @@ static double column_number(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL ? NAN : sqlite3_column_double(row, column);
 }
 
-static void read_fields(sqlite3_stmt *row, int column, const struct field *fields, size_t n, void *structure)
+/* Notes the first that no reply can say. */
+static void read_fields(sqlite3_stmt *row, int column, const struct field *fields, size_t n, void *structure,
+                        struct mo_row_damage *damage)
 {
+  damage->column = NULL;
   for (size_t i = 0; i < n; i++, column++) {
+    const enum kind kind = fields[i].kind;
+    const int64_t integer = sqlite3_column_int64(row, column);
+    const double real = column_number(row, column);
     void *at = (char *)structure + fields[i].offset;
-    int64_t integer = sqlite3_column_int64(row, column);
-    switch (fields[i].kind) {
-    case U32: *(uint32_t *)at = (uint32_t)integer; break;
-    case U64: *(uint64_t *)at = (uint64_t)integer; break;
-    case I64: *(int64_t *)at = integer; break;
-    case REAL: *(double *)at = column_number(row, column); break;
+    bool is_told = true;
+    switch (kind) {
+    case U32:
+      *(uint32_t *)at = (uint32_t)integer;
+      is_told = integer >= 0 && integer <= UINT32_MAX;
+      break;
+    case U64:
+      *(uint64_t *)at = (uint64_t)integer;
+      is_told = integer >= 0;
+      break;
+    case TIME:
+      *(int64_t *)at = integer;
+      is_told = integer >= 1 && integer <= MO_TIME_US_MAX;
+      break;
+    case REAL: *(double *)at = real; break;
+    case AMOUNT:
+    case SHARE:
+      *(double *)at = real;
+      is_told = real >= 0 && real <= (kind == SHARE ? 1 : DBL_MAX);
+      break;
     case FLAG: *(bool *)at = integer != 0; break;
     }
+    if (!is_told && damage->column == NULL)
+      *damage = (struct mo_row_damage){fields[i].name, real};
   }
 }
 
@@ -44,8 +68,10 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
     switch (fields[i].kind) {
     case U32: sqlite3_bind_int64(statement, index, *(const uint32_t *)at); break;
     case U64: sqlite3_bind_int64(statement, index, (sqlite3_int64) * (const uint64_t *)at); break;
-    case I64: sqlite3_bind_int64(statement, index, *(const int64_t *)at); break;
-    case REAL: sqlite3_bind_double(statement, index, *(const double *)at); break;
+    case TIME: sqlite3_bind_int64(statement, index, *(const int64_t *)at); break;
+    case REAL:
+    case AMOUNT:
+    case SHARE: sqlite3_bind_double(statement, index, *(const double *)at); break;
     case FLAG: sqlite3_bind_int64(statement, index, *(const bool *)at); break;
     }
   }
@@ -65,7 +91,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(score_75, REAL, stats.quantiles[4])                                                                                \
   X(score_95, REAL, stats.quantiles[5])                                                                                \
   X(most_score, REAL, stats.quantiles[6])                                                                              \
-  X(diversity, REAL, stats.diversity)                                                                                  \
+  X(diversity, SHARE, stats.diversity)                                                                                 \
   X(species, U32, stats.species)                                                                                       \
   X(least_voxels, REAL, stats.voxels.least)                                                                            \
   X(mean_voxels, REAL, stats.voxels.mean)                                                                              \
@@ -89,7 +115,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(exhausted, FLAG, variation.exhausted)                                                                              \
   X(survived_mutants, U32, survived_mutants)                                                                           \
   X(survived_recombinants, U32, survived_recombinants)                                                                 \
-  X(turnover, REAL, turnover)                                                                                          \
+  X(turnover, SHARE, turnover)                                                                                         \
   X(rollouts, U64, rollouts)                                                                                           \
   X(rollouts_cached, U64, rollouts_cached)                                                                             \
   X(rollouts_diverged, U64, rollouts_diverged)                                                                         \
@@ -97,8 +123,8 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(first_loss, REAL, first_loss)                                                                                      \
   X(last_loss, REAL, last_loss)                                                                                        \
   X(collapse, FLAG, collapse)                                                                                          \
-  X(seconds, REAL, seconds)                                                                                            \
-  X(stored_us, I64, stored_us)
+  X(seconds, AMOUNT, seconds)                                                                                          \
+  X(stored_us, TIME, stored_us)
 
 #define STEP_FIELDS(X)                                                                                                 \
   X(generation, U32, generation)                                                                                       \
@@ -106,20 +132,21 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(on_children, FLAG, on_children)                                                                                    \
   X(training_step, U32, report.step)                                                                                   \
   X(mean_loss, REAL, report.mean_loss)                                                                                 \
-  X(rate, REAL, report.rate)                                                                                           \
+  X(rate, AMOUNT, report.rate)                                                                                         \
   X(gradient_norm, REAL, report.gradient_norm)                                                                         \
-  X(clipped_share, REAL, report.clipped_share)                                                                         \
-  X(clipped_robots_share, REAL, report.clipped_robots_share)                                                           \
+  X(clipped_share, SHARE, report.clipped_share)                                                                        \
+  X(clipped_robots_share, SHARE, report.clipped_robots_share)                                                          \
   X(diverged, U32, report.diverged)                                                                                    \
   X(zeroed, U32, report.zeroed)                                                                                        \
   X(skipped, FLAG, report.skipped)                                                                                     \
   X(bounded, U32, report.bounded)                                                                                      \
-  X(seconds, REAL, seconds)
+  X(seconds, AMOUNT, seconds)
 
-#define COLUMN(column, kind, member)           "," #column
-#define PLACE(column, kind, member)            ",?"
-#define GENERATION_PLACE(column, kind, member) {kind, offsetof(struct mo_campaign_generation, member)},
-#define STEP_PLACE(column, kind, member)       {kind, offsetof(struct mo_campaign_step, member)},
+#define COLUMN(column, kind, member) "," #column
+#define PLACE(column, kind, member)  ",?"
+#define GENERATION_PLACE(column, kind, member)                                                                         \
+  {kind, offsetof(struct mo_campaign_generation, member), "campaign_generations." #column},
+#define STEP_PLACE(column, kind, member) {kind, offsetof(struct mo_campaign_step, member), "campaign_steps." #column},
 
 static const struct field generation_fields[] = {GENERATION_FIELDS(GENERATION_PLACE)};
 static const struct field step_fields[] = {STEP_FIELDS(STEP_PLACE)};
@@ -263,22 +290,6 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   return error;
 }
 
-/* Its numbers that are never none. */
-static int check_generation(const struct mo_campaign_generation *generation, struct mo_job *job)
-{
-  const struct {
-    const char *name;
-    double value, most;
-  } numbers[] = {{"diversity", generation->stats.diversity, 1},
-                 {"turnover", generation->turnover, 1},
-                 {"seconds", generation->seconds, DBL_MAX}};
-  for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++)
-    if (!(numbers[i].value >= 0 && numbers[i].value <= numbers[i].most))
-      return mo_job_damaged(job, "campaign_generations.%s of generation %lld is %s", numbers[i].name,
-                            (long long)generation->generation, MO_NUMBER(numbers[i].value));
-  return MO_OK;
-}
-
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
   static const char sql[] =
@@ -301,9 +312,12 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
     return step < 0 ? step
                     : mo_job_damaged(&status->job, "campaign_generations has no generation %lld, its last",
                                      (long long)status->generation);
-  read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last);
+  read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last, &status->last.damage);
   (void)sqlite3_reset(row);
-  return check_generation(&status->last, &status->job);
+  return status->last.damage.column == NULL
+             ? MO_OK
+             : mo_job_damaged(&status->job, "%s of generation %lld is %s", status->last.damage.column,
+                              (long long)status->generation, MO_NUMBER(status->last.damage.value));
 }
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
@@ -341,22 +355,25 @@ int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_quer
 
 static int take_generation(sqlite3_stmt *statement, void *row)
 {
-  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, row);
+  struct mo_campaign_generation *generation = row;
+  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, generation, &generation->damage);
   return MO_OK;
 }
 
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit)
 {
-  static const char sql[] = "SELECT job" GENERATION_FIELDS(
-      COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 ORDER BY generation LIMIT ?3";
+  static const char sql[] =
+      "SELECT job" GENERATION_FIELDS(COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 AND "
+                                             "generation<=4294967295 ORDER BY generation LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, take_generation, rows, sizeof(*rows));
 }
 
 static int take_step(sqlite3_stmt *statement, void *row)
 {
-  read_fields(statement, 1, step_fields, N_STEP_FIELDS, row);
+  struct mo_campaign_step *step = row;
+  read_fields(statement, 1, step_fields, N_STEP_FIELDS, step, &step->damage);
   return MO_OK;
 }
 
@@ -364,7 +381,8 @@ int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t afte
                                 struct mo_campaign_step *rows, size_t limit)
 {
   static const char sql[] = "SELECT job" STEP_FIELDS(
-      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) ORDER BY generation,step LIMIT ?4";
+      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) AND generation<=4294967295"
+              " AND step BETWEEN 1 AND 4294967295 ORDER BY generation,step LIMIT ?4";
   const int64_t values[] = {id, after_generation, after_step};
   return mo_read_rows(store, sql, values, 3, limit, take_step, rows, sizeof(*rows));
 }

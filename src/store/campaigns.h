@@ -55,6 +55,7 @@ struct mo_campaign_generation {
   bool collapse;                /* this generation brought the diversity warning */
   double seconds;               /* wall time since the one before, pauses excluded */
   int64_t stored_us;
+  struct mo_row_damage damage;
 };
 
 struct mo_campaign_step {    /* a learning step */
@@ -62,6 +63,7 @@ struct mo_campaign_step {    /* a learning step */
   bool on_children;
   struct mo_training_report report;
   double seconds;
+  struct mo_row_damage damage;
 };
 
 enum mo_campaign_end { MO_CAMPAIGN_OPEN = 0, MO_CAMPAIGN_COMPLETED = 1, MO_CAMPAIGN_EXHAUSTED = 2 };
@@ -132,7 +134,8 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
  * population has room for; what is listed already, or does not fit the campaign's workspace, was left out. */
 int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits **genotypes, uint32_t *n);
 
-/* Generations > after (−1: from the first), ascending. */
+/* Generations > after (−1: from the first), ascending. One with a number that cannot be told is there with its damage, and its generation; steps
+ * likewise. */
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit);
 int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation, uint32_t after_step,

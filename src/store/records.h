@@ -87,6 +87,12 @@ struct mo_job {
   char damage[MO_DAMAGE_BYTES];
 };
 
+/* A number in a row of a curve that no reply can say. */
+struct mo_row_damage {
+  const char *column; /* with its table; NULL: all is well */
+  double value;       /* NaN: none */
+};
+
 struct mo_event {
   int64_t sequence; /* ≥ 1, grows by commit order, never reused */
   int64_t time_us;

@@ -1,6 +1,7 @@
 /* trainings.c: trainings as they are asked for and read: settings, curve, checkpoints, the designs of populations. */
 #include "store/trainings.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -111,11 +112,34 @@ static double column_number(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL ? NAN : sqlite3_column_double(row, column);
 }
 
+struct number_range {
+  int column;
+  const char *name;
+  double least, most;
+};
+
+/* Notes the first that no reply can say. */
+static void check_numbers(sqlite3_stmt *row, const struct number_range *ranges, size_t n, struct mo_row_damage *damage)
+{
+  for (size_t i = 0; i < n; i++) {
+    const double value = column_number(row, ranges[i].column);
+    if (!(value >= ranges[i].least && value <= ranges[i].most)) {
+      *damage = (struct mo_row_damage){ranges[i].name, value};
+      return;
+    }
+  }
+}
+
 #define STEP_COLUMNS                                                                                                   \
   "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,bounded,seconds"
 
 static int step_from_row(sqlite3_stmt *row, void *any)
 {
+  static const struct number_range ranges[] = {
+      {0, "training_steps.step", 1, UINT32_MAX},     {2, "training_steps.rate", 0, DBL_MAX},
+      {4, "training_steps.clipped_share", 0, 1},     {5, "training_steps.clipped_robots_share", 0, 1},
+      {6, "training_steps.diverged", 0, UINT32_MAX}, {7, "training_steps.zeroed", 0, UINT32_MAX},
+      {9, "training_steps.bounded", 0, UINT32_MAX},  {10, "training_steps.seconds", 0, DBL_MAX}};
   struct mo_training_step_row *step = any;
   *step = (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
                                                    .mean_loss = column_number(row, 1),
@@ -128,6 +152,7 @@ static int step_from_row(sqlite3_stmt *row, void *any)
                                                    .skipped = sqlite3_column_int(row, 8) != 0,
                                                    .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
                                         .seconds = column_number(row, 10)};
+  check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &step->damage);
   return MO_OK;
 }
 
@@ -135,12 +160,16 @@ static int step_from_row(sqlite3_stmt *row, void *any)
 
 static int validation_from_row(sqlite3_stmt *row, void *any)
 {
+  static const struct number_range ranges[] = {{0, "training_validations.step", 0, UINT32_MAX},
+                                               {1, "training_validations.rollouts", 0, UINT32_MAX},
+                                               {2, "training_validations.diverged", 0, UINT32_MAX}};
   struct mo_training_validation_row *validation = any;
   *validation = (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
                                                     .rollouts = (uint32_t)sqlite3_column_int64(row, 1),
                                                     .diverged = (uint32_t)sqlite3_column_int64(row, 2),
                                                     .mean_score = column_number(row, 3),
                                                     .standard_error = column_number(row, 4)};
+  check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &validation->damage);
   return MO_OK;
 }
 
@@ -272,7 +301,7 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
                                 struct mo_training_step_row *rows, size_t limit)
 {
   static const char all_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
-                                " AND ?3<=1 ORDER BY step LIMIT ?4";
+                                " AND step<=4294967295 AND ?3<=1 ORDER BY step LIMIT ?4";
   /* Each multiple is looked up: reading what lies between takes a third of a second in a million rows. */
   static const char some_sql[] =
       "WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL SELECT at+?3 FROM wanted"
@@ -286,8 +315,8 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_training_validation_row *rows, size_t limit)
 {
-  static const char sql[] =
-      "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2 ORDER BY step LIMIT ?3";
+  static const char sql[] = "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2"
+                            " AND step<=4294967295 ORDER BY step LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, validation_from_row, rows, sizeof(*rows));
 }

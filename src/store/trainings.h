@@ -35,11 +35,13 @@ struct mo_training_record {
 struct mo_training_step_row {
   struct mo_training_report report;
   double seconds; /* wall time of the step on this machine: the only number here that a repeat changes */
+  struct mo_row_damage damage;
 };
 struct mo_training_validation_row {
   uint32_t step; /* with the weights after so many steps */
   uint32_t rollouts, diverged;
   double mean_score, standard_error; /* over the designs of which no rollout diverged, of their mean loss */
+  struct mo_row_damage damage;
 };
 struct mo_training_checkpoint_row {
   uint32_t step;
@@ -53,9 +55,9 @@ struct mo_training_status {
   struct mo_job job; /* kind, state, version, times, attempts, error */
   struct mo_training_record record;
   uint32_t step; /* newest row of the curve; after a crash the run may go on from an earlier checkpoint */
-  struct mo_training_step_row last; /* step > 0 */
+  struct mo_training_step_row last; /* step > 0; nothing is known of it if it has damage */
   bool has_validation;
-  struct mo_training_validation_row validation; /* the newest */
+  struct mo_training_validation_row validation; /* the newest; it may have damage, too */
   uint32_t checkpoint_step;                     /* the newest; 0: none */
   struct mo_training_lineage code;              /* which code computed it */
   bool has_result;
@@ -87,7 +89,8 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
 /* As mo_store_jobs, trainings alone whatever the query's kind. */
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_training_status *statuses, size_t limit);
-/* Steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are multiples of it. */
+/* Steps > after, ascending, at most `limit` ≤ MO_PAGE_MAX. stride ≥ 1: only steps that are multiples of it. One with a number that cannot be
+ * told is there with its damage, and its step; validations likewise. */
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit);
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
