@@ -430,7 +430,7 @@ static int same_result(const struct result *a, const struct result *b, size_t n_
          memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
 }
 
-/* A group by one block and by two, where robots end in a group of 16, where adjoints begin anew, where some diverge, and where some are left out. */
+/* A group by one block and by two, where robots end in a group of 16, where some of a group's 32 rows are empty, where adjoints begin anew, where some diverge, and where some are left out. */
 static void check_halves(const struct scene *s)
 {
   const struct {
@@ -439,6 +439,7 @@ static void check_halves(const struct scene *s)
     uint32_t n;
     double stiffness, bound, last_layer; /* times the usual */
   } cases[] = {{"clipped", "", 300, 1, 1, 1},
+               {"empty rows", "", 50, 1, 1, 1},
                {"beginning anew", "restart:", 256, 1, 1, 1},
                {"springs 1.7 times as stiff", "", 200, 1.7, 1, 1},
                {"no bound", "", 200, 1, 0, 81}};

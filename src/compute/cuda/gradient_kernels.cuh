@@ -309,9 +309,8 @@ template <int MT, int SHARE> struct walker {
 
   __device__ __forceinline__ void pair_sync() const
   {
-    if (SHARE == 1)
-      __syncwarp();
-    else
+    __syncwarp(); /* the barrier is for warps whose lanes come together */
+    if (SHARE > 1)
       asm volatile("bar.sync %0, %1;" ::"r"(1 + warp / SHARE), "n"(32 * SHARE) : "memory");
   }
 
