@@ -2,6 +2,7 @@
 import os
 import pathlib
 import random
+import re
 import signal
 import sqlite3
 import subprocess
@@ -107,6 +108,10 @@ class Daemon:
 
     def get(self, path, **options):
         return self.session.get(self.address + path, timeout=60, **options)
+
+    def counted(self, name):
+        """A counter of this life, of those without labels."""
+        return int(re.search(rf"^{name} (\d+)$", self.get("/metrics").text, re.M)[1])
 
     def post(self, request, key=None, wait_s=0, timeout_s=90):
         headers = {}

@@ -1,4 +1,5 @@
 """kill -9 at random moments: nothing that was acknowledged is lost, nothing is there twice, every bit is as without a crash."""
+import pathlib
 import random
 import time
 
@@ -8,6 +9,8 @@ from daemon import bodies, check_database, stored_scores
 PHYSICS = {"n_steps": 150}
 N_BATCHES = 3
 N_DESIGNS = 120
+N_ENVIRONMENTS = 4
+ROUND = N_BATCHES * N_DESIGNS * N_ENVIRONMENTS  # rollouts of the work that comes every few kills
 
 
 def batches(seed):
@@ -17,6 +20,17 @@ def batches(seed):
 def run_to_end(daemon, requests_and_keys):
     jobs = [daemon.submit(request, key=key) for request, key in requests_and_keys]
     return [daemon.finish(job) for job in jobs]
+
+
+def await_work(daemon, least):
+    """The running evaluations, when so many rollouts were computed in this life, or when nothing is left to compute."""
+    until = time.monotonic() + 600
+    while True:
+        enough = daemon.counted("morphod_rollouts_total") >= least
+        running, queued = (daemon.get(f"/v1/jobs?state={state}").json()["items"] for state in ("running", "queued"))
+        if enough or not running + queued:
+            return running
+        assert time.monotonic() < until, daemon.tail()
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
@@ -30,21 +44,20 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert quiet.stop()[0] == 0
     undisturbed = stored_scores(quiet.state)
 
-    # As long as all work lasts, so that kills hit every part of it: the start, submission, computing, the end.
+    # Four lives compute about one round, so that kills hit every part of it: just submitted, computing, the end.
     victim = daemon("victim")
     acknowledged = {}  # key: (request, job id)
     kills_while_busy = 0
     round_of = 0
     for kill in range(n_kills):
         victim.start()
-        moment = time.monotonic() + generator.uniform(0, 0.5)
         try:
             # Every few kills new work, with environments of its own so that nothing is in the store yet.
             if kill % 4 == 0:
                 round_of += 1
                 for k, request in enumerate(batches(seed)):
                     light = [2.5 + 0.01 * round_of, 4.0]
-                    own = {**request, "environments": [{"light_xy_m": light, "terrain_sigma_m": 0.05, "seed": n} for n in range(4)]}
+                    own = {**request, "environments": [{"light_xy_m": light, "terrain_sigma_m": 0.05, "seed": n} for n in range(N_ENVIRONMENTS)]}
                     key = f"round {round_of} batch {k}"
                     reply = victim.post(own, key=key)
                     assert reply.status_code == 202, reply.text
@@ -58,9 +71,7 @@ def test_kill_at_random_moments(daemon, soak, seed):
                 acknowledged[key] = (own, reply.json()["id"])
         except requests.ConnectionError:
             pass
-        time.sleep(max(0, moment - time.monotonic()))
-        busy = victim.get("/v1/jobs?state=running").json()["items"]
-        kills_while_busy += bool(busy)
+        kills_while_busy += bool(await_work(victim, generator.uniform(0, ROUND / 2)))
         victim.kill()
         assert victim.process.returncode == -9
     print(f"{n_kills} kills, {kills_while_busy} of them while jobs were running")
@@ -104,16 +115,31 @@ def test_kill_at_random_moments(daemon, soak, seed):
     assert stored_scores(replay.state) == after
 
 
+def calls(daemon):
+    """Reads and writes of files since the process was made."""
+    counts = dict(line.split(": ") for line in pathlib.Path(f"/proc/{daemon.process.pid}/io").read_text().splitlines())
+    return int(counts["syscr"]) + int(counts["syscw"])
+
+
 def test_kill_at_the_start(daemon, soak, seed):
     """Kills during the first moments: migrations, registration of the controller, recovery."""
     print(f"seed {seed}")
     generator = random.Random(seed)
+    quiet = daemon("undisturbed")
+    with quiet:
+        needed = calls(quiet)
+        assert quiet.stop()[0] == 0
+    kills = kills_before_serving = 0
     for trial in range(20 if soak else 4):
         one = daemon(f"start {trial}")
         for _ in range(5):
             one.spawn()
-            time.sleep(generator.uniform(0, 0.06))
+            least = generator.uniform(0, needed)
+            while calls(one) < least and not one.port_file.exists():
+                pass
+            kills_before_serving += not one.port_file.exists()
             one.kill()
+            kills += 1
         with one:
             assert one.get("/readyz").status_code == 200
             names = [c["name"] for c in one.get("/v1/controllers").json()["items"]]
@@ -121,6 +147,8 @@ def test_kill_at_the_start(daemon, soak, seed):
             one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
             assert one.stop()[0] == 0
         check_database(one.state)
+    print(f"{needed} calls to start; {kills} kills, {kills_before_serving} of them before it served")
+    assert 2 * kills_before_serving >= kills
 
 
 def test_one_state_folder_one_process(daemon):
