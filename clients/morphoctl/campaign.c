@@ -58,11 +58,12 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
 {
   int status = STATUS_OK;
   bool more = true;
+  int64_t after = campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1; /* −1: from the first */
   while (status == STATUS_OK && more) {
     char path[128];
     int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
-    if (campaign->n > 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%" PRId64, campaign->rows[campaign->n - 1].generation);
+    if (after >= 0)
+      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%" PRId64, after);
     json_t *page, *row;
     size_t i;
     status = transport_get_json(ctl, path, 0, &page);
@@ -72,7 +73,9 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
       if (status == STATUS_OK && !add_row(campaign, read_row(row)))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    more = more && i > 0;
+    const json_t *next = json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+    more = more && json_is_integer(next) && json_integer_value(next) > after;
+    after = json_integer_value(next);
     json_decref(page);
   }
   return status;

@@ -45,13 +45,14 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
 {
   int status = STATUS_OK;
   bool more = true;
+  int64_t after = curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1; /* −1: from the first */
   while (status == STATUS_OK && more) {
     char path[160];
     int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s?limit=1000", id, what);
     if (stride > 0)
       n += snprintf(path + n, sizeof(path) - (size_t)n, "&stride=%" PRId64, stride);
-    if (curve->n > 0)
-      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%.0f", curve->points[curve->n - 1].x);
+    if (after >= 0)
+      snprintf(path + n, sizeof(path) - (size_t)n, "&after=%" PRId64, after);
     json_t *page, *row;
     size_t i;
     status = transport_get_json(ctl, path, 0, &page);
@@ -63,7 +64,9 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
       if (status == STATUS_OK && !training_add(curve, (double)number_of(row, "step"), y))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    more = more && i > 0;
+    const json_t *next = json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+    more = more && json_is_integer(next) && json_integer_value(next) > after;
+    after = json_integer_value(next);
     json_decref(page);
   }
   return status;

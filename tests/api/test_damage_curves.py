@@ -2,11 +2,13 @@
 
 import contextlib
 import sqlite3
+import subprocess
 
 import pytest
 from service import DESIGN, Service
 from test_damage import finish, unclean
 from test_damage_values import VALUES
+from test_morphoctl import MORPHOCTL
 
 PHYSICS = {"n_steps": 8}
 TRAINING = {"kind": "finetune", "steps": 4, "batch": 2, "designs": [DESIGN], "physics": PHYSICS,
@@ -134,3 +136,25 @@ def test_a_training_whose_newest_rows_are_damaged(served):
         now = service.request("GET", "/v1/trainings/1").json()
         assert now["validation"] is None and now["progress"]["mean_loss"] is None and now["progress"]["diverged"] == 0
     assert service.request("GET", "/v1/trainings/1").json() == whole
+
+
+def test_morphoctl_goes_on_behind_a_damaged_page(served):
+    """A whole page of rows that cannot be read does not end a curve."""
+    service, database = served
+    database.execute("BEGIN")
+    before = database.execute("SELECT * FROM training_steps").fetchall()
+    validations = database.execute("SELECT * FROM training_validations").fetchall()
+    columns = ",".join(row[1] for row in database.execute("PRAGMA table_info(training_steps)").fetchall() if row[1] not in ("job", "step"))
+    database.execute("DELETE FROM training_validations")
+    database.execute(f"WITH RECURSIVE n(i) AS (SELECT 5 UNION ALL SELECT i + 1 FROM n WHERE i < 1100) INSERT INTO training_steps(job, step, {columns}) "
+                     f"SELECT job, i, {columns} FROM training_steps, n WHERE step = 1")
+    database.execute("UPDATE training_steps SET rate = -1 WHERE step <= 1050")
+    database.execute("COMMIT")
+    address = f"http://{service.host}:{service.port}"
+    shown = subprocess.run([MORPHOCTL, "--server", address, "train", "show", "1"], capture_output=True, text=True, timeout=30, check=True).stdout
+    database.execute("BEGIN")
+    for table, rows in (("training_steps", before), ("training_validations", validations)):
+        database.execute(f"DELETE FROM {table}")
+        database.executemany(f"INSERT INTO {table} VALUES({','.join('?' * len(rows[0]))})", rows)
+    database.execute("COMMIT")
+    assert "1100" in shown, shown
