@@ -45,7 +45,8 @@ struct mo_store_config {
 /* Opens or creates. MO_ERR_BUSY: another process uses the folder; MO_ERR_UNSUPPORTED: written by a newer version, or on
  * a file system without shared memory;
  * MO_ERR_FORMAT: not our database; MO_ERR_NOT_FOUND: no such folder; MO_ERR_IO: not writable. After an unclean stop it runs
- * SQLite's quick_check (MO_ERR_CORRUPT). Stores the paper's test set, or puts its rows right. */
+ * SQLite's quick_check (MO_ERR_CORRUPT), but for the tables' CHECKs: readings name such rows. Stores the paper's test set, or puts its
+ * rows right. */
 int mo_store_open(const struct mo_store_config *config, struct mo_store **store, struct mo_message *message);
 /* Finishes what is queued, checkpoints, closes. NULL-safe. No other call may be under way. */
 void mo_store_close(struct mo_store *store);

@@ -1,6 +1,7 @@
 /* opening.c: which databases the store opens, how it notices damage, and the way there from older ones; backups. */
 #include "by_hand.h"
 #include "campaign_fixture.h"
+#include "store/internal.h"
 #include "training_fixture.h"
 
 static void opens_and_locks(void)
@@ -83,6 +84,74 @@ static void notices_damage_after_an_unclean_stop(void)
   fclose(file);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
   fixture_end(&fixture);
+}
+
+/* Whether the writer takes rows whose CHECK fails, in *context. */
+static int ask_the_writer(struct mo_store *store, void *context)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(&store->writer, "PRAGMA ignore_check_constraints", &error);
+  return statement != NULL ? mo_sql_integer(&store->writer, statement, context) : error;
+}
+
+/* Damaged rows cost nobody the rest, after an unclean stop either: they are named, or written again. */
+static void starts_with_damaged_rows(void)
+{
+  struct fixture fixture;
+  struct mo_bits *forms, *genotypes;
+  struct mo_submission submission;
+  struct mo_design_row rows[4];
+  const struct mo_design_query query = {.sort = MO_DESIGNS_BY_ID};
+  int64_t id, ignored = -1;
+  bool replayed;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(fixture_bodies(7, 3, &forms, &genotypes) == MO_OK);
+  submission = fixture_submission(forms, genotypes, 3);
+  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  REQUIRE(outside(&fixture, "PRAGMA ignore_check_constraints=ON; UPDATE designs SET form=x'01' WHERE id=2;"
+                            "UPDATE environments SET data=x'02' WHERE id=3; UPDATE environments SET sha256=x'03' WHERE"
+                            " id=4; UPDATE meta SET value=0 WHERE key='clean'") == SQLITE_OK);
+  REQUIRE(fixture_reopen(&fixture) == MO_OK);
+  CHECK_TEXT(mo_store_repairs(fixture.store), "environments.data of row 3, environments.sha256 of row 4");
+  CHECK_INT(mo_write(fixture.store, ask_the_writer, &ignored), MO_OK);
+  CHECK_INT(ignored, 0);
+  REQUIRE(mo_store_designs(fixture.store, &query, rows, 4) == 3);
+  for (int i = 0; i < 3; i++)
+    CHECK_TEXT(rows[i].damage, i == 1 ? "designs.form of row 2 is no design" : "");
+  free(forms);
+  free(genotypes);
+  fixture_end(&fixture);
+}
+
+static void tells_pages_from_rows(void)
+{
+  static const char *const damaged[] = {"environments", "jobs_by_state"}; /* a table, an index */
+  for (size_t i = 0; i < sizeof(damaged) / sizeof(damaged[0]); i++) {
+    struct fixture fixture;
+    char path[512], sql[128];
+    FILE *file;
+    REQUIRE(fixture_start(&fixture) == 0);
+    mo_store_close(fixture.store);
+    fixture.store = NULL;
+    REQUIRE(outside(&fixture,
+                    "PRAGMA ignore_check_constraints=ON; UPDATE controllers SET sha256=x'01';"
+                    "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") == SQLITE_OK);
+    snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
+    snprintf(sql, sizeof(sql), "SELECT rootpage FROM sqlite_schema WHERE name='%s'", damaged[i]);
+    const long page = (long)outside_integer(&fixture, sql);
+    file = fopen(path, "r+");
+    REQUIRE(file != NULL && page > 1);
+    fseek(file, 4096L * (page - 1), SEEK_SET);
+    for (int k = 0; k < 4096; k++)
+      fputc(0x5a, file);
+    fclose(file);
+    CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
+    snprintf(sql, sizeof(sql), "Page %ld: ", page);
+    CHECK(strstr(fixture.message.text, "the database is damaged") != NULL && strstr(fixture.message.text, sql) != NULL);
+    fixture_end(&fixture);
+  }
 }
 
 static char *read_text(const char *path)
@@ -356,6 +425,8 @@ static const struct check_case cases[] = {
     {"opens, counts its openings, and keeps others out", opens_and_locks},
     {"refuses newer schemas and files that are not its own", refuses_what_is_not_ours},
     {"notices damage after an unclean stop", notices_damage_after_an_unclean_stop},
+    {"starts with damaged rows after one", starts_with_damaged_rows},
+    {"tells damaged pages from damaged rows", tells_pages_from_rows},
     {"migrates an old database", migrates_an_old_database},
     {"migrates a training", migrates_a_training},
     {"migrates settings", migrates_settings},
