@@ -1,4 +1,5 @@
 /* handle_controllers.c: controllers by name. */
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -46,22 +47,50 @@ static void reply_controller(struct mo_request *request, unsigned status, const 
   mo_reply_etag_of_body(request);
 }
 
+/* A place in the list of controllers: those with names by their names, then those whose names are damaged, which say nothing of a place, by
+ * their number. */
+#define MISNAMED '~' /* no name has it */
+struct place {
+  const char *after_name;  /* NULL: from the first */
+  int64_t misnamed_passed; /* > 0: all with names are, too */
+};
+
+static bool read_place(const char *cursor, struct place *place)
+{
+  if (cursor[0] == MISNAMED)
+    return mo_decimal(cursor + 1, strlen(cursor + 1), 1, INT64_MAX, &place->misnamed_passed);
+  place->after_name = cursor;
+  return mo_controller_name_check(cursor) == MO_OK;
+}
+
+/* Returns how many, or an error. *n_misnamed: of these, at their end. */
+static int64_t read_page(struct mo_store *store, const struct place *place, struct mo_controller_record *records,
+                         size_t limit, int64_t *n_misnamed)
+{
+  int64_t n = place->misnamed_passed > 0 ? 0 : mo_store_controllers(store, place->after_name, records, limit);
+  *n_misnamed = n < 0 || (size_t)n == limit
+                    ? 0
+                    : mo_store_controllers_misnamed(store, place->misnamed_passed, records + n, limit - (size_t)n);
+  return *n_misnamed < 0 ? *n_misnamed : n + *n_misnamed;
+}
+
 void mo_handle_controllers(struct mo_request *request)
 {
   static const char *const names[] = {"limit", "cursor"};
   struct mo_store *store = request->http->services.store;
   struct mo_query_value values[2];
+  struct place place = {0};
   size_t limit;
   if (!mo_query_read(request, names, values, 2) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[0], &limit))
     return;
-  if (values[1].present && mo_controller_name_check(values[1].text) != MO_OK) {
+  if (values[1].present && !read_place(values[1].text, &place)) {
     mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
     return;
   }
   struct mo_controller_record *records = malloc(limit * sizeof(*records));
-  int64_t n = records != NULL ? mo_store_controllers(store, values[1].present ? values[1].text : NULL, records, limit)
-                              : MO_ERR_NO_MEMORY;
+  int64_t n_misnamed = 0;
+  int64_t n = records != NULL ? read_page(store, &place, records, limit, &n_misnamed) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   struct mo_unreadable unreadable = {0};
   mo_text_add(&text, "{\"items\":[");
@@ -78,7 +107,9 @@ void mo_handle_controllers(struct mo_request *request)
     code = write_controller(store, &text, &records[i]);
   }
   mo_text_add(&text, "],\"next_cursor\":");
-  if (n > 0 && (size_t)n == limit)
+  if (n_misnamed > 0 && (size_t)n == limit)
+    mo_text_format(&text, "\"%c%" PRId64 "\"", MISNAMED, place.misnamed_passed + n_misnamed);
+  else if (n > 0 && (size_t)n == limit)
     mo_text_json_string(&text, records[n - 1].name, strlen(records[n - 1].name));
   else
     mo_text_add(&text, "null");

@@ -301,6 +301,22 @@ static const struct mo_column_range *find_outside(sqlite3_stmt *row)
   return NULL;
 }
 
+/* Whether a row has a name that can be asked for: of a damaged one there may be any bytes, and any number of them. */
+static bool has_name(sqlite3_stmt *statement, int column)
+{
+  if (sqlite3_column_type(statement, column) != SQLITE_TEXT)
+    return false;
+  const char *name = (const char *)sqlite3_column_text(statement, column);
+  return name != NULL && strlen(name) == (size_t)sqlite3_column_bytes(statement, column) &&
+         mo_controller_name_check(name) == MO_OK;
+}
+
+static void misname(struct mo_controller_record *record)
+{
+  snprintf(record->damage, sizeof(record->damage), "controller_names.name is no name");
+}
+
+/* A name that is NULL: asked for by its hash. */
 static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
 {
   memset(record, 0, sizeof(*record));
@@ -315,7 +331,9 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   record->stored_us = sqlite3_column_int64(statement, 10);
   const long long row = sqlite3_column_int64(statement, 7);
   const struct mo_column_range *outside = find_outside(statement);
-  if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
+  if (sqlite3_column_type(statement, 8) != SQLITE_NULL && !has_name(statement, 8))
+    misname(record);
+  else if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
     snprintf(record->damage, sizeof(record->damage),
              "controller_names.controller of %s is %lld, which controllers has not", record->name, row);
   else if (mo_column_hash(statement, 0, &record->sha256) != MO_OK)
@@ -337,24 +355,49 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name, str
 {
   static const char sql[] =
       "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
-      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name LIMIT ?2";
+      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
-  int64_t n = 0;
+  size_t n = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   if (statement != NULL) {
-    int step;
+    int step = 0;
     sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
-    sqlite3_bind_int64(statement, 2, (sqlite3_int64)limit);
-    while ((step = mo_sql_step(reader, statement)) > 0)
-      (void)record_from_row(statement, &records[n++]); /* it says so itself */
+    while (n < limit && (step = mo_sql_step(reader, statement)) > 0)
+      if (has_name(statement, 8))
+        (void)record_from_row(statement, &records[n++]); /* it says so itself */
     if (step < 0)
       error = step;
     (void)sqlite3_reset(statement);
     (void)sqlite3_clear_bindings(statement);
   }
   mo_reader_release(store, reader);
-  return error != MO_OK ? error : n;
+  return error != MO_OK ? error : (int64_t)n;
+}
+
+int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over, struct mo_controller_record *records,
+                                      size_t limit)
+{
+  static const char sql[] = "SELECT name FROM controller_names ORDER BY name";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  size_t n = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step = 0;
+    while (n < limit && (step = mo_sql_step(reader, statement)) > 0) {
+      if (has_name(statement, 0) || passed_over-- > 0)
+        continue;
+      memset(&records[n], 0, sizeof(records[n]));
+      mo_column_text(statement, 0, records[n].name, sizeof(records[n].name));
+      misname(&records[n++]);
+    }
+    if (step < 0)
+      error = step;
+    (void)sqlite3_reset(statement);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : (int64_t)n;
 }
 
 int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record)
@@ -362,7 +405,7 @@ int mo_store_controller(struct mo_store *store, const char *name, struct mo_cont
   static const char by_name[] =
       "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
       " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
-  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",c.id,'',1,c.stored_us FROM controllers c WHERE c.id=?1";
+  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",c.id,NULL,1,c.stored_us FROM controllers c WHERE c.id=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   bool hashed = strncmp(name, "sha256:", 7) == 0;
   sqlite3_stmt *statement = NULL;

@@ -116,7 +116,7 @@ struct mo_controller_record {
   struct mo_workspace workspace;
   uint64_t n_parameters;
   int64_t stored_us;            /* when this name got this content (by hash: when the content came) */
-  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the name can. "": all is well */
+  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row. "": all is well */
 };
 
 /* One page row of designs. */

@@ -148,6 +148,10 @@ int mo_store_design_count(struct mo_store *store, uint64_t *n);
 
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
                              size_t limit); /* by name; after_name NULL: from the first */
+/* Those whose names are damaged, which the other list leaves out, in an order that stays, after the first passed_over: with damage, and the
+ * beginning of what they are called. */
+int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over, struct mo_controller_record *records,
+                                      size_t limit);
 /* `name`: a name, or "sha256:<64 hex>". MO_ERR_NOT_FOUND. */
 int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record);
 /* The file's bytes (malloc). Checked against the hash: MO_ERR_CORRUPT. */
