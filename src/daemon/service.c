@@ -349,6 +349,11 @@ static int fail_with(struct mo_message *message, int error, int otherwise)
 {
   if (message->text[0] == 0)
     snprintf(message->text, sizeof(message->text), "%s", mo_error_text(error));
+  if (error == MO_ERR_NO_SPACE) {
+    size_t n = strlen(message->text);
+    snprintf(message->text + n, sizeof(message->text) - n,
+             ": make room on the disk of the state folder, then start again");
+  }
   return exit_status_of(error, otherwise);
 }
 

@@ -66,7 +66,8 @@ struct mo_operation {
   int (*run)(struct mo_store *store, void *arguments);
   void *arguments;
   void (*done)(void *arguments, int status); /* NULL: somebody waits */
-  bool is_urgent;                            /* may use the room that is set aside */
+  bool is_urgent;                            /* may use the room that is set aside ... */
+  bool is_opening;                           /* ... in small pieces, as many as one opening may */
   int status;
   bool finished;
   size_t first_event; /* of this operation in the batch's events */
@@ -105,7 +106,7 @@ struct mo_store {
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
   int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
-  int wal_frames, checkpoint_frames;
+  int wal_frames, checkpoint_frames, pieces_cut;
   bool reserve_whole;
 
   pthread_mutex_t
@@ -131,6 +132,8 @@ int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *ar
 /* The same for what people need on a full disk: it may use the room that is set aside. Small, and nothing
  * that jobs do or try again by themselves. */
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments);
+/* The same for what every start writes. */
+int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments);
 /* Like mo_write without waiting; `done` frees what is to be freed. */
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
                    void (*done)(void *arguments, int status));
@@ -148,9 +151,13 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 
 /* ---- room set aside ---- */
 
-/* Of the writer's thread alone. */
-void mo_reserve_make(struct mo_store *store); /* if it is not whole; every few seconds at most */
-bool mo_reserve_cut(struct mo_store *store);  /* true: there is some room now, and the store is short of it */
+/* Of the writer's thread alone, and of the opening before that starts. */
+/* If it is not whole, every few seconds at most. No room for that: the store is short of it. */
+void mo_reserve_make(struct mo_store *store);
+/* true: there is some room now, and the store is short of it. */
+bool mo_reserve_cut(struct mo_store *store);
+/* The same for what an opening writes; false, too, when it has had its part, or no more is left than is kept for people. */
+bool mo_reserve_cut_piece(struct mo_store *store);
 
 /* ---- shared queries ---- */
 

@@ -1,7 +1,8 @@
 /* open.c: opening, migrating and closing a state folder; the pool of readers.
  *
- * Order: lock, database, application id and version, quick_check after an unclean stop, migrations, epoch, readers, writer. The
- * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. */
+ * Order: lock, database, application id and version, quick_check after an unclean stop, migrations, epoch, readers, reserve, writer. The
+ * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. On a full disk the log's
+ * index and the epoch get their room from the reserve, a migration does not. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -159,29 +160,59 @@ static int use_log(const struct mo_store *store, struct mo_connection *writer, s
                  store->path);
 }
 
+struct header {
+  int64_t application, version, tables;
+};
+
+/* The first that reads the database, for which the log's index is made anew. */
+static int read_header(struct mo_store *store, struct header *header)
+{
+  struct mo_connection *writer = &store->writer;
+  int error = mo_connection_open(store, true, writer);
+  if (error == MO_OK)
+    error = get_pragma(writer, "PRAGMA application_id", &header->application);
+  if (error == MO_OK)
+    error = get_pragma(writer, "PRAGMA user_version", &header->version);
+  if (error == MO_OK)
+    error = get_pragma(writer, "SELECT count(*) FROM sqlite_schema", &header->tables);
+  if (error == MO_ERR_NO_SPACE)
+    mo_connection_close(writer);
+  return error;
+}
+
+static int count_opening(struct mo_connection *writer)
+{
+  int error = mo_sql_exec(writer, "BEGIN IMMEDIATE;"
+                                  "INSERT INTO meta(key,value) VALUES('epoch',1)"
+                                  " ON CONFLICT(key) DO UPDATE SET value=value+1;"
+                                  "INSERT INTO meta(key,value) VALUES('clean',0)"
+                                  " ON CONFLICT(key) DO UPDATE SET value=0;"
+                                  "COMMIT");
+  if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
+    (void)mo_sql_exec(writer, "ROLLBACK");
+  return error;
+}
+
 static int prepare_database(struct mo_store *store, struct mo_message *message)
 {
   struct mo_connection *writer = &store->writer;
-  int64_t application = 0, version = 0, tables = 0, clean = 1;
-  int error = mo_connection_open(store, true, writer);
-  if (error == MO_OK)
-    error = get_pragma(writer, "PRAGMA application_id", &application);
-  if (error == MO_OK)
-    error = get_pragma(writer, "PRAGMA user_version", &version);
-  if (error == MO_OK)
-    error = get_pragma(writer, "SELECT count(*) FROM sqlite_schema", &tables);
+  struct header header = {.version = 0};
+  int64_t clean = 1;
+  int error = read_header(store, &header);
+  while (error == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
+    error = read_header(store, &header);
   if (error == MO_ERR_CORRUPT)
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged", store->database_path);
   if (error != MO_OK)
     return mo_fail(message, error, "cannot open %s: %s", store->database_path, mo_error_text(error));
-  if (application != MO_APPLICATION_ID && (application != 0 || tables != 0))
+  if (header.application != MO_APPLICATION_ID && (header.application != 0 || header.tables != 0))
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
-  if (version > migration_count || version < 0)
+  if (header.version > migration_count || header.version < 0)
     return mo_fail(message, MO_ERR_UNSUPPORTED,
                    "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
-                   store->database_path, (long long)version, migration_count);
+                   store->database_path, (long long)header.version, migration_count);
   error = use_log(store, writer, message);
-  if (error == MO_OK && version > 0) {
+  if (error == MO_OK && header.version > 0) {
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
     if (error == MO_OK && !clean)
       error = check_structure(writer, message);
@@ -190,15 +221,13 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     if (error == MO_ERR_CORRUPT)
       return error;
   }
-  if (error == MO_OK && version < migration_count)
-    error = migrate(writer, version, message);
-  if (error == MO_OK)
-    error = mo_sql_exec(writer, "BEGIN IMMEDIATE;"
-                                "INSERT INTO meta(key,value) VALUES('epoch',1)"
-                                " ON CONFLICT(key) DO UPDATE SET value=value+1;"
-                                "INSERT INTO meta(key,value) VALUES('clean',0)"
-                                " ON CONFLICT(key) DO UPDATE SET value=0;"
-                                "COMMIT");
+  if (error == MO_OK && header.version < migration_count)
+    error = migrate(writer, header.version, message);
+  if (error == MO_OK) {
+    error = count_opening(writer);
+    while (error == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
+      error = count_opening(writer);
+  }
   if (error == MO_OK)
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='epoch'", &store->epoch);
   if (error != MO_OK && message != NULL && message->text[0] == '\0')

@@ -3,8 +3,9 @@
  * A file of 4 MiB holds the room: a change of a job's state takes some 20 KiB of the log. An urgent operation that finds none gives a slice of
  * the file back and is run again. From then on the store is short of room: only urgent operations may change anything, no file is written, and
  * the log is not copied into the database, for jobs try their writes again every second, and each of these would take what was given back. That
- * ends when the file is whole again, which comes before all that waits for room. On file systems that compress or share blocks it may hold less
- * than its size. */
+ * ends when the file is whole again, which comes before all that waits for room, and is not forgotten over a restart: an opening that finds no
+ * room to make the file whole begins short of it. What an opening writes itself gets its room in small pieces, and never the last slice, which
+ * is for people, however often the process ends and starts. On file systems that compress or share blocks it may hold less than its size. */
 #include <errno.h>
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -14,6 +15,8 @@
 
 #define RESERVE_BYTES ((off_t)4 << 20)
 #define SLICE_BYTES   ((off_t)256 << 10)
+#define PIECE_BYTES   ((off_t)8 << 10) /* a page with its header, on two blocks of a disk */
+#define PIECES_MAX    128              /* 1 MiB in one opening */
 #define EVERY_US      INT64_C(5000000)
 #define SHORT_US      INT64_C(100000) /* while others wait for it */
 
@@ -56,11 +59,15 @@ void mo_reserve_make(struct mo_store *store)
   store->reserve_us = now;
   error = make_whole(store);
   store->reserve_whole = error == 0;
-  if (error == 0 || error == EFBIG) /* a limit on files does not pass as want of room does */
+  if (error == 0 || error == EFBIG) { /* a limit on files does not pass as want of room does */
     atomic_store(&store->is_short, false);
+  } else if (error == ENOSPC || error == EDQUOT) {
+    atomic_store(&store->is_short, true);
+    atomic_store(&store->no_space, true);
+  }
 }
 
-bool mo_reserve_cut(struct mo_store *store)
+static bool cut(struct mo_store *store, off_t bytes, off_t kept)
 {
   off_t size = 0;
   bool was_cut;
@@ -68,11 +75,24 @@ bool mo_reserve_cut(struct mo_store *store)
   store->reserve_whole = false;
   if (fd < 0)
     return false;
-  was_cut = size > 0 && ftruncate(fd, size > SLICE_BYTES ? size - SLICE_BYTES : 0) == 0;
+  was_cut = size > kept && ftruncate(fd, size - bytes > kept ? size - bytes : kept) == 0;
   close(fd);
   if (was_cut) {
     atomic_store(&store->is_short, true);
     atomic_store(&store->no_space, true);
   }
   return was_cut;
+}
+
+bool mo_reserve_cut(struct mo_store *store)
+{
+  return cut(store, SLICE_BYTES, 0);
+}
+
+bool mo_reserve_cut_piece(struct mo_store *store)
+{
+  if (store->pieces_cut == PIECES_MAX)
+    return false;
+  store->pieces_cut++;
+  return cut(store, PIECE_BYTES, SLICE_BYTES);
 }

@@ -189,7 +189,7 @@ static int requeue(struct mo_store *store, void *arguments)
 int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts, const char *text)
 {
   struct requeue_arguments call = {crashed, max_attempts, text};
-  return mo_write(store, requeue, &call);
+  return mo_write_opening(store, requeue, &call);
 }
 
 struct fingerprint_arguments {
@@ -226,7 +226,7 @@ static int fingerprint(struct mo_store *store, void *arguments)
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 {
   struct fingerprint_arguments call = {.text = text};
-  int error = mo_write(store, fingerprint, &call);
+  int error = mo_write_opening(store, fingerprint, &call);
   if (error == MO_OK)
     *id = call.id;
   return error;

@@ -4,8 +4,9 @@
  *   <path>/controllers/<sha256>.safetensors     weights, by content
  *   <path>/trainings/<job>/<step>.checkpoint    states of trainings (store/trainings.h)
  *   <path>/campaigns/<job>/<generation>-<step>.checkpoint    states of the learning of campaigns (store/campaigns.h)
- *   <path>/reserve                              4 MiB that pausing, cancelling and deleting may use when the disk is full; until they are there
- *                                               again all other writes give MO_ERR_NO_SPACE
+ *   <path>/reserve                              4 MiB that pausing, cancelling and deleting may use when the disk is full, and of which an opening
+ *                                               may use a little; until they are there again, after another opening, too, all other
+ *                                               writes give MO_ERR_NO_SPACE
  *   <path>/lock                                 held while a process uses the folder
  *
  * One connection, on a thread of its own, writes: callers hand it operations, each runs in a savepoint, all that are waiting
@@ -44,9 +45,9 @@ struct mo_store_config {
 
 /* Opens or creates. MO_ERR_BUSY: another process uses the folder; MO_ERR_UNSUPPORTED: written by a newer version, or on
  * a file system without shared memory;
- * MO_ERR_FORMAT: not our database; MO_ERR_NOT_FOUND: no such folder; MO_ERR_IO: not writable. After an unclean stop it runs
- * SQLite's quick_check (MO_ERR_CORRUPT), but for the tables' CHECKs: readings name such rows. Stores the paper's test set, or puts its
- * rows right. */
+ * MO_ERR_FORMAT: not our database; MO_ERR_NOT_FOUND: no such folder; MO_ERR_IO: not writable; MO_ERR_NO_SPACE: nor is there
+ * enough in the reserve. After an unclean stop it runs SQLite's quick_check (MO_ERR_CORRUPT), but for the tables' CHECKs: readings name
+ * such rows. Stores the paper's test set, or puts its rows right. */
 int mo_store_open(const struct mo_store_config *config, struct mo_store **store, struct mo_message *message);
 /* Finishes what is queued, checkpoints, closes. NULL-safe. No other call may be under way. */
 void mo_store_close(struct mo_store *store);

@@ -228,8 +228,12 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 /* With the room that is set aside, slice by slice: others may take some of it before they see that it is not theirs. */
 static void finish_urgent(struct mo_store *store, struct mo_operation *operation)
 {
-  for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store); n++)
-    finish_alone(store, operation);
+  if (operation->is_opening)
+    while (operation->status == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
+      finish_alone(store, operation);
+  else
+    for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store); n++)
+      finish_alone(store, operation);
 }
 
 /* One alone needs no savepoint: a large one would copy every page that it changes. While the store is short of room each runs alone: a
@@ -481,6 +485,12 @@ int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *ar
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
 {
   return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
+}
+
+int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+{
+  return write_and_wait(
+      store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true, .is_opening = true});
 }
 
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,

@@ -14,7 +14,7 @@ PHYSICS = {"n_steps": 100}
 def fill(path):
     """Takes all room but nothing of what is there; returns the file that does."""
     filler = pathlib.Path(path) / "filler"
-    with open(filler, "wb", buffering=0) as file:
+    with open(filler, "ab", buffering=0) as file:
         try:
             while True:
                 file.write(b"\0" * 65536)
@@ -167,6 +167,70 @@ def test_campaigns_wait_on_a_full_disk(small_disk, seed):
         before = generation(first)
         until(lambda: generation(first) > before, "it does not go on")
         ask("cancel", first, 200, 202)
+        assert one.stop()[0] == 0
+        check_database(one.state)
+    finally:
+        one.close()
+
+
+def test_killed_on_a_full_disk(small_disk, seed):
+    """The way out outlives the process: killed on a full disk it starts again, short of room as it was; without the reserve it says what to do."""
+    one = Daemon(small_disk + "/d")
+    one.log = pathlib.Path(small_disk).parent / "log"
+    one.port_file = pathlib.Path(small_disk).parent / "address"
+    reserve = one.state / "reserve"
+
+    def cancel(job):
+        reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+        assert reply.status_code in (200, 202), f"{reply.text}\n{one.tail()}"
+
+    def submit():
+        return one.post({"designs": bodies(seed + 50, 1), "physics": PHYSICS}).status_code
+
+    try:
+        one.start()
+        before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+        jobs = [one.submit({"designs": bodies(seed + 1 + k, 200), "physics": {"n_steps": 20000}}) for k in range(4)]
+        whole = reserve.stat().st_size
+        filler = fill(small_disk)
+        for _ in range(200):  # the log may have a few pages of its own left
+            if submit() in (503, 507):
+                break
+        cancel(jobs[0])
+        for n in range(12):
+            one.kill()
+            fill(small_disk)
+            one.start()
+            assert one.get("/healthz").status_code == 200
+            assert one.get("/readyz").status_code == 503
+            assert submit() in (503, 507)
+            assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
+            assert one.get(f"/v1/jobs/{jobs[0]}").json()["state"] == "cancelled"
+            if n in (4, 8):
+                cancel(jobs[n // 4])
+        assert whole / 2 < reserve.stat().st_size < whole
+        one.kill()
+        reserve.unlink()
+        for _ in range(20):
+            fill(small_disk)
+            one.spawn()
+            try:
+                status = one.process.wait(3)
+                break
+            except subprocess.TimeoutExpired:  # the log had a few pages of its own left
+                one.kill()
+        assert status == 74, one.tail()
+        assert "no space" in one.tail() and "make room" in one.tail(), one.tail()
+        filler.unlink()
+        one.start()
+        end = time.monotonic() + 20
+        while one.get("/readyz").status_code != 200:
+            assert time.monotonic() < end, one.tail()
+            time.sleep(0.05)
+        assert reserve.stat().st_size == whole
+        cancel(jobs[3])
+        again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+        assert again["results"] == before["results"]
         assert one.stop()[0] == 0
         check_database(one.state)
     finally:
