@@ -28,70 +28,68 @@ def fill(path):
     return filler
 
 
-def test_full_disk(small_disk, seed):
+@pytest.fixture(name="one")
+def daemon_on_small_disk(small_disk):
+    """Its state is on the small disk, what it tells is not. Tests start it."""
     one = Daemon(small_disk + "/d")
     one.log = pathlib.Path(small_disk).parent / "log"
     one.port_file = pathlib.Path(small_disk).parent / "address"
-    try:
-        one.start()
-        before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
-        filler = fill(small_disk)
-        refusals = 0
-        accepted = []
-        for k in range(8):
-            reply = one.post({"designs": bodies(seed + 100 + k, 200), "physics": PHYSICS}, key=f"full {k}")
-            if reply.status_code in (200, 202):
-                accepted.append(reply.json()["id"])  # the write-ahead log had a few pages of its own left
-                continue
-            assert reply.status_code in (503, 507), reply.text
-            assert reply.headers["Content-Type"].startswith("application/problem+json")
-            assert "Retry-After" in reply.headers
-            assert "space" in reply.text or "full" in reply.text or "room" in reply.text, reply.text
-            refusals += 1
-        assert refusals > 0
-        assert one.process.poll() is None, one.tail()
-        assert one.get("/healthz").status_code == 200
-        # What is stored can be read all the while.
-        assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
-        filler.unlink()
-        until = time.monotonic() + 20
-        while True:
-            reply = one.post({"designs": bodies(seed + 7, 5), "physics": PHYSICS}, key="after")
-            if reply.status_code in (200, 202):
-                break
-            assert reply.status_code in (503, 507) and time.monotonic() < until, reply.text
-            time.sleep(0.2)
-        assert one.finish(reply.json()["id"])["state"] == "succeeded"
-        for job in accepted:
-            assert one.finish(job)["state"] == "succeeded"
-        again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
-        assert again["results"] == before["results"]
-        assert one.stop()[0] == 0
-        check_database(one.state)
-    finally:
-        one.close()
+    yield one
+    one.close()
 
 
-def test_full_disk_while_it_computes(small_disk, seed):
+def test_full_disk(one, small_disk, seed):
+    one.start()
+    before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+    filler = fill(small_disk)
+    refusals = 0
+    accepted = []
+    for k in range(8):
+        reply = one.post({"designs": bodies(seed + 100 + k, 200), "physics": PHYSICS}, key=f"full {k}")
+        if reply.status_code in (200, 202):
+            accepted.append(reply.json()["id"])  # the write-ahead log had a few pages of its own left
+            continue
+        assert reply.status_code in (503, 507), reply.text
+        assert reply.headers["Content-Type"].startswith("application/problem+json")
+        assert "Retry-After" in reply.headers
+        assert "space" in reply.text or "full" in reply.text or "room" in reply.text, reply.text
+        refusals += 1
+    assert refusals > 0
+    assert one.process.poll() is None, one.tail()
+    assert one.get("/healthz").status_code == 200
+    # What is stored can be read all the while.
+    assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
+    filler.unlink()
+    until = time.monotonic() + 20
+    while True:
+        reply = one.post({"designs": bodies(seed + 7, 5), "physics": PHYSICS}, key="after")
+        if reply.status_code in (200, 202):
+            break
+        assert reply.status_code in (503, 507) and time.monotonic() < until, reply.text
+        time.sleep(0.2)
+    assert one.finish(reply.json()["id"])["state"] == "succeeded"
+    for job in accepted:
+        assert one.finish(job)["state"] == "succeeded"
+    again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+    assert again["results"] == before["results"]
+    assert one.stop()[0] == 0
+    check_database(one.state)
+
+
+def test_full_disk_while_it_computes(one, small_disk, seed):
     """Room runs out while scores are being saved: the job waits, and ends when there is room."""
-    one = Daemon(small_disk + "/d")
-    one.log = pathlib.Path(small_disk).parent / "log"
-    one.port_file = pathlib.Path(small_disk).parent / "address"
-    try:
-        one.start()
-        job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
-        filler = fill(small_disk)
-        time.sleep(2)
-        assert one.process.poll() is None, one.tail()
-        assert one.get("/healthz").status_code == 200
-        filler.unlink()
-        evaluation = one.finish(job)
-        assert evaluation["state"] == "succeeded", evaluation
-        assert one.stop()[0] == 0
-        check_database(one.state)
-        full = stored_scores(one.state)
-    finally:
-        one.close()
+    one.start()
+    job = one.submit({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
+    filler = fill(small_disk)
+    time.sleep(2)
+    assert one.process.poll() is None, one.tail()
+    assert one.get("/healthz").status_code == 200
+    filler.unlink()
+    evaluation = one.finish(job)
+    assert evaluation["state"] == "succeeded", evaluation
+    assert one.stop()[0] == 0
+    check_database(one.state)
+    full = stored_scores(one.state)
     quiet = Daemon(pathlib.Path(small_disk).parent / "quiet")
     with quiet:
         quiet.score({"designs": bodies(seed, 400), "physics": {"n_steps": 300}})
@@ -99,11 +97,8 @@ def test_full_disk_while_it_computes(small_disk, seed):
     assert stored_scores(quiet.state) == full
 
 
-def test_campaigns_wait_on_a_full_disk(small_disk, seed):
+def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     """Whatever waits for room, and however often it tries, people can pause, cancel and read; the room that is set aside comes back first."""
-    one = Daemon(small_disk + "/d")
-    one.log = pathlib.Path(small_disk).parent / "log"
-    one.port_file = pathlib.Path(small_disk).parent / "address"
     reserve = one.state / "reserve"
 
     def held():
@@ -131,53 +126,47 @@ def test_campaigns_wait_on_a_full_disk(small_disk, seed):
             assert time.monotonic() < end, f"{what}\n{one.tail()}"
             time.sleep(0.05)
 
-    try:
-        one.start()
-        jobs = []
-        for k in range(3):
-            reply = one.session.post(one.address + "/v1/campaigns", json={
-                "mode": "zero-shot", "population": 64, "generations": 100000, "seed": seed + k, "physics": {"n_steps": 30},
-                "exclude_pretraining": False})
-            assert reply.status_code == 202, reply.text
-            jobs.append(reply.json()["id"])
-        until(lambda: all(generation(job) >= 2 for job in jobs), "nothing runs")
-        whole = held()
-        filler = fill(small_disk)
-        until(lambda: all(reason and "no space" in reason for _, reason in map(state, jobs)), "no campaign waits")
-        first, second, third = jobs
-        for k in range(30):  # the log may have a few pages of its own left
-            ask("pause", first, 200, 202)
-            time.sleep(0.3)
-            ask("resume", first, 200, 202, 507)
-            time.sleep(0.3)  # the others try again every second
-            if k >= 4 and held() < whole:
-                break
-        assert one.get("/readyz").status_code == 503
-        ask("cancel", second, 200, 202)
-        assert state(second)[0] == "cancelled"
-        ask("pause", third, 200, 202)
-        assert ask("resume", third, 200, 202, 507) == 507, "what is set aside is not for that"
-        ask("cancel", third, 200, 202)
+    one.start()
+    jobs = []
+    for k in range(3):
+        reply = one.session.post(one.address + "/v1/campaigns", json={
+            "mode": "zero-shot", "population": 64, "generations": 100000, "seed": seed + k, "physics": {"n_steps": 30},
+            "exclude_pretraining": False})
+        assert reply.status_code == 202, reply.text
+        jobs.append(reply.json()["id"])
+    until(lambda: all(generation(job) >= 2 for job in jobs), "nothing runs")
+    whole = held()
+    filler = fill(small_disk)
+    until(lambda: all(reason and "no space" in reason for _, reason in map(state, jobs)), "no campaign waits")
+    first, second, third = jobs
+    for k in range(30):  # the log may have a few pages of its own left
         ask("pause", first, 200, 202)
-        assert one.get("/v1/jobs").status_code == 200 and one.get(f"/v1/campaigns/{first}/population").status_code == 200
-        assert 0 < held() < whole
-        filler.unlink()
-        until(lambda: held() == whole and one.get("/readyz").status_code == 200, "no room is seen")
-        ask("resume", first, 200, 202)
-        before = generation(first)
-        until(lambda: generation(first) > before, "it does not go on")
-        ask("cancel", first, 200, 202)
-        assert one.stop()[0] == 0
-        check_database(one.state)
-    finally:
-        one.close()
+        time.sleep(0.3)
+        ask("resume", first, 200, 202, 507)
+        time.sleep(0.3)  # the others try again every second
+        if k >= 4 and held() < whole:
+            break
+    assert one.get("/readyz").status_code == 503
+    ask("cancel", second, 200, 202)
+    assert state(second)[0] == "cancelled"
+    ask("pause", third, 200, 202)
+    assert ask("resume", third, 200, 202, 507) == 507, "what is set aside is not for that"
+    ask("cancel", third, 200, 202)
+    ask("pause", first, 200, 202)
+    assert one.get("/v1/jobs").status_code == 200 and one.get(f"/v1/campaigns/{first}/population").status_code == 200
+    assert 0 < held() < whole
+    filler.unlink()
+    until(lambda: held() == whole and one.get("/readyz").status_code == 200, "no room is seen")
+    ask("resume", first, 200, 202)
+    before = generation(first)
+    until(lambda: generation(first) > before, "it does not go on")
+    ask("cancel", first, 200, 202)
+    assert one.stop()[0] == 0
+    check_database(one.state)
 
 
-def test_killed_on_a_full_disk(small_disk, seed):
+def test_killed_on_a_full_disk(one, small_disk, seed):
     """The way out outlives the process: killed on a full disk it starts again, short of room as it was; without the reserve it says what to do."""
-    one = Daemon(small_disk + "/d")
-    one.log = pathlib.Path(small_disk).parent / "log"
-    one.port_file = pathlib.Path(small_disk).parent / "address"
     reserve = one.state / "reserve"
 
     def cancel(job):
@@ -187,60 +176,54 @@ def test_killed_on_a_full_disk(small_disk, seed):
     def submit():
         return one.post({"designs": bodies(seed + 50, 1), "physics": PHYSICS}).status_code
 
-    try:
-        one.start()
-        before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
-        jobs = [one.submit({"designs": bodies(seed + 1 + k, 200), "physics": {"n_steps": 20000}}) for k in range(4)]
-        whole = reserve.stat().st_size
-        filler = fill(small_disk)
-        for _ in range(200):  # the log may have a few pages of its own left
-            if submit() in (503, 507):
-                break
-        cancel(jobs[0])
-        for n in range(12):
-            one.kill()
-            fill(small_disk)
-            one.start()
-            assert one.get("/healthz").status_code == 200
-            assert one.get("/readyz").status_code == 503
-            assert submit() in (503, 507)
-            assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
-            assert one.get(f"/v1/jobs/{jobs[0]}").json()["state"] == "cancelled"
-            if n in (4, 8):
-                cancel(jobs[n // 4])
-        assert whole / 2 < reserve.stat().st_size < whole
+    one.start()
+    before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+    jobs = [one.submit({"designs": bodies(seed + 1 + k, 200), "physics": {"n_steps": 20000}}) for k in range(4)]
+    whole = reserve.stat().st_size
+    filler = fill(small_disk)
+    for _ in range(200):  # the log may have a few pages of its own left
+        if submit() in (503, 507):
+            break
+    cancel(jobs[0])
+    for n in range(12):
         one.kill()
-        reserve.unlink()
-        for _ in range(20):
-            fill(small_disk)
-            one.spawn()
-            try:
-                status = one.process.wait(3)
-                break
-            except subprocess.TimeoutExpired:  # the log had a few pages of its own left
-                one.kill()
-        assert status == 74, one.tail()
-        assert "no space" in one.tail() and "make room" in one.tail(), one.tail()
-        filler.unlink()
+        fill(small_disk)
         one.start()
-        end = time.monotonic() + 20
-        while one.get("/readyz").status_code != 200:
-            assert time.monotonic() < end, one.tail()
-            time.sleep(0.05)
-        assert reserve.stat().st_size == whole
-        cancel(jobs[3])
-        again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
-        assert again["results"] == before["results"]
-        assert one.stop()[0] == 0
-        check_database(one.state)
-    finally:
-        one.close()
+        assert one.get("/healthz").status_code == 200
+        assert one.get("/readyz").status_code == 503
+        assert submit() in (503, 507)
+        assert one.get(f"/v1/evaluations/{before['id']}").json()["results"] == before["results"]
+        assert one.get(f"/v1/jobs/{jobs[0]}").json()["state"] == "cancelled"
+        if n in (4, 8):
+            cancel(jobs[n // 4])
+    assert whole / 2 < reserve.stat().st_size < whole
+    one.kill()
+    reserve.unlink()
+    for _ in range(20):
+        fill(small_disk)
+        one.spawn()
+        try:
+            status = one.process.wait(3)
+            break
+        except subprocess.TimeoutExpired:  # the log had a few pages of its own left
+            one.kill()
+    assert status == 74, one.tail()
+    assert "no space" in one.tail() and "make room" in one.tail(), one.tail()
+    filler.unlink()
+    one.start()
+    end = time.monotonic() + 20
+    while one.get("/readyz").status_code != 200:
+        assert time.monotonic() < end, one.tail()
+        time.sleep(0.05)
+    assert reserve.stat().st_size == whole
+    cancel(jobs[3])
+    again = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
+    assert again["results"] == before["results"]
+    assert one.stop()[0] == 0
+    check_database(one.state)
 
 
-def test_start_on_a_full_disk(small_disk, seed):
-    one = Daemon(small_disk + "/d")
-    one.log = pathlib.Path(small_disk).parent / "log"
-    one.port_file = pathlib.Path(small_disk).parent / "address"
+def test_start_on_a_full_disk(one, small_disk, seed):
     filler = fill(small_disk)
     try:
         one.folder.mkdir(exist_ok=True)
