@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* Version of the code, for fingerprints: changes with every change of a bit. */
-#define MO_CUDA_GRADIENT_CODE "gradient-4"
+#define MO_CUDA_GRADIENT_CODE "gradient-5"
 
 /* What lasts from one call to the next on one device: its buffers, which grow to what the calls need. */
 struct mo_cuda_gradient_state;

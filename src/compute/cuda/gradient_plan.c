@@ -262,11 +262,12 @@ static bool fits(const struct shard *s, const struct mo_gp_group *g)
   return mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= s->options->shared_bytes;
 }
 
-/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of them; s->from_back says of how many. */
+/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of them; s->from_back says of how many: of sixteen at
+ * least, so that no pair has two large ones, which all would wait for. */
 static bool mixes(struct shard *s)
 {
   uint32_t masses = 0;
-  s->from_back = 0;
+  s->from_back = HALF;
   for (uint32_t i = 0; i < MO_GP_ROWS_MAX; i++)
     masses += body_of(s, MO_GP_ROWS_MAX, i)->n_masses;
   while (mo_gp_shared_bytes(MO_GP_ROWS_MAX, masses, MO_GP_OUTPUT_TILES) > s->options->shared_bytes) {
