@@ -5,9 +5,10 @@
  *                                                    in halves; robots that diverge or whose adjoints do, calls that are cancelled
  *   cuda-gradient alone [WORKERS]                    robots whose adjoints begin anew, each alone, against float64 under the same weight
  *                                                    and under another
- *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole groups and with halves,
+ *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole groups, some in halves, and halves,
  *                                                    otherwise of 1024 and of 8192
- *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, for compute-sanitizer and profilers
+ *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, with whole groups, with some in halves, and with
+ *                                                    halves, for compute-sanitizer and profilers
  *
  * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound, with the usual weight
  * ("restart=2:" with 2). Robots are distinct random bodies, each in a training environment; 1000 steps, bound 2. One line per measurement; exit
@@ -230,10 +231,10 @@ static void run_with(struct result *r, const struct mo_controller *controller, c
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
   printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f "
-         "(layout %.3f, upload %.3f); %.1f GB, %u groups%s, %u passes, %u ways back\n",
+         "(layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u passes, %u ways back\n",
          n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s,
-         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups,
-         p->halved > 0 ? " in halves" : "", p->passes, p->walks);
+         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->halved, p->passes,
+         p->walks);
 }
 
 static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
@@ -447,7 +448,7 @@ static void check_halves(const struct scene *s)
     struct mo_controller *controller = weights_of("1");
     struct mo_physics physics = mo_default_physics();
     struct mo_gradient_options options = options_of(cases[i].options);
-    struct result whole, halves;
+    struct result whole, some, halves;
     char what[96];
     physics.stiffness_n_per_m *= cases[i].stiffness;
     options.adjoint_bound *= cases[i].bound;
@@ -455,15 +456,22 @@ static void check_halves(const struct scene *s)
       controller->weight[MO_HIDDEN_LAYERS][k] *= (float)cases[i].last_layer;
     mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_NEVER);
     run_with(&whole, controller, s, 0, cases[i].n, &physics, &options, 0);
-    expect(mo_cuda_gradient_times(state)->halved == 0, "whole groups");
+    const uint32_t n_whole = mo_cuda_gradient_times(state)->halved;
+    mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_SOME);
+    run_with(&some, controller, s, 0, cases[i].n, &physics, &options, 0);
+    const uint32_t n_some = mo_cuda_gradient_times(state)->halved;
     mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_ALWAYS);
     run_with(&halves, controller, s, 0, cases[i].n, &physics, &options, 0);
-    expect(mo_cuda_gradient_times(state)->halved == mo_cuda_gradient_times(state)->passes, "groups in halves");
     mo_cuda_gradient_set_halves(state, MO_CUDA_HALVES_IF_FASTER);
+    expect(n_whole == 0 && n_some > 0 && n_some < mo_cuda_gradient_times(state)->halved,
+           "whole groups, some in halves, all in halves");
     snprintf(what, sizeof(what), "whole groups and halves have the same bits: %s", cases[i].name);
     expect(same_result(&whole, &halves, controller->n_parameters), what);
+    snprintf(what, sizeof(what), "so have some of both: %s", cases[i].name);
+    expect(same_result(&whole, &some, controller->n_parameters), what);
     print_counts(cases[i].name, &whole.call.counts);
     drop(&whole);
+    drop(&some);
     drop(&halves);
     mo_controller_free(controller);
   }
@@ -561,7 +569,8 @@ static void check_cancel(const struct scene *s)
 
 static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves halves, double bound_s)
 {
-  static const char *const names[] = {"", " as whole groups", " as groups in halves"};
+  static const char *const names[] = {"", " as whole groups", " as groups some of which are in halves",
+                                      " as groups in halves"};
   struct mo_controller *controller = weights_of("1");
   double total[REPEATS], device[REPEATS];
   mo_cuda_gradient_set_halves(state, halves);
@@ -616,9 +625,12 @@ int main(int argc, char **argv)
     const uint32_t n = argc > 2 ? (uint32_t)atoi(argv[2]) : 40, n_steps = argc > 3 ? (uint32_t)atoi(argv[3]) : 2;
     make_scene(&s, n);
     struct mo_controller *controller = weights_of("1");
-    struct result r;
-    run(&r, controller, &s, 0, n, n_steps, 0);
-    drop(&r);
+    for (int halves = MO_CUDA_HALVES_NEVER; halves <= MO_CUDA_HALVES_ALWAYS; halves++) {
+      struct result r;
+      mo_cuda_gradient_set_halves(state, (enum mo_cuda_halves)halves);
+      run(&r, controller, &s, 0, n, n_steps, 0);
+      drop(&r);
+    }
     mo_controller_free(controller);
   } else {
     make_scene(&s, 2 * MO_DEVICE_SHARD);

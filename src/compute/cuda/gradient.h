@@ -19,7 +19,7 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *state);             /*
 void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
 /* Whether groups of robots are walked in halves, by two blocks each, where there are multiprocessors for them: the bits are the same. For checks:
  * the state begins with MO_CUDA_HALVES_IF_FASTER. */
-enum mo_cuda_halves { MO_CUDA_HALVES_IF_FASTER, MO_CUDA_HALVES_NEVER, MO_CUDA_HALVES_ALWAYS };
+enum mo_cuda_halves { MO_CUDA_HALVES_IF_FASTER, MO_CUDA_HALVES_NEVER, MO_CUDA_HALVES_SOME, MO_CUDA_HALVES_ALWAYS };
 void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *state, enum mo_cuda_halves halves);
 
 /* mo_device_module.gradient. memory_bytes: most device memory to use; 0: what is free. */
@@ -38,7 +38,7 @@ struct mo_cuda_gradient_profile {
   double plan_s, upload_s, forward_s, back_s, products_s, collect_s; /* the last four: of the device, by its clock */
   uint64_t device_bytes;                                             /* held */
   uint32_t passes, groups, walks; /* parts in which the call went; groups; ways back */
-  uint32_t halved;                /* passes whose groups were walked in halves */
+  uint32_t halved;                /* groups that were walked in halves */
 };
 const struct mo_cuda_gradient_profile *mo_cuda_gradient_times(const struct mo_cuda_gradient_state *state);
 

@@ -256,16 +256,33 @@ __device__ __forceinline__ void back<MT, SHARE>::control_back(uint32_t step, wei
   __syncthreads();
 }
 
-/* What the step before this one will read. */
+/* What the step before this one will read: of a half, its own masses, chunks and rows. */
 template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::fetch_step(uint32_t step)
 {
-  const uint32_t masses = 12 * n_masses, chunks = 64 * n_chunks, normals = TAPE_ROWS * MO_HIDDEN * 2;
-  fetch(tape + position_at + (size_t)step * masses, masses);
-  fetch(tape + velocity_at + (size_t)step * masses, masses);
-  fetch(tape + activation_at + (size_t)step * chunks, chunks);
+  enum { ROW_BYTES = MO_HIDDEN * 2 };
+  const uint32_t masses = 4 * n_masses, normals = TAPE_ROWS * ROW_BYTES;
+  if (SHARE == 1) {
+    fetch(tape + position_at + (size_t)step * 3 * masses, 3 * masses);
+    fetch(tape + velocity_at + (size_t)step * 3 * masses, 3 * masses);
+  } else {
 #pragma unroll 1
-  for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
-    fetch(tape + normal_at + l * layer_bytes + (size_t)step * normals, normals);
+    for (uint32_t axis = 0; axis < 3; axis++) {
+      const size_t at = (size_t)(3 * step + axis) * masses + 4 * half_begin;
+      fetch(tape + position_at + at, 4 * n_own);
+      fetch(tape + velocity_at + at, 4 * n_own);
+    }
+  }
+  fetch(tape + activation_at + ((size_t)step * n_chunks + block_chunk) * 64, 64 * block_chunks);
+#pragma unroll 1
+  for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
+    const unsigned char *rows_at = tape + normal_at + l * layer_bytes + (size_t)step * normals;
+    if (SHARE == 1) {
+      fetch(rows_at, normals);
+    } else {
+      fetch(rows_at + group_row(0) * ROW_BYTES, 8 * ROW_BYTES);
+      fetch(rows_at + group_row(8) * ROW_BYTES, 8 * ROW_BYTES);
+    }
+  }
 }
 
 template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::run()
@@ -318,7 +335,8 @@ template <int MT, int SHARE> __device__ __forceinline__ void back<MT, SHARE>::ru
     weights_ahead<MO_GK_AHEAD_BACK> ahead;
     start_ahead(ahead);
     __syncthreads();
-    fetch(k.springs + g.first_chunk * 32, 128 * n_chunks); /* they may be gone until the next step */
+    fetch(k.springs + (g.first_chunk + block_chunk) * 32,
+          128 * block_chunks); /* they may be gone until the next step */
     control_back(step, ahead);
     forget();
     sense_back(inputs);
@@ -347,17 +365,26 @@ static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group
   back<1, 1>(k, g, shared, task).run();
 }
 
-/* HALVES: of groups of 32 rows. */
-template <bool HALVES>
+/* Half of a group where others are whole: likewise. */
+static __device__ __noinline__ void walk_half(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
+                                              const mo_gk_task &task)
+{
+  back<1, 2>(k, g, shared, task).run();
+}
+
+/* WALKED: how groups of 32 rows are. */
+template <int WALKED>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   mo_gk_task task;
   if (!take_task(k, (uint32_t *)shared, &task))
     return;
-  const mo_gp_group &g = k.groups[task.walk >> 1];
-  if (g.n_rows == MO_GP_ROWS_MAX)
-    back<HALVES ? 1 : 2, HALVES ? 2 : 1>(k, g, shared, task).run();
+  const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
+  if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
+    walk_half(k, g, shared, task);
+  else if (g.n_rows == MO_GP_ROWS_MAX)
+    back<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
   else
     walk_small(k, g, shared, task);
   end_task(k, task);
@@ -365,18 +392,22 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __g
 
 extern "C" int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  uint32_t halves = 0;
-  int status = allow_shared(back_kernel<true>, block_bytes, &halves);
+  uint32_t halves = 0, mixed = 0;
+  int status = allow_shared(back_kernel<MO_GK_WHOLE>, block_bytes, dynamic_bytes);
   if (status == 0)
-    status = allow_shared(back_kernel<false>, block_bytes, dynamic_bytes);
-  *dynamic_bytes = min(*dynamic_bytes, halves);
+    status = allow_shared(back_kernel<MO_GK_HALVES>, block_bytes, &halves);
+  if (status == 0)
+    status = allow_shared(back_kernel<MO_GK_MIXED>, block_bytes, &mixed);
+  *dynamic_bytes = min(*dynamic_bytes, min(halves, mixed));
   return status;
 }
 
 extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
   const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-  (k->halves ? back_kernel<true>
-             : back_kernel<false>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  (k->walked == MO_GK_WHOLE ? back_kernel<MO_GK_WHOLE>
+   : k->walked == MO_GK_HALVES
+       ? back_kernel<MO_GK_HALVES>
+       : back_kernel<MO_GK_MIXED>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

@@ -34,6 +34,7 @@ template <int MT, int SHARE> struct back : walker<MT, SHARE> {
   const mo_gp_group &g;
   /* Copies of what the group says: a store might change the original, as far as the compiler knows. */
   int n_masses, n_chunks;
+  int block_chunk, block_chunks; /* the first of this block's, of the group's; how many */
   uint32_t first_row;
   const uint8_t *input;
   const uint32_t *list; /* this lane's springs */
@@ -63,6 +64,8 @@ template <int MT, int SHARE> struct back : walker<MT, SHARE> {
   {
     n_masses = (int)g.n_masses;
     n_chunks = (int)g.n_chunks;
+    block_chunk = SHARE > 1 && half > 0 ? (int)g.pair[own::PAIRS].first_chunk : 0;
+    block_chunks = (SHARE > 1 && half == 0 ? (int)g.pair[own::PAIRS].first_chunk : n_chunks) - block_chunk;
     first_row = g.first_row;
     input = k.input + g.first_mass + group_first();
     list = k.springs + (g.first_chunk + first_chunk) * 32 + lane;

@@ -548,17 +548,26 @@ static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group
   forward<1, 1>(k, g, shared, task).run();
 }
 
-/* HALVES: of groups of 32 rows. */
-template <bool HALVES>
+/* Half of a group where others are whole: likewise. */
+static __device__ __noinline__ void walk_half(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
+                                              const mo_gk_task &task)
+{
+  forward<1, 2>(k, g, shared, task).run();
+}
+
+/* WALKED: how groups of 32 rows are. */
+template <int WALKED>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
 {
   extern __shared__ __align__(16) unsigned char shared[];
   mo_gk_task task;
   if (!take_task(k, (uint32_t *)shared, &task))
     return;
-  const mo_gp_group &g = k.groups[task.walk >> 1];
-  if (g.n_rows == MO_GP_ROWS_MAX)
-    forward<HALVES ? 1 : 2, HALVES ? 2 : 1>(k, g, shared, task).run();
+  const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
+  if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
+    walk_half(k, g, shared, task);
+  else if (g.n_rows == MO_GP_ROWS_MAX)
+    forward<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
   else
     walk_small(k, g, shared, task);
   end_task(k, task);
@@ -566,18 +575,22 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const 
 
 extern "C" int mo_gk_open_forward(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  uint32_t halves = 0;
-  int status = allow_shared(forward_kernel<true>, block_bytes, &halves);
+  uint32_t halves = 0, mixed = 0;
+  int status = allow_shared(forward_kernel<MO_GK_WHOLE>, block_bytes, dynamic_bytes);
   if (status == 0)
-    status = allow_shared(forward_kernel<false>, block_bytes, dynamic_bytes);
-  *dynamic_bytes = min(*dynamic_bytes, halves);
+    status = allow_shared(forward_kernel<MO_GK_HALVES>, block_bytes, &halves);
+  if (status == 0)
+    status = allow_shared(forward_kernel<MO_GK_MIXED>, block_bytes, &mixed);
+  *dynamic_bytes = min(*dynamic_bytes, min(halves, mixed));
   return status;
 }
 
 extern "C" int mo_gk_forward(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
   const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-  (k->halves ? forward_kernel<true>
-             : forward_kernel<false>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  (k->walked == MO_GK_WHOLE ? forward_kernel<MO_GK_WHOLE>
+   : k->walked == MO_GK_HALVES
+       ? forward_kernel<MO_GK_HALVES>
+       : forward_kernel<MO_GK_MIXED>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

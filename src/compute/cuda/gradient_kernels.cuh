@@ -44,7 +44,7 @@ struct mo_gk_result {
 struct mo_gk {
   const struct mo_gp_group *groups;
   const struct mo_gp_row *rows;
-  const uint32_t *order; /* (n_walks) MO_GK_WALK: those that take longest first */
+  const uint32_t *order; /* (n_walks) MO_GK_WALK, some with MO_GK_HALVED: those that take longest first */
   const uint8_t *input;
   const uint32_t *springs;
   const float *generators; /* (n_steps, 5) */
@@ -56,7 +56,7 @@ struct mo_gk {
   struct mo_lane_physics physics;
   double bound, restart_weight;
   bool restarts; /* MO_ADJOINT_RESTART */
-  bool halves;   /* groups of 32 rows are walked by two blocks each */
+  int walked;    /* MO_GK_WHOLE … : how groups of 32 rows are walked */
   uint32_t n_steps, n_walks;
   uint32_t part_steps; /* of a task */
   uint32_t *tickets;   /* tasks handed out, then (by MO_GK_WALK) parts done; 0 before a launch */
@@ -67,6 +67,8 @@ struct mo_gk {
 
 /* What one block at a time walks through all steps: a group, or half of one. */
 #define MO_GK_WALK(group, half) ((uint32_t)(group) << 1 | (uint32_t)(half))
+#define MO_GK_HALVED            (UINT32_C(1) << 31) /* it is half of one */
+enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
 
 /* A way through all steps falls into *tasks*, a part of the steps of one walk each, so that no multiprocessor waits long for the last. A
  * block does one. Tasks are handed out part by part, in each the walks that take longest first; a task's block waits until its walk's part
@@ -168,7 +170,7 @@ static __device__ __forceinline__ bool take_task(const mo_gk &k, uint32_t *ticke
   if (threadIdx.x == 0) {
     uint32_t t = atomicAdd(k.tickets, 1);
     const uint32_t part = t / k.n_walks;
-    const uint32_t *done = k.tickets + 1 + k.order[t % k.n_walks];
+    const uint32_t *done = k.tickets + 1 + (k.order[t % k.n_walks] & ~MO_GK_HALVED);
     for (uint32_t at = 0;; __nanosleep(500)) {
       asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(at) : "l"(done) : "memory");
       if (*k.cancel != 0)
@@ -193,7 +195,9 @@ static __device__ __forceinline__ void end_task(const mo_gk &k, const mo_gk_task
   __syncthreads();
   if (threadIdx.x == 0) {
     __threadfence();
-    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + task.walk), "r"(task.part + 1) : "memory");
+    asm volatile("st.release.gpu.global.u32 [%0], %1;" ::"l"(k.tickets + 1 + (task.walk & ~MO_GK_HALVED)),
+                 "r"(task.part + 1)
+                 : "memory");
   }
 }
 

@@ -1,4 +1,5 @@
-/* gradient_pass.h: the parts in which a plan is gone through: as many whole shards as the device's memory holds, nearly always all. Plain C. */
+/* gradient_pass.h: the parts in which a plan is gone through: as many whole shards as the device's memory holds, nearly always all; and what of them
+ * two blocks walk together. Plain C. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PASS_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PASS_H
 
@@ -27,6 +28,9 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
 
 /* How long a group takes, compared with others. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g);
+
+/* How many of n groups should be walked in halves, those first that take longest, for all of them to end soonest. costs: (n), falling. */
+uint32_t mo_gradient_halved(const uint64_t *costs, uint32_t n, uint32_t multiprocessors);
 
 #ifdef __cplusplus
 }

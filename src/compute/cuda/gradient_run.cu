@@ -20,8 +20,6 @@ namespace {
 
 /* Of a task on the way forward or back; of a launch of products: shorter ones take longer. */
 enum { PART_STEPS = 50, PRODUCT_STEPS = 1000, RESERVE_BYTES = 768 << 20 };
-/* Groups per hundred multiprocessors. Of 132, 96 groups in halves took 0.094 s in place of 0.114, 128 groups 0.126 in place of 0.121. */
-enum { HALVES_UP_TO = 87 };
 
 struct work {
   mo_cuda_gradient_state *s;
@@ -29,16 +27,18 @@ struct work {
   const mo_gradient_plan *plan;
   mo_gradient_pass p;
   mo_gk k;
-  uint32_t n_jobs;
+  uint32_t n_jobs, n_halved;
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
-/* Whether two blocks to a group are faster than one: half a group takes 0.63 to 0.7 of a group's time. */
-bool walks_halves(const mo_cuda_gradient_state *s, uint32_t n_groups)
+/* How many of the groups, those first that take longest, are walked by two blocks each. costs: falling. */
+uint32_t count_halved(const mo_cuda_gradient_state *s, const std::vector<uint64_t> &costs)
 {
-  if (s->halves != MO_CUDA_HALVES_IF_FASTER)
-    return s->halves == MO_CUDA_HALVES_ALWAYS;
-  return 100 * (uint64_t)n_groups <= HALVES_UP_TO * (uint64_t)s->multiprocessors;
+  const uint32_t n = (uint32_t)costs.size();
+  return s->halves == MO_CUDA_HALVES_NEVER    ? 0
+         : s->halves == MO_CUDA_HALVES_ALWAYS ? n
+         : s->halves == MO_CUDA_HALVES_SOME   ? (n + 1) / 2
+                                              : mo_gradient_halved(costs.data(), n, (uint32_t)s->multiprocessors);
 }
 
 /* One that is handed out, and the parts done of each half of each group. */
@@ -63,11 +63,19 @@ int upload_pass(work &w)
   std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) {
     return mo_gradient_cost(&plan.groups[a]) > mo_gradient_cost(&plan.groups[b]);
   });
-  w.k.halves = walks_halves(s, n);
-  for (uint32_t i : order) {
-    walks.push_back(MO_GK_WALK(i, 0));
-    if (w.k.halves && plan.groups[i].n_rows > MO_GP_HALF_ROWS)
-      walks.push_back(MO_GK_WALK(i, 1));
+  std::vector<uint64_t> costs;
+  for (uint32_t i : order)
+    costs.push_back(mo_gradient_cost(&plan.groups[i]));
+  const uint32_t n_halved = count_halved(s, costs);
+  w.k.walked = n_halved == 0 ? MO_GK_WHOLE : n_halved == n ? MO_GK_HALVES : MO_GK_MIXED;
+  for (uint32_t nth = 0; nth < n; nth++) {
+    const uint32_t i = order[nth];
+    if (nth < n_halved && plan.groups[i].n_rows > MO_GP_HALF_ROWS) {
+      walks.push_back(MO_GK_WALK(i, 0) | MO_GK_HALVED);
+      walks.push_back(MO_GK_WALK(i, 1) | MO_GK_HALVED);
+      w.n_halved++;
+    } else
+      walks.push_back(MO_GK_WALK(i, 0));
     const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
     for (uint32_t b = 0; b < blocks; b++)
       jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_OUTPUT, b));
@@ -421,7 +429,7 @@ int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo
     report(w);
     s->profile.passes++;
     s->profile.groups += w.p.end - w.p.first;
-    s->profile.halved += w.k.halves;
+    s->profile.halved += w.n_halved;
     group = w.p.end;
     shard = w.p.end_shard;
   }

@@ -482,6 +482,26 @@ static void passes(void)
   drop_batch(&b);
 }
 
+/* All groups in halves where there are multiprocessors for them, none where there are too few, and otherwise those that all would wait for. */
+static void halves(void)
+{
+  enum { MULTIPROCESSORS = 132, MOST = 400 };
+  uint64_t costs[MOST];
+  for (uint32_t i = 0; i < MOST; i++)
+    costs[i] = 100000;
+  CHECK(mo_gradient_halved(costs, 1, MULTIPROCESSORS) == 1);
+  CHECK(mo_gradient_halved(costs, 64, MULTIPROCESSORS) == 64);
+  CHECK(mo_gradient_halved(costs, 96, MULTIPROCESSORS) == 96);
+  CHECK(mo_gradient_halved(costs, 128, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(costs, 256, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(costs, MOST, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(costs, 64, 108) == 64 && mo_gradient_halved(costs, 96, 108) == 0);
+  for (uint32_t i = 0; i < 8; i++)
+    costs[i] = 130000;
+  CHECK(mo_gradient_halved(costs, 128, MULTIPROCESSORS) == 8);
+  CHECK(mo_gradient_halved(costs, 256, MULTIPROCESSORS) == 0);
+}
+
 static void another_workspace(void)
 {
   struct mo_lattice *lattice = NULL;
@@ -510,5 +530,6 @@ static const struct check_case cases[] = {
     {"little shared memory: fewer robots in a group", small_shared_memory},
     {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
     {"passes of whole shards", passes},
+    {"groups in halves", halves},
     {"another workspace is left to the processor", another_workspace}};
 CHECK_MAIN(cases)
