@@ -121,6 +121,8 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret)
     if (status == cudaSuccess)
       status = cudaEventCreate(&mark);
   if (status == cudaSuccess)
+    status = cudaEventCreate(&s->copied);
+  if (status == cudaSuccess)
     status = cudaMalloc((void **)&s->cancel, sizeof(*s->cancel));
   if (status != cudaSuccess) {
     mo_cuda_gradient_free(s);
@@ -160,6 +162,8 @@ void mo_cuda_gradient_free(struct mo_cuda_gradient_state *s)
   for (cudaEvent_t mark : s->marks)
     if (mark != nullptr)
       cudaEventDestroy(mark);
+  if (s->copied != nullptr)
+    cudaEventDestroy(s->copied);
   if (s->beside != nullptr)
     cudaStreamDestroy(s->beside);
   if (s->stream != nullptr)

@@ -548,13 +548,6 @@ static __device__ __noinline__ void walk_small(const mo_gk &k, const mo_gp_group
   forward<1, 1>(k, g, shared, task).run();
 }
 
-/* Half of a group where others are whole: likewise. */
-static __device__ __noinline__ void walk_half(const mo_gk &k, const mo_gp_group &g, unsigned char *shared,
-                                              const mo_gk_task &task)
-{
-  forward<1, 2>(k, g, shared, task).run();
-}
-
 /* WALKED: how groups of 32 rows are. */
 template <int WALKED>
 static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const __grid_constant__ mo_gk k)
@@ -565,7 +558,7 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) forward_kernel(const 
     return;
   const mo_gp_group &g = k.groups[(task.walk & ~MO_GK_HALVED) >> 1];
   if (WALKED == MO_GK_MIXED && (task.walk & MO_GK_HALVED) != 0)
-    walk_half(k, g, shared, task);
+    forward<1, 2>(k, g, shared, task).run();
   else if (g.n_rows == MO_GP_ROWS_MAX)
     forward<WALKED == MO_GK_HALVES ? 1 : 2, WALKED == MO_GK_HALVES ? 2 : 1>(k, g, shared, task).run();
   else

@@ -28,6 +28,7 @@ struct work {
   mo_gradient_pass p;
   mo_gk k;
   uint32_t n_jobs, n_halved;
+  bool told;             /* the device, that the call is cancelled */
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
@@ -151,22 +152,21 @@ bool cancelled(const work &w)
   return w.call->cancel != nullptr && *w.call->cancel != 0;
 }
 
-/* Waits for the device; passes the caller's flag on to it. */
-int finish(work &w)
+/* Waits for what has been asked for up to `mark`; passes the caller's flag on to the device. */
+int wait_for(work &w, cudaEvent_t mark)
 {
   mo_cuda_gradient_state *s = w.s;
-  bool told = false;
   cudaError_t status;
-  while ((status = cudaStreamQuery(s->stream)) == cudaErrorNotReady) {
-    if (!told && cancelled(w)) {
-      told = true;
+  while ((status = cudaEventQuery(mark)) == cudaErrorNotReady) {
+    if (!w.told && cancelled(w)) {
+      w.told = true;
       cudaMemsetAsync(s->cancel, 1, sizeof(*s->cancel), s->beside);
     }
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
   if (status != cudaSuccess)
     return s->fail(status, "kernel");
-  return told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
+  return w.told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
 }
 
 int check(mo_cuda_gradient_state *s, int status, const char *what)
@@ -206,7 +206,18 @@ bool is_pinned(const void *memory)
   return known && attributes.type == cudaMemoryTypeHost;
 }
 
-/* Sums of the shards, and what came of the rows, to the host. */
+/* What came of the rows, to the host, which reports it while the products are taken. */
+int copy_results(work &w, cudaEvent_t after)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const int r = check(s,
+                      cudaMemcpyAsync(w.results, s->buffers[RESULTS].at, w.plan->n_rows * sizeof(mo_gk_result),
+                                      cudaMemcpyDeviceToHost, s->stream),
+                      "copy from the device");
+  return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
+}
+
+/* Sums of the shards, to the host. */
 int collect(work &w, float *to, cudaEvent_t after)
 {
   mo_cuda_gradient_state *s = w.s;
@@ -218,19 +229,13 @@ int collect(work &w, float *to, cudaEvent_t after)
   if (r == MO_OK)
     r = check(s, cudaMemcpyAsync(to, s->buffers[D_PARAMETERS].at, bytes, cudaMemcpyDeviceToHost, s->stream),
               "copy from the device");
-  if (r == MO_OK)
-    r = check(s,
-              cudaMemcpyAsync(w.results, s->buffers[RESULTS].at, w.plan->n_rows * sizeof(mo_gk_result),
-                              cudaMemcpyDeviceToHost, s->stream),
-              "copy from the device");
   return r == MO_OK ? check(s, cudaEventRecord(after, s->stream), "copy from the device") : r;
 }
 
 /* All of a pass, one after the other on the device: it never waits for the host. */
-int run_pass(work &w, float *to)
+int ask_for_pass(work &w, float *to)
 {
   mo_cuda_gradient_state *s = w.s;
-  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s, &s->profile.collect_s};
   s->profile.walks++;
   int r = check(s, cudaEventRecord(s->marks[0], s->stream), "device");
   if (r == MO_OK)
@@ -238,65 +243,22 @@ int run_pass(work &w, float *to)
   if (r == MO_OK)
     r = walk(w, mo_gk_back, s->marks[2], "way back");
   if (r == MO_OK)
+    r = copy_results(w, s->copied);
+  if (r == MO_OK)
     r = multiply(w, s->marks[3]);
-  if (r == MO_OK)
-    r = collect(w, to, s->marks[4]);
-  if (r == MO_OK)
-    r = finish(w);
+  return r == MO_OK ? collect(w, to, s->marks[4]) : r;
+}
+
+int finish_pass(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  double *const parts[] = {&s->profile.forward_s, &s->profile.back_s, &s->profile.products_s, &s->profile.collect_s};
+  int r = wait_for(w, s->marks[4]);
   for (int i = 0; i < 4 && r == MO_OK; i++) {
     float ms = 0;
     r = check(s, cudaEventElapsedTime(&ms, s->marks[i], s->marks[i + 1]), "clock");
     *parts[i] += 1e-3 * (double)ms;
   }
-  return r;
-}
-
-/* Again until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
-int run_until_finite(work &w, float *to)
-{
-  std::vector<mo_gk_result> before;
-  for (;;) {
-    int r = run_pass(w, to);
-    if (r < 0)
-      return r;
-    bool more = false;
-    for (uint32_t i = 0; i < w.plan->n_rows; i++) {
-      const bool known = !before.empty() && before[i].zeroed;
-      if (known)
-        w.results[i] = before[i]; /* counted when it was found */
-      more |= w.results[i].zeroed && !known;
-    }
-    if (!more)
-      return MO_OK;
-    before.assign(w.results, w.results + w.plan->n_rows);
-    std::vector<mo_gk_result> again = before;
-    for (mo_gk_result &x : again) {
-      x.steps = x.clipped = 0;
-      x.largest = 0;
-      x.diverged = 0;
-    }
-    r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
-    if (r == MO_OK)
-      r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
-    if (r < 0)
-      return r;
-  }
-}
-
-/* The pass's sums to their place in the caller's memory, through memory of one's own where that is not pinned. */
-int compute(work &w)
-{
-  mo_cuda_gradient_state *s = w.s;
-  const uint64_t n_parameters = w.call->controller->n_parameters;
-  const uint64_t bytes = (w.p.end_shard - w.p.first_shard) * n_parameters * 4;
-  float *const to = w.call->d_parameters + w.p.first_shard * n_parameters;
-  if (is_pinned(to))
-    return run_until_finite(w, to);
-  int r = s->reserve_pinned(s->sums, bytes);
-  if (r == MO_OK)
-    r = run_until_finite(w, (float *)s->sums.at);
-  if (r == MO_OK)
-    memcpy(to, s->sums.at, bytes);
   return r;
 }
 
@@ -328,6 +290,60 @@ void report(work &w)
     }
   }
   mo_gradient_counts_add(&w.call->counts, &counts);
+}
+
+/* Again until no more rows turn out to be left out. The way back leaves no tape: before another one, there is another way forward. */
+int run_until_finite(work &w, float *to)
+{
+  std::vector<mo_gk_result> before;
+  for (;;) {
+    int r = ask_for_pass(w, to);
+    if (r == MO_OK)
+      r = wait_for(w, w.s->copied);
+    if (r < 0)
+      return r;
+    bool more = false;
+    for (uint32_t i = 0; i < w.plan->n_rows; i++) {
+      const bool known = !before.empty() && before[i].zeroed;
+      if (known)
+        w.results[i] = before[i]; /* counted when it was found */
+      more |= w.results[i].zeroed && !known;
+    }
+    if (!more)
+      report(w);
+    r = finish_pass(w);
+    if (r < 0 || !more)
+      return r;
+    before.assign(w.results, w.results + w.plan->n_rows);
+    std::vector<mo_gk_result> again = before;
+    for (mo_gk_result &x : again) {
+      x.steps = x.clipped = 0;
+      x.largest = 0;
+      x.diverged = 0;
+    }
+    r = w.s->upload(RESULTS, again.data(), again.size() * sizeof(again[0]));
+    if (r == MO_OK)
+      r = w.s->upload(POSITION, w.plan->position, w.plan->n_masses * 12);
+    if (r < 0)
+      return r;
+  }
+}
+
+/* The pass's sums to their place in the caller's memory, through memory of one's own where that is not pinned. */
+int compute(work &w)
+{
+  mo_cuda_gradient_state *s = w.s;
+  const uint64_t n_parameters = w.call->controller->n_parameters;
+  const uint64_t bytes = (w.p.end_shard - w.p.first_shard) * n_parameters * 4;
+  float *const to = w.call->d_parameters + w.p.first_shard * n_parameters;
+  if (is_pinned(to))
+    return run_until_finite(w, to);
+  int r = s->reserve_pinned(s->sums, bytes);
+  if (r == MO_OK)
+    r = run_until_finite(w, (float *)s->sums.at);
+  if (r == MO_OK)
+    memcpy(to, s->sums.at, bytes);
+  return r;
 }
 
 mo_lane_physics lane_physics(const mo_physics &p, mo_sensor sensor)
@@ -426,7 +442,6 @@ int mo_gradient_run_plan(mo_cuda_gradient_state *s, mo_device_gradient *call, mo
       cudaStreamSynchronize(s->stream);
       return r;
     }
-    report(w);
     s->profile.passes++;
     s->profile.groups += w.p.end - w.p.first;
     s->profile.halved += w.n_halved;

@@ -51,8 +51,8 @@ struct mo_device_layout {
 
 struct mo_cuda_gradient_state {
   int device;
-  cudaStream_t stream, beside; /* beside: for the flag alone */
-  cudaEvent_t marks[5];        /* before and after each part of a pass */
+  cudaStream_t stream, beside;  /* beside: for the flag alone */
+  cudaEvent_t marks[5], copied; /* before and after each part of a pass; when the host has what came of the rows */
   mo_gradient_buffer buffers[PLACES], weights;
   mo_gradient_buffer sums, results, parameters; /* pinned memory of the host */
   int *cancel;                                  /* on the device; read by the kernels */
