@@ -8,7 +8,7 @@ enum { N_PARAMETERS = 620912 };
 struct measured {
   uint64_t half, packing;
 };
-static const struct measured whole = {100, 102}, halves = {64, 104}, mixed = {70, 104};
+static const struct measured whole = {100, 102}, halves = {64, 102}, mixed = {70, 104};
 
 static uint64_t bytes_of(const struct mo_gradient_plan *plan, const struct mo_gradient_pass *p)
 {
@@ -59,8 +59,8 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
   return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-/* In clocks of a step, both ways, fitted to those of 128 groups of random bodies (to within a hundredth). All warps wait for the pair that has
- * most springs and masses. */
+/* In clocks of a step, both ways, fitted to those of 128 groups of random bodies (to a hundredth, root mean square). All warps wait for the pair
+ * that has most springs and masses. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g)
 {
   uint32_t most_chunks = 0, most_masses = 0;
