@@ -17,8 +17,8 @@ int mo_cuda_gradient_create(int device, struct mo_cuda_gradient_state **ret); /*
 void mo_cuda_gradient_free(struct mo_cuda_gradient_state *state);             /* NULL-safe */
 /* Gives device memory back: others need it. It is asked for again by the next call. */
 void mo_cuda_gradient_trim(struct mo_cuda_gradient_state *state);
-/* Whether groups of robots are walked in halves, by two blocks each, where there are multiprocessors for them: the bits are the same. For checks:
- * the state begins with MO_CUDA_HALVES_IF_FASTER. */
+/* Whether groups of 32 robots are walked in halves, by two blocks each: the bits are the same. MO_CUDA_HALVES_SOME: those half of the groups that
+ * take longest. For checks: the state begins with MO_CUDA_HALVES_IF_FASTER, which asks how many multiprocessors there are. */
 enum mo_cuda_halves { MO_CUDA_HALVES_IF_FASTER, MO_CUDA_HALVES_NEVER, MO_CUDA_HALVES_SOME, MO_CUDA_HALVES_ALWAYS };
 void mo_cuda_gradient_set_halves(struct mo_cuda_gradient_state *state, enum mo_cuda_halves halves);
 

@@ -74,7 +74,7 @@ enum { MO_GK_WHOLE, MO_GK_HALVES, MO_GK_MIXED };
  * block does one. Tasks are handed out part by part, in each the walks that take longest first; a task's block waits until its walk's part
  * before it is done, which an earlier ticket's block does: so it is never waited for in vain. */
 struct mo_gk_task {
-  uint32_t walk; /* MO_GK_WALK */
+  uint32_t walk; /* MO_GK_WALK, with MO_GK_HALVED: told apart here, it costs the kernels registers */
   uint32_t part;
 };
 

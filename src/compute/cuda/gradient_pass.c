@@ -1,10 +1,11 @@
-/* gradient_pass.c: what of a plan fits the device's memory at a time. */
+/* gradient_pass.c: what of a plan fits the device's memory at a time, and which of its groups two blocks walk. */
 #include "compute/cuda/gradient_pass.h"
 
 enum { N_PARAMETERS = 620912 };
 
-/* What walking groups in halves comes to, measured on a H200: half a group's time in hundredths of the group's (more where the kernel has code for
- * whole ones, too), and the time that multiprocessors take for all, with their waiting, in hundredths of what they would without. */
+/* What walking groups in halves comes to, so that the times of 1024 to 8192 robots on a H200 come out: half a group's time in hundredths of the
+ * group's (more where the kernel has code for whole ones, too), and the time that multiprocessors take for all, with their waiting, in hundredths of
+ * what they would without. */
 struct measured {
   uint64_t half, packing;
 };
@@ -74,26 +75,33 @@ uint64_t mo_gradient_cost(const struct mo_gp_group *g)
          80 * (uint64_t)most_masses;
 }
 
-/* When all are through, in hundredths of a clock, if so many are walked in halves. */
-static uint64_t ends(const uint64_t *costs, uint32_t n, uint32_t n_halved, uint32_t multiprocessors)
+/* When all are through, in hundredths of a clock, if so many of those that can be are walked in halves. */
+static uint64_t ends(const struct mo_gradient_load *loads, uint32_t n, uint32_t n_halved, const struct measured *m,
+                     uint32_t multiprocessors)
 {
-  const struct measured *m = n_halved == 0 ? &whole : n_halved == n ? &halves : &mixed;
   uint64_t longest = 0, sum = 0;
-  for (uint32_t i = 0; i < n; i++) {
-    const uint64_t walk = (i < n_halved ? m->half : 100) * costs[i];
+  for (uint32_t i = 0, halved = 0; i < n; i++) {
+    const bool is_halved = loads[i].wide && halved < n_halved;
+    const uint64_t walk = (is_halved ? m->half : 100) * loads[i].cost;
     longest = longest > walk ? longest : walk;
-    sum += i < n_halved ? 2 * walk : walk;
+    sum += is_halved ? 2 * walk : walk;
+    halved += is_halved;
   }
   const uint64_t all = sum / multiprocessors * m->packing / 100;
   return longest > all ? longest : all;
 }
 
-uint32_t mo_gradient_halved(const uint64_t *costs, uint32_t n, uint32_t multiprocessors)
+uint32_t mo_gradient_halved(const struct mo_gradient_load *loads, uint32_t n, uint32_t multiprocessors)
 {
   uint64_t soonest = UINT64_MAX;
-  uint32_t ret = 0;
-  for (uint32_t i = 0; i <= n && n <= 2 * multiprocessors; i++) { /* more keep all of them busy */
-    const uint64_t end = ends(costs, n, i, multiprocessors);
+  uint32_t n_wide = 0, ret = 0;
+  if (n > 2 * multiprocessors) /* they keep all of them busy */
+    return 0;
+  for (uint32_t i = 0; i < n; i++)
+    n_wide += loads[i].wide;
+  for (uint32_t i = 0; i <= n_wide; i++) {
+    const struct measured *m = i == 0 ? &whole : i == n_wide ? &halves : &mixed;
+    const uint64_t end = ends(loads, n, i, m, multiprocessors);
     if (end < soonest) {
       soonest = end;
       ret = i;

@@ -29,8 +29,15 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
 /* How long a group takes, compared with others. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g);
 
-/* How many of n groups should be walked in halves, those first that take longest, for all of them to end soonest. costs: (n), falling. */
-uint32_t mo_gradient_halved(const uint64_t *costs, uint32_t n, uint32_t multiprocessors);
+struct mo_gradient_load {
+  uint64_t cost;
+  uint32_t group;
+  bool wide; /* of 32 rows: it can be walked in halves */
+};
+
+/* How many of the wide groups should be walked in halves, those first that take longest, for all groups to end soonest. loads: (n), by falling
+ * cost. */
+uint32_t mo_gradient_halved(const struct mo_gradient_load *loads, uint32_t n, uint32_t multiprocessors);
 
 #ifdef __cplusplus
 }

@@ -5,7 +5,7 @@
  * A lane takes a mass and adds up its springs, each of which is computed from both ends: so no two lanes write one number. Its masses go by
  * falling number of springs, 32 at a time, and the springs of 32 masses as *chunks*, the n-th of each mass in the n-th.
  *
- * Where a device has more multiprocessors than there are groups, a group of 32 rows can be walked by two blocks, each of which has half of the pairs
+ * Where a device has multiprocessors for it, a group of 32 rows can be walked by two blocks, each of which has half of the pairs
  * and two warps to a pair. What these sum over rows themselves is summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
  *
  * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has; the first for all inputs: groups lack none

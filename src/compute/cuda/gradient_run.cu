@@ -32,14 +32,16 @@ struct work {
   mo_gk_result *results; /* (n_rows) in pinned memory */
 };
 
-/* How many of the groups, those first that take longest, are walked by two blocks each. costs: falling. */
-uint32_t count_halved(const mo_cuda_gradient_state *s, const std::vector<uint64_t> &costs)
+/* How many of the wide groups, those first that take longest, are walked by two blocks each. loads: by falling cost. */
+uint32_t count_halved(const mo_cuda_gradient_state *s, const std::vector<mo_gradient_load> &loads)
 {
-  const uint32_t n = (uint32_t)costs.size();
+  const uint32_t n_wide =
+      (uint32_t)std::count_if(loads.begin(), loads.end(), [](const mo_gradient_load &load) { return load.wide; });
   return s->halves == MO_CUDA_HALVES_NEVER    ? 0
-         : s->halves == MO_CUDA_HALVES_ALWAYS ? n
-         : s->halves == MO_CUDA_HALVES_SOME   ? (n + 1) / 2
-                                              : mo_gradient_halved(costs.data(), n, (uint32_t)s->multiprocessors);
+         : s->halves == MO_CUDA_HALVES_ALWAYS ? n_wide
+         : s->halves == MO_CUDA_HALVES_SOME
+             ? (n_wide + 1) / 2
+             : mo_gradient_halved(loads.data(), (uint32_t)loads.size(), (uint32_t)s->multiprocessors);
 }
 
 /* One that is handed out, and the parts done of each half of each group. */
@@ -52,31 +54,30 @@ int upload_pass(work &w)
 {
   mo_cuda_gradient_state *s = w.s;
   const mo_gradient_plan &plan = *w.plan;
-  const uint32_t n = w.p.end - w.p.first;
-  std::vector<uint32_t> order(n), walks, jobs, shards;
-  for (uint32_t i = 0; i < n; i++) {
-    const mo_gp_group &g = plan.groups[w.p.first + i];
-    order[i] = w.p.first + i;
+  std::vector<uint32_t> walks, jobs, shards;
+  std::vector<mo_gradient_load> loads;
+  for (uint32_t i = w.p.first; i < w.p.end; i++) {
+    const mo_gp_group &g = plan.groups[i];
+    loads.push_back({mo_gradient_cost(&g), i, g.n_rows == MO_GP_ROWS_MAX});
     while (shards.size() <= g.shard - w.p.first_shard)
-      shards.push_back(w.p.first + i);
+      shards.push_back(i);
   }
   shards.push_back(w.p.end);
-  std::stable_sort(order.begin(), order.end(), [&](uint32_t a, uint32_t b) {
-    return mo_gradient_cost(&plan.groups[a]) > mo_gradient_cost(&plan.groups[b]);
-  });
-  std::vector<uint64_t> costs;
-  for (uint32_t i : order)
-    costs.push_back(mo_gradient_cost(&plan.groups[i]));
-  const uint32_t n_halved = count_halved(s, costs);
-  w.k.walked = n_halved == 0 ? MO_GK_WHOLE : n_halved == n ? MO_GK_HALVES : MO_GK_MIXED;
-  for (uint32_t nth = 0; nth < n; nth++) {
-    const uint32_t i = order[nth];
-    if (nth < n_halved && plan.groups[i].n_rows > MO_GP_HALF_ROWS) {
+  std::stable_sort(loads.begin(), loads.end(),
+                   [](const mo_gradient_load &a, const mo_gradient_load &b) { return a.cost > b.cost; });
+  const uint32_t most_halved = count_halved(s, loads);
+  bool all_halved = true;
+  w.n_halved = 0;
+  for (const mo_gradient_load &load : loads) {
+    const uint32_t i = load.group;
+    if (load.wide && w.n_halved < most_halved) {
       walks.push_back(MO_GK_WALK(i, 0) | MO_GK_HALVED);
       walks.push_back(MO_GK_WALK(i, 1) | MO_GK_HALVED);
       w.n_halved++;
-    } else
+    } else {
       walks.push_back(MO_GK_WALK(i, 0));
+      all_halved = all_halved && !load.wide;
+    }
     const uint32_t blocks = (plan.groups[i].n_outputs * MO_GP_TILE + MO_GK_JOB_COLUMNS - 1) / MO_GK_JOB_COLUMNS;
     for (uint32_t b = 0; b < blocks; b++)
       jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_OUTPUT, b));
@@ -86,6 +87,7 @@ int upload_pass(work &w)
       jobs.push_back(MO_GK_JOB(i, MO_GK_JOB_INPUT, b));
     }
   }
+  w.k.walked = w.n_halved == 0 ? MO_GK_WHOLE : all_halved ? MO_GK_HALVES : MO_GK_MIXED;
   w.n_jobs = (uint32_t)jobs.size();
   w.k.n_walks = (uint32_t)walks.size();
   const mo_controller *controller = w.call->controller;
@@ -152,21 +154,27 @@ bool cancelled(const work &w)
   return w.call->cancel != nullptr && *w.call->cancel != 0;
 }
 
-/* Waits for what has been asked for up to `mark`; passes the caller's flag on to the device. */
+/* Passes the caller's flag on to the device: once. Whether it is set. */
+bool pass_on(work &w)
+{
+  if (!w.told && cancelled(w)) {
+    w.told = true;
+    cudaMemsetAsync(w.s->cancel, 1, sizeof(*w.s->cancel), w.s->beside);
+  }
+  return w.told;
+}
+
+/* Waits for what has been asked for up to `mark`. */
 int wait_for(work &w, cudaEvent_t mark)
 {
-  mo_cuda_gradient_state *s = w.s;
   cudaError_t status;
   while ((status = cudaEventQuery(mark)) == cudaErrorNotReady) {
-    if (!w.told && cancelled(w)) {
-      w.told = true;
-      cudaMemsetAsync(s->cancel, 1, sizeof(*s->cancel), s->beside);
-    }
+    pass_on(w);
     std::this_thread::sleep_for(std::chrono::microseconds(50));
   }
   if (status != cudaSuccess)
-    return s->fail(status, "kernel");
-  return w.told || cancelled(w) ? MO_ERR_CANCELLED : MO_OK;
+    return w.s->fail(status, "kernel");
+  return pass_on(w) ? MO_ERR_CANCELLED : MO_OK;
 }
 
 int check(mo_cuda_gradient_state *s, int status, const char *what)

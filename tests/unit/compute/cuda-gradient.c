@@ -393,6 +393,11 @@ static void large_with_small(void)
       CHECK(body->n_springs <= b.robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
   }
   CHECK(most == MO_DEFAULT_MASSES && first_least == least);
+  for (uint32_t i = MO_GP_ROWS_MAX / 2; i < MO_GP_ROWS_MAX;
+       i++) /* at least sixteen small ones: no pair has two large ones */
+    for (uint32_t j = MO_GP_ROWS_MAX; j < SHARD; j++)
+      CHECK(b.robots[SHARD + plan.rows[i].robot].body->n_springs <=
+            b.robots[SHARD + plan.rows[j].robot].body->n_springs);
   mo_gradient_plan_free(&plan);
   drop_batch(&b);
 }
@@ -482,24 +487,72 @@ static void passes(void)
   drop_batch(&b);
 }
 
+/* What all wait for: the pair that has most, not what all have together. */
+static void cost_of_a_group(void)
+{
+  struct mo_gp_group even = {.n_rows = MO_GP_ROWS_MAX, .n_masses = 2000, .n_chunks = 800, .n_outputs = 100};
+  for (uint32_t w = 0; w < MO_GP_WARPS; w++)
+    even.pair[w] = (struct mo_gp_pair){.n_masses = {100, 25}, .n_chunks = 50};
+  struct mo_gp_group chunks = even, masses = even, tiles = even;
+  chunks.pair[3].n_chunks += 20;
+  chunks.pair[4].n_chunks -= 20;
+  masses.pair[3].n_masses[0] += 50;
+  masses.pair[4].n_masses[0] -= 50;
+  tiles.n_outputs++;
+  CHECK(mo_gradient_cost(&even) == 62000 + 580 * 100 + 6 * 2000 + 360 * 50 + 80 * 125);
+  CHECK(mo_gradient_cost(&chunks) - mo_gradient_cost(&even) == 360 * 20);
+  CHECK(mo_gradient_cost(&masses) - mo_gradient_cost(&even) == 80 * 50);
+  CHECK(mo_gradient_cost(&tiles) - mo_gradient_cost(&even) == 580);
+}
+
+enum { MULTIPROCESSORS = 132, LOADS = 400 };
+
+static void same_cost(struct mo_gradient_load loads[LOADS], uint64_t cost, bool wide)
+{
+  for (uint32_t i = 0; i < LOADS; i++)
+    loads[i] = (struct mo_gradient_load){cost, i, wide};
+}
+
 /* All groups in halves where there are multiprocessors for them, none where there are too few, and otherwise those that all would wait for. */
 static void halves(void)
 {
-  enum { MULTIPROCESSORS = 132, MOST = 400 };
-  uint64_t costs[MOST];
-  for (uint32_t i = 0; i < MOST; i++)
-    costs[i] = 100000;
-  CHECK(mo_gradient_halved(costs, 1, MULTIPROCESSORS) == 1);
-  CHECK(mo_gradient_halved(costs, 64, MULTIPROCESSORS) == 64);
-  CHECK(mo_gradient_halved(costs, 96, MULTIPROCESSORS) == 96);
-  CHECK(mo_gradient_halved(costs, 128, MULTIPROCESSORS) == 0);
-  CHECK(mo_gradient_halved(costs, 256, MULTIPROCESSORS) == 0);
-  CHECK(mo_gradient_halved(costs, MOST, MULTIPROCESSORS) == 0);
-  CHECK(mo_gradient_halved(costs, 64, 108) == 64 && mo_gradient_halved(costs, 96, 108) == 0);
+  struct mo_gradient_load loads[LOADS];
+  same_cost(loads, 100000, true);
+  CHECK(mo_gradient_halved(loads, 0, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(loads, 1, MULTIPROCESSORS) == 1);
+  CHECK(mo_gradient_halved(loads, 64, MULTIPROCESSORS) == 64);
+  CHECK(mo_gradient_halved(loads, 96, MULTIPROCESSORS) == 96);
+  CHECK(mo_gradient_halved(loads, 128, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(loads, 256, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(loads, LOADS, MULTIPROCESSORS) == 0);
+  CHECK(mo_gradient_halved(loads, 64, 108) == 64 && mo_gradient_halved(loads, 96, 108) == 0);
   for (uint32_t i = 0; i < 8; i++)
-    costs[i] = 130000;
-  CHECK(mo_gradient_halved(costs, 128, MULTIPROCESSORS) == 8);
-  CHECK(mo_gradient_halved(costs, 256, MULTIPROCESSORS) == 0);
+    loads[i].cost = 130000;
+  CHECK(mo_gradient_halved(loads, 128, MULTIPROCESSORS) == 8);
+  CHECK(mo_gradient_halved(loads, 256, MULTIPROCESSORS) == 0);
+  /* In halves the sixteen take 0.98, beside the others' 1; were all in halves, the multiprocessors would need 1.01. */
+  for (uint32_t i = 0; i < 16; i++)
+    loads[i].cost = 140000;
+  CHECK(mo_gradient_halved(loads, 96, MULTIPROCESSORS) == 16);
+}
+
+/* Groups of 16 rows are not walked in halves, whatever they cost. */
+static void no_halves_of_small_groups(void)
+{
+  struct mo_gradient_load loads[LOADS];
+  same_cost(loads, 100000, false);
+  CHECK(mo_gradient_halved(loads, 64, MULTIPROCESSORS) == 0);
+  for (uint32_t i = 0; i < 8; i++)
+    loads[i].cost = 130000;
+  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0);
+  for (uint32_t i = 0; i < 100; i++)
+    loads[i].wide = i >= 2 && i < 10;
+  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0); /* the first two are waited for all the same */
+  loads[0].cost = loads[1].cost = 100000;
+  struct mo_gradient_load sorted[LOADS];
+  memcpy(sorted, loads + 2, 98 * sizeof(*sorted));
+  memcpy(sorted + 98, loads, 2 * sizeof(*sorted));
+  CHECK(mo_gradient_halved(sorted, 100, MULTIPROCESSORS) == 6);
 }
 
 static void another_workspace(void)
@@ -530,6 +583,8 @@ static const struct check_case cases[] = {
     {"little shared memory: fewer robots in a group", small_shared_memory},
     {"a shard is laid out alike alone and by several threads", a_shard_is_its_own},
     {"passes of whole shards", passes},
+    {"what a group costs", cost_of_a_group},
     {"groups in halves", halves},
+    {"small groups stay whole", no_halves_of_small_groups},
     {"another workspace is left to the processor", another_workspace}};
 CHECK_MAIN(cases)
