@@ -311,11 +311,6 @@ static bool has_name(sqlite3_stmt *statement, int column)
          mo_controller_name_check(name) == MO_OK;
 }
 
-static void misname(struct mo_controller_record *record)
-{
-  snprintf(record->damage, sizeof(record->damage), "controller_names.name is no name");
-}
-
 /* A name that is NULL: asked for by its hash. */
 static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
 {
@@ -332,7 +327,7 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   const long long row = sqlite3_column_int64(statement, 7);
   const struct mo_column_range *outside = find_outside(statement);
   if (sqlite3_column_type(statement, 8) != SQLITE_NULL && !has_name(statement, 8))
-    misname(record);
+    snprintf(record->damage, sizeof(record->damage), "controller_names.name is no name");
   else if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
     snprintf(record->damage, sizeof(record->damage),
              "controller_names.controller of %s is %lld, which controllers has not", record->name, row);
@@ -350,21 +345,21 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   return MO_ERR_CORRUPT;
 }
 
-int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
-                             size_t limit)
+/* Of the names, in their order, those that are sound or those that are not, after the first passed_over of these. after_name: NULL where the
+ * statement asks for none. */
+static int64_t list(struct mo_store *store, const char *sql, const char *after_name, bool sound, int64_t passed_over,
+                    struct mo_controller_record *records, size_t limit)
 {
-  static const char sql[] =
-      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
-      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   size_t n = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   if (statement != NULL) {
     int step = 0;
-    sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
+    if (after_name != NULL)
+      sqlite3_bind_text(statement, 1, after_name, -1, SQLITE_STATIC);
     while (n < limit && (step = mo_sql_step(reader, statement)) > 0)
-      if (has_name(statement, 8))
+      if (has_name(statement, 8) == sound && passed_over-- <= 0)
         (void)record_from_row(statement, &records[n++]); /* it says so itself */
     if (step < 0)
       error = step;
@@ -375,29 +370,21 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name, str
   return error != MO_OK ? error : (int64_t)n;
 }
 
+int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
+                             size_t limit)
+{
+  static const char sql[] =
+      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
+      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
+  return list(store, sql, after_name != NULL ? after_name : "", true, 0, records, limit);
+}
+
+/* All names are gone through each time, so what is not told of such a row is not looked up. */
 int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over, struct mo_controller_record *records,
                                       size_t limit)
 {
-  static const char sql[] = "SELECT name FROM controller_names ORDER BY name";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  size_t n = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = 0;
-    while (n < limit && (step = mo_sql_step(reader, statement)) > 0) {
-      if (has_name(statement, 0) || passed_over-- > 0)
-        continue;
-      memset(&records[n], 0, sizeof(records[n]));
-      mo_column_text(statement, 0, records[n].name, sizeof(records[n].name));
-      misname(&records[n++]);
-    }
-    if (step < 0)
-      error = step;
-    (void)sqlite3_reset(statement);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : (int64_t)n;
+  static const char sql[] = "SELECT NULL,0,0,0,0,0,0,0,name,0,0 FROM controller_names ORDER BY name";
+  return list(store, sql, NULL, false, passed_over, records, limit);
 }
 
 int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record)

@@ -431,7 +431,8 @@ static int same_result(const struct result *a, const struct result *b, size_t n_
          memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
 }
 
-/* A group by one block and by two, where robots end in a group of 16, where some of a group's 32 rows are empty, where adjoints begin anew, where some diverge, and where some are left out. */
+/* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a group's 32 rows are empty, where adjoints begin
+ * anew, where some diverge, and where some are left out. */
 static void check_halves(const struct scene *s)
 {
   const struct {

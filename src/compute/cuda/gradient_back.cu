@@ -383,24 +383,17 @@ static __global__ void __launch_bounds__(MO_GK_THREADS, 1) back_kernel(const __g
   end_task(k, task);
 }
 
+static void (*const kernels[])(const mo_gk) = {back_kernel<MO_GK_WHOLE>, back_kernel<MO_GK_HALVES>,
+                                               back_kernel<MO_GK_MIXED>};
+
 extern "C" int mo_gk_open_back(uint32_t block_bytes, uint32_t *dynamic_bytes)
 {
-  uint32_t halves = 0, mixed = 0;
-  int status = allow_shared(back_kernel<MO_GK_WHOLE>, block_bytes, dynamic_bytes);
-  if (status == 0)
-    status = allow_shared(back_kernel<MO_GK_HALVES>, block_bytes, &halves);
-  if (status == 0)
-    status = allow_shared(back_kernel<MO_GK_MIXED>, block_bytes, &mixed);
-  *dynamic_bytes = min(*dynamic_bytes, min(halves, mixed));
-  return status;
+  return allow_shared_for_all(kernels, block_bytes, dynamic_bytes);
 }
 
 extern "C" int mo_gk_back(const struct mo_gk *k, uint32_t shared_bytes, void *stream)
 {
   const uint32_t blocks = (k->n_steps + k->part_steps - 1) / k->part_steps * k->n_walks;
-  (k->walked == MO_GK_WHOLE ? back_kernel<MO_GK_WHOLE>
-   : k->walked == MO_GK_HALVES
-       ? back_kernel<MO_GK_HALVES>
-       : back_kernel<MO_GK_MIXED>)<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
+  kernels[k->walked]<<<blocks, MO_GK_THREADS, shared_bytes, (cudaStream_t)stream>>>(*k);
   return (int)cudaGetLastError();
 }

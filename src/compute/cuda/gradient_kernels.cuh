@@ -213,6 +213,20 @@ template <class Kernel> static int allow_shared(Kernel kernel, uint32_t block_by
   return (int)cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, (int)*dynamic_bytes);
 }
 
+/* The same for the kernels of one way, by MO_GK_WHOLE … : what each of them can have. */
+template <class Kernel, size_t N>
+static int allow_shared_for_all(Kernel *const (&kernels)[N], uint32_t block_bytes, uint32_t *dynamic_bytes)
+{
+  int status = 0;
+  *dynamic_bytes = block_bytes;
+  for (size_t i = 0; i < N && status == 0; i++) {
+    uint32_t bytes = 0;
+    status = allow_shared(kernels[i], block_bytes, &bytes);
+    *dynamic_bytes = min(*dynamic_bytes, bytes);
+  }
+  return status;
+}
+
 static __device__ __forceinline__ float sum_lanes(float x)
 {
 #pragma unroll
