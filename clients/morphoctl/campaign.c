@@ -28,7 +28,8 @@ static double survived(const json_t *row, const char *op)
 
 static struct campaign_row read_row(const json_t *json)
 {
-  const json_t *score = json_object_get(json, "score"), *quantiles = json_object_get(score, "quantiles");
+  const json_t *score = json_object_get(json, "score"),
+               *quantiles = json_object_get(score, "quantiles");
   return (struct campaign_row){.generation = number_of(json, "generation"),
                                .mean = value_of(score, "mean"),
                                .median = value_of(quantiles, "p50"),
@@ -58,7 +59,8 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
 {
   int status = STATUS_OK;
   bool more = true;
-  int64_t after = campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1; /* −1: from the first */
+  int64_t after =
+      campaign->n > 0 ? campaign->rows[campaign->n - 1].generation : -1; /* −1: from the first */
   while (status == STATUS_OK && more) {
     char path[128];
     int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/generations?limit=1000", campaign->id);
@@ -73,7 +75,8 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
       if (status == STATUS_OK && !add_row(campaign, read_row(row)))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    const json_t *next = json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+    const json_t *next =
+        json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
     more = more && json_is_integer(next) && json_integer_value(next) > after;
     after = json_integer_value(next);
     json_decref(page);
@@ -161,7 +164,8 @@ static const char *number_text(double value, const char *format, char text[32])
 {
   if (!isfinite(value))
     return "–";
-  snprintf(text, 32, format, value); /* NOLINT(clang-diagnostic-format-nonliteral): literals of this file */
+  snprintf(text, 32, format,
+           value); /* NOLINT(clang-diagnostic-format-nonliteral): literals of this file */
   return text;
 }
 
@@ -171,14 +175,16 @@ void campaign_generation_text(int64_t generation, int64_t generations, char *tex
   if (generation < 0)
     snprintf(text, size, "before generation 0 of %s", count_text(generations, b));
   else
-    snprintf(text, size, "generation %s of %s", count_text(generation, a), count_text(generations, b));
+    snprintf(text, size, "generation %s of %s", count_text(generation, a),
+             count_text(generations, b));
 }
 
 void campaign_progress_text(const json_t *campaign, char *text, size_t size)
 {
   const json_t *progress = json_object_get(campaign, "progress");
   const char *phase = text_of(campaign, "phase");
-  const json_t *pace = json_object_get(progress, "rollouts_per_s"), *left = json_object_get(progress, "seconds_left");
+  const json_t *pace = json_object_get(progress, "rollouts_per_s"),
+               *left = json_object_get(progress, "seconds_left");
   char done[32], total[32], speed[32], time[32];
   *text = 0;
   if (*phase == 0 || strcmp(phase, "idle") == 0)
@@ -192,24 +198,29 @@ void campaign_progress_text(const json_t *campaign, char *text, size_t size)
     n = snprintf(text, size, "generation %s: ", count_text(number_of(progress, "under_way"), done));
   n += snprintf(text + n, size - (size_t)n, "%s", phase);
   if (number_of(progress, "total") > 0 && *what != 0)
-    n += snprintf(text + n, size - (size_t)n, " %s of %s%s", count_text(number_of(progress, "done"), done),
+    n += snprintf(text + n, size - (size_t)n, " %s of %s%s",
+                  count_text(number_of(progress, "done"), done),
                   count_text(number_of(progress, "total"), total), what);
   if (json_is_number(pace) && json_number_value(pace) > 0 && (size_t)n < size)
-    n += snprintf(text + n, size - (size_t)n, "  %s rollouts/s", number_text(json_number_value(pace), "%.0f", speed));
+    n += snprintf(text + n, size - (size_t)n, "  %s rollouts/s",
+                  number_text(json_number_value(pace), "%.0f", speed));
   if (json_is_number(left) && (size_t)n < size)
     snprintf(text + n, size - (size_t)n, "  %s %s", duration_text(json_number_value(left), time),
-             strcmp(phase, "preparing") == 0 && number_of(progress, "generation") <= 0 ? "until they are drawn"
-                                                                                       : "left");
+             strcmp(phase, "preparing") == 0 && number_of(progress, "generation") <= 0
+                 ? "until they are drawn"
+                 : "left");
 }
 
 void campaign_row_text(const struct campaign_row *row, char *text, size_t size)
 {
   char mean[32], best[32], diversity[32], mutants[32], recombinants[32], voxels[32], seconds[32];
-  snprintf(text, size, "mean %s  best %s  diversity %s  survived: mutants %s recombinants %s  voxels %s  %s s",
+  snprintf(text, size,
+           "mean %s  best %s  diversity %s  survived: mutants %s recombinants %s  voxels %s  %s s",
            number_text(row->mean, "%.4f", mean), number_text(row->best, "%.4f", best),
-           number_text(row->diversity, "%.4f", diversity), number_text(100 * row->mutants, "%.0f %%", mutants),
-           number_text(100 * row->recombinants, "%.0f %%", recombinants), number_text(row->voxels, "%.1f", voxels),
-           number_text(row->seconds, "%.1f", seconds));
+           number_text(row->diversity, "%.4f", diversity),
+           number_text(100 * row->mutants, "%.0f %%", mutants),
+           number_text(100 * row->recombinants, "%.0f %%", recombinants),
+           number_text(row->voxels, "%.1f", voxels), number_text(row->seconds, "%.1f", seconds));
 }
 
 void campaign_event_text(const char *type, const json_t *data, char *text, size_t size)
@@ -217,23 +228,26 @@ void campaign_event_text(const char *type, const json_t *data, char *text, size_
   char generation[96], mean[32], best[32], diversity[32], a[32], b[32];
   *text = 0;
   if (strcmp(type, "campaign.generation") == 0) {
-    campaign_generation_text(number_of(data, "generation"), number_of(data, "generations"), generation,
-                             sizeof(generation));
+    campaign_generation_text(number_of(data, "generation"), number_of(data, "generations"),
+                             generation, sizeof(generation));
     snprintf(text, size, "  %s  mean %s  best %s  diversity %s", generation,
-             score_text(json_object_get(data, "mean"), mean), score_text(json_object_get(data, "best"), best),
+             score_text(json_object_get(data, "mean"), mean),
+             score_text(json_object_get(data, "best"), best),
              score_text(json_object_get(data, "diversity"), diversity));
   } else if (strcmp(type, "campaign.progress") == 0) {
-    snprintf(text, size, "  generation %" PRId64 "  %s %s of %s", number_of(data, "generation"), text_of(data, "phase"),
-             count_text(number_of(data, "done"), a), count_text(number_of(data, "total"), b));
+    snprintf(text, size, "  generation %" PRId64 "  %s %s of %s", number_of(data, "generation"),
+             text_of(data, "phase"), count_text(number_of(data, "done"), a),
+             count_text(number_of(data, "total"), b));
   } else if (strcmp(type, "campaign.extended") == 0) {
     snprintf(text, size, "  to %s generations", count_text(number_of(data, "generations"), a));
   } else if (strcmp(type, "campaign.diversity_collapse") == 0) {
-    snprintf(text, size, "  generation %" PRId64 ": diversity %s, it was %s", number_of(data, "generation"),
+    snprintf(text, size, "  generation %" PRId64 ": diversity %s, it was %s",
+             number_of(data, "generation"),
              score_text(json_object_get(data, "diversity"), diversity),
              score_text(json_object_get(data, "maximum"), a));
   } else if (strcmp(type, "campaign.lineage_unreadable") == 0) {
-    snprintf(text, size, "  %.40s of controller %.12s: %.160s", text_of(data, "field"), text_of(data, "controller"),
-             text_of(data, "detail"));
+    snprintf(text, size, "  %.40s of controller %.12s: %.160s", text_of(data, "field"),
+             text_of(data, "controller"), text_of(data, "detail"));
   }
 }
 
@@ -244,7 +258,8 @@ int campaign_outcome(const json_t *campaign)
     return STATUS_OK;
   const json_t *error = json_object_get(campaign, "error");
   if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "campaign %s %s: %s", text_of(campaign, "id"), state, text_of(error, "detail"));
+    return complain(STATUS_NEGATIVE, "campaign %s %s: %s", text_of(campaign, "id"), state,
+                    text_of(error, "detail"));
   return complain(STATUS_NEGATIVE, "campaign %s is %s", text_of(campaign, "id"), state);
 }
 
@@ -286,14 +301,15 @@ static void draw_curves(const struct ctl *ctl, const struct campaign *campaign, 
       values[i] = row_value(&campaign->rows[i], &curves[c]);
     sparkline(values, campaign->n, width, ctl->utf8, spark);
     const char *newest = number_text(values[campaign->n - 1], curves[c].format, number);
-    snprintf(text, sizeof(text), "%-13s %*s%s  %s", curves[c].name, (int)(9 - text_width(newest)), "", newest, spark);
+    snprintf(text, sizeof(text), "%-13s %*s%s  %s", curves[c].name, (int)(9 - text_width(newest)),
+             "", newest, spark);
     line(context, text);
   }
   free(values);
 }
 
-void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int columns, int table_rows,
-                   void (*line)(void *context, const char *text), void *context)
+void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int columns,
+                   int table_rows, void (*line)(void *context, const char *text), void *context)
 {
   if (campaign->n == 0) {
     line(context, "no generation yet");
@@ -303,11 +319,13 @@ void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int c
   if (table_rows <= 0)
     return;
   line(context, "");
-  line(context, "generation      mean    median      best  diversity  mutants  crossed  voxels    seconds");
+  line(context,
+       "generation      mean    median      best  diversity  mutants  crossed  voxels    seconds");
   size_t first = campaign->n > (size_t)table_rows ? campaign->n - (size_t)table_rows : 0;
   for (size_t i = first; i < campaign->n; i++) {
     const struct campaign_row *row = &campaign->rows[i];
-    static const char *const formats[] = {"%.4f", "%.4f", "%.4f", "%.4f", "%.0f %%", "%.0f %%", "%.1f", "%.1f"};
+    static const char *const formats[] = {"%.4f",    "%.4f",    "%.4f", "%.4f",
+                                          "%.0f %%", "%.0f %%", "%.1f", "%.1f"};
     static const int widths[] = {10, 10, 10, 11, 9, 9, 8, 11};
     const double values[] = {row->mean,      row->median,        row->best,
                              row->diversity, 100 * row->mutants, 100 * row->recombinants,
@@ -316,7 +334,8 @@ void campaign_draw(const struct ctl *ctl, const struct campaign *campaign, int c
     int n = snprintf(text, sizeof(text), "%10" PRId64, row->generation);
     for (size_t k = 0; k < sizeof(values) / sizeof(values[0]); k++) {
       const char *cell = number_text(values[k], formats[k], number);
-      n += snprintf(text + n, sizeof(text) - (size_t)n, "%*s%s", widths[k] - (int)text_width(cell), "", cell);
+      n += snprintf(text + n, sizeof(text) - (size_t)n, "%*s%s", widths[k] - (int)text_width(cell),
+                    "", cell);
     }
     line(context, text);
   }

@@ -57,7 +57,8 @@ static int fill_selection(const struct ctl *ctl, json_t *request)
     if (!option_is_set(ctl, options[i].field.option))
       continue;
     if (kind == NULL || strcmp(kind, options[i].kind) != 0)
-      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i].field.option, options[i].kind);
+      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i].field.option,
+                      options[i].kind);
     status = fill_fields(ctl, request, &options[i].field, 1);
   }
   return status;
@@ -70,7 +71,8 @@ static int fill_workspace(const struct ctl *ctl, json_t *request)
   int x, y, z, end = 0;
   if (text == NULL)
     return STATUS_OK;
-  if (sscanf(text, "%5d,%5d,%5d%n", &x, &y, &z, &end) != 3 || text[end] != 0) /* NOLINT(cert-err34-c): 5 digits fit */
+  if (sscanf(text, "%5d,%5d,%5d%n", &x, &y, &z, &end) != 3 ||
+      text[end] != 0) /* NOLINT(cert-err34-c): 5 digits fit */
     return complain(STATUS_USAGE, "--workspace: \"%s\" is not X,Y,Z, e.g. 6,6,4", text);
   json_object_set_new(request, "workspace", json_pack("[i, i, i]", x, y, z));
   return STATUS_OK;
@@ -97,7 +99,9 @@ static int fill_initial(struct ctl *ctl, json_t *request)
 {
   const char *from = option_text(ctl, "from", NULL);
   if (from != NULL && ctl->n_operands > 1)
-    return complain(STATUS_USAGE, "an initial population comes from designs or --from a campaign: give one of the two");
+    return complain(
+        STATUS_USAGE,
+        "an initial population comes from designs or --from a campaign: give one of the two");
   if (from != NULL) {
     if (!check_job_id(from))
       return STATUS_USAGE;
@@ -139,7 +143,8 @@ static int fill_request(struct ctl *ctl, json_t *request)
 int run_campaign_start(struct ctl *ctl)
 {
   json_t *request = json_pack("{s:s}", "mode", ctl->operands[0]), *campaign = NULL;
-  int status = request != NULL ? fill_request(ctl, request) : complain(STATUS_USAGE, "the mode is not UTF-8");
+  int status = request != NULL ? fill_request(ctl, request)
+                               : complain(STATUS_USAGE, "the mode is not UTF-8");
   if (status == STATUS_OK)
     status = post_job(ctl, "/v1/campaigns", request, 0, &campaign);
   json_decref(request);
@@ -147,18 +152,21 @@ int run_campaign_start(struct ctl *ctl)
   if (status == STATUS_OK && ctl->json && !watch) {
     print_json(campaign);
   } else if (status == STATUS_OK) {
-    const json_t *settings = json_object_get(campaign, "settings"), *group = json_object_get(campaign, "group");
-    int64_t replicates = number_of(group, "replicates"), first = strtoll(text_of(campaign, "id"), NULL, 10);
+    const json_t *settings = json_object_get(campaign, "settings"),
+                 *group = json_object_get(campaign, "group");
+    int64_t replicates = number_of(group, "replicates"),
+            first = strtoll(text_of(campaign, "id"), NULL, 10);
     char id[24], population[32], generations[32];
     snprintf(id, sizeof(id), "%" PRId64, first);
     for (int64_t i = 0; i < replicates && !watch; i++)
       printf("%" PRId64 "\n", first + i);
     if (!ctl->quiet && !ctl->json)
       print_plain_line(stderr, "campaign %s is accepted: %s, %s designs, %s generations%s%s%s", id,
-                       text_of(campaign, "mode"), count_text(number_of(settings, "population"), population),
+                       text_of(campaign, "mode"),
+                       count_text(number_of(settings, "population"), population),
                        count_text(number_of(settings, "generations"), generations),
-                       replicates > 1 ? ", with its replicates" : "", watch ? "" : "; morphoctl campaign watch ",
-                       watch ? "" : id);
+                       replicates > 1 ? ", with its replicates" : "",
+                       watch ? "" : "; morphoctl campaign watch ", watch ? "" : id);
     if (watch)
       status = watch_started(ctl, id, watch_campaign);
   }
@@ -178,23 +186,29 @@ int run_campaign_list(struct ctl *ctl)
     struct table table;
     size_t i;
     const json_t *item;
-    table_open(&table, ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label");
+    table_open(
+        &table,
+        ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label");
     json_array_foreach(items, i, item)
     {
-      const json_t *progress = json_object_get(item, "progress"), *newest = json_object_get(item, "newest");
-      const json_t *score = json_object_get(newest, "score"), *settings = json_object_get(item, "settings");
-      char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32], time[32];
-      const char *cells[] = {text_of(item, "id"),
-                             text_of(item, "mode"),
-                             text_of(item, "state"),
-                             count_text(number_of(settings, "population"), designs),
-                             json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
-                             count_text(number_of(progress, "generations"), generations),
-                             score_text(json_object_get(score, "mean"), mean),
-                             score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
-                             score_text(json_object_get(newest, "diversity"), diversity),
-                             time_text(json_object_get(item, "created_at"), time),
-                             text_of(item, "label")};
+      const json_t *progress = json_object_get(item, "progress"),
+                   *newest = json_object_get(item, "newest");
+      const json_t *score = json_object_get(newest, "score"),
+                   *settings = json_object_get(item, "settings");
+      char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32],
+          time[32];
+      const char *cells[] = {
+          text_of(item, "id"),
+          text_of(item, "mode"),
+          text_of(item, "state"),
+          count_text(number_of(settings, "population"), designs),
+          json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
+          count_text(number_of(progress, "generations"), generations),
+          score_text(json_object_get(score, "mean"), mean),
+          score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
+          score_text(json_object_get(newest, "diversity"), diversity),
+          time_text(json_object_get(item, "created_at"), time),
+          text_of(item, "label")};
       table_add(&table, cells);
     }
     table_print(&table, stdout, ctl);
@@ -206,9 +220,12 @@ int run_campaign_list(struct ctl *ctl)
 static void print_campaign(const struct ctl *ctl, const json_t *campaign)
 {
   char a[32], b[32], text[256];
-  const json_t *settings = json_object_get(campaign, "settings"), *group = json_object_get(campaign, "group");
-  const json_t *controller = json_object_get(campaign, "controller"), *error = json_object_get(campaign, "error");
-  const json_t *mutation = json_object_get(settings, "mutation"), *learning = json_object_get(settings, "learning");
+  const json_t *settings = json_object_get(campaign, "settings"),
+               *group = json_object_get(campaign, "group");
+  const json_t *controller = json_object_get(campaign, "controller"),
+               *error = json_object_get(campaign, "error");
+  const json_t *mutation = json_object_get(settings, "mutation"),
+               *learning = json_object_get(settings, "learning");
   const json_t *progress = json_object_get(campaign, "progress");
   const json_t *result = json_object_get(json_object_get(campaign, "result"), "controller");
   print_fact(ctl, "campaign", "%s (%s%s%s)", text_of(campaign, "id"), text_of(campaign, "mode"),
@@ -229,25 +246,30 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
                *text_of(controller, "name") != 0 ? ", " : "", text_of(controller, "sha256"));
   else
     print_fact(ctl, "controller", "random weights, sensor %s", text_of(learning, "sensor"));
-  print_fact(ctl, "population", "%s designs, seed %" PRId64, count_text(number_of(settings, "population"), a),
-             number_of(settings, "seed"));
+  print_fact(ctl, "population", "%s designs, seed %" PRId64,
+             count_text(number_of(settings, "population"), a), number_of(settings, "seed"));
   if (number_of(group, "replicates") > 1)
-    print_fact(ctl, "replicate", "%" PRId64 " of %" PRId64 " of campaign %s", number_of(group, "replicate") + 1,
-               number_of(group, "replicates"), text_of(group, "id"));
+    print_fact(ctl, "replicate", "%" PRId64 " of %" PRId64 " of campaign %s",
+               number_of(group, "replicate") + 1, number_of(group, "replicates"),
+               text_of(group, "id"));
   print_fact(ctl, "mutation", "%s of the population, rate %s, growth %s",
-             share_text(json_object_get(mutation, "share"), text), real_text(json_object_get(mutation, "rate"), a),
+             share_text(json_object_get(mutation, "share"), text),
+             real_text(json_object_get(mutation, "rate"), a),
              real_text(json_object_get(mutation, "growth"), b));
   print_fact(ctl, "selection", "%s", text_of(json_object_get(settings, "selection"), "kind"));
   if (json_is_object(learning))
-    print_fact(ctl, "learning", "%" PRId64 " + %" PRId64 " steps a generation, %s from %s down to %s",
+    print_fact(ctl, "learning",
+               "%" PRId64 " + %" PRId64 " steps a generation, %s from %s down to %s",
                number_of(learning, "parent_steps"), number_of(learning, "child_steps"),
                text_of(json_object_get(learning, "schedule"), "kind"),
                real_text(json_object_get(json_object_get(learning, "schedule"), "peak"), a),
                real_text(json_object_get(json_object_get(learning, "schedule"), "floor"), b));
-  campaign_generation_text(json_is_integer(json_object_get(progress, "generation")) ? number_of(progress, "generation")
-                                                                                    : -1,
+  campaign_generation_text(json_is_integer(json_object_get(progress, "generation"))
+                               ? number_of(progress, "generation")
+                               : -1,
                            number_of(progress, "generations"), text, sizeof(text));
-  print_fact(ctl, "progress", "%s, %s designs born", text, count_text(number_of(progress, "designs"), a));
+  print_fact(ctl, "progress", "%s, %s designs born", text,
+             count_text(number_of(progress, "designs"), a));
   campaign_progress_text(campaign, text, sizeof(text));
   if (*text != 0)
     print_fact(ctl, "now", "%s", text);
@@ -300,11 +322,13 @@ int run_campaign_extend(struct ctl *ctl)
     return complain(STATUS_USAGE, "\"%s\" is not a number of further generations", more);
   snprintf(path, sizeof(path), "/v1/campaigns/%s/extend", id);
   json_t *request = json_pack("{sI}", "generations", (json_int_t)generations), *campaign = NULL;
-  int status = request != NULL ? post_job(ctl, path, request, 0, &campaign) : complain(STATUS_ERROR, "out of memory");
+  int status = request != NULL ? post_job(ctl, path, request, 0, &campaign)
+                               : complain(STATUS_ERROR, "out of memory");
   if (campaign != NULL && ctl->json)
     print_json(campaign);
   else if (campaign != NULL && !ctl->quiet)
-    print_plain_line(stdout, "campaign %s is %s, to generation %" PRId64, id, text_of(campaign, "state"),
+    print_plain_line(stdout, "campaign %s is %s, to generation %" PRId64, id,
+                     text_of(campaign, "state"),
                      number_of(json_object_get(campaign, "progress"), "generations"));
   json_decref(request);
   json_decref(campaign);

@@ -43,8 +43,10 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
   if (!option_number(ctl, "record-stride", 1, 1000000, &stride))
     return STATUS_USAGE;
   snprintf(path, sizeof(path), "/v1/campaigns/%s/champions", id);
-  json_t *request = json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
-  int status = request != NULL ? post_job(ctl, path, request, 0, &evaluation) : complain(STATUS_ERROR, "out of memory");
+  json_t *request =
+      json_pack("{s:I, s:I}", "count", (json_int_t)count, "stride", (json_int_t)stride);
+  int status = request != NULL ? post_job(ctl, path, request, 0, &evaluation)
+                               : complain(STATUS_ERROR, "out of memory");
   json_decref(request);
   if (status == STATUS_OK) {
     char evaluation_id[24];
@@ -72,7 +74,9 @@ int run_campaign_champions(struct ctl *ctl)
   if (folder == NULL && option_is_set(ctl, "record-stride"))
     return complain(STATUS_USAGE, "--record-stride is for --output");
   if (folder != NULL && generation >= 0)
-    return complain(STATUS_USAGE, "paths are recorded of the newest generation: --output goes without --generation");
+    return complain(
+        STATUS_USAGE,
+        "paths are recorded of the newest generation: --output goes without --generation");
   int n = snprintf(path, sizeof(path), "/v1/campaigns/%s/champions?count=%" PRId64, id, count);
   if (generation >= 0)
     snprintf(path + n, sizeof(path) - (size_t)n, "&generation=%" PRId64, generation);
@@ -91,7 +95,8 @@ int run_campaign_champions(struct ctl *ctl)
 static int export_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
 {
   struct reply reply;
-  int status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
   if (status == STATUS_OK)
     status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
@@ -140,8 +145,10 @@ int run_campaign_export(struct ctl *ctl)
   static const struct {
     const char *option, *path, *accept;
   } tables[] = {
-      {"curve", "generations", "text/csv"},         {"learning", "learning", "text/csv"},
-      {"replicates", "replicates", "text/csv"},     {"phylogeny", "phylogeny?format=csv", "text/csv"},
+      {"curve", "generations", "text/csv"},
+      {"learning", "learning", "text/csv"},
+      {"replicates", "replicates", "text/csv"},
+      {"phylogeny", "phylogeny?format=csv", "text/csv"},
       {"newick", "phylogeny?format=newick", "*/*"},
   };
   const char *id = ctl->operands[0], *population = option_text(ctl, "population", NULL);
@@ -160,7 +167,9 @@ int run_campaign_export(struct ctl *ctl)
   if (status == STATUS_OK && population != NULL)
     status = export_population(ctl, id, population);
   if (n_given == 0)
-    return complain(STATUS_USAGE, "what is to be exported? --curve, --population, --phylogeny, --newick, --learning or "
-                                  "--replicates FILE");
+    return complain(
+        STATUS_USAGE,
+        "what is to be exported? --curve, --population, --phylogeny, --newick, --learning or "
+        "--replicates FILE");
   return status;
 }

@@ -1,7 +1,8 @@
 /* cmd_campaign_watch.c: campaign watch: a campaign as it evolves.
  *
- * On a terminal, sparklines of its curves and a table of the newest generations, redrawn in place; elsewhere a line per generation.
- * Generations are asked for when an event tells of one, so the view shows what the API would. */
+ * On a terminal, sparklines of its curves and a table of the newest generations, redrawn in place;
+ * elsewhere a line per generation. Generations are asked for when an event tells of one, so the
+ * view shows what the API would. */
 #include <string.h>
 
 #include "campaign.h"
@@ -40,19 +41,22 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *campaign = view->campaign.json, *progress = json_object_get(campaign, "progress");
-  const char *bold = view->ctl->colour ? "\033[1m" : "", *plain = view->ctl->colour ? "\033[0m" : "";
+  const char *bold = view->ctl->colour ? "\033[1m" : "",
+             *plain = view->ctl->colour ? "\033[0m" : "";
   struct lines lines = {file, columns};
   char text[512], generation[96], now[256];
   const char *reason = text_of(campaign, "reason"), *label = text_of(campaign, "label");
-  campaign_generation_text(json_is_integer(json_object_get(progress, "generation")) ? number_of(progress, "generation")
-                                                                                    : -1,
+  campaign_generation_text(json_is_integer(json_object_get(progress, "generation"))
+                               ? number_of(progress, "generation")
+                               : -1,
                            number_of(progress, "generations"), generation, sizeof(generation));
-  snprintf(text, sizeof(text), "%s%s%.64s  %s  %s   campaign %s", text_of(campaign, "mode"), *label != 0 ? "  " : "",
-           label, text_of(campaign, "state"), generation, view->campaign.id);
+  snprintf(text, sizeof(text), "%s%s%.64s  %s  %s   campaign %s", text_of(campaign, "mode"),
+           *label != 0 ? "  " : "", label, text_of(campaign, "state"), generation,
+           view->campaign.id);
   make_plain(text);
   screen_line(file, columns, bold, text, plain);
-  campaign_draw(view->ctl, &view->campaign, columns, rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line,
-                &lines);
+  campaign_draw(view->ctl, &view->campaign, columns,
+                rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line, &lines);
   campaign_progress_text(campaign, now, sizeof(now));
   screen_line(file, columns, "", now, "");
   snprintf(text, sizeof(text), "%s",
@@ -80,12 +84,15 @@ static int load(struct view *view)
   return STATUS_OK;
 }
 
-/* A line for each generation up to this one that has none yet. Only the last one's time is known: that of its event (nullable). */
+/* A line for each generation up to this one that has none yet. Only the last one's time is known:
+ * that of its event (nullable). */
 static void tell(struct view *view, int64_t until, const json_t *at)
 {
   char line[400], words[256], generation[96];
-  const int64_t generations = number_of(json_object_get(view->campaign.json, "progress"), "generations");
-  for (; view->told < view->campaign.n && view->campaign.rows[view->told].generation <= until; view->told++) {
+  const int64_t generations =
+      number_of(json_object_get(view->campaign.json, "progress"), "generations");
+  for (; view->told < view->campaign.n && view->campaign.rows[view->told].generation <= until;
+       view->told++) {
     const struct campaign_row *row = &view->campaign.rows[view->told];
     campaign_generation_text(row->generation, generations, generation, sizeof(generation));
     campaign_row_text(row, words, sizeof(words));
@@ -108,7 +115,8 @@ static int load_and_tell(struct view *view)
 /* Members of "progress" that an event tells. */
 static void take_progress(struct view *view, const json_t *data)
 {
-  static const char *const keys[][2] = {{"generation", "under_way"}, {"done", "done"}, {"total", "total"}};
+  static const char *const keys[][2] = {
+      {"generation", "under_way"}, {"done", "done"}, {"total", "total"}};
   json_t *progress = json_object_get(view->campaign.json, "progress");
   for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
     if (json_object_get(data, keys[i][0]) != NULL)
@@ -143,7 +151,8 @@ static int show_event(void *context, const char *type, const char *data)
   }
   json_decref(event);
   draw(view, view->finished);
-  return status != STATUS_OK || (view->finished && !generation); /* more generations may be told before the end is */
+  return status != STATUS_OK ||
+         (view->finished && !generation); /* more generations may be told before the end is */
 }
 
 static int look_again(void *context)
@@ -155,7 +164,8 @@ static int look_again(void *context)
   int status = load(view);
   if (status != STATUS_OK)
     return status;
-  const char *phase = text_of(view->campaign.json, "phase"), *reason = text_of(view->campaign.json, "reason");
+  const char *phase = text_of(view->campaign.json, "phase"),
+             *reason = text_of(view->campaign.json, "reason");
   if (*reason != 0 && (strcmp(before, phase) != 0 || strcmp(reason_before, reason) != 0)) {
     snprintf(line, sizeof(line), "%s: %.300s", phase, reason);
     screen_event(&view->screen, view->ctl, NULL, line);
@@ -184,9 +194,12 @@ static int finish(const struct view *view)
   const json_t *campaign = view->campaign.json, *result = json_object_get(campaign, "result");
   const json_t *controller = json_object_get(result, "controller");
   if (!view->ctl->quiet && strcmp(text_of(campaign, "end"), "exhausted") == 0)
-    print_plain_line(stdout, "The morphospace holds no further design that the campaign could find: it ended early.");
+    print_plain_line(
+        stdout,
+        "The morphospace holds no further design that the campaign could find: it ended early.");
   if (json_is_object(controller) && !view->ctl->quiet)
-    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"), text_of(controller, "sha256"));
+    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"),
+                     text_of(controller, "sha256"));
   return campaign_outcome(campaign);
 }
 
@@ -213,7 +226,8 @@ int watch_campaign(struct ctl *ctl, const char *id)
     status = follow_events(&follow);
   if (status == STATUS_INTERRUPTED && !ctl->quiet)
     print_plain_line(stderr,
-                     "The campaign goes on. To watch it again: morphoctl campaign watch %s; to set it aside: morphoctl "
+                     "The campaign goes on. To watch it again: morphoctl campaign watch %s; to set "
+                     "it aside: morphoctl "
                      "campaign pause %s; to stop it: morphoctl campaign cancel %s",
                      id, id, id);
   else if (status == STATUS_OK && view.finished) {

@@ -54,8 +54,11 @@ static void print_controller(const struct ctl *ctl, const json_t *controller)
     print_fact(ctl, "name", "%s", text_of(controller, "name"));
   print_fact(ctl, "sha256", "%s", text_of(controller, "sha256"));
   print_fact(ctl, "sensor", "%s", text_of(controller, "sensor"));
-  print_fact(ctl, "workspace", "%" JSON_INTEGER_FORMAT " × %" JSON_INTEGER_FORMAT " × %" JSON_INTEGER_FORMAT " voxels",
-             json_integer_value(json_array_get(workspace, 0)), json_integer_value(json_array_get(workspace, 1)),
+  print_fact(ctl, "workspace",
+             "%" JSON_INTEGER_FORMAT " × %" JSON_INTEGER_FORMAT " × %" JSON_INTEGER_FORMAT
+             " voxels",
+             json_integer_value(json_array_get(workspace, 0)),
+             json_integer_value(json_array_get(workspace, 1)),
              json_integer_value(json_array_get(workspace, 2)));
   print_fact(ctl, "parameters", "%s", count_text(number_of(controller, "parameters"), a));
   print_fact(ctl, "bytes", "%s", count_text(number_of(controller, "bytes"), a));
@@ -101,8 +104,9 @@ int run_controller_get(struct ctl *ctl)
   if (status == STATUS_OK && standard && isatty(STDOUT_FILENO))
     status = complain(STATUS_USAGE, "a controller is not for a terminal: give --output FILE");
   if (status == STATUS_OK)
-    status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
-                            &reply);
+    status = transport_send(
+        ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
+        &reply);
   if (status == STATUS_OK) {
     status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
     if (status == STATUS_OK && !standard && !ctl->quiet)
@@ -123,11 +127,13 @@ int run_controller_put(struct ctl *ctl)
   if (status == STATUS_OK)
     status = read_input(ctl->operands[1], CONTROLLER_BYTES_MAX, &bytes, &n);
   if (status == STATUS_OK)
-    status = transport_send(
-        ctl,
-        &(struct request){
-            .method = "PUT", .path = path, .content_type = "application/octet-stream", .body = bytes, .body_bytes = n},
-        &reply);
+    status = transport_send(ctl,
+                            &(struct request){.method = "PUT",
+                                              .path = path,
+                                              .content_type = "application/octet-stream",
+                                              .body = bytes,
+                                              .body_bytes = n},
+                            &reply);
   json_t *controller = status == STATUS_OK ? reply_json(&reply) : NULL;
   if (status == STATUS_OK && controller == NULL)
     status = STATUS_ERROR;
@@ -135,7 +141,8 @@ int run_controller_put(struct ctl *ctl)
     print_json(controller);
   else if (controller != NULL && !ctl->quiet)
     print_plain_line(stdout, "controller %s %s: sha256:%s", text_of(controller, "name"),
-                     reply.status == 201 ? "stored" : "now stands for this file", text_of(controller, "sha256"));
+                     reply.status == 201 ? "stored" : "now stands for this file",
+                     text_of(controller, "sha256"));
   json_decref(controller);
   reply_free(&reply);
   free(bytes);

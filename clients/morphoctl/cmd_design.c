@@ -28,9 +28,10 @@ int run_design_show(struct ctl *ctl)
     const json_t *campaign;
     json_array_foreach(json_object_get(design, "campaigns"), i, campaign)
     {
-      print_fact(ctl, i == 0 ? "campaigns" : "", "%s: number %" PRId64 ", born in generation %" PRId64 " by %s",
-                 text_of(campaign, "campaign"), number_of(campaign, "number"), number_of(campaign, "born"),
-                 text_of(campaign, "operator"));
+      print_fact(ctl, i == 0 ? "campaigns" : "",
+                 "%s: number %" PRId64 ", born in generation %" PRId64 " by %s",
+                 text_of(campaign, "campaign"), number_of(campaign, "number"),
+                 number_of(campaign, "born"), text_of(campaign, "operator"));
     }
     if (json_is_true(json_object_get(design, "truncated")))
       print_fact(ctl, "scores", "only the first 1,000 rollouts are shown");
@@ -84,7 +85,8 @@ int run_design_show(struct ctl *ctl)
 
 int run_design_list(struct ctl *ctl)
 {
-  const char *sort = option_text(ctl, "sort", "id"), *controller = option_text(ctl, "controller", NULL);
+  const char *sort = option_text(ctl, "sort", "id"),
+             *controller = option_text(ctl, "controller", NULL);
   int64_t limit = 100;
   if (!option_number(ctl, "limit", 1, 1000000, &limit))
     return STATUS_USAGE;
@@ -141,7 +143,8 @@ int run_design_draw(struct ctl *ctl)
     const json_t *design = json_array_get(designs.list, i);
     char voxels[VOXELS + 1];
     if (!design_voxels(design, voxels) && !id_voxels(text_of(design, "id"), voxels)) {
-      status = complain(STATUS_USAGE, "design %zu does not fit the workspace of 6 × 6 × 4 voxels", i);
+      status =
+          complain(STATUS_USAGE, "design %zu does not fit the workspace of 6 × 6 × 4 voxels", i);
       break;
     }
     if (i > 0)
@@ -158,7 +161,8 @@ int run_design_random(struct ctl *ctl)
 {
   struct designs designs = {0};
   int64_t n = 1, seed = 1;
-  if (!option_number(ctl, "count", 1, DESIGNS_MAX, &n) || !option_number(ctl, "seed", 0, INT64_MAX, &seed))
+  if (!option_number(ctl, "count", 1, DESIGNS_MAX, &n) ||
+      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
     return STATUS_USAGE;
   int status = designs_add_random(&designs, (uint64_t)seed, (size_t)n);
   for (size_t i = 0; i < designs.n && status == STATUS_OK; i++) {

@@ -16,9 +16,12 @@ static void print_devices(const struct ctl *ctl, const json_t *devices)
   {
     char number[24], load[24], unused[24], memory[24], rollouts[32], gradients[32];
     snprintf(number, sizeof(number), "%" PRId64, number_of(device, "index"));
-    snprintf(load, sizeof(load), "%.0f %%", 100 * json_number_value(json_object_get(device, "load")));
-    snprintf(unused, sizeof(unused), "%.1f", (double)number_of(device, "free_bytes") / (double)(1 << 30));
-    snprintf(memory, sizeof(memory), "%.1f", (double)number_of(device, "memory_bytes") / (double)(1 << 30));
+    snprintf(load, sizeof(load), "%.0f %%",
+             100 * json_number_value(json_object_get(device, "load")));
+    snprintf(unused, sizeof(unused), "%.1f",
+             (double)number_of(device, "free_bytes") / (double)(1 << 30));
+    snprintf(memory, sizeof(memory), "%.1f",
+             (double)number_of(device, "memory_bytes") / (double)(1 << 30));
     const char *cells[] = {number,
                            text_of(device, "name"),
                            text_of(device, "state"),
@@ -44,7 +47,8 @@ static int tell_lost(const struct ctl *ctl, const json_t *devices)
       continue;
     status = STATUS_NEGATIVE;
     if (!ctl->json)
-      print_plain_line(stderr, "device %" PRId64 " is lost: %s", number_of(device, "index"), text_of(device, "error"));
+      print_plain_line(stderr, "device %" PRId64 " is lost: %s", number_of(device, "index"),
+                       text_of(device, "error"));
   }
   return status;
 }

@@ -16,7 +16,8 @@ static int fill_record(const struct ctl *ctl, json_t *request)
   int64_t stride = 10;
   if (record == NULL) {
     if (option_is_set(ctl, "record-stride") || option_is_set(ctl, "output"))
-      return complain(STATUS_USAGE, "--record-stride and --output need --record com, masses or com,masses");
+      return complain(STATUS_USAGE,
+                      "--record-stride and --output need --record com, masses or com,masses");
     return STATUS_OK;
   }
   json_t *list = json_array();
@@ -40,10 +41,12 @@ static int fill_record(const struct ctl *ctl, json_t *request)
   return STATUS_OK;
 }
 
-static int write_file(const char *path, const void *head, size_t head_bytes, const void *bytes, size_t n)
+static int write_file(const char *path, const void *head, size_t head_bytes, const void *bytes,
+                      size_t n)
 {
   FILE *file = fopen(path, "we");
-  bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes && fwrite(bytes, 1, n, file) == n;
+  bool ok = file != NULL && fwrite(head, 1, head_bytes, file) == head_bytes &&
+            fwrite(bytes, 1, n, file) == n;
   int error = errno;
   if (file != NULL && fclose(file) != 0) {
     ok = false;
@@ -52,11 +55,13 @@ static int write_file(const char *path, const void *head, size_t head_bytes, con
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
-/* NumPy's .npy format, version 1: magic, version, length of the header, header padded to 64 bytes, the numbers. */
+/* NumPy's .npy format, version 1: magic, version, length of the header, header padded to 64 bytes,
+ * the numbers. */
 static size_t npy_head(const char *shape, char head[256])
 {
   char text[200];
-  int n = snprintf(text, sizeof(text), "{'descr': '<f4', 'fortran_order': False, 'shape': (%s), }", shape);
+  int n = snprintf(text, sizeof(text), "{'descr': '<f4', 'fortran_order': False, 'shape': (%s), }",
+                   shape);
   size_t padded = ((size_t)n + 1 + 10 + 63) / 64 * 64 - 10;
   static const char magic[8] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0};
   memcpy(head, magic, sizeof(magic));
@@ -68,21 +73,23 @@ static size_t npy_head(const char *shape, char head[256])
   return padded + 10;
 }
 
-static int save_array(struct ctl *ctl, const char *folder, const char *id, size_t design, size_t environment,
-                      const char *array)
+static int save_array(struct ctl *ctl, const char *folder, const char *id, size_t design,
+                      size_t environment, const char *array)
 {
   char path[160], *file = NULL;
-  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu?environment=%zu&array=%s", id, design, environment,
-           array);
+  snprintf(path, sizeof(path), "/v1/evaluations/%s/trajectories/%zu?environment=%zu&array=%s", id,
+           design, environment, array);
   struct reply reply;
   int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"}, &reply);
+      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
+      &reply);
   if (status == STATUS_OK && strspn(reply.shape, "0123456789,") != strlen(reply.shape))
     status = complain(STATUS_ERROR, "the server's reply has no shape");
   if (status == STATUS_OK) {
     char head[256];
     size_t n = npy_head(reply.shape, head);
-    if (asprintf(&file, "%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment, array) < 0)
+    if (asprintf(&file, "%s/design-%04zu-environment-%02zu-%s.npy", folder, design, environment,
+                 array) < 0)
       status = complain(STATUS_ERROR, "out of memory");
     else
       status = write_file(file, head, n, reply.body != NULL ? reply.body : "", reply.body_bytes);
@@ -104,13 +111,15 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
     status = write_file(path, "", 0, text, strlen(text));
   free(text);
   free(path);
-  const json_t *results = json_object_get(evaluation, "results"), *record = json_object_get(evaluation, "record");
+  const json_t *results = json_object_get(evaluation, "results"),
+               *record = json_object_get(evaluation, "record");
   size_t n_files = 0;
   for (size_t i = 0; i < json_array_size(results) && status == STATUS_OK; i++) {
     size_t n_environments = json_array_size(json_object_get(json_array_get(results, i), "losses"));
     for (size_t k = 0; k < n_environments && status == STATUS_OK; k++)
       for (size_t a = 0; a < json_array_size(record) && status == STATUS_OK; a++) {
-        status = save_array(ctl, folder, text_of(evaluation, "id"), i, k, json_string_value(json_array_get(record, a)));
+        status = save_array(ctl, folder, text_of(evaluation, "id"), i, k,
+                            json_string_value(json_array_get(record, a)));
         n_files++;
       }
   }
@@ -123,7 +132,8 @@ static int read_designs(struct ctl *ctl, struct designs *designs)
 {
   int64_t n_random = 0, seed = 1;
   int status = STATUS_OK;
-  if (!option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) || !option_number(ctl, "seed", 0, INT64_MAX, &seed))
+  if (!option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) ||
+      !option_number(ctl, "seed", 0, INT64_MAX, &seed))
     return STATUS_USAGE;
   for (size_t i = 0; i < ctl->n_operands && status == STATUS_OK; i++)
     status = designs_add_operand(designs, ctl->operands[i]);
@@ -140,7 +150,8 @@ int run_eval(struct ctl *ctl)
   json_t *request = json_object(), *evaluation = NULL;
   bool wait = !option_is_set(ctl, "no-wait");
   int64_t top = 0;
-  const char *sort = option_text(ctl, "sort", "input"), *priority = option_text(ctl, "priority", NULL);
+  const char *sort = option_text(ctl, "sort", "input"),
+             *priority = option_text(ctl, "priority", NULL);
   const char *label = option_text(ctl, "label", NULL), *output = option_text(ctl, "output", NULL);
   int status = read_designs(ctl, &designs);
   if (status == STATUS_OK && !option_number(ctl, "top", 1, DESIGNS_MAX, &top))
@@ -159,7 +170,8 @@ int run_eval(struct ctl *ctl)
       json_object_set_new(request, "label", json_string(label));
     if (priority != NULL)
       json_object_set_new(request, "priority", json_string(priority));
-    static const struct field fields[] = {{"weight", "weight", FIELD_REAL}, {"device", "device", FIELD_WORD}};
+    static const struct field fields[] = {{"weight", "weight", FIELD_REAL},
+                                          {"device", "device", FIELD_WORD}};
     status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
   }
   if (status == STATUS_OK)
@@ -170,18 +182,21 @@ int run_eval(struct ctl *ctl)
     else
       print_plain_line(stdout, "%s", text_of(evaluation, "id"));
     if (!ctl->json && !ctl->quiet)
-      print_plain_line(stderr, "evaluation %s is accepted: %zu designs, %" PRId64 " rollouts; morphoctl watch %s",
-                       text_of(evaluation, "id"), designs.n, number_of(evaluation, "rollouts_total"),
-                       text_of(evaluation, "id"));
+      print_plain_line(stderr,
+                       "evaluation %s is accepted: %zu designs, %" PRId64
+                       " rollouts; morphoctl watch %s",
+                       text_of(evaluation, "id"), designs.n,
+                       number_of(evaluation, "rollouts_total"), text_of(evaluation, "id"));
   } else if (status == STATUS_OK) {
     if (ctl->json)
       print_json(evaluation);
     else if (json_object_get(evaluation, "results") != NULL)
-      print_results(ctl, evaluation, designs.named ? designs.names : NULL, strcmp(sort, "score") == 0 || top > 0,
-                    (size_t)top);
+      print_results(ctl, evaluation, designs.named ? designs.names : NULL,
+                    strcmp(sort, "score") == 0 || top > 0, (size_t)top);
     if (!ctl->json && !ctl->quiet) {
       char a[32], b[32];
-      print_plain_line(stderr, "evaluation %s: %s rollouts, %s of them from the store", text_of(evaluation, "id"),
+      print_plain_line(stderr, "evaluation %s: %s rollouts, %s of them from the store",
+                       text_of(evaluation, "id"),
                        count_text(number_of(evaluation, "rollouts_total"), a),
                        count_text(number_of(evaluation, "rollouts_cached"), b));
     }
@@ -197,7 +212,8 @@ int run_eval(struct ctl *ctl)
 
 /* ---- verify ---- */
 
-/* The orientations under which a design was scored: a score belongs to the oriented body, an id to all its images. */
+/* The orientations under which a design was scored: a score belongs to the oriented body, an id to
+ * all its images. */
 static int add_orientations(struct ctl *ctl, struct designs *designs, const char *id)
 {
   char path[80];
@@ -229,8 +245,9 @@ static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *requ
     status = evaluation_outcome(evaluation);
   if (status == STATUS_OK && !json_is_string(json_object_get(evaluation, "environments")) &&
       !option_is_set(ctl, "environments"))
-    status =
-        complain(STATUS_USAGE, "evaluation %s has environments of its own: give them again with --environments", id);
+    status = complain(
+        STATUS_USAGE,
+        "evaluation %s has environments of its own: give them again with --environments", id);
   size_t i;
   json_t *result;
   json_array_foreach(json_object_get(evaluation, "results"), i, result)
@@ -241,7 +258,8 @@ static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *requ
   }
   if (status == STATUS_OK) {
     char controller[80];
-    snprintf(controller, sizeof(controller), "sha256:%s", text_of(json_object_get(evaluation, "controller"), "sha256"));
+    snprintf(controller, sizeof(controller), "sha256:%s",
+             text_of(json_object_get(evaluation, "controller"), "sha256"));
     json_object_set_new(request, "controller", json_string(controller));
     json_object_set(request, "physics", json_object_get(evaluation, "physics"));
     json_object_set(request, "precision", json_object_get(evaluation, "precision"));
@@ -294,7 +312,8 @@ int run_verify(struct ctl *ctl)
     if (!ctl->json && !ctl->quiet)
       printf("%zu the same, %zu different, %zu not stored\n", agree, differ, absent);
     if (differ > 0)
-      status = complain(STATUS_NEGATIVE, "%zu stored scores have other bits than their recomputation", differ);
+      status = complain(STATUS_NEGATIVE,
+                        "%zu stored scores have other bits than their recomputation", differ);
     else if (agree == 0)
       status = complain(STATUS_NEGATIVE, "nothing is stored to compare with");
   }

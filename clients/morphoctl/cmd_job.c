@@ -22,9 +22,11 @@ int run_job_list(struct ctl *ctl)
     json_array_foreach(items, i, job)
     {
       char designs[32], count[32], work[48], done[16], time[32];
-      const json_t *training = json_object_get(job, "training"), *campaign = json_object_get(job, "campaign");
+      const json_t *training = json_object_get(job, "training"),
+                   *campaign = json_object_get(job, "campaign");
       int64_t total, so_far,
-          n_designs = campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
+          n_designs =
+              campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
       const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
       if (training != NULL) {
         total = number_of(training, "steps");
@@ -94,8 +96,9 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
     const bool is_unreadable = status == STATUS_OK && reply.status == 204;
     json_t *job = status == STATUS_OK && !is_unreadable ? reply_json(&reply) : NULL;
     if (is_unreadable && !ctl->quiet)
-      print_plain_line(stderr, "job %s is cancelled; the server cannot read it: morphoctl job show %s says why", id,
-                       id);
+      print_plain_line(
+          stderr, "job %s is cancelled; the server cannot read it: morphoctl job show %s says why",
+          id, id);
     else if (job != NULL && ctl->json)
       print_json(job);
     else if (job != NULL && !ctl->quiet)
@@ -137,15 +140,19 @@ int run_job_weight(struct ctl *ctl)
     return complain(STATUS_USAGE, "\"%s\" is not a number", words);
   snprintf(path, sizeof(path), "/v1/jobs/%s/weight", id);
   int n = snprintf(body, sizeof(body), "{\"weight\":%.17g}", weight);
-  struct request request = {
-      .method = "POST", .path = path, .body = body, .body_bytes = (size_t)n, .content_type = "application/json"};
+  struct request request = {.method = "POST",
+                            .path = path,
+                            .body = body,
+                            .body_bytes = (size_t)n,
+                            .content_type = "application/json"};
   struct reply reply;
   int status = transport_send(ctl, &request, &reply);
   json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
   if (job != NULL && ctl->json)
     print_json(job);
   else if (job != NULL && !ctl->quiet)
-    print_plain_line(stdout, "job %s has the weight %g", id, json_number_value(json_object_get(job, "weight")));
+    print_plain_line(stdout, "job %s has the weight %g", id,
+                     json_number_value(json_object_get(job, "weight")));
   json_decref(job);
   reply_free(&reply);
   return status;
@@ -167,8 +174,9 @@ int prune_checkpoints(struct ctl *ctl, const char *kind, const char *below)
     if (value != NULL && ctl->json)
       print_json(value);
     else if (value != NULL && !ctl->quiet)
-      print_plain_line(stdout, "%s %s: %s checkpoint%s deleted, %.1f MB", kind, id, count_text((int64_t)n, count),
-                       n == 1 ? "" : "s", (double)number_of(value, "bytes") * 1e-6);
+      print_plain_line(stdout, "%s %s: %s checkpoint%s deleted, %.1f MB", kind, id,
+                       count_text((int64_t)n, count), n == 1 ? "" : "s",
+                       (double)number_of(value, "bytes") * 1e-6);
     json_decref(value);
     reply_free(&reply);
     if (status != STATUS_OK)

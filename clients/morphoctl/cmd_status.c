@@ -16,9 +16,12 @@ int run_status(struct ctl *ctl)
   char why[160] = "";
   if (status == STATUS_OK) {
     /* Asked once: that it is not ready is an answer. */
-    status = transport_try(ctl, &(struct request){.method = "GET", .path = "/readyz", .once = true}, &ready);
+    status = transport_try(ctl, &(struct request){.method = "GET", .path = "/readyz", .once = true},
+                           &ready);
     is_ready = status == STATUS_OK && ready.status == 200;
-    json_t *problem = status == STATUS_OK && !is_ready && ready.body != NULL ? json_loads(ready.body, 0, NULL) : NULL;
+    json_t *problem = status == STATUS_OK && !is_ready && ready.body != NULL
+                          ? json_loads(ready.body, 0, NULL)
+                          : NULL;
     snprintf(why, sizeof(why), "%.150s", text_of(problem, "detail"));
     json_decref(problem);
     reply_free(&ready);
@@ -26,7 +29,8 @@ int run_status(struct ctl *ctl)
   if (status == STATUS_OK)
     status = transport_get_json(ctl, "/v1/workers", 0, &workers);
   if (status == STATUS_OK && ctl->json) {
-    json_t *all = json_pack("{s:O, s:b, s:O}", "health", health, "ready", is_ready, "workers", workers);
+    json_t *all =
+        json_pack("{s:O, s:b, s:O}", "health", health, "ready", is_ready, "workers", workers);
     print_json(all);
     json_decref(all);
   } else if (status == STATUS_OK) {
@@ -40,7 +44,8 @@ int run_status(struct ctl *ctl)
     print_fact(ctl, "waiting", "%s interactive and %s batch blocks",
                count_text(number_of(workers, "queued_interactive"), a),
                count_text(number_of(workers, "queued_batch"), b));
-    print_fact(ctl, "rollouts", "%s since the start", count_text(number_of(workers, "rollouts_done"), a));
+    print_fact(ctl, "rollouts", "%s since the start",
+               count_text(number_of(workers, "rollouts_done"), a));
     print_fact(ctl, "float32", "%s", text_of(fingerprints, "float32"));
     print_fact(ctl, "float64", "%s", text_of(fingerprints, "float64"));
   }

@@ -42,7 +42,8 @@ static int name_population(struct ctl *ctl, const char *id, json_t **object)
   snprintf(path, sizeof(path), "/v1/jobs/%s", id);
   int status = transport_get_json(ctl, path, 0, &job);
   if (status == STATUS_OK)
-    *object = json_pack("{s:s}", strcmp(text_of(job, "kind"), "campaign") == 0 ? "campaign" : "evaluation", id);
+    *object = json_pack(
+        "{s:s}", strcmp(text_of(job, "kind"), "campaign") == 0 ? "campaign" : "evaluation", id);
   json_decref(job);
   return status;
 }
@@ -53,15 +54,20 @@ static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
   int64_t n_random = 0, seed = 1, best = 0;
   const char *population = option_text(ctl, "population", NULL);
   if (!option_number(ctl, "random", 1, DESIGNS_MAX, &n_random) ||
-      !option_number(ctl, "random-seed", 0, INT64_MAX, &seed) || !option_number(ctl, "best", 1, DESIGNS_MAX, &best))
+      !option_number(ctl, "random-seed", 0, INT64_MAX, &seed) ||
+      !option_number(ctl, "best", 1, DESIGNS_MAX, &best))
     return STATUS_USAGE;
   bool listed = ctl->n_operands > 1 || n_random > 0;
   if (!finetune && (listed || population != NULL))
-    return complain(STATUS_USAGE, "a pretraining draws bodies of its own: designs, --random and --population are for "
-                                  "train start finetune");
+    return complain(
+        STATUS_USAGE,
+        "a pretraining draws bodies of its own: designs, --random and --population are for "
+        "train start finetune");
   if (finetune && listed == (population != NULL))
-    return complain(STATUS_USAGE, "a finetuning learns on designs (files, --random N) or on a --population: give one "
-                                  "of the two");
+    return complain(
+        STATUS_USAGE,
+        "a finetuning learns on designs (files, --random N) or on a --population: give one "
+        "of the two");
   if (best > 0 && population == NULL)
     return complain(STATUS_USAGE, "--best is for --population");
   if (population != NULL) {
@@ -92,7 +98,8 @@ int run_train_start(struct ctl *ctl)
   if (!finetune && strcmp(kind, "pretrain") != 0)
     return complain(STATUS_USAGE, "\"%s\" is not pretrain or finetune", kind);
   json_t *request = json_pack("{s:s}", "kind", kind), *training = NULL;
-  int status = request != NULL ? fill_designs(ctl, finetune, request) : complain(STATUS_ERROR, "out of memory");
+  int status = request != NULL ? fill_designs(ctl, finetune, request)
+                               : complain(STATUS_ERROR, "out of memory");
   if (status == STATUS_OK)
     status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
   if (status == STATUS_OK)
@@ -115,7 +122,8 @@ int run_train_start(struct ctl *ctl)
       print_plain_line(stdout, "%s", id);
     if (!ctl->quiet && !ctl->json)
       print_plain_line(stderr, "training %s is accepted: %s steps of %s robots%s%s", id,
-                       count_text(number_of(settings, "steps"), steps), count_text(number_of(settings, "batch"), batch),
+                       count_text(number_of(settings, "steps"), steps),
+                       count_text(number_of(settings, "batch"), batch),
                        watch ? "" : "; morphoctl train watch ", watch ? "" : id);
     if (watch)
       status = watch_started(ctl, id, watch_training);
@@ -141,16 +149,17 @@ int run_train_list(struct ctl *ctl)
     {
       const json_t *progress = json_object_get(item, "progress");
       char step[32], steps[32], loss[32], score[32], time[32];
-      const char *cells[] = {text_of(item, "id"),
-                             text_of(item, "kind"),
-                             text_of(item, "name"),
-                             text_of(item, "state"),
-                             count_text(number_of(progress, "step"), step),
-                             count_text(number_of(progress, "steps"), steps),
-                             score_text(json_object_get(progress, "mean_loss"), loss),
-                             score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
-                             time_text(json_object_get(item, "created_at"), time),
-                             text_of(item, "label")};
+      const char *cells[] = {
+          text_of(item, "id"),
+          text_of(item, "kind"),
+          text_of(item, "name"),
+          text_of(item, "state"),
+          count_text(number_of(progress, "step"), step),
+          count_text(number_of(progress, "steps"), steps),
+          score_text(json_object_get(progress, "mean_loss"), loss),
+          score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
+          time_text(json_object_get(item, "created_at"), time),
+          text_of(item, "label")};
       table_add(&table, cells);
     }
     table_print(&table, stdout, ctl);
@@ -162,14 +171,17 @@ int run_train_list(struct ctl *ctl)
 static void print_settings(const struct ctl *ctl, const json_t *settings)
 {
   char a[32], b[32], c[32];
-  const json_t *schedule = json_object_get(settings, "schedule"), *adam = json_object_get(settings, "adam");
-  const json_t *validation = json_object_get(settings, "validation"), *physics = json_object_get(settings, "physics");
+  const json_t *schedule = json_object_get(settings, "schedule"),
+               *adam = json_object_get(settings, "adam");
+  const json_t *validation = json_object_get(settings, "validation"),
+               *physics = json_object_get(settings, "physics");
   const json_t *checkpoint = json_object_get(settings, "checkpoint");
   print_fact(ctl, "batch", "%s robots, seed %" PRId64, count_text(number_of(settings, "batch"), a),
              number_of(settings, "seed"));
   if (json_is_integer(json_object_get(settings, "n_designs"))) {
     const json_t *population = json_object_get(settings, "population");
-    const char *evaluation = text_of(population, "evaluation"), *campaign = text_of(population, "campaign");
+    const char *evaluation = text_of(population, "evaluation"),
+               *campaign = text_of(population, "campaign");
     print_fact(ctl, "designs", "%s%s%s", count_text(number_of(settings, "n_designs"), a),
                *evaluation != 0 ? " of evaluation "
                : *campaign != 0 ? " of campaign "
@@ -177,18 +189,22 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
                *evaluation != 0 ? evaluation : campaign);
   }
   print_fact(ctl, "schedule", "%s, %s down to %s", text_of(schedule, "kind"),
-             real_text(json_object_get(schedule, "peak"), a), real_text(json_object_get(schedule, "floor"), b));
+             real_text(json_object_get(schedule, "peak"), a),
+             real_text(json_object_get(schedule, "floor"), b));
   print_fact(ctl, "adam", "%s, %s, %s", real_text(json_object_get(adam, "beta1"), a),
-             real_text(json_object_get(adam, "beta2"), b), real_text(json_object_get(adam, "epsilon"), c));
+             real_text(json_object_get(adam, "beta2"), b),
+             real_text(json_object_get(adam, "epsilon"), c));
   const bool restarts = strcmp(text_of(settings, "adjoint_rule"), "restart") == 0;
   print_fact(ctl, "limits", "gradient %s, adjoint %s (%s%s%s)",
              real_text(json_object_get(settings, "gradient_norm_limit"), a),
-             real_text(json_object_get(settings, "adjoint_bound"), b), text_of(settings, "adjoint_rule"),
-             restarts ? ", weight " : "", restarts ? real_text(json_object_get(settings, "restart_weight"), c) : "");
+             real_text(json_object_get(settings, "adjoint_bound"), b),
+             text_of(settings, "adjoint_rule"), restarts ? ", weight " : "",
+             restarts ? real_text(json_object_get(settings, "restart_weight"), c) : "");
   print_fact(ctl, "physics", "%" PRId64 " steps of %s s, impact %s", number_of(physics, "n_steps"),
              real_text(json_object_get(physics, "dt_s"), a), text_of(physics, "impact"));
   if (number_of(validation, "every_steps") > 0)
-    print_fact(ctl, "validates", "every %" PRId64 " steps on %" PRId64 " designs in %" PRId64 " environments",
+    print_fact(ctl, "validates",
+               "every %" PRId64 " steps on %" PRId64 " designs in %" PRId64 " environments",
                number_of(validation, "every_steps"), number_of(validation, "designs"),
                number_of(validation, "environments"));
   int64_t steps = number_of(checkpoint, "every_steps"), seconds = number_of(checkpoint, "every_s");
@@ -197,7 +213,8 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
   if (seconds > 0)
     snprintf(b, sizeof(b), "%severy %" PRId64 " s", n > 0 ? " or " : "", seconds);
   print_fact(ctl, "checkpoints", "%s%s, the newest %" PRId64 " kept",
-             n + seconds > 0 ? a : "at pauses, stops and the end", seconds > 0 ? b : "", number_of(checkpoint, "keep"));
+             n + seconds > 0 ? a : "at pauses, stops and the end", seconds > 0 ? b : "",
+             number_of(checkpoint, "keep"));
 }
 
 /* One line as a rule; more when it was continued under other code. */
@@ -207,7 +224,8 @@ static void print_code(const struct ctl *ctl, const json_t *code)
   const json_t *entry;
   json_array_foreach(code, i, entry)
   {
-    const char *fingerprint = *text_of(entry, "fingerprint") != 0 ? text_of(entry, "fingerprint") : "not recorded";
+    const char *fingerprint =
+        *text_of(entry, "fingerprint") != 0 ? text_of(entry, "fingerprint") : "not recorded";
     if (i == 0)
       print_fact(ctl, "code", "%s", fingerprint);
     else
@@ -218,7 +236,8 @@ static void print_code(const struct ctl *ctl, const json_t *code)
 static void print_training(const struct ctl *ctl, const json_t *training)
 {
   char text[256];
-  const json_t *parent = json_object_get(training, "parent"), *progress = json_object_get(training, "progress");
+  const json_t *parent = json_object_get(training, "parent"),
+               *progress = json_object_get(training, "progress");
   print_fact(ctl, "training", "%s (%s)", text_of(training, "id"), text_of(training, "kind"));
   print_fact(ctl, "name", "%s", text_of(training, "name"));
   print_state(ctl, text_of(training, "state"));
@@ -236,10 +255,11 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   if (number_of(training, "attempts") > 0)
     print_fact(ctl, "attempts", "%" PRId64, number_of(training, "attempts"));
   if (json_is_object(parent))
-    print_fact(ctl, "from", "%s%ssha256:%s", text_of(parent, "name"), *text_of(parent, "name") != 0 ? ", " : "",
-               text_of(parent, "sha256"));
+    print_fact(ctl, "from", "%s%ssha256:%s", text_of(parent, "name"),
+               *text_of(parent, "name") != 0 ? ", " : "", text_of(parent, "sha256"));
   else
-    print_fact(ctl, "from", "random weights, sensor %s", text_of(json_object_get(training, "settings"), "sensor"));
+    print_fact(ctl, "from", "random weights, sensor %s",
+               text_of(json_object_get(training, "settings"), "sensor"));
   print_settings(ctl, json_object_get(training, "settings"));
   training_step_text(number_of(progress, "step"), number_of(progress, "steps"), text, sizeof(text));
   print_fact(ctl, "progress", "%s", text);
@@ -257,7 +277,8 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   print_code(ctl, json_object_get(training, "code"));
   const json_t *controller = json_object_get(training, "controller");
   if (json_is_object(controller))
-    print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"), text_of(controller, "sha256"));
+    print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"),
+               text_of(controller, "sha256"));
   print_job_times(ctl, training);
 }
 
@@ -300,7 +321,8 @@ static int export_controller(struct ctl *ctl, const char *id)
     snprintf(path + n, sizeof(path) - (size_t)n, "?step=%" PRId64, step);
   struct reply reply;
   int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"}, &reply);
+      ctl, &(struct request){.method = "GET", .path = path, .accept = "application/octet-stream"},
+      &reply);
   char *made = NULL;
   if (status == STATUS_OK && output == NULL) {
     if (asprintf(&made, "training-%s-step-%.20s.safetensors", id, reply.step) < 0)
@@ -312,7 +334,8 @@ static int export_controller(struct ctl *ctl, const char *id)
   if (status == STATUS_OK)
     status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
   if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: the controller after %s steps, %zu bytes", output, reply.step, reply.body_bytes);
+    print_plain_line(stderr, "%s: the controller after %s steps, %zu bytes", output, reply.step,
+                     reply.body_bytes);
   free(made);
   reply_free(&reply);
   return status;
@@ -344,7 +367,8 @@ static int export_curve(struct ctl *ctl, const char *id, const char *what, const
     if (after >= 0)
       snprintf(path + n, sizeof(path) - (size_t)n, "?after=%" PRId64, after);
     struct reply reply;
-    status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
+    status = transport_send(
+        ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
     const char *body = reply.body != NULL ? reply.body : "";
     const char *rows = after >= 0 && status == STATUS_OK ? strchr(body, '\n') : body;
     int64_t last = status == STATUS_OK ? last_step(body, reply.body_bytes) : -1;
@@ -368,9 +392,10 @@ static int export_curve(struct ctl *ctl, const char *id, const char *what, const
 int run_train_export(struct ctl *ctl)
 {
   const char *id = ctl->operands[0];
-  const char *curve = option_text(ctl, "curve", NULL), *validations = option_text(ctl, "validations", NULL);
-  bool controller =
-      option_is_set(ctl, "output") || option_is_set(ctl, "step") || (curve == NULL && validations == NULL);
+  const char *curve = option_text(ctl, "curve", NULL),
+             *validations = option_text(ctl, "validations", NULL);
+  bool controller = option_is_set(ctl, "output") || option_is_set(ctl, "step") ||
+                    (curve == NULL && validations == NULL);
   if (!check_job_id(id))
     return STATUS_USAGE;
   int status = controller ? export_controller(ctl, id) : STATUS_OK;

@@ -68,22 +68,24 @@ static json_t *real_or_null(double value)
 static json_t *side_json(const struct side *side, double mean)
 {
   return json_pack("{s:s, s:O, s:O, s:o, s:I, s:I}", "controller", side->name, "sha256",
-                   json_object_get(json_object_get(side->evaluation, "controller"), "sha256"), "evaluation",
-                   json_object_get(side->evaluation, "id"), "mean_score", real_or_null(mean), "designs_diverged",
-                   (json_int_t)side->diverged, "rollouts_diverged", (json_int_t)side->rollouts_diverged);
+                   json_object_get(json_object_get(side->evaluation, "controller"), "sha256"),
+                   "evaluation", json_object_get(side->evaluation, "id"), "mean_score",
+                   real_or_null(mean), "designs_diverged", (json_int_t)side->diverged,
+                   "rollouts_diverged", (json_int_t)side->rollouts_diverged);
 }
 
-static void print_comparison_json(const struct side sides[2], const struct paired *paired, int64_t seed,
-                                  int64_t n_environments)
+static void print_comparison_json(const struct side sides[2], const struct paired *paired,
+                                  int64_t seed, int64_t n_environments)
 {
-  json_t *json =
-      json_pack("{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:I, s:I, s:s}", "a",
-                side_json(&sides[0], paired->mean_a), "b", side_json(&sides[1], paired->mean_b), "held_out", "seed",
-                (json_int_t)seed, "designs", (json_int_t)sides[0].n, "environments", (json_int_t)n_environments,
-                "pairs", (json_int_t)paired->n, "difference", real_or_null(paired->difference), "standard_error",
-                real_or_null(paired->error), "confidence", CONFIDENCE, "low", real_or_null(paired->low), "high",
-                real_or_null(paired->high), "improved", (json_int_t)paired->improved, "equal",
-                (json_int_t)paired->equal, "verdict", verdict_of(paired));
+  json_t *json = json_pack(
+      "{s:o, s:o, s:{s:I, s:I, s:I}, s:I, s:o, s:o, s:f, s:o, s:o, s:I, s:I, s:s}", "a",
+      side_json(&sides[0], paired->mean_a), "b", side_json(&sides[1], paired->mean_b), "held_out",
+      "seed", (json_int_t)seed, "designs", (json_int_t)sides[0].n, "environments",
+      (json_int_t)n_environments, "pairs", (json_int_t)paired->n, "difference",
+      real_or_null(paired->difference), "standard_error", real_or_null(paired->error), "confidence",
+      CONFIDENCE, "low", real_or_null(paired->low), "high", real_or_null(paired->high), "improved",
+      (json_int_t)paired->improved, "equal", (json_int_t)paired->equal, "verdict",
+      verdict_of(paired));
   if (json == NULL)
     complain(STATUS_ERROR, "out of memory");
   else
@@ -95,37 +97,42 @@ static void print_verdict(const struct side sides[2], const struct paired *paire
 {
   const char *a = sides[0].name, *b = sides[1].name;
   if (paired->n < 2)
-    print_plain_line(stdout, "Too few designs have a score with both controllers to say which is better.");
+    print_plain_line(stdout,
+                     "Too few designs have a score with both controllers to say which is better.");
   else if (paired->high < 0)
     print_plain_line(stdout,
-                     "%s is better than %s on such designs: its mean score is lower by %.4f (%.0f %% confidence: %.4f "
+                     "%s is better than %s on such designs: its mean score is lower by %.4f (%.0f "
+                     "%% confidence: %.4f "
                      "to %.4f).",
                      b, a, -paired->difference, 100 * CONFIDENCE, -paired->high, -paired->low);
   else if (paired->low > 0)
     print_plain_line(stdout,
-                     "%s is worse than %s on such designs: its mean score is higher by %.4f (%.0f %% confidence: %.4f "
+                     "%s is worse than %s on such designs: its mean score is higher by %.4f (%.0f "
+                     "%% confidence: %.4f "
                      "to %.4f).",
                      b, a, paired->difference, 100 * CONFIDENCE, paired->low, paired->high);
   else
     print_plain_line(stdout,
-                     "Which of %s and %s is better is not shown: the interval of the difference holds 0. More designs "
+                     "Which of %s and %s is better is not shown: the interval of the difference "
+                     "holds 0. More designs "
                      "make it narrower.",
                      a, b);
 }
 
-static void print_comparison(const struct ctl *ctl, const struct side sides[2], const struct paired *paired,
-                             int64_t seed, int64_t n_environments)
+static void print_comparison(const struct ctl *ctl, const struct side sides[2],
+                             const struct paired *paired, int64_t seed, int64_t n_environments)
 {
   struct table table;
   const double means[2] = {paired->mean_a, paired->mean_b};
-  print_fact(ctl, "held out", "%zu designs × %" PRId64 " environments, seed %" PRId64, sides[0].n, n_environments,
-             seed);
+  print_fact(ctl, "held out", "%zu designs × %" PRId64 " environments, seed %" PRId64, sides[0].n,
+             n_environments, seed);
   table_open(&table, "|controller|>mean score|>diverged designs|>diverged rollouts|sha256");
   for (int s = 0; s < 2; s++) {
     char mean[32], designs[64], rollouts[64];
     snprintf(mean, sizeof(mean), paired->n > 0 ? "%.4f" : "–", means[s]);
     snprintf(designs, sizeof(designs), "%zu of %zu", sides[s].diverged, sides[s].n);
-    snprintf(rollouts, sizeof(rollouts), "%zu of %zu", sides[s].rollouts_diverged, sides[s].rollouts);
+    snprintf(rollouts, sizeof(rollouts), "%zu of %zu", sides[s].rollouts_diverged,
+             sides[s].rollouts);
     const char *cells[] = {s == 0 ? "A" : "B",
                            sides[s].name,
                            mean,
@@ -136,13 +143,14 @@ static void print_comparison(const struct ctl *ctl, const struct side sides[2], 
   }
   table_print(&table, stdout, ctl);
   if (paired->n >= 2)
-    print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)", paired->difference,
-               100 * CONFIDENCE, paired->low, paired->high, paired->n);
+    print_fact(ctl, "B - A", "%+.4f, %.0f %% confidence %+.4f to %+.4f (Student t, %zu pairs)",
+               paired->difference, 100 * CONFIDENCE, paired->low, paired->high, paired->n);
   if (paired->n > 0)
-    print_fact(ctl, "improved", "%zu of %zu designs (%.1f %%), %zu equal", paired->improved, paired->n,
-               100 * (double)paired->improved / (double)paired->n, paired->equal);
+    print_fact(ctl, "improved", "%zu of %zu designs (%.1f %%), %zu equal", paired->improved,
+               paired->n, 100 * (double)paired->improved / (double)paired->n, paired->equal);
   if (paired->n < sides[0].n)
-    print_fact(ctl, "left out", "%zu design%s that diverged with A or B: no mean and no difference knows of it",
+    print_fact(ctl, "left out",
+               "%zu design%s that diverged with A or B: no mean and no difference knows of it",
                sides[0].n - paired->n, sides[0].n - paired->n == 1 ? "" : "s");
   print_verdict(sides, paired);
 }
@@ -157,7 +165,8 @@ int run_train_compare(struct ctl *ctl)
     return STATUS_USAGE;
   char path[128];
   json_t *held_out;
-  snprintf(path, sizeof(path), "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
+  snprintf(path, sizeof(path),
+           "/v1/held-out?seed=%" PRId64 "&designs=%" PRId64 "&environments=%" PRId64, seed,
            n_designs, n_environments);
   int status = transport_get_json(ctl, path, 0, &held_out);
   for (int s = 0; s < 2 && status == STATUS_OK; s++)

@@ -1,8 +1,9 @@
 /* cmd_train_watch.c: train watch: a training as it learns.
  *
- * On a terminal, a plot of the loss so far and the numbers of the newest step, redrawn in place as events come; elsewhere a line
- * per event. The state before the first event is asked for: first the place of the newest event, then the training, then the
- * events behind that place, so that nothing falls between. */
+ * On a terminal, a plot of the loss so far and the numbers of the newest step, redrawn in place as
+ * events come; elsewhere a line per event. The state before the first event is asked for: first the
+ * place of the newest event, then the training, then the events behind that place, so that nothing
+ * falls between. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,8 +15,9 @@
 #include "training.h"
 #include "transport.h"
 
-#define ASK_S         10 /* without an event, the state is asked for: what waits or draws again tells nothing */
-#define LINES_BESIDES 6  /* those of the view that are not the plot */
+#define ASK_S                                                                                      \
+  10 /* without an event, the state is asked for: what waits or draws again tells nothing */
+#define LINES_BESIDES 6 /* those of the view that are not the plot */
 
 struct view {
   struct ctl *ctl;
@@ -32,11 +34,13 @@ static void write_view(void *context, FILE *file, int columns, int rows)
 {
   const struct view *view = context;
   const json_t *training = view->training.json;
-  const char *bold = view->ctl->colour ? "\033[1m" : "", *plain = view->ctl->colour ? "\033[0m" : "";
+  const char *bold = view->ctl->colour ? "\033[1m" : "",
+             *plain = view->ctl->colour ? "\033[0m" : "";
   char text[512], more[256];
   const char *phase = text_of(training, "phase"), *reason = text_of(training, "reason");
-  snprintf(text, sizeof(text), "%s  %s  %s%s%s%s   training %s", text_of(training, "name"), text_of(training, "kind"),
-           text_of(training, "state"), strcmp(phase, "idle") != 0 ? " (" : "", strcmp(phase, "idle") != 0 ? phase : "",
+  snprintf(text, sizeof(text), "%s  %s  %s%s%s%s   training %s", text_of(training, "name"),
+           text_of(training, "kind"), text_of(training, "state"),
+           strcmp(phase, "idle") != 0 ? " (" : "", strcmp(phase, "idle") != 0 ? phase : "",
            strcmp(phase, "idle") != 0 ? ")" : "", view->training.id);
   make_plain(text);
   screen_line(file, columns, bold, text, plain);
@@ -45,16 +49,19 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   if (plot != NULL && height >= 4)
     screen_lines(file, plot);
   free(plot);
-  training_numbers_text(view->progress, text,
-                        sizeof(text)); /* the pace is beside the step: 80 columns do not hold both */
+  training_numbers_text(
+      view->progress, text,
+      sizeof(text)); /* the pace is beside the step: 80 columns do not hold both */
   screen_line(file, columns, "", text, "");
-  int64_t replayed = number_of(view->progress, "replayed"), total = number_of(view->progress, "replay_total");
-  training_step_text(number_of(view->progress, "step"), number_of(view->progress, "steps"), more, sizeof(more));
+  int64_t replayed = number_of(view->progress, "replayed"),
+          total = number_of(view->progress, "replay_total");
+  training_step_text(number_of(view->progress, "step"), number_of(view->progress, "steps"), more,
+                     sizeof(more));
   int n = snprintf(text, sizeof(text), "%s", more);
   training_pace_text(view->progress, more, sizeof(more));
   if (strcmp(phase, "replaying") == 0 && total > 0)
-    snprintf(text + n, sizeof(text) - (size_t)n, ", drawing the bodies of earlier steps again: %d %%",
-             (int)(100 * replayed / total));
+    snprintf(text + n, sizeof(text) - (size_t)n,
+             ", drawing the bodies of earlier steps again: %d %%", (int)(100 * replayed / total));
   else if (json_is_integer(json_object_get(training, "checkpoint_step")))
     snprintf(text + n, sizeof(text) - (size_t)n, "%s  checkpoint of step %lld", more,
              (long long)number_of(training, "checkpoint_step"));
@@ -62,7 +69,8 @@ static void write_view(void *context, FILE *file, int columns, int rows)
     snprintf(text + n, sizeof(text) - (size_t)n, "%s", more);
   screen_line(file, columns, "", text, "");
   training_validation_text(view->validation, more, sizeof(more));
-  snprintf(text, sizeof(text), "%s validation %s", view->ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);
+  snprintf(text, sizeof(text), "%s validation %s",
+           view->ctl->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, more);
   screen_line(file, columns, "", text, "");
   if (*reason != 0)
     snprintf(text, sizeof(text), "%s", reason);
@@ -122,10 +130,12 @@ static void take_progress(struct view *view, const json_t *at, const json_t *dat
 {
   char step[96], numbers[256], line[400];
   merge(&view->progress, data);
-  training_add(&view->training.losses, (double)number_of(data, "step"), value_of(data, "mean_loss"));
+  training_add(&view->training.losses, (double)number_of(data, "step"),
+               value_of(data, "mean_loss"));
   if (json_is_string(json_object_get(view->training.json, "phase")))
     json_object_set_new(view->training.json, "phase", json_string("learning"));
-  training_step_text(number_of(data, "step"), number_of(view->progress, "steps"), step, sizeof(step));
+  training_step_text(number_of(data, "step"), number_of(view->progress, "steps"), step,
+                     sizeof(step));
   training_progress_text(view->progress, numbers, sizeof(numbers));
   snprintf(line, sizeof(line), "%s  %s", step, numbers);
   print_event_line(view, at, line);
@@ -135,7 +145,8 @@ static void take_validation(struct view *view, const json_t *at, const json_t *d
 {
   char text[160], line[200];
   merge(&view->validation, data);
-  training_add(&view->training.validations, (double)number_of(data, "step"), value_of(data, "mean_score"));
+  training_add(&view->training.validations, (double)number_of(data, "step"),
+               value_of(data, "mean_score"));
   training_validation_text(view->validation, text, sizeof(text));
   snprintf(line, sizeof(line), "validation %s", text);
   print_event_line(view, at, line);
@@ -186,7 +197,8 @@ static int look_again(void *context)
   int status = load(view);
   if (status != STATUS_OK)
     return status;
-  const char *phase = text_of(view->training.json, "phase"), *reason = text_of(view->training.json, "reason");
+  const char *phase = text_of(view->training.json, "phase"),
+             *reason = text_of(view->training.json, "reason");
   if (strcmp(before, phase) != 0 && strcmp(phase, "idle") != 0) {
     snprintf(line, sizeof(line), "%s%s%.300s", phase, *reason != 0 ? ": " : "", reason);
     print_event_line(view, NULL, line);
@@ -214,16 +226,19 @@ static void say_how_to_return(const struct ctl *ctl, const char *id)
 {
   if (!ctl->quiet)
     print_plain_line(stderr,
-                     "The training goes on. To watch it again: morphoctl train watch %s; to set it aside: morphoctl "
+                     "The training goes on. To watch it again: morphoctl train watch %s; to set it "
+                     "aside: morphoctl "
                      "train pause %s; to stop it: morphoctl train cancel %s",
                      id, id, id);
 }
 
 static int finish(const struct view *view)
 {
-  const json_t *training = view->training.json, *controller = json_object_get(training, "controller");
+  const json_t *training = view->training.json,
+               *controller = json_object_get(training, "controller");
   if (json_is_object(controller) && !view->ctl->quiet)
-    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"), text_of(controller, "sha256"));
+    print_plain_line(stdout, "controller %s: sha256:%s", text_of(controller, "name"),
+                     text_of(controller, "sha256"));
   return training_outcome(training);
 }
 
@@ -238,9 +253,11 @@ int watch_training(struct ctl *ctl, const char *id)
     status = load(&view);
   if (status == STATUS_OK && !view.screen.live && !ctl->quiet) {
     char step[96];
-    training_step_text(number_of(view.progress, "step"), number_of(view.progress, "steps"), step, sizeof(step));
-    print_plain_line(stdout, "training %s (%s %s) is %s, %s", id, text_of(view.training.json, "kind"),
-                     text_of(view.training.json, "name"), text_of(view.training.json, "state"), step);
+    training_step_text(number_of(view.progress, "step"), number_of(view.progress, "steps"), step,
+                       sizeof(step));
+    print_plain_line(stdout, "training %s (%s %s) is %s, %s", id,
+                     text_of(view.training.json, "kind"), text_of(view.training.json, "name"),
+                     text_of(view.training.json, "state"), step);
     fflush(stdout);
   }
   draw(&view, true);

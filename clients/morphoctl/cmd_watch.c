@@ -1,4 +1,5 @@
-/* cmd_watch.c: watch. Follows the event stream, connects again where it broke, ends with the job that is watched. */
+/* cmd_watch.c: watch. Follows the event stream, connects again where it broke, ends with the job
+ * that is watched. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -44,13 +45,15 @@ static int show_event(void *context, const char *type, const char *data)
     char time[32], words[320] = "", a[32], b[32];
     progress_end(&watch->progress);
     if (total > 0)
-      snprintf(words, sizeof(words), "  %s of %s rollouts", count_text(done, a), count_text(total, b));
+      snprintf(words, sizeof(words), "  %s of %s rollouts", count_text(done, a),
+               count_text(total, b));
     else if (strncmp(type, "campaign.", 9) == 0)
       campaign_event_text(type, details, words, sizeof(words));
     else
       training_event_text(type, details, words, sizeof(words));
     if (*job != 0)
-      print_plain_line(stdout, "%s  %-15s job %s%s%s%s", time_text(json_object_get(event, "at"), time), type, job,
+      print_plain_line(stdout, "%s  %-15s job %s%s%s%s",
+                       time_text(json_object_get(event, "at"), time), type, job,
                        *state != 0 ? "  " : "", state, words);
     else
       print_plain_line(stdout, "%s  %-15s %s", time_text(json_object_get(event, "at"), time), type,

@@ -23,12 +23,14 @@ int64_t number_of(const json_t *object, const char *key)
 
 bool is_final(const char *state)
 {
-  return strcmp(state, "succeeded") == 0 || strcmp(state, "failed") == 0 || strcmp(state, "cancelled") == 0;
+  return strcmp(state, "succeeded") == 0 || strcmp(state, "failed") == 0 ||
+         strcmp(state, "cancelled") == 0;
 }
 
 bool is_state(const char *word)
 {
-  static const char *const states[] = {"queued", "running", "paused", "succeeded", "failed", "cancelled"};
+  static const char *const states[] = {"queued",    "running", "paused",
+                                       "succeeded", "failed",  "cancelled"};
   bool known = false;
   for (size_t i = 0; i < 6 && !known; i++)
     known = strcmp(states[i], word) == 0;
@@ -74,7 +76,8 @@ int save_output(const char *path, const void *bytes, size_t n)
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
-/* Jobs that are there and cannot be read: told on standard error, and kept for the page of --json. */
+/* Jobs that are there and cannot be read: told on standard error, and kept for the page of --json.
+ */
 static void note_unreadable(struct ctl *ctl, json_t *jobs)
 {
   size_t i;
@@ -87,8 +90,8 @@ static void note_unreadable(struct ctl *ctl, json_t *jobs)
   json_array_foreach(jobs, i, job)
   {
     const char *kind = text_of(job, "kind");
-    complain(0, "%s %s cannot be read by the server: %s", *kind != 0 ? kind : "job", text_of(job, "id"),
-             text_of(job, "detail"));
+    complain(0, "%s %s cannot be read by the server: %s", *kind != 0 ? kind : "job",
+             text_of(job, "id"), text_of(job, "detail"));
   }
 }
 
@@ -101,7 +104,8 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
     size_t left = limit == 0 ? 1000 : limit - json_array_size(all);
     char *page_path = NULL;
     if (asprintf(&page_path, "%s%climit=%zu%s%s", path, strchr(path, '?') != NULL ? '&' : '?',
-                 left < 1000 ? left : 1000, cursor != NULL ? "&cursor=" : "", cursor != NULL ? cursor : "") < 0) {
+                 left < 1000 ? left : 1000, cursor != NULL ? "&cursor=" : "",
+                 cursor != NULL ? cursor : "") < 0) {
       status = complain(STATUS_ERROR, "out of memory");
       break;
     }
@@ -138,9 +142,11 @@ int collect_states(struct ctl *ctl, const char *list, json_t **items)
   if (option_is_set(ctl, "all"))
     limit = 0;
   if (state != NULL && !is_state(state))
-    return complain(STATUS_USAGE, "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled",
-                    state);
-  snprintf(path, sizeof(path), "%s%s%s", list, state != NULL ? "?state=" : "", state != NULL ? state : "");
+    return complain(
+        STATUS_USAGE,
+        "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
+  snprintf(path, sizeof(path), "%s%s%s", list, state != NULL ? "?state=" : "",
+           state != NULL ? state : "");
   return collect(ctl, path, (size_t)limit, items);
 }
 
@@ -158,7 +164,8 @@ bool print_page(const struct ctl *ctl, json_t *items)
 
 static void print_name(const struct ctl *ctl, const char *name)
 {
-  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "", (int)(14 - strlen(name)), "");
+  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "",
+         (int)(14 - strlen(name)), "");
 }
 
 void print_fact(const struct ctl *ctl, const char *name, const char *format, ...)
@@ -173,7 +180,9 @@ void print_fact(const struct ctl *ctl, const char *name, const char *format, ...
 
 void print_state(const struct ctl *ctl, const char *state)
 {
-  const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m" : strcmp(state, "failed") == 0 ? "\033[31m" : NULL;
+  const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m"
+                       : strcmp(state, "failed") == 0  ? "\033[31m"
+                                                       : NULL;
   if (!ctl->colour)
     colour = NULL;
   print_name(ctl, "state");
@@ -194,7 +203,8 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
 {
   char a[32], b[32];
   const char *state = text_of(job, "state");
-  print_fact(ctl, "job", "%s (%s, %s)", text_of(job, "id"), text_of(job, "kind"), text_of(job, "priority"));
+  print_fact(ctl, "job", "%s (%s, %s)", text_of(job, "id"), text_of(job, "kind"),
+             text_of(job, "priority"));
   print_state(ctl, state);
   if (*text_of(job, "reason") != 0)
     print_fact(ctl, "reason", "%s", text_of(job, "reason"));
@@ -211,8 +221,8 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
   if (json_is_object(training)) {
     print_fact(ctl, "name", "%s", text_of(training, "name"));
     print_fact(ctl, "progress", "step %s of %s; morphoctl train show %s tells more",
-               count_text(number_of(training, "step"), a), count_text(number_of(training, "steps"), b),
-               text_of(job, "id"));
+               count_text(number_of(training, "step"), a),
+               count_text(number_of(training, "steps"), b), text_of(job, "id"));
     print_job_times(ctl, job);
     return;
   }
@@ -220,14 +230,15 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
   if (json_is_object(campaign)) {
     print_fact(ctl, "mode", "%s", text_of(campaign, "mode"));
     print_fact(ctl, "progress", "generation %s of %s; morphoctl campaign show %s tells more",
-               count_text(number_of(campaign, "generation"), a), count_text(number_of(campaign, "generations"), b),
-               text_of(job, "id"));
+               count_text(number_of(campaign, "generation"), a),
+               count_text(number_of(campaign, "generations"), b), text_of(job, "id"));
     print_job_times(ctl, job);
     return;
   }
   const json_t *controller = json_object_get(job, "controller");
   const char *name = text_of(controller, "name");
-  print_fact(ctl, "controller", "%s%ssha256:%s", name, *name != 0 ? ", " : "", text_of(controller, "sha256"));
+  print_fact(ctl, "controller", "%s%ssha256:%s", name, *name != 0 ? ", " : "",
+             text_of(controller, "sha256"));
   const json_t *environments = json_object_get(job, "environments");
   if (json_is_string(environments))
     print_fact(ctl, "environments", "%s", json_string_value(environments));
@@ -270,7 +281,8 @@ static int count_voxels(const char *genotype)
   return n;
 }
 
-void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names, bool by_score, size_t top)
+void print_results(const struct ctl *ctl, const json_t *evaluation, char *const *names,
+                   bool by_score, size_t top)
 {
   const json_t *results = json_object_get(evaluation, "results");
   size_t n = json_array_size(results);
@@ -284,7 +296,8 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, char *const 
   for (size_t i = 0; i < n; i++) {
     const json_t *result = json_array_get(results, i);
     const json_t *score = json_object_get(result, "score");
-    order[i] = (struct ranked){i, json_is_number(score) ? json_number_value(score) : (double)INFINITY};
+    order[i] =
+        (struct ranked){i, json_is_number(score) ? json_number_value(score) : (double)INFINITY};
     named |= names != NULL && names[i] != NULL;
     verified |= json_object_get(result, "agrees") != NULL;
   }
@@ -317,7 +330,8 @@ void print_results(const struct ctl *ctl, const json_t *evaluation, char *const 
                                        : "nothing stored");
     } else if (json_array_size(diverged) > 0) {
       const json_t *first = json_array_get(diverged, 0);
-      snprintf(note, sizeof(note), "diverged in %zu of %zu (environment %" PRId64 ", step %" PRId64 ")",
+      snprintf(note, sizeof(note),
+               "diverged in %zu of %zu (environment %" PRId64 ", step %" PRId64 ")",
                json_array_size(diverged), json_array_size(losses), number_of(first, "environment"),
                number_of(first, "step"));
     }

@@ -10,9 +10,10 @@
 
 enum status {
   STATUS_OK = 0,
-  STATUS_ERROR = 1,      /* an error of the server or of this machine */
-  STATUS_USAGE = 2,      /* the command line or an input file is wrong */
-  STATUS_NEGATIVE = 3,   /* not found, or the answer is no: failed, cancelled, bits differ, not ready */
+  STATUS_ERROR = 1, /* an error of the server or of this machine */
+  STATUS_USAGE = 2, /* the command line or an input file is wrong */
+  STATUS_NEGATIVE =
+      3, /* not found, or the answer is no: failed, cancelled, bits differ, not ready */
   STATUS_CONNECTION = 4, /* no server there */
   STATUS_DENIED = 5,     /* no valid token, or not from here */
   STATUS_REJECTED = 6,   /* the server finds the request wrong */
@@ -61,7 +62,8 @@ struct ctl {
   bool utf8;          /* the locale draws boxes */
   double retry_s;     /* how long a failing connection is tried again; < 0: the default */
   struct transport *transport;
-  struct json_t *unreadable; /* of the list that was collected: jobs that the server cannot read; NULL: none */
+  struct json_t *
+      unreadable; /* of the list that was collected: jobs that the server cannot read; NULL: none */
 };
 
 extern const struct command commands[];
@@ -70,16 +72,20 @@ extern const struct option_spec common_options[];
 
 /* ---- options.c ---- */
 
-/* Finds the command and reads its options. Returns −1 to go on, or an exit status (help was printed, usage is wrong). */
+/* Finds the command and reads its options. Returns −1 to go on, or an exit status (help was
+ * printed, usage is wrong). */
 int options_parse(struct ctl *ctl, int argc, const char *const *argv);
 void options_free(struct ctl *ctl);
 void options_print_help(FILE *file, const struct command *command); /* NULL: of the whole program */
 void options_print_completion(FILE *file);                          /* bash */
 
 bool option_is_set(const struct ctl *ctl, const char *name);
-const char *option_text(const struct ctl *ctl, const char *name, const char *otherwise); /* the last one given */
-/* A whole number within bounds; false (and a message) if it is not. Leaves *number if the option was not given. */
-bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max, int64_t *number);
+const char *option_text(const struct ctl *ctl, const char *name,
+                        const char *otherwise); /* the last one given */
+/* A whole number within bounds; false (and a message) if it is not. Leaves *number if the option
+ * was not given. */
+bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
+                   int64_t *number);
 
 /* ---- plain.c: what others wrote, shown without obeying it ---- */
 
@@ -87,8 +93,10 @@ bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t
 void make_plain(char *text);
 /* Prints so; the format has no control characters of its own either. */
 void print_plain(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3)));
-void print_plain_line(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3))); /* and a newline */
-void print_plain_list(FILE *file, const char *format, va_list arguments) __attribute__((format(printf, 2, 0)));
+void print_plain_line(FILE *file, const char *format, ...)
+    __attribute__((format(printf, 2, 3))); /* and a newline */
+void print_plain_list(FILE *file, const char *format, va_list arguments)
+    __attribute__((format(printf, 2, 0)));
 
 /* "morphoctl: …" on standard error, plain; returns `status`. */
 int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));

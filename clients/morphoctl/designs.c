@@ -1,4 +1,5 @@
-/* designs.c: see designs.h. The server checks bodies; here only what cannot be sent at all is refused, with file and line. */
+/* designs.c: see designs.h. The server checks bodies; here only what cannot be sent at all is
+ * refused, with file and line. */
 #include "designs.h"
 
 #include <ctype.h>
@@ -99,7 +100,8 @@ static bool is_point(const json_t *json)
   return json_array_size(json) == 3 && json_is_number(json_array_get(json, 0));
 }
 
-static int add_json(struct designs *designs, const char *source, size_t line, json_t *json, int depth)
+static int add_json(struct designs *designs, const char *source, size_t line, json_t *json,
+                    int depth)
 {
   static const char *const forms[] = {"cells", "voxels", "id"};
   if (json_is_string(json)) {
@@ -107,13 +109,15 @@ static int add_json(struct designs *designs, const char *source, size_t line, js
     size_t length = json_string_length(json);
     if (is_id(text, length) || is_voxels(text, length))
       return add(designs, json_pack("{s:s}", is_id(text, length) ? "id" : "voxels", text), NULL);
-    return complain(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits", source, line);
+    return complain(STATUS_USAGE, "%s:%zu: a text is 144 digits 0 and 1, or 36 hexadecimal digits",
+                    source, line);
   }
   if (json_is_array(json)) {
     if (json_array_size(json) > 0 && is_point(json_array_get(json, 0)))
       return add(designs, json_pack("{s:O}", "cells", json), NULL);
     if (depth > 1)
-      return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
+      return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id",
+                      source, line);
     size_t i;
     json_t *entry;
     int status = STATUS_OK;
@@ -126,7 +130,8 @@ static int add_json(struct designs *designs, const char *source, size_t line, js
     return status;
   }
   if (!json_is_object(json))
-    return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source, line);
+    return complain(STATUS_USAGE, "%s:%zu: a design is an object with cells, voxels or id", source,
+                    line);
   json_t *many = json_object_get(json, "designs");
   if (many != NULL && depth == 0)
     return add_json(designs, source, line, many, 0);
@@ -143,9 +148,10 @@ static int add_json(struct designs *designs, const char *source, size_t line, js
     if (!known) {
       json_decref(design);
       const char *near = nearest_name(key, forms, 3);
-      return complain(STATUS_USAGE,
-                      "%s:%zu: a design has no \"%s\"%s%s; it has cells, voxels or id, and perhaps a name", source,
-                      line, key, near != NULL ? "; did you mean " : "", near != NULL ? near : "");
+      return complain(
+          STATUS_USAGE,
+          "%s:%zu: a design has no \"%s\"%s%s; it has cells, voxels or id, and perhaps a name",
+          source, line, key, near != NULL ? "; did you mean " : "", near != NULL ? near : "");
     }
     json_object_set(design, key, value);
   }
@@ -178,10 +184,11 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
         i++;
     } else if (text[i] == '{' || text[i] == '[') {
       json_error_t error;
-      json_t *json = json_loadb(text + i, length - i, JSON_REJECT_DUPLICATES | JSON_DISABLE_EOF_CHECK, &error);
+      json_t *json =
+          json_loadb(text + i, length - i, JSON_REJECT_DUPLICATES | JSON_DISABLE_EOF_CHECK, &error);
       if (json == NULL)
-        return complain(STATUS_USAGE, "%s:%zu: %s", source, line + (size_t)(error.line > 0 ? error.line - 1 : 0),
-                        error.text);
+        return complain(STATUS_USAGE, "%s:%zu: %s", source,
+                        line + (size_t)(error.line > 0 ? error.line - 1 : 0), error.text);
       status = add_json(designs, source, line, json, 0);
       json_decref(json);
       line += count_lines(text + i, (size_t)error.position);
@@ -198,7 +205,8 @@ int designs_add_text(struct designs *designs, const char *source, const char *te
         return complain(STATUS_USAGE, "%s:%zu: %zu digits; voxels are 144", source, line, n);
       else
         return complain(STATUS_USAGE,
-                        "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 hexadecimal digits",
+                        "%s:%zu: \"%.*s%s\" is not a design: JSON, 144 digits 0 and 1, or 36 "
+                        "hexadecimal digits",
                         source, line, (int)(n < 40 ? n : 40), text + i, n < 40 ? "" : "…");
       i += n;
     }
@@ -251,10 +259,12 @@ static int voxel_index(int x, int y, int z)
   return (x * WORKSPACE_Y + y) * WORKSPACE_Z + z;
 }
 
-/* Grown from one voxel: again and again a random free neighbour of the body is filled, until it has its size. */
+/* Grown from one voxel: again and again a random free neighbour of the body is filled, until it has
+ * its size. */
 static void grow(uint64_t *state, char voxels[VOXELS + 1])
 {
-  static const int steps[6][3] = {{1, 0, 0}, {-1, 0, 0}, {0, 1, 0}, {0, -1, 0}, {0, 0, 1}, {0, 0, -1}};
+  static const int steps[6][3] = {{1, 0, 0},  {-1, 0, 0}, {0, 1, 0},
+                                  {0, -1, 0}, {0, 0, 1},  {0, 0, -1}};
   memset(voxels, '0', VOXELS);
   voxels[VOXELS] = 0;
   voxels[next_random(state) % VOXELS] = '1';

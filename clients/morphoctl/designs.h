@@ -1,11 +1,12 @@
-/* designs.h: bodies from files, standard input and words of the command line, as the API wants them.
+/* designs.h: bodies from files, standard input and words of the command line, as the API wants
+ * them.
  *
  * Accepted, in any mixture, one after the other:
- *   {"cells": [[x,y,z], …]}, {"voxels": "…"}, {"id": "…"}     a design; a "name" is kept for tables and not sent
- *   [design, …], {"designs": [design, …]}                       many designs; also [[x,y,z], …]: the cells of one
- *   144 digits 0 and 1                                          the voxels of one
- *   36 hexadecimal digits                                       an id
- *   # to the end of the line                                    nothing */
+ *   {"cells": [[x,y,z], …]}, {"voxels": "…"}, {"id": "…"}     a design; a "name" is kept for tables
+ * and not sent [design, …], {"designs": [design, …]}                       many designs; also
+ * [[x,y,z], …]: the cells of one 144 digits 0 and 1                                          the
+ * voxels of one 36 hexadecimal digits                                       an id # to the end of
+ * the line                                    nothing */
 #ifndef MORPHOCTL_DESIGNS_H
 #define MORPHOCTL_DESIGNS_H
 
@@ -28,11 +29,14 @@ struct designs {
   bool named; /* at least one has a name */
 };
 
-/* Adds what `text` holds; `source` in messages. STATUS_OK, STATUS_USAGE or STATUS_ERROR with a complaint. */
+/* Adds what `text` holds; `source` in messages. STATUS_OK, STATUS_USAGE or STATUS_ERROR with a
+ * complaint. */
 int designs_add_text(struct designs *designs, const char *source, const char *text, size_t length);
-/* Adds what an operand names: "-" standard input, a file, else the text itself if it is a body or an id. */
+/* Adds what an operand names: "-" standard input, a file, else the text itself if it is a body or
+ * an id. */
 int designs_add_operand(struct designs *designs, const char *operand);
-/* Adds n bodies grown at random from `seed`: 1 to 144 voxels, each contiguous. The same seed gives the same bodies. */
+/* Adds n bodies grown at random from `seed`: 1 to 144 voxels, each contiguous. The same seed gives
+ * the same bodies. */
 int designs_add_random(struct designs *designs, uint64_t seed, size_t n);
 void designs_free(struct designs *designs);
 

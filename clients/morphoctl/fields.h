@@ -12,34 +12,39 @@ struct field {
   enum { FIELD_WHOLE, FIELD_REAL, FIELD_WORD } kind;
 };
 
-/* Puts the values of the options that are given at their places, making the objects that they are in. Bounds are the server's to
- * check: it names them. */
+/* Puts the values of the options that are given at their places, making the objects that they are
+ * in. Bounds are the server's to check: it names them. */
 int fill_fields(const struct ctl *ctl, json_t *request, const struct field *fields, size_t n);
 
 /* --schedule and the options of its kinds into "schedule" of `object`. */
 int fill_schedule(const struct ctl *ctl, json_t *object);
-/* --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule, --restart-weight. */
+/* --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule,
+ * --restart-weight. */
 int fill_optimizer(const struct ctl *ctl, json_t *object);
 
 /* Options of the help text that belong to these two. */
-#define SCHEDULE_OPTIONS                                                                                               \
-  {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},                                        \
-      {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},                                                          \
-      {"decay", 0, "FACTOR", "restarts: of the peak from one cycle to the next (default: 0.7)."},                      \
-      {"cycle-steps", 0, "N", "restarts: steps of the first cycle (default: 10)."},                                    \
-      {"cycle-growth", 0, "N", "restarts: of the length from one cycle to the next (default: 2)."},                    \
-  {                                                                                                                    \
-    "warmup-steps", 0, "N", "Steps in which the rate grows to its peak (default: 10 for cosine, else 0)."              \
+#define SCHEDULE_OPTIONS                                                                           \
+  {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},                    \
+      {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},                                      \
+      {"decay", 0, "FACTOR", "restarts: of the peak from one cycle to the next (default: 0.7)."},  \
+      {"cycle-steps", 0, "N", "restarts: steps of the first cycle (default: 10)."},                \
+      {"cycle-growth", 0, "N",                                                                     \
+       "restarts: of the length from one cycle to the next (default: 2)."},                        \
+  {                                                                                                \
+    "warmup-steps", 0, "N",                                                                        \
+        "Steps in which the rate grows to its peak (default: 10 for cosine, else 0)."              \
   }
-#define OPTIMIZER_OPTIONS                                                                                              \
-  {"beta1", 0, "X", "Adam's decay of the mean of gradients (default: 0.9)."},                                          \
-      {"beta2", 0, "X", "Adam's decay of the mean of their squares (default: 0.999)."},                                \
-      {"epsilon", 0, "X", "Adam's smallest divisor (default: 1e-8)."},                                                 \
-      {"gradient-norm-limit", 0, "X", "Largest norm of a step's gradient; 0: off (default: 1)."},                      \
-      {"adjoint-bound", 0, "X", "Bound of each robot's adjoint on the way back; 0: off (default: 2)."},                \
-      {"adjoint-rule", 0, "RULE", "Above the bound: clip (default), or restart, as if the rollout ended there."},      \
-  {                                                                                                                    \
-    "restart-weight", 0, "X", "restart: of what the adjoint begins anew with (default: 3)."                            \
+#define OPTIMIZER_OPTIONS                                                                          \
+  {"beta1", 0, "X", "Adam's decay of the mean of gradients (default: 0.9)."},                      \
+      {"beta2", 0, "X", "Adam's decay of the mean of their squares (default: 0.999)."},            \
+      {"epsilon", 0, "X", "Adam's smallest divisor (default: 1e-8)."},                             \
+      {"gradient-norm-limit", 0, "X", "Largest norm of a step's gradient; 0: off (default: 1)."},  \
+      {"adjoint-bound", 0, "X",                                                                    \
+       "Bound of each robot's adjoint on the way back; 0: off (default: 2)."},                     \
+      {"adjoint-rule", 0, "RULE",                                                                  \
+       "Above the bound: clip (default), or restart, as if the rollout ended there."},             \
+  {                                                                                                \
+    "restart-weight", 0, "X", "restart: of what the adjoint begins anew with (default: 3)."        \
   }
 
 #endif

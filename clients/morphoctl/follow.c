@@ -29,7 +29,8 @@ static int open_stream(struct follow *follow)
   if (*follow->sse.last_id != 0)
     snprintf(header, sizeof(header), "Last-Event-ID: %s", follow->sse.last_id);
   else if (follow->after >= 0)
-    snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64, follow->job != NULL ? '&' : '?', follow->after);
+    snprintf(path + n, sizeof(path) - (size_t)n, "%cafter=%" PRId64,
+             follow->job != NULL ? '&' : '?', follow->after);
   sse_reset(&follow->sse);
   return transport_stream(follow->ctl, path, *header != 0 ? header : NULL, feed, follow);
 }

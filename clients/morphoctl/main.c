@@ -39,8 +39,10 @@ static int read_token(struct ctl *ctl)
 
 static int surroundings(struct ctl *ctl)
 {
-  const char *server = getenv("MORPHOD_SERVER"), *no_colour = getenv("NO_COLOR"), *terminal = getenv("TERM");
-  ctl->server = option_text(ctl, "server", server != NULL && *server != 0 ? server : "http://127.0.0.1:8765");
+  const char *server = getenv("MORPHOD_SERVER"), *no_colour = getenv("NO_COLOR"),
+             *terminal = getenv("TERM");
+  ctl->server =
+      option_text(ctl, "server", server != NULL && *server != 0 ? server : "http://127.0.0.1:8765");
   ctl->json = option_is_set(ctl, "json");
   ctl->quiet = option_is_set(ctl, "quiet");
   bool dumb = terminal == NULL || strcmp(terminal, "dumb") == 0;

@@ -1,4 +1,5 @@
-/* options.c: the command line. Options may stand anywhere, the common ones even before the command; "--" ends them; "--name=value" and "--name value" are the same. */
+/* options.c: the command line. Options may stand anywhere, the common ones even before the command;
+ * "--" ends them; "--name=value" and "--name value" are the same. */
 #include "ctl.h"
 
 #include <errno.h>
@@ -9,12 +10,15 @@
 
 const struct option_spec common_options[] = {
     {"server", 's', "ADDRESS",
-     "Server: http://host:port or unix:/path (default: $MORPHOD_SERVER, else http://127.0.0.1:8765)."},
-    {"token-file", 0, "FILE", "File whose first line is the bearer token (default: the token in $MORPHOD_TOKEN)."},
+     "Server: http://host:port or unix:/path (default: $MORPHOD_SERVER, else "
+     "http://127.0.0.1:8765)."},
+    {"token-file", 0, "FILE",
+     "File whose first line is the bearer token (default: the token in $MORPHOD_TOKEN)."},
     {"json", 'j', NULL, "Print the API's JSON instead of tables."},
     {"quiet", 'q', NULL, "No progress and no remarks."},
     {"retry", 0, "SECONDS",
-     "How long a failing connection is tried again (default: 2, and 60 once the server has answered)."},
+     "How long a failing connection is tried again (default: 2, and 60 once the server has "
+     "answered)."},
     {"help", 'h', NULL, "Print this text."},
     {NULL, 0, NULL, NULL},
 };
@@ -128,7 +132,8 @@ static void print_options(FILE *file, const struct option_spec *options)
       fprintf(file, "  -%c, --%s%s%s\n", spec->letter, spec->name, spec->value != NULL ? " " : "",
               spec->value != NULL ? spec->value : "");
     else
-      fprintf(file, "  --%s%s%s\n", spec->name, spec->value != NULL ? " " : "", spec->value != NULL ? spec->value : "");
+      fprintf(file, "  --%s%s%s\n", spec->name, spec->value != NULL ? " " : "",
+              spec->value != NULL ? spec->value : "");
     print_wrapped(file, 6, spec->help);
   }
 }
@@ -136,8 +141,8 @@ static void print_options(FILE *file, const struct option_spec *options)
 void options_print_help(FILE *file, const struct command *command)
 {
   if (command != NULL) {
-    fprintf(file, "Usage: morphoctl %s [OPTION]...%s%s\n", command->name, *command->operands != 0 ? " " : "",
-            command->operands);
+    fprintf(file, "Usage: morphoctl %s [OPTION]...%s%s\n", command->name,
+            *command->operands != 0 ? " " : "", command->operands);
     print_wrapped(file, 0, command->summary);
     if (command->details != NULL) {
       fputc('\n', file);
@@ -158,7 +163,8 @@ void options_print_help(FILE *file, const struct command *command)
     fprintf(file, "  %-18s %s\n", commands[i].name, commands[i].summary);
   fputs("\nCommon options:\n", file);
   print_options(file, common_options);
-  fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no connection;\n"
+  fputs("\nExit status: 0 done; 1 error; 2 wrong use; 3 not found, or the answer is no; 4 no "
+        "connection;\n"
         "5 not allowed; 6 rejected by the server; 7 server too busy; 130 interrupted.\n"
         "morphoctl COMMAND --help tells more about a command; morphoctl(1) about everything.\n",
         file);
@@ -168,7 +174,8 @@ void options_print_completion(FILE *file)
 {
   fputs("# bash completion of morphoctl; written by `morphoctl completion`.\n"
         "_morphoctl() {\n"
-        "  local word=${COMP_WORDS[COMP_CWORD]} first=${COMP_WORDS[1]-} second=${COMP_WORDS[2]-} options\n"
+        "  local word=${COMP_WORDS[COMP_CWORD]} first=${COMP_WORDS[1]-} second=${COMP_WORDS[2]-} "
+        "options\n"
         "  COMPREPLY=()\n"
         "  if [ \"$COMP_CWORD\" -eq 1 ]; then\n"
         "    mapfile -t COMPREPLY < <(compgen -W \"",
@@ -183,7 +190,8 @@ void options_print_completion(FILE *file)
   for (size_t i = 0; i < n_commands; i++) {
     bool two = strchr(commands[i].name, ' ') != NULL;
     fprintf(file, "    \"%s\"%s) options=\"", commands[i].name, two ? "" : "\\ *");
-    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL; spec++)
+    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL;
+         spec++)
       fprintf(file, "--%s ", spec->name);
     for (const struct option_spec *spec = common_options; spec->name != NULL; spec++)
       fprintf(file, "--%s ", spec->name);
@@ -191,24 +199,28 @@ void options_print_completion(FILE *file)
   }
   for (size_t i = 0; i < n_commands; i++) {
     size_t length = strcspn(commands[i].name, " ");
-    if (commands[i].name[length] == 0 || (i > 0 && strncmp(commands[i].name, commands[i - 1].name, length + 1) == 0))
+    if (commands[i].name[length] == 0 ||
+        (i > 0 && strncmp(commands[i].name, commands[i - 1].name, length + 1) == 0))
       continue;
     fprintf(file, "    \"%.*s \"*) options=\"", (int)length, commands[i].name);
-    for (size_t j = i; j < n_commands && strncmp(commands[j].name, commands[i].name, length + 1) == 0; j++)
+    for (size_t j = i;
+         j < n_commands && strncmp(commands[j].name, commands[i].name, length + 1) == 0; j++)
       fprintf(file, "%s ", commands[j].name + length + 1);
     fputs("\" ;;\n", file);
   }
-  fputs("    *) options= ;;\n  esac\n"
-        "  mapfile -t COMPREPLY < <(compgen -W \"$options\" -- \"$word\")\n"
-        "  case \"$word\" in -*) ;; *) [ \"${#COMPREPLY[@]}\" -gt 0 ] && [ \"$COMP_CWORD\" -eq 2 ] ||"
-        " mapfile -t COMPREPLY < <(compgen -f -- \"$word\") ;; esac\n"
-        "}\ncomplete -F _morphoctl morphoctl\n",
-        file);
+  fputs(
+      "    *) options= ;;\n  esac\n"
+      "  mapfile -t COMPREPLY < <(compgen -W \"$options\" -- \"$word\")\n"
+      "  case \"$word\" in -*) ;; *) [ \"${#COMPREPLY[@]}\" -gt 0 ] && [ \"$COMP_CWORD\" -eq 2 ] ||"
+      " mapfile -t COMPREPLY < <(compgen -f -- \"$word\") ;; esac\n"
+      "}\ncomplete -F _morphoctl morphoctl\n",
+      file);
 }
 
 /* ---- parsing ---- */
 
-static const struct option_spec *find_option(const struct command *command, const char *name, size_t length)
+static const struct option_spec *find_option(const struct command *command, const char *name,
+                                             size_t length)
 {
   const struct option_spec *lists[2] = {command != NULL ? command->options : NULL, common_options};
   for (int l = 0; l < 2; l++)
@@ -226,16 +238,17 @@ static int unknown_option(const struct command *command, const char *text, size_
   size_t n = 0;
   const struct option_spec *lists[2] = {command->options, common_options};
   for (int l = 0; l < 2; l++)
-    for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL && n < 64; spec++)
+    for (const struct option_spec *spec = lists[l]; spec != NULL && spec->name != NULL && n < 64;
+         spec++)
       names[n++] = spec->name;
   if (length > 2 && length - 2 < sizeof(name))
     memcpy(name, text + 2, length - 2);
   const char *near = *name != 0 ? nearest_name(name, names, n) : NULL;
   if (near != NULL)
-    return complain(STATUS_USAGE, "%.*s is not an option of %s; did you mean --%s?", (int)length, text, command->name,
-                    near);
-  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length, text,
-                  command->name, command->name);
+    return complain(STATUS_USAGE, "%.*s is not an option of %s; did you mean --%s?", (int)length,
+                    text, command->name, near);
+  return complain(STATUS_USAGE, "%.*s is not an option of %s; see morphoctl %s --help", (int)length,
+                  text, command->name, command->name);
 }
 
 /* The command that the first words name; *used: how many words. */
@@ -271,7 +284,9 @@ static int unknown_command(int argc, const char *const *argv)
       fprintf(stderr, "  morphoctl %-18s %s\n", commands[i].name, commands[i].summary);
     }
   if (group)
-    return argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0) ? STATUS_OK : STATUS_USAGE;
+    return argc > 2 && (strcmp(argv[2], "--help") == 0 || strcmp(argv[2], "-h") == 0)
+               ? STATUS_OK
+               : STATUS_USAGE;
   const char *names[64];
   size_t n = 0;
   for (size_t i = 0; i < n_commands && n < 64; i++)
@@ -282,7 +297,8 @@ static int unknown_command(int argc, const char *const *argv)
   return complain(STATUS_USAGE, "there is no command \"%s\"; see morphoctl --help", argv[1]);
 }
 
-/* A word that is an option, cut into its parts; spec NULL: none that the command (or, for NULL, every command) has. */
+/* A word that is an option, cut into its parts; spec NULL: none that the command (or, for NULL,
+ * every command) has. */
 struct option_word {
   const struct option_spec *spec;
   const char *value; /* in the word itself; NULL: none */
@@ -346,7 +362,8 @@ static int parse_words(struct ctl *ctl, int n, const char *const *words)
       return complain(STATUS_USAGE, "--%s takes no value", option.spec->name);
     if (option.spec->value != NULL && option.value == NULL) {
       if (i + 1 == n)
-        return complain(STATUS_USAGE, "--%s needs a value: %s", option.spec->name, option.spec->value);
+        return complain(STATUS_USAGE, "--%s needs a value: %s", option.spec->name,
+                        option.spec->value);
       option.value = words[++i];
     }
     ctl->given[ctl->n_given++] = (struct given){option.spec->name, option.value};
@@ -363,8 +380,10 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
     options_print_help(stderr, NULL);
     return STATUS_USAGE;
   }
-  if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0 || strcmp(words[1], "help") == 0) {
-    const bool asks = n > 2 && strcmp(words[1], "help") == 0 && !is_option(words[2]); /* help COMMAND */
+  if (strcmp(words[1], "--help") == 0 || strcmp(words[1], "-h") == 0 ||
+      strcmp(words[1], "help") == 0) {
+    const bool asks =
+        n > 2 && strcmp(words[1], "help") == 0 && !is_option(words[2]); /* help COMMAND */
     const struct command *asked = asks ? find_command(n - 1, words + 1, &used) : NULL;
     if (asks && asked == NULL)
       return unknown_command(n - 1, words + 1);
@@ -376,7 +395,8 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
     n = 2;
   }
   if (is_option(words[1]))
-    return complain(STATUS_USAGE, "%s is not an option of every command: the options of a command stand after it",
+    return complain(STATUS_USAGE,
+                    "%s is not an option of every command: the options of a command stand after it",
                     words[1]);
   const struct command *command = find_command(n, words, &used);
   if (command == NULL)
@@ -396,7 +416,8 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
     return STATUS_OK;
   }
   if (ctl->n_operands < command->min_operands || ctl->n_operands > command->max_operands)
-    return complain(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", command->name, command->operands);
+    return complain(STATUS_USAGE, "usage: morphoctl %s [OPTION]... %s", command->name,
+                    command->operands);
   return -1;
 }
 
@@ -422,7 +443,8 @@ const char *option_text(const struct ctl *ctl, const char *name, const char *oth
   return otherwise;
 }
 
-bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max, int64_t *number)
+bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
+                   int64_t *number)
 {
   const char *text = option_text(ctl, name, NULL);
   if (text == NULL)
@@ -431,8 +453,8 @@ bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t
   errno = 0;
   long long value = strtoll(text, &end, 10);
   if (*text == 0 || *end != 0 || errno != 0 || value < min || value > max) {
-    complain(STATUS_USAGE, "--%s: \"%s\" is not a whole number from %lld to %lld", name, text, (long long)min,
-             (long long)max);
+    complain(STATUS_USAGE, "--%s: \"%s\" is not a whole number from %lld to %lld", name, text,
+             (long long)min, (long long)max);
     return false;
   }
   *number = value;

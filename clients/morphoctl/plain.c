@@ -1,5 +1,6 @@
-/* plain.c: text from elsewhere on a terminal. Labels, names and messages come from other people through the server, or from files:
- * an escape sequence in one must not move the cursor, change the title or hide what stands there. */
+/* plain.c: text from elsewhere on a terminal. Labels, names and messages come from other people
+ * through the server, or from files: an escape sequence in one must not move the cursor, change the
+ * title or hide what stands there. */
 #include <stdlib.h>
 
 #include "ctl.h"
@@ -8,7 +9,8 @@ void make_plain(char *text)
 {
   char *out = text;
   for (const unsigned char *c = (const unsigned char *)text; *c != 0; c++) {
-    if (*c == 0xC2 && c[1] >= 0x80 && c[1] < 0xA0) { /* U+0080 to U+009F: some terminals obey them */
+    if (*c == 0xC2 && c[1] >= 0x80 &&
+        c[1] < 0xA0) { /* U+0080 to U+009F: some terminals obey them */
       *out++ = '?';
       c++;
     } else {

@@ -1,5 +1,5 @@
-/* plot.c: see plot.h. The curve is drawn on a grid of dots: each column of dots shows the mean of the points that fall into it,
- * and straight lines join the columns that have any. */
+/* plot.c: see plot.h. The curve is drawn on a grid of dots: each column of dots shows the mean of
+ * the points that fall into it, and straight lines join the columns that have any. */
 #include "plot.h"
 
 #include <math.h>
@@ -57,7 +57,12 @@ static int cell_y(const struct grid *grid, double y, int n)
 /* Dots of one column, from the height of the one before (−1: none) to its own. */
 static void stroke(struct grid *grid, int x, int from, int to)
 {
-  int low = from < 0 ? to : from < to ? from + 1 : to, high = from < 0 ? to : from > to ? from - 1 : to;
+  int low = from < 0    ? to
+            : from < to ? from + 1
+                        : to,
+      high = from < 0    ? to
+             : from > to ? from - 1
+                         : to;
   for (int y = low; y <= high; y++)
     grid->dots[y * grid->dots_x + x] = 1;
 }
@@ -81,7 +86,8 @@ static void draw_curve(struct grid *grid)
     }
     int y = cell_y(grid, sum / (double)n * (double)plot->n_curve, grid->dots_y), last = before_y;
     for (int at = before_x + 1; last >= 0 && at < x; at++) { /* columns between two points */
-      int between = (int)lround(before_y + (double)(y - before_y) * (at - before_x) / (x - before_x));
+      int between =
+          (int)lround(before_y + (double)(y - before_y) * (at - before_x) / (x - before_x));
       stroke(grid, at, last == between ? -1 : last, between);
       last = between;
     }
@@ -99,8 +105,8 @@ static void put_character(const struct grid *grid, FILE *file, int row, int colu
 {
   const struct plot *plot = grid->plot;
   if (grid->marks[row * grid->columns + column] != 0) {
-    fprintf(file, "%s%s%s", plot->colour ? "\033[33m" : "", plot->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII,
-            plot->colour ? "\033[0m" : "");
+    fprintf(file, "%s%s%s", plot->colour ? "\033[33m" : "",
+            plot->utf8 ? PLOT_MARK_UTF8 : PLOT_MARK_ASCII, plot->colour ? "\033[0m" : "");
     return;
   }
   if (!plot->utf8) {
@@ -147,8 +153,8 @@ static void write_grid(const struct grid *grid, FILE *file)
     fputs(plot->utf8 ? "─" : "-", file);
   char end[32];
   int length = snprintf(end, sizeof(end), "step %.0f", plot->x_end);
-  fprintf(file, "\n%*s0%*s%s\n", LABEL + 1, "", grid->columns - 1 - length > 0 ? grid->columns - 1 - length : 1, "",
-          end);
+  fprintf(file, "\n%*s0%*s%s\n", LABEL + 1, "",
+          grid->columns - 1 - length > 0 ? grid->columns - 1 - length : 1, "", end);
 }
 
 char *plot_draw(const struct plot *plot)

@@ -9,9 +9,10 @@
 
 int request_physics(json_t *physics, const char *text)
 {
-  static const char *const keys[] = {
-      "dt_s",      "n_steps",  "stiffness_n_per_m", "mass_kg",       "drag_per_s", "gravity_m_per_s2",
-      "actuation", "friction", "friction_cap",      "drop_height_m", "impact"};
+  static const char *const keys[] = {"dt_s",          "n_steps",    "stiffness_n_per_m",
+                                     "mass_kg",       "drag_per_s", "gravity_m_per_s2",
+                                     "actuation",     "friction",   "friction_cap",
+                                     "drop_height_m", "impact"};
   enum { N_KEYS = sizeof(keys) / sizeof(keys[0]) };
   const char *equals = strchr(text, '=');
   char key[64];
@@ -24,8 +25,9 @@ int request_physics(json_t *physics, const char *text)
     k++;
   if (k == N_KEYS) {
     const char *near = nearest_name(key, keys, N_KEYS);
-    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key, near != NULL ? "; did you mean " : "",
-                    near != NULL ? near : "", near != NULL ? "?" : "");
+    return complain(STATUS_USAGE, "--physics: there is no \"%s\"%s%s%s", key,
+                    near != NULL ? "; did you mean " : "", near != NULL ? near : "",
+                    near != NULL ? "?" : "");
   }
   const char *value = equals + 1;
   json_t *json = NULL;
@@ -42,7 +44,8 @@ int request_physics(json_t *physics, const char *text)
       json = json_real(number); /* NULL if it is not finite */
   }
   if (json == NULL)
-    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", value, k == 1 ? "whole number" : "number");
+    return complain(STATUS_USAGE, "--physics: \"%s\" is not a %s", value,
+                    k == 1 ? "whole number" : "number");
   json_object_set_new(physics, key, json);
   return STATUS_OK;
 }
@@ -87,8 +90,10 @@ static int fill_environments(const struct ctl *ctl, json_t *request)
   json_decref(json);
   if (!json_is_array(list) && !json_is_string(list)) {
     json_decref(list);
-    return complain(STATUS_USAGE,
-                    "%s: not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, …]", name);
+    return complain(
+        STATUS_USAGE,
+        "%s: not a list of environments: [{\"light_xy_m\": [x, y], \"terrain_heights_m\": […]}, …]",
+        name);
   }
   json_object_set_new(request, "environments", list);
   return STATUS_OK;
@@ -96,7 +101,8 @@ static int fill_environments(const struct ctl *ctl, json_t *request)
 
 int request_fill(const struct ctl *ctl, json_t *request)
 {
-  const char *controller = option_text(ctl, "controller", NULL), *precision = option_text(ctl, "precision", NULL);
+  const char *controller = option_text(ctl, "controller", NULL),
+             *precision = option_text(ctl, "precision", NULL);
   if (controller != NULL)
     json_object_set_new(request, "controller", json_string(controller));
   if (precision != NULL) {
@@ -122,7 +128,8 @@ static int wait_for(struct ctl *ctl, const char *id)
     const char *state = text_of(job, "state");
     bool final = is_final(state);
     if (status == STATUS_OK && !final)
-      progress_show(&progress, ctl, state, number_of(job, "rollouts_done"), number_of(job, "rollouts_total"));
+      progress_show(&progress, ctl, state, number_of(job, "rollouts_done"),
+                    number_of(job, "rollouts_total"));
     bool resting = strcmp(state, "paused") == 0;
     json_decref(job);
     if (status != STATUS_OK || final || interrupted())
@@ -133,14 +140,17 @@ static int wait_for(struct ctl *ctl, const char *id)
   progress_end(&progress);
   if (interrupted()) {
     if (!ctl->quiet)
-      print_plain_line(stderr, "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s", id,
-                       id);
+      print_plain_line(
+          stderr,
+          "The evaluation goes on: morphoctl job show %s; to stop it: morphoctl job cancel %s", id,
+          id);
     return STATUS_INTERRUPTED;
   }
   return status;
 }
 
-int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s, json_t **job)
+int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned wait_s,
+             json_t **job)
 {
   char generated[33], *key_header = NULL;
   const char *key = option_text(ctl, "idempotency-key", NULL);
@@ -200,6 +210,7 @@ int evaluation_outcome(const json_t *evaluation)
     return STATUS_OK;
   const json_t *error = json_object_get(evaluation, "error");
   if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "job %s %s: %s", text_of(evaluation, "id"), state, text_of(error, "detail"));
+    return complain(STATUS_NEGATIVE, "job %s %s: %s", text_of(evaluation, "id"), state,
+                    text_of(error, "detail"));
   return complain(STATUS_NEGATIVE, "job %s is %s", text_of(evaluation, "id"), state);
 }

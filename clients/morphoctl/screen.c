@@ -16,8 +16,8 @@
 struct screen screen_open(const struct ctl *ctl)
 {
   const char *terminal = getenv("TERM");
-  return (struct screen){.live =
-                             isatty(STDOUT_FILENO) && terminal != NULL && strcmp(terminal, "dumb") != 0 && !ctl->quiet};
+  return (struct screen){.live = isatty(STDOUT_FILENO) && terminal != NULL &&
+                                 strcmp(terminal, "dumb") != 0 && !ctl->quiet};
 }
 
 void screen_line(FILE *file, int columns, const char *before, const char *text, const char *after)
@@ -42,13 +42,14 @@ void screen_lines(FILE *file, const char *text)
   }
 }
 
-void screen_draw(struct screen *screen, bool now, void (*write)(void *context, FILE *file, int columns, int rows),
-                 void *context)
+void screen_draw(struct screen *screen, bool now,
+                 void (*write)(void *context, FILE *file, int columns, int rows), void *context)
 {
   struct winsize window = {0};
   if (!screen->live || (!now && monotonic_s() - screen->drawn_s < REDRAW_S))
     return;
-  bool known = ioctl(STDOUT_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 && window.ws_row > 0;
+  bool known =
+      ioctl(STDOUT_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 && window.ws_row > 0;
   int columns = known ? window.ws_col : 80, rows = known ? window.ws_row : 24;
   char *text = NULL;
   size_t size = 0;
@@ -73,14 +74,16 @@ void screen_draw(struct screen *screen, bool now, void (*write)(void *context, F
   free(text);
 }
 
-void screen_event(const struct screen *screen, const struct ctl *ctl, const json_t *at, const char *words)
+void screen_event(const struct screen *screen, const struct ctl *ctl, const json_t *at,
+                  const char *words)
 {
   char text[32];
   time_t now = time(NULL);
   struct tm local;
   if (screen->live || ctl->quiet)
     return;
-  if (at == NULL && localtime_r(&now, &local) != NULL && strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) > 0)
+  if (at == NULL && localtime_r(&now, &local) != NULL &&
+      strftime(text, sizeof(text), "%Y-%m-%d %H:%M:%S", &local) > 0)
     print_plain_line(stdout, "%s  %s", text, words);
   else
     print_plain_line(stdout, "%s  %s", time_text(at, text), words);
@@ -98,7 +101,8 @@ void screen_earlier(const struct screen *screen, const struct ctl *ctl, const ch
 int newest_event(struct ctl *ctl, int64_t *newest)
 {
   json_t *page;
-  int status = transport_get_json(ctl, "/v1/events?format=json&limit=1&after=999999999999999999", 0, &page);
+  int status =
+      transport_get_json(ctl, "/v1/events?format=json&limit=1&after=999999999999999999", 0, &page);
   if (status == STATUS_OK)
     *newest = strtoll(text_of(page, "next_after"), NULL, 10);
   json_decref(page);

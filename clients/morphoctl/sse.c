@@ -1,5 +1,5 @@
-/* sse.c: see sse.h. Lines end with LF, CR or CRLF; "data" lines add up; a blank line ends the event; lines that begin with a colon
- * are comments. */
+/* sse.c: see sse.h. Lines end with LF, CR or CRLF; "data" lines add up; a blank line ends the
+ * event; lines that begin with a colon are comments. */
 #include "sse.h"
 
 #include <stdio.h>
@@ -20,7 +20,9 @@ static int append(char **text, size_t *length, const char *bytes, size_t n)
   return 0;
 }
 
-static int take_line(struct sse *sse, int (*event)(void *context, const char *type, const char *id, const char *data),
+static int take_line(struct sse *sse,
+                     int (*event)(void *context, const char *type, const char *id,
+                                  const char *data),
                      void *context)
 {
   const char *line = sse->line != NULL ? sse->line : "";
@@ -55,7 +57,8 @@ static int take_line(struct sse *sse, int (*event)(void *context, const char *ty
 }
 
 int sse_feed(struct sse *sse, const char *bytes, size_t n,
-             int (*event)(void *context, const char *type, const char *id, const char *data), void *context)
+             int (*event)(void *context, const char *type, const char *id, const char *data),
+             void *context)
 {
   int status = 0;
   for (size_t i = 0; i < n && status == 0;) {

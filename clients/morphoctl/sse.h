@@ -15,10 +15,11 @@ struct sse {
   bool skip_newline;
 };
 
-/* `event` is called for each complete event that has data; a non-zero return ends the reading and is passed on. −1: an event
- * is larger than SSE_BYTES_MAX, or no memory. */
+/* `event` is called for each complete event that has data; a non-zero return ends the reading and
+ * is passed on. −1: an event is larger than SSE_BYTES_MAX, or no memory. */
 int sse_feed(struct sse *sse, const char *bytes, size_t n,
-             int (*event)(void *context, const char *type, const char *id, const char *data), void *context);
+             int (*event)(void *context, const char *type, const char *id, const char *data),
+             void *context);
 /* Forgets what is half read, keeps last_id: for a new connection. */
 void sse_reset(struct sse *sse);
 void sse_free(struct sse *sse);

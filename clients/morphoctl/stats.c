@@ -1,8 +1,9 @@
 /* stats.c: see stats.h.
  *
- * The t distribution by way of the regularised incomplete beta function: with x = ν/(ν + t²), P(|T| > t) = I_x(ν/2, 1/2). I_x is
- * summed as its continued fraction (evaluated from the front, modified Lentz), on the side of the mean where that converges
- * fast; a quantile is found by bisection, to the last bits of a double. */
+ * The t distribution by way of the regularised incomplete beta function: with x = ν/(ν + t²), P(|T|
+ * > t) = I_x(ν/2, 1/2). I_x is summed as its continued fraction (evaluated from the front, modified
+ * Lentz), on the side of the mean where that converges fast; a quantile is found by bisection, to
+ * the last bits of a double. */
 #include "stats.h"
 
 #include <float.h>
@@ -48,8 +49,8 @@ static double incomplete_beta(double a, double b, double x, double y)
 
 double student_probability(double t, double freedom)
 {
-  double square = t * t,
-         tails = incomplete_beta(freedom / 2, 0.5, freedom / (freedom + square), square / (freedom + square));
+  double square = t * t, tails = incomplete_beta(freedom / 2, 0.5, freedom / (freedom + square),
+                                                 square / (freedom + square));
   return t > 0 ? 1 - tails / 2 : tails / 2;
 }
 
@@ -74,8 +75,13 @@ double student_quantile(double p, double freedom)
 
 struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence)
 {
-  struct paired paired = {
-      .mean_a = NAN, .mean_b = NAN, .difference = NAN, .deviation = NAN, .error = NAN, .low = NAN, .high = NAN};
+  struct paired paired = {.mean_a = NAN,
+                          .mean_b = NAN,
+                          .difference = NAN,
+                          .deviation = NAN,
+                          .error = NAN,
+                          .low = NAN,
+                          .high = NAN};
   double sum_a = 0, sum_b = 0, sum = 0, squares = 0;
   for (size_t i = 0; i < n; i++) {
     if (!isfinite(a[i]) || !isfinite(b[i]))

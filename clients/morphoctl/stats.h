@@ -4,13 +4,14 @@
 
 #include <stddef.h>
 
-/* Quantile of Student's t distribution: P(T ≤ t) = p with `freedom` > 0 degrees of freedom, 0 < p < 1. */
+/* Quantile of Student's t distribution: P(T ≤ t) = p with `freedom` > 0 degrees of freedom, 0 < p
+ * < 1. */
 double student_quantile(double p, double freedom);
 /* P(T ≤ t). */
 double student_probability(double t, double freedom);
 
 struct paired {
-  size_t n;               /* pairs of which both are finite; the others are left out of what follows */
+  size_t n; /* pairs of which both are finite; the others are left out of what follows */
   double mean_a, mean_b;  /* over these pairs; NaN: there are none */
   double difference;      /* mean of b − a */
   double deviation;       /* standard deviation of b − a; NaN below two pairs */

@@ -141,7 +141,8 @@ const char *time_text(const json_t *time, char text[32])
     return "–";
   const char *rest = strptime(value, "%Y-%m-%dT%H:%M:%S", &utc);
   time_t seconds = rest != NULL ? timegm(&utc) : 0;
-  if (rest == NULL || localtime_r(&seconds, &local) == NULL || strftime(text, 32, "%Y-%m-%d %H:%M:%S", &local) == 0)
+  if (rest == NULL || localtime_r(&seconds, &local) == NULL ||
+      strftime(text, 32, "%Y-%m-%d %H:%M:%S", &local) == 0)
     snprintf(text, 32, "%s", value);
   return text;
 }
@@ -171,7 +172,8 @@ double monotonic_s(void)
   return (double)now.tv_sec + (double)now.tv_nsec * 1e-9;
 }
 
-void progress_show(struct progress *progress, const struct ctl *ctl, const char *state, int64_t done, int64_t total)
+void progress_show(struct progress *progress, const struct ctl *ctl, const char *state,
+                   int64_t done, int64_t total)
 {
   if (!ctl->progress || ctl->quiet)
     return;
@@ -182,7 +184,8 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
   }
   progress->shown = true;
   struct winsize window = {0};
-  int columns = ioctl(STDERR_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 ? window.ws_col : 80;
+  int columns =
+      ioctl(STDERR_FILENO, TIOCGWINSZ, &window) == 0 && window.ws_col > 0 ? window.ws_col : 80;
   char a[32], b[32], tail[96] = "";
   double share = total > 0 ? (double)done / (double)total : 0;
   double elapsed = now - progress->begin_s;
@@ -190,12 +193,12 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
   if (rate > 0) {
     double left = (double)(total - done) / rate;
     if (left < 360000)
-      snprintf(tail, sizeof(tail), "  %.3g/s  %d:%02d:%02d left", rate, (int)left / 3600, (int)left / 60 % 60,
-               (int)left % 60);
+      snprintf(tail, sizeof(tail), "  %.3g/s  %d:%02d:%02d left", rate, (int)left / 3600,
+               (int)left / 60 % 60, (int)left % 60);
   }
   char text[256];
-  int n = snprintf(text, sizeof(text), "%s  %s of %s rollouts  %3d %%%s", state, count_text(done, a),
-                   count_text(total, b), (int)(share * 100), tail);
+  int n = snprintf(text, sizeof(text), "%s  %s of %s rollouts  %3d %%%s", state,
+                   count_text(done, a), count_text(total, b), (int)(share * 100), tail);
   make_plain(text);
   int bar = columns - n - 5;
   fprintf(stderr, "\r\033[K%s", text);

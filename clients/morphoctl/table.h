@@ -17,7 +17,8 @@ struct table {
   bool failed; /* memory ran out */
 };
 
-/* heads: "#|design|>score": columns separated by |, a leading > aligns to the right. Must outlive the table. */
+/* heads: "#|design|>score": columns separated by |, a leading > aligns to the right. Must outlive
+ * the table. */
 void table_open(struct table *table, const char *heads);
 /* A new row of n_columns texts (NULL: "–"), made plain. */
 void table_add(struct table *table, const char *const *cells);
@@ -31,7 +32,8 @@ size_t text_width(const char *text);
 
 /* A score with four digits, "–" for null. */
 const char *score_text(const json_t *score, char text[32]);
-/* "2026-11-21 13:15:02" in local time from RFC 3339; the text itself if it is none; "–" for null. */
+/* "2026-11-21 13:15:02" in local time from RFC 3339; the text itself if it is none; "–" for null.
+ */
 const char *time_text(const json_t *time, char text[32]);
 /* "1,234,567" */
 const char *count_text(int64_t n, char text[32]);
@@ -42,7 +44,8 @@ struct progress {
   double begin_s, last_s;
   int64_t first_done;
 };
-void progress_show(struct progress *progress, const struct ctl *ctl, const char *state, int64_t done, int64_t total);
+void progress_show(struct progress *progress, const struct ctl *ctl, const char *state,
+                   int64_t done, int64_t total);
 void progress_end(struct progress *progress);
 double monotonic_s(void);
 

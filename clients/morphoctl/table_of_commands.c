@@ -1,4 +1,5 @@
-/* table_of_commands.c: every command with its options and its help; the order is that of the help text. */
+/* table_of_commands.c: every command with its options and its help; the order is that of the help
+ * text. */
 #include "commands.h"
 #include "fields.h"
 
@@ -8,7 +9,8 @@ static const struct option_spec eval_options[] = {
     {"seed", 0, "SEED", "Seed of the random bodies (default: 1)."},
     {"record", 0, "com,masses", "Record the path of the centre of mass, of all masses, or both."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
-    {"output", 'o', "FOLDER", "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
+    {"output", 'o', "FOLDER",
+     "Where to put recorded trajectories, as NumPy files, and evaluation.json."},
     {"label", 'l', "TEXT", "A label to find the job by."},
     {"priority", 0, "interactive|batch", "Default: interactive up to 64 rollouts, else batch."},
     {"weight", 0, "X", "Part of the cores beside other batch work, 0.001 to 1000 (default: 1)."},
@@ -19,7 +21,8 @@ static const struct option_spec eval_options[] = {
     {"sort", 0, "input|score", "Order of the table (default: input)."},
     {"top", 0, "N", "Only the N best of the table."},
     {"idempotency-key", 0, "KEY",
-     "Repeating the same request with the same key gives the same evaluation (default: a new key)."},
+     "Repeating the same request with the same key gives the same evaluation (default: a new "
+     "key)."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec verify_options[] = {
     SCORE_OPTIONS,
@@ -27,50 +30,62 @@ static const struct option_spec verify_options[] = {
     {NULL, 0, NULL, NULL}};
 static const struct option_spec design_list_options[] = {
     {"sort", 0, "id|score",
-     "id: as the designs came (default); score: best first, those with a score on the paper's test set, a row per "
+     "id: as the designs came (default); score: best first, those with a score on the paper's test "
+     "set, a row per "
      "orientation."},
     {"controller", 'c', "NAME", "Controller of the scores (default: default)."},
     {"limit", 'n', "N", "At most so many (default: 100)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
-static const struct option_spec random_options[] = {
-    {"count", 'n', "N", "How many (default: 1)."}, {"seed", 0, "SEED", "Seed (default: 1)."}, {NULL, 0, NULL, NULL}};
+static const struct option_spec random_options[] = {{"count", 'n', "N", "How many (default: 1)."},
+                                                    {"seed", 0, "SEED", "Seed (default: 1)."},
+                                                    {NULL, 0, NULL, NULL}};
 static const struct option_spec job_list_options[] = {
-    {"state", 0, "STATE", "Only jobs that are queued, running, paused, succeeded, failed or cancelled."},
+    {"state", 0, "STATE",
+     "Only jobs that are queued, running, paused, succeeded, failed or cancelled."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec job_show_options[] = {{"results", 'r', NULL, "The results, too."},
                                                       {NULL, 0, NULL, NULL}};
 static const struct option_spec watch_options[] = {
-    {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."}, {NULL, 0, NULL, NULL}};
+    {"after", 0, "EVENT", "Begin behind this event; 0: with the oldest that is kept."},
+    {NULL, 0, NULL, NULL}};
 static const struct option_spec train_start_options[] = {
     {"preset", 0, "workstation|phototaxis|paper",
-     "What is not given: workstation, the defaults below (default); phototaxis, as the shipped controller was "
+     "What is not given: workstation, the defaults below (default); phototaxis, as the shipped "
+     "controller was "
      "pretrained; paper, as in the paper."},
     {"name", 0, "NAME", "Name of the resulting controller (default: training- and the id)."},
     {"controller", 'c', "NAME",
-     "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: default)."},
-    {"sensor", 0, "inverse_sqrt|inverse_square", "Sensor of a controller from random weights (default: inverse_sqrt)."},
+     "Controller to start from: a name or sha256:<64 digits> (default: random weights; finetune: "
+     "default)."},
+    {"sensor", 0, "inverse_sqrt|inverse_square",
+     "Sensor of a controller from random weights (default: inverse_sqrt)."},
     {"random", 0, "N", "finetune: N random bodies (besides those given)."},
     {"random-seed", 0, "SEED", "Seed of these bodies (default: 1)."},
     {"population", 0, "JOB",
-     "finetune: the designs of an evaluation that has succeeded, or the newest population of a campaign, best first."},
+     "finetune: the designs of an evaluation that has succeeded, or the newest population of a "
+     "campaign, best first."},
     {"best", 0, "N", "Only the N best of the population (default: all)."},
     {"steps", 'n', "N", "Steps of learning, 1 to 1,000,000 (default: 1400; finetune: 60)."},
     {"batch", 'b', "N", "Robots of a step, 1 to 65,536 (default: 256)."},
     {"seed", 0, "SEED", "Seed of bodies, environments and random weights (default: 1)."},
     {"schedule", 0, "NAME",
-     "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, paper-finetune, "
+     "Learning rate: one-cosine (default), finetune-cosine (default of finetune), paper-pretrain, "
+     "paper-finetune, "
      "paper-simultaneous; or restarts, cosine or constant, with the options below."},
     SCHEDULE_OPTIONS,
     OPTIMIZER_OPTIONS,
-    {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
-    {"validate-every", 0, "STEPS", "Score the held-out set every so many steps; 0: never (default: 50)."},
+    {"physics", 'p', "KEY=VALUE",
+     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {"validate-every", 0, "STEPS",
+     "Score the held-out set every so many steps; 0: never (default: 50)."},
     {"validation-designs", 0, "N", "Designs of the held-out set (default: 64)."},
     {"validation-environments", 0, "N", "Environments of the held-out set (default: 8)."},
     {"checkpoint-steps", 0, "N", "Save the state every N steps; 0: by time alone (default: 0)."},
-    {"checkpoint-seconds", 0, "N", "Save the state every N seconds; 0: by steps alone (default: 60)."},
+    {"checkpoint-seconds", 0, "N",
+     "Save the state every N seconds; 0: by steps alone (default: 60)."},
     {"checkpoint-keep", 0, "N", "Keep the newest N checkpoints, 1 to 100 (default: 3)."},
     {"priority", 0, "batch|interactive", "Default: batch."},
     {"weight", 0, "X", "Part of the cores beside other work, 0.001 to 1000 (default: 1)."},
@@ -82,40 +97,50 @@ static const struct option_spec train_start_options[] = {
      "Repeating the same request with the same key gives the same training (default: a new key)."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec train_list_options[] = {
-    {"state", 0, "STATE", "Only trainings that are queued, running, paused, succeeded, failed or cancelled."},
+    {"state", 0, "STATE",
+     "Only trainings that are queued, running, paused, succeeded, failed or cancelled."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec train_export_options[] = {
     {"output", 'o', "FILE",
      "Where to put the controller (default: training-ID-step-N.safetensors; -: standard output)."},
-    {"step", 0, "N", "The controller of the checkpoint of this step (default: the result, or the newest checkpoint)."},
-    {"curve", 0, "FILE", "The curve as CSV, a line per step; -: standard output. Alone: no controller."},
+    {"step", 0, "N",
+     "The controller of the checkpoint of this step (default: the result, or the newest "
+     "checkpoint)."},
+    {"curve", 0, "FILE",
+     "The curve as CSV, a line per step; -: standard output. Alone: no controller."},
     {"validations", 0, "FILE", "The validations as CSV; -: standard output. Alone: no controller."},
     {NULL, 0, NULL, NULL}};
-static const struct option_spec train_prune_options[] = {{"step", 0, "N", "Only the checkpoint of this step."},
-                                                         {NULL, 0, NULL, NULL}};
+static const struct option_spec train_prune_options[] = {
+    {"step", 0, "N", "Only the checkpoint of this step."}, {NULL, 0, NULL, NULL}};
 static const struct option_spec train_compare_options[] = {
     {"seed", 0, "SEED", "Seed of the held-out set (default: 1)."},
     {"designs", 'd', "N", "Designs of the set, 2 to 1,000 (default: 64)."},
     {"environments", 'e', "N", "Environments of each design, 1 to 64 (default: 8)."},
-    {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {"physics", 'p', "KEY=VALUE",
+     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec campaign_start_options[] = {
-    {"preset", 0, "paper|workstation|demo", "8192, 512 (default) or 64 designs, and as many generations as suit them."},
+    {"preset", 0, "paper|workstation|demo",
+     "8192, 512 (default) or 64 designs, and as many generations as suit them."},
     {"population", 0, "N", "Designs of the population, 2 to 65,536 (default: the preset's)."},
     {"generations", 'n', "N", "Generations after the initial one (default: the preset's)."},
     {"seed", 0, "SEED", "Seed of everything that is random (default: 1)."},
     {"replicates", 'r', "N", "Start N campaigns with seeds from SEED on, 1 to 100 (default: 1)."},
     {"controller", 'c', "NAME",
-     "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: random)."},
+     "A name or sha256:<64 digits>; random: random weights (default: default; simultaneous: "
+     "random)."},
     {"environments", 'e', "FILE",
      "paper-test (default), or a JSON file with a list of environments; - is standard input."},
     {"from", 0, "CAMPAIGN", "Begin with the newest population of another campaign."},
     {"workspace", 0, "X,Y,Z", "Box in voxels that bodies must fit (default: 6,6,4)."},
-    {"mutation-share", 0, "X", "Share of the population that mutates; the rest recombines (default: 0.25)."},
-    {"mutation-rate", 0, "X", "Probability that a voxel flips (default: 1 / voxels of the workspace)."},
-    {"mutation-growth", 0, "X", "Of the rate after each attempt that gave nothing new (default: 1.025)."},
+    {"mutation-share", 0, "X",
+     "Share of the population that mutates; the rest recombines (default: 0.25)."},
+    {"mutation-rate", 0, "X",
+     "Probability that a voxel flips (default: 1 / voxels of the workspace)."},
+    {"mutation-growth", 0, "X",
+     "Of the rate after each attempt that gave nothing new (default: 1.025)."},
     {"selection", 0, "KIND", "truncation (default), tournament, novelty or age-layered."},
     {"tournament-size", 0, "N", "tournament: designs of a tournament (default: 4)."},
     {"novelty-weight", 0, "X", "novelty: weight of being different, 0 to 1 (default: 0.5)."},
@@ -124,18 +149,25 @@ static const struct option_spec campaign_start_options[] = {
     {"collapse-share", 0, "X",
      "Warn when the diversity falls below this share of its maximum; 0: never (default: 0.5)."},
     {"no-exclusions", 0, NULL, "Let bodies be born that the controller was pretrained on."},
-    {"parent-steps", 0, "N", "Learning steps of a generation on the parents (default: few-shot 30, simultaneous 1)."},
+    {"parent-steps", 0, "N",
+     "Learning steps of a generation on the parents (default: few-shot 30, simultaneous 1)."},
     {"child-steps", 0, "N", "The same on the children."},
     {"batch", 'b', "N", "Robots of a learning step (default: the population)."},
     {"schedule", 0, "NAME",
-     "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of few-shot), "
-     "paper-simultaneous (default of simultaneous); or restarts, cosine or constant, with the options below."},
+     "Learning rate: one-cosine, finetune-cosine, paper-pretrain, paper-finetune (default of "
+     "few-shot), "
+     "paper-simultaneous (default of simultaneous); or restarts, cosine or constant, with the "
+     "options below."},
     SCHEDULE_OPTIONS,
     OPTIMIZER_OPTIONS,
-    {"sensor", 0, "inverse_sqrt|inverse_square", "Sensor of a controller from random weights (default: inverse_sqrt)."},
-    {"checkpoint-seconds", 0, "N", "Save the state of learning every N seconds; 0: at its end (default: 60)."},
-    {"physics", 'p', "KEY=VALUE", "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
-    {"name", 0, "NAME", "Name of the controller that a learning campaign makes (default: campaign- and the id)."},
+    {"sensor", 0, "inverse_sqrt|inverse_square",
+     "Sensor of a controller from random weights (default: inverse_sqrt)."},
+    {"checkpoint-seconds", 0, "N",
+     "Save the state of learning every N seconds; 0: at its end (default: 60)."},
+    {"physics", 'p', "KEY=VALUE",
+     "One physics setting, e.g. dt_s=0.002 or impact=bisection8; may be given again."},
+    {"name", 0, "NAME",
+     "Name of the controller that a learning campaign makes (default: campaign- and the id)."},
     {"priority", 0, "batch|interactive", "Default: batch."},
     {"weight", 0, "X", "Part of the cores beside other work, 0.001 to 1000 (default: 1)."},
     {"device", 0, "auto|cpu|cuda",
@@ -146,7 +178,8 @@ static const struct option_spec campaign_start_options[] = {
      "Repeating the same request with the same key gives the same campaign (default: a new key)."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec campaign_list_options[] = {
-    {"state", 0, "STATE", "Only campaigns that are queued, running, paused, succeeded, failed or cancelled."},
+    {"state", 0, "STATE",
+     "Only campaigns that are queued, running, paused, succeeded, failed or cancelled."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
@@ -154,12 +187,15 @@ static const struct option_spec campaign_champions_options[] = {
     {"count", 'n', "N", "How many, 1 to 1000 (default: 12)."},
     {"generation", 0, "G", "Of this generation (default: the newest)."},
     {"output", 'o', "FOLDER",
-     "Also run them in the campaign's environments, and put the paths of their centres of mass there, as NumPy files."},
+     "Also run them in the campaign's environments, and put the paths of their centres of mass "
+     "there, as NumPy files."},
     {"record-stride", 0, "STEPS", "Steps between two recorded frames (default: 10)."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec campaign_export_options[] = {
-    {"curve", 0, "FILE", "Statistics of each generation as CSV; - is standard output, here and below."},
-    {"population", 0, "FILE", "Designs of a generation, best first, as eval and train start read them."},
+    {"curve", 0, "FILE",
+     "Statistics of each generation as CSV; - is standard output, here and below."},
+    {"population", 0, "FILE",
+     "Designs of a generation, best first, as eval and train start read them."},
     {"generation", 0, "G", "--population: of this generation (default: the newest)."},
     {"phylogeny", 0, "FILE", "Every design ever born, as CSV of the ALife data standard."},
     {"newick", 0, "FILE", "The tree of first parents in Newick format."},
@@ -167,64 +203,78 @@ static const struct option_spec campaign_export_options[] = {
     {"replicates", 0, "FILE", "Mean, least and most over the replicates, by generation, as CSV."},
     {NULL, 0, NULL, NULL}};
 static const struct option_spec controller_get_options[] = {
-    {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."}, {NULL, 0, NULL, NULL}};
+    {"output", 'o', "FILE", "Where to put it (default: NAME.safetensors; -: standard output)."},
+    {NULL, 0, NULL, NULL}};
 
 #define MANY ((size_t)-1)
 
 const struct command commands[] = {
     {"eval", "[DESIGN]...", "Score designs.",
-     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, or an id. Files hold, "
+     "A DESIGN is a file, - for standard input (also without any operand), 144 digits 0 and 1, or "
+     "an id. Files hold, "
      "in any "
-     "mixture: JSON designs, alone, one per line or in lists ({\"cells\": [[x,y,z], ...]}, {\"voxels\": \"0100...\"}, "
+     "mixture: JSON designs, alone, one per line or in lists ({\"cells\": [[x,y,z], ...]}, "
+     "{\"voxels\": \"0100...\"}, "
      "{\"id\": "
-     "\"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, or ids. # begins a "
+     "\"...\"}, each perhaps with a \"name\"), lists of cells [[x,y,z], ...], 144 digits 0 and 1, "
+     "or ids. # begins a "
      "comment. "
-     "The score is the mean over the environments of (distance to the light at the end) / (at the start): lower is "
+     "The score is the mean over the environments of (distance to the light at the end) / (at the "
+     "start): lower is "
      "better, 1 is "
      "standing still.",
      eval_options, 0, MANY, run_eval},
     {"verify", "[DESIGN]...", "Recompute stored scores and compare the bits.",
-     "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is stored. Of an id, every "
+     "Exit status 0 if all stored losses have the same bits, 3 if some differ or nothing is "
+     "stored. Of an id, every "
      "stored "
      "orientation is verified.",
      verify_options, 0, MANY, run_verify},
-    {"design show", "ID", "Show a design: its body, layer by layer, and its scores.", NULL, NULL, 1, 1,
-     run_design_show},
+    {"design show", "ID", "Show a design: its body, layer by layer, and its scores.", NULL, NULL, 1,
+     1, run_design_show},
     {"design list", "", "List designs.", NULL, design_list_options, 0, 0, run_design_list},
-    {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.", NULL, NULL, 0, MANY,
-     run_design_draw},
+    {"design draw", "[DESIGN]...", "Draw designs of files without asking the server.", NULL, NULL,
+     0, MANY, run_design_draw},
     {"design random", "", "Print random bodies, one JSON design per line.",
-     "Bodies grow voxel by voxel from one; the same seed gives the same bodies.", random_options, 0, 0,
-     run_design_random},
+     "Bodies grow voxel by voxel from one; the same seed gives the same bodies.", random_options, 0,
+     0, run_design_random},
     {"job list", "", "List jobs, newest first.", NULL, job_list_options, 0, 0, run_job_list},
     {"job show", "ID", "Show a job.", NULL, job_show_options, 1, 1, run_job_show},
-    {"job cancel", "ID...", "Cancel jobs.", "Scores that are stored already stay.", NULL, 1, MANY, run_job_cancel},
+    {"job cancel", "ID...", "Cancel jobs.", "Scores that are stored already stay.", NULL, 1, MANY,
+     run_job_cancel},
     {"job pause", "ID...", "Set jobs aside.", NULL, NULL, 1, MANY, run_job_pause},
-    {"job resume", "ID...", "Go on with paused jobs.", "Also with trainings and campaigns that have failed.", NULL, 1,
-     MANY, run_job_resume},
+    {"job resume", "ID...", "Go on with paused jobs.",
+     "Also with trainings and campaigns that have failed.", NULL, 1, MANY, run_job_resume},
     {"job weight", "ID X", "Give a job another part of the cores.",
-     "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at once, also while the job "
+     "0.001 to 1000; a job with twice the weight of another gets twice the time. It counts at "
+     "once, also while the job "
      "runs.",
      NULL, 2, 2, run_job_weight},
     {"watch", "[JOB]", "Follow a job to its end, or all events.",
-     "With --json one event per line. After a break the stream goes on where it was. Exit status of a job: 0 if it "
+     "With --json one event per line. After a break the stream goes on where it was. Exit status "
+     "of a job: 0 if it "
      "succeeded, 3 "
      "if not.",
      watch_options, 0, 1, run_watch},
     {"train start", "pretrain|finetune [DESIGN]...", "Let a controller learn.",
-     "pretrain: from random weights or a controller, on an endless stream of distinct random bodies. finetune: a "
-     "controller, on the designs given (as those of eval), on random ones, or on a population. The training is a job "
+     "pretrain: from random weights or a controller, on an endless stream of distinct random "
+     "bodies. finetune: a "
+     "controller, on the designs given (as those of eval), on random ones, or on a population. The "
+     "training is a job "
      "of the server, which goes on without morphoctl, and after a crash where it was.",
      train_start_options, 1, MANY, run_train_start},
-    {"train list", "", "List trainings, newest first.", NULL, train_list_options, 0, 0, run_train_list},
+    {"train list", "", "List trainings, newest first.", NULL, train_list_options, 0, 0,
+     run_train_list},
     {"train show", "ID", "Show a training with its curve.", NULL, NULL, 1, 1, run_train_show},
     {"train watch", "ID", "Watch a training learn, to its end.",
-     "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the training alone. Exit "
+     "On a terminal a live plot, else a line per event; with --json the events. Ctrl-C leaves the "
+     "training alone. Exit "
      "status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_train_watch},
-    {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY, run_job_pause},
-    {"train resume", "ID...", "Go on with trainings that are paused, or have failed.", NULL, NULL, 1, MANY,
-     run_job_resume},
+    {"train pause", "ID...", "Set trainings aside, with a checkpoint.", NULL, NULL, 1, MANY,
+     run_job_pause},
+    {"train resume", "ID...", "Go on with trainings that are paused, or have failed.", NULL, NULL,
+     1, MANY, run_job_resume},
     {"train cancel", "ID...", "Cancel trainings.",
      "Checkpoints that are kept stay: train export gives their "
      "controllers.",
@@ -232,54 +282,70 @@ const struct command commands[] = {
     {"train export", "ID", "Fetch a training's controller, final or so far, and its curves.", NULL,
      train_export_options, 1, 1, run_train_export},
     {"train prune", "ID...", "Delete checkpoints that are not needed.",
-     "Of a training that has ended all of them, since its result is a controller of its own; of another all but the "
+     "Of a training that has ended all of them, since its result is a controller of its own; of "
+     "another all but the "
      "newest, which it goes on "
      "from. A checkpoint takes 12.4 MB. What is deleted cannot be exported any more.",
      train_prune_options, 1, MANY, run_train_prune},
     {"train compare", "A B", "Compare two controllers on held-out designs.",
-     "Scores both controllers on designs and environments that no pretraining draws, and tells the mean of the "
-     "differences over designs with its 95 % confidence interval (Student t). Lower scores are better.",
+     "Scores both controllers on designs and environments that no pretraining draws, and tells the "
+     "mean of the "
+     "differences over designs with its 95 % confidence interval (Student t). Lower scores are "
+     "better.",
      train_compare_options, 2, 2, run_train_compare},
     {"campaign start", "zero-shot|few-shot|simultaneous [DESIGN]...", "Let a population evolve.",
-     "zero-shot: the controller is frozen. few-shot: it learns anew in each generation. simultaneous: it learns along. "
-     "DESIGNs (as those of eval) begin the initial population, random bodies fill it up. The campaign is a job of the "
+     "zero-shot: the controller is frozen. few-shot: it learns anew in each generation. "
+     "simultaneous: it learns along. "
+     "DESIGNs (as those of eval) begin the initial population, random bodies fill it up. The "
+     "campaign is a job of the "
      "server, which goes on without morphoctl, and after a crash where it was.",
      campaign_start_options, 1, MANY, run_campaign_start},
-    {"campaign list", "", "List campaigns, newest first.", NULL, campaign_list_options, 0, 0, run_campaign_list},
-    {"campaign show", "ID", "Show a campaign with its curves.", NULL, NULL, 1, 1, run_campaign_show},
+    {"campaign list", "", "List campaigns, newest first.", NULL, campaign_list_options, 0, 0,
+     run_campaign_list},
+    {"campaign show", "ID", "Show a campaign with its curves.", NULL, NULL, 1, 1,
+     run_campaign_show},
     {"campaign watch", "ID", "Watch a campaign evolve, to its end.",
-     "On a terminal live curves and a table, else a line per generation; with --json the events. Ctrl-C leaves the "
+     "On a terminal live curves and a table, else a line per generation; with --json the events. "
+     "Ctrl-C leaves the "
      "campaign alone. Exit status: 0 if it succeeded, 3 if not.",
      NULL, 1, 1, run_campaign_watch},
     {"campaign pause", "ID...", "Set campaigns aside.", NULL, NULL, 1, MANY, run_job_pause},
-    {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.", NULL, NULL, 1, MANY,
-     run_job_resume},
-    {"campaign cancel", "ID...", "Cancel campaigns.", "Generations that are complete stay.", NULL, 1, MANY,
-     run_job_cancel},
+    {"campaign resume", "ID...", "Go on with campaigns that are paused, or have failed.", NULL,
+     NULL, 1, MANY, run_job_resume},
+    {"campaign cancel", "ID...", "Cancel campaigns.", "Generations that are complete stay.", NULL,
+     1, MANY, run_job_cancel},
     {"campaign extend", "ID N", "Let a campaign run for N more generations.",
-     "Also one that has ended: the result is that of a campaign that was so long from the beginning.", NULL, 2, 2,
-     run_campaign_extend},
+     "Also one that has ended: the result is that of a campaign that was so long from the "
+     "beginning.",
+     NULL, 2, 2, run_campaign_extend},
     {"campaign champions", "ID", "Show the best design and a sample over the ranking.",
-     "In the order of how different they are from each other: the mean Hamming distance to the other ones.",
+     "In the order of how different they are from each other: the mean Hamming distance to the "
+     "other ones.",
      campaign_champions_options, 1, 1, run_campaign_champions},
-    {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.", NULL, campaign_export_options, 1,
-     1, run_campaign_export},
+    {"campaign export", "ID", "Fetch a campaign's curves, population and phylogeny.", NULL,
+     campaign_export_options, 1, 1, run_campaign_export},
     {"campaign prune", "ID...", "Delete checkpoints of campaigns that have ended.",
-     "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A simultaneous campaign "
-     "cannot be extended or resumed after it; of one without a result champions cannot be recorded any more. Of a "
+     "12.4 MB for each that learned. Populations, phylogeny and the resulting controller stay. A "
+     "simultaneous campaign "
+     "cannot be extended or resumed after it; of one without a result champions cannot be recorded "
+     "any more. Of a "
      "campaign that has not ended nothing is deleted.",
      NULL, 1, MANY, run_campaign_prune},
     {"controller list", "", "List controllers.", NULL, NULL, 0, 0, run_controller_list},
     {"controller info", "NAME", "Show a controller.", NULL, NULL, 1, 1, run_controller_info},
-    {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL, controller_get_options, 1, 1,
-     run_controller_get},
+    {"controller get", "NAME", "Fetch a controller's safetensors file.", NULL,
+     controller_get_options, 1, 1, run_controller_get},
     {"controller put", "NAME FILE", "Store a safetensors file as a controller.",
-     "A name that exists is pointed at the new file; scores keep the hash of the file they were made with.", NULL, 2, 2,
-     run_controller_put},
+     "A name that exists is pointed at the new file; scores keep the hash of the file they were "
+     "made with.",
+     NULL, 2, 2, run_controller_put},
     {"controller delete", "NAME", "Take a name away.", NULL, NULL, 1, 1, run_controller_delete},
-    {"devices", "", "Show the GPUs that compute.", "Exit status 3 if one is lost.", NULL, 0, 0, run_devices},
-    {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0, run_status},
+    {"devices", "", "Show the GPUs that compute.", "Exit status 3 if one is lost.", NULL, 0, 0,
+     run_devices},
+    {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0,
+     run_status},
     {"version", "", "Print the version.", NULL, NULL, 0, 0, run_version},
-    {"completion", "", "Print completion for bash.", "Use: source <(morphoctl completion)", NULL, 0, 0, run_completion},
+    {"completion", "", "Print completion for bash.", "Use: source <(morphoctl completion)", NULL, 0,
+     0, run_completion},
 };
 const size_t n_commands = sizeof(commands) / sizeof(commands[0]);

@@ -40,12 +40,13 @@ bool training_add(struct training_curve *curve, double x, double y)
 }
 
 /* Fetches rows behind the last point; `key` is what is drawn. stride 0: the path takes none. */
-static int load_curve(struct ctl *ctl, const char *id, const char *what, const char *key, int64_t stride,
-                      struct training_curve *curve)
+static int load_curve(struct ctl *ctl, const char *id, const char *what, const char *key,
+                      int64_t stride, struct training_curve *curve)
 {
   int status = STATUS_OK;
   bool more = true;
-  int64_t after = curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1; /* −1: from the first */
+  int64_t after =
+      curve->n > 0 ? (int64_t)curve->points[curve->n - 1].x : -1; /* −1: from the first */
   while (status == STATUS_OK && more) {
     char path[160];
     int n = snprintf(path, sizeof(path), "/v1/trainings/%s/%s?limit=1000", id, what);
@@ -64,7 +65,8 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
       if (status == STATUS_OK && !training_add(curve, (double)number_of(row, "step"), y))
         status = complain(STATUS_ERROR, "out of memory");
     }
-    const json_t *next = json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+    const json_t *next =
+        json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
     more = more && json_is_integer(next) && json_integer_value(next) > after;
     after = json_integer_value(next);
     json_decref(page);
@@ -174,7 +176,8 @@ void training_pace_text(const json_t *progress, char *text, size_t size)
   if (json_is_number(bodies))
     n = snprintf(text, size, "  %s bodies/s", real_text(bodies, speed));
   if (json_is_number(seconds) && n >= 0 && (size_t)n < size)
-    snprintf(text + n, size - (size_t)n, "  %s left", duration_text(json_number_value(seconds), left));
+    snprintf(text + n, size - (size_t)n, "  %s left",
+             duration_text(json_number_value(seconds), left));
 }
 
 void training_progress_text(const json_t *progress, char *text, size_t size)
@@ -196,7 +199,8 @@ void training_validation_text(const json_t *validation, char *text, size_t size)
   if (number_of(validation, "diverged") > 0)
     snprintf(diverged, sizeof(diverged), ", %" PRId64 " of %" PRId64 " rollouts diverged",
              number_of(validation, "diverged"), number_of(validation, "rollouts"));
-  snprintf(text, size, "%s ± %s at step %s%s", score_text(json_object_get(validation, "mean_score"), score),
+  snprintf(text, size, "%s ± %s at step %s%s",
+           score_text(json_object_get(validation, "mean_score"), score),
            score_text(json_object_get(validation, "standard_error"), error),
            count_text(number_of(validation, "step"), step), diverged);
 }
@@ -216,8 +220,9 @@ void training_event_text(const char *type, const json_t *data, char *text, size_
     snprintf(text, size, "  of step %s", count_text(number_of(data, "step"), step));
   } else if (strcmp(type, "training.code_changed") == 0) {
     const char *before = text_of(data, "before");
-    snprintf(text, size, "  after step %s: %s, before %s", count_text(number_of(data, "from_step"), step),
-             text_of(data, "fingerprint"), *before != 0 ? before : "unknown");
+    snprintf(text, size, "  after step %s: %s, before %s",
+             count_text(number_of(data, "from_step"), step), text_of(data, "fingerprint"),
+             *before != 0 ? before : "unknown");
   }
 }
 
@@ -228,6 +233,7 @@ int training_outcome(const json_t *training)
     return STATUS_OK;
   const json_t *error = json_object_get(training, "error");
   if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "training %s %s: %s", text_of(training, "id"), state, text_of(error, "detail"));
+    return complain(STATUS_NEGATIVE, "training %s %s: %s", text_of(training, "id"), state,
+                    text_of(error, "detail"));
   return complain(STATUS_NEGATIVE, "training %s is %s", text_of(training, "id"), state);
 }

@@ -1,4 +1,5 @@
-/* training.h: what the commands of trainings share: a training with its curves, as far as they were fetched. */
+/* training.h: what the commands of trainings share: a training with its curves, as far as they were
+ * fetched. */
 #ifndef MORPHOCTL_TRAINING_H
 #define MORPHOCTL_TRAINING_H
 
@@ -24,7 +25,8 @@ struct training {
 int training_load(struct ctl *ctl, struct training *training);
 void training_free(struct training *training);
 
-/* Adds a point. Those at or behind its x go: after a crash a training may go on from an earlier step. False: no memory. */
+/* Adds a point. Those at or behind its x go: after a crash a training may go on from an earlier
+ * step. False: no memory. */
 bool training_add(struct training_curve *curve, double x, double y);
 
 /* The plot of both curves (malloc), or NULL if there is none yet or no memory. */
@@ -36,7 +38,8 @@ const char *duration_text(double seconds, char text[32]);
 const char *real_text(const json_t *number, char text[32]);
 /* "12.3 %" of a share. */
 const char *share_text(const json_t *share, char text[32]);
-/* Of one progress report: loss, gradient, rate, clipped share; "  164.6 bodies/s  0:12:34 left", as far as they are known; both. */
+/* Of one progress report: loss, gradient, rate, clipped share; "  164.6 bodies/s  0:12:34 left", as
+ * far as they are known; both. */
 void training_numbers_text(const json_t *progress, char *text, size_t size);
 void training_pace_text(const json_t *progress, char *text, size_t size);
 void training_progress_text(const json_t *progress, char *text, size_t size);
@@ -48,7 +51,8 @@ void training_step_text(int64_t step, int64_t steps, char *text, size_t size);
 /* Two spaces and what a "training.…" event tells; nothing of others. */
 void training_event_text(const char *type, const json_t *data, char *text, size_t size);
 
-/* Follows a training to its end: a plot that redraws on a terminal, else lines. An interrupt leaves it alone. */
+/* Follows a training to its end: a plot that redraws on a terminal, else lines. An interrupt leaves
+ * it alone. */
 int watch_training(struct ctl *ctl, const char *id);
 
 /* STATUS_OK if it succeeded, else STATUS_NEGATIVE and a complaint. */

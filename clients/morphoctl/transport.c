@@ -69,14 +69,15 @@ int transport_open(struct ctl *ctl)
   int n = 0;
   if (strncmp(server, "unix:", 5) == 0) {
     if (server[5] != '/')
-      return complain(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /", server);
+      return complain(STATUS_USAGE, "server \"%s\": the path of a unix socket starts with /",
+                      server);
     transport->socket = strdup(server + 5);
     transport->base = strdup("http://localhost");
     n = transport->socket == NULL ? -1 : 0;
   } else if (strncmp(server, "http://", 7) == 0 || strncmp(server, "https://", 8) == 0) {
     transport->base = strdup(server);
-    for (size_t end = transport->base != NULL ? strlen(transport->base) : 0; end > 0 && transport->base[end - 1] == '/';
-         end--)
+    for (size_t end = transport->base != NULL ? strlen(transport->base) : 0;
+         end > 0 && transport->base[end - 1] == '/'; end--)
       transport->base[end - 1] = 0;
   } else if (*server != 0 && strstr(server, "://") == NULL) {
     n = asprintf(&transport->base, "http://%s", server);
@@ -118,7 +119,8 @@ static size_t take_body(char *bytes, size_t size, size_t count, void *context)
   if (reply->body_bytes + n > REPLY_BYTES_MAX)
     return 0;
   size_t needed = reply->body_bytes + n + 1;
-  if (needed > reply->body_capacity) { /* grown by halves: a reply of 10,000 results comes in thousands of pieces */
+  if (needed > reply->body_capacity) { /* grown by halves: a reply of 10,000 results comes in
+                                          thousands of pieces */
     size_t capacity = needed + needed / 2 + 4096;
     char *grown = realloc(reply->body, capacity);
     if (grown == NULL)
@@ -132,7 +134,8 @@ static size_t take_body(char *bytes, size_t size, size_t count, void *context)
   return n;
 }
 
-static void copy_header(const char *line, size_t length, const char *name, char *value, size_t capacity)
+static void copy_header(const char *line, size_t length, const char *name, char *value,
+                        size_t capacity)
 {
   size_t n = strlen(name);
   if (length <= n || strncasecmp(line, name, n) != 0 || line[n] != ':')
@@ -167,7 +170,8 @@ static size_t take_header(char *line, size_t size, size_t count, void *context)
   return n;
 }
 
-static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl_off_t c, curl_off_t d)
+static int stop_when_interrupted(void *context, curl_off_t a, curl_off_t b, curl_off_t c,
+                                 curl_off_t d)
 {
   (void)context, (void)a, (void)b, (void)c, (void)d;
   return interrupted();
@@ -198,8 +202,8 @@ static bool is_loopback(const char *base)
 }
 
 /* One attempt. `data` NULL: the body goes into the reply. */
-static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply, curl_write_callback data,
-                        void *context)
+static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply,
+                        curl_write_callback data, void *context)
 {
   struct transport *transport = ctl->transport;
   if (transport->streaming && transport->aside == NULL)
@@ -213,11 +217,13 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
   snprintf(wait, sizeof(wait), "wait=%u", request->wait_s);
   if (ctl->token != NULL && asprintf(&bearer, "Bearer %s", ctl->token) < 0)
     bearer = NULL;
-  bool ok = (ctl->token == NULL || bearer != NULL) && append(&headers, "Authorization", bearer) &&
-            append(&headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
-            append(&headers, "Content-Type", request->content_type) &&
-            append(&headers, "Prefer", request->wait_s > 0 ? wait : NULL);
-  struct curl_slist *grown = ok ? curl_slist_append(headers, "Expect:") : NULL; /* no round trip before a body */
+  bool ok =
+      (ctl->token == NULL || bearer != NULL) && append(&headers, "Authorization", bearer) &&
+      append(&headers, "Accept", request->accept != NULL ? request->accept : "application/json") &&
+      append(&headers, "Content-Type", request->content_type) &&
+      append(&headers, "Prefer", request->wait_s > 0 ? wait : NULL);
+  struct curl_slist *grown =
+      ok ? curl_slist_append(headers, "Expect:") : NULL; /* no round trip before a body */
   ok = grown != NULL;
   for (size_t i = 0; ok && i < HEADERS_MAX && request->headers[i] != NULL; i++) {
     headers = grown;
@@ -233,8 +239,8 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
     if (transport->socket != NULL)
       curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
-    if (is_loopback(
-            transport->base)) /* a proxy of the environment is another machine: it would get the token for nothing */
+    if (is_loopback(transport->base)) /* a proxy of the environment is another machine: it would get
+                                         the token for nothing */
       curl_easy_setopt(curl, CURLOPT_PROXY, "");
     curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
     curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
@@ -321,9 +327,10 @@ int transport_try(struct ctl *ctl, const struct request *request, struct reply *
 
 int complain_about_reply(const struct ctl *ctl, const struct reply *reply)
 {
-  json_t *problem = reply->body != NULL && strncmp(reply->content_type, "application/problem+json", 24) == 0
-                        ? json_loads(reply->body, 0, NULL)
-                        : NULL;
+  json_t *problem =
+      reply->body != NULL && strncmp(reply->content_type, "application/problem+json", 24) == 0
+          ? json_loads(reply->body, 0, NULL)
+          : NULL;
   const char *title = json_string_value(json_object_get(problem, "title"));
   const char *detail = json_string_value(json_object_get(problem, "detail"));
   if (title != NULL && detail != NULL && strcmp(title, detail) != 0)
@@ -383,7 +390,8 @@ int transport_get_json(struct ctl *ctl, const char *path, unsigned wait_s, json_
 {
   struct reply reply;
   *json = NULL;
-  int status = transport_send(ctl, &(struct request){.method = "GET", .path = path, .wait_s = wait_s}, &reply);
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .wait_s = wait_s}, &reply);
   if (status == STATUS_OK && (*json = reply_json(&reply)) == NULL)
     status = STATUS_ERROR;
   reply_free(&reply);
@@ -422,8 +430,10 @@ static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
 int transport_stream(struct ctl *ctl, const char *path, const char *header,
                      int (*data)(void *context, const char *bytes, size_t n), void *context)
 {
-  struct stream stream = {.ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
-  struct request request = {.method = "GET", .path = path, .accept = "text/event-stream", .headers = {header}};
+  struct stream stream = {
+      .ctl = ctl, .reply = {.retry_after_s = -1}, .data = data, .context = context};
+  struct request request = {
+      .method = "GET", .path = path, .accept = "text/event-stream", .headers = {header}};
   CURLcode code = perform(ctl, &request, &stream.reply, take_stream, &stream);
   int status;
   if (interrupted())

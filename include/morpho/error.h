@@ -1,8 +1,9 @@
 /* error.h: the result codes of every function that can fail.
  *
- * A function returns MO_OK (0) or one of these negative codes. It never exits, never logs, and leaves its outputs
- * untouched when it fails, unless its comment says otherwise. Where a person must act on a fault, the function also takes
- * a `struct mo_message *` (nullable) and writes one sentence that says what is wrong and what would be right. */
+ * A function returns MO_OK (0) or one of these negative codes. It never exits, never logs, and
+ * leaves its outputs untouched when it fails, unless its comment says otherwise. Where a person
+ * must act on a fault, the function also takes a `struct mo_message *` (nullable) and writes one
+ * sentence that says what is wrong and what would be right. */
 #ifndef MORPHO_ERROR_H
 #define MORPHO_ERROR_H
 
@@ -37,14 +38,17 @@ struct mo_message {
   char text[256];
 };
 
-/* The name of a code in words ("out of memory"); "unknown error" for others. Never NULL, static storage. */
+/* The name of a code in words ("out of memory"); "unknown error" for others. Never NULL, static
+ * storage. */
 const char *mo_error_text(int code);
 
 /* The same for programs: "no_memory"; "unknown" for others. */
 const char *mo_error_name(int code);
 
-/* Formats into `message` (nullable) and returns `code`, so that `return mo_fail(msg, MO_ERR_RANGE, "…", …);` reads well. */
-int mo_fail(struct mo_message *message, int code, const char *format, ...) __attribute__((format(printf, 3, 4)));
+/* Formats into `message` (nullable) and returns `code`, so that `return mo_fail(msg, MO_ERR_RANGE,
+ * "…", …);` reads well. */
+int mo_fail(struct mo_message *message, int code, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
 
 #ifdef __cplusplus
 }

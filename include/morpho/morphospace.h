@@ -1,12 +1,14 @@
-/* morphospace.h: voxel genotypes, their identity, and the mass-spring bodies they express (paper, section 2.1).
+/* morphospace.h: voxel genotypes, their identity, and the mass-spring bodies they express (paper,
+ * section 2.1).
  *
  * Orders, the same in every array, file and weight matrix, for a workspace of nx × ny × nz voxels:
  *   voxel  (x·ny + y)·nz + z            mass  (x·(ny+1) + y)·(nz+1) + z  in lattice coordinates
  *   spring: rank of its endpoint pair (a, b), a < b, in lexicographic order over the whole lattice.
  * Springs: the 12 edges and 12 face diagonals of each voxel, shared between neighbours.
  *
- * A genotype is a bit array of mo_workspace_words() 64-bit words owned by the caller; voxel v is bit v & 63 of word v >> 6;
- * bits past the last voxel are 0. "Valid" below means: not empty and contiguous through voxel faces. */
+ * A genotype is a bit array of mo_workspace_words() 64-bit words owned by the caller; voxel v is
+ * bit v & 63 of word v >> 6; bits past the last voxel are 0. "Valid" below means: not empty and
+ * contiguous through voxel faces. */
 #ifndef MORPHO_MORPHOSPACE_H
 #define MORPHO_MORPHOSPACE_H
 
@@ -49,53 +51,62 @@ struct mo_cell_fault {
   int axis;     /* MO_ERR_RANGE: 0, 1, 2 for x, y, z */
 };
 
-/* Reads n cells (x, y, z each) as given, without placing them. MO_ERR_EMPTY, MO_ERR_RANGE, MO_ERR_DUPLICATE, or
- * MO_ERR_NOT_CONTIGUOUS (fault->cell: the first cell, in list order, that is not connected to cell 0). `fault` nullable;
- * written only on those errors. MO_ERR_NO_MEMORY. */
-int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n, uint64_t *bits,
-                           struct mo_cell_fault *fault);
+/* Reads n cells (x, y, z each) as given, without placing them. MO_ERR_EMPTY, MO_ERR_RANGE,
+ * MO_ERR_DUPLICATE, or MO_ERR_NOT_CONTIGUOUS (fault->cell: the first cell, in list order, that is
+ * not connected to cell 0). `fault` nullable; written only on those errors. MO_ERR_NO_MEMORY. */
+int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n,
+                           uint64_t *bits, struct mo_cell_fault *fault);
 
-/* Reads '0' and '1', exactly one per voxel, in voxel order. MO_ERR_FORMAT (fault->cell: offset of the first other
- * character), MO_ERR_RANGE (wrong length: fault->cell is the length), MO_ERR_EMPTY, MO_ERR_NOT_CONTIGUOUS (fault->cell: a
- * voxel index that is not connected to the first set voxel). */
-int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length, uint64_t *bits,
-                          struct mo_cell_fault *fault);
+/* Reads '0' and '1', exactly one per voxel, in voxel order. MO_ERR_FORMAT (fault->cell: offset of
+ * the first other character), MO_ERR_RANGE (wrong length: fault->cell is the length), MO_ERR_EMPTY,
+ * MO_ERR_NOT_CONTIGUOUS (fault->cell: a voxel index that is not connected to the first set voxel).
+ */
+int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length,
+                          uint64_t *bits, struct mo_cell_fault *fault);
 /* Writes one '0' or '1' per voxel and a NUL: voxels + 1 bytes. */
 void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, char *text);
 
-/* Big-endian bit string as bytes (voxel 0 is the top bit of byte 0), ceil(voxels / 8) of them: the stored form. */
+/* Big-endian bit string as bytes (voxel 0 is the top bit of byte 0), ceil(voxels / 8) of them: the
+ * stored form. */
 void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, uint8_t *bytes);
-int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes, uint64_t *bits); /* MO_ERR_FORMAT */
+int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes,
+                           uint64_t *bits); /* MO_ERR_FORMAT */
 
 uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits); /* voxels */
 int mo_genotype_is_contiguous(struct mo_workspace workspace,
                               const uint64_t *bits); /* 1, 0 (also if empty), MO_ERR_NO_MEMORY */
 
-/* Keeps the largest 6-connected component (ties: the one that holds the lowest voxel index). Empty stays empty. */
+/* Keeps the largest 6-connected component (ties: the one that holds the lowest voxel index). Empty
+ * stays empty. */
 int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 
-/* Placement (design: lowest layer at z = 0, voxel centroid as near as possible to the workspace's middle; first best of x,
- * then of y). Idempotent. Exact integer arithmetic. Empty stays empty. */
+/* Placement (design: lowest layer at z = 0, voxel centroid as near as possible to the workspace's
+ * middle; first best of x, then of y). Idempotent. Exact integer arithmetic. Empty stays empty. */
 void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits);
 
-/* Canonical form: aligned to the origin; of the images under z-rotations by 90° and reflections in x and y that fit the
- * workspace, the lexicographically smallest of (dimensions, then bits in voxel order). `form` must not overlap `bits`; the
- * form of an empty genotype is empty. */
+/* Canonical form: aligned to the origin; of the images under z-rotations by 90° and reflections in
+ * x and y that fit the workspace, the lexicographically smallest of (dimensions, then bits in voxel
+ * order). `form` must not overlap `bits`; the form of an empty genotype is empty. */
 void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form);
 
-/* The k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4, then mirrored in x if k & 1 and in y
- * if k & 2. MO_ERR_RANGE if it does not fit the workspace. `image` must not overlap `bits`. */
-int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, uint64_t *image);
+/* The k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4, then
+ * mirrored in x if k & 1 and in y if k & 2. MO_ERR_RANGE if it does not fit the workspace. `image`
+ * must not overlap `bits`. */
+int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
+                      uint64_t *image);
 
-/* Id: the canonical form as hexadecimal digits (lower case), first voxel in the top bit: ceil(voxels / 4) digits + NUL. */
+/* Id: the canonical form as hexadecimal digits (lower case), first voxel in the top bit:
+ * ceil(voxels / 4) digits + NUL. */
 void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id);
-/* Reads an id (either case) into the canonical form that it spells. MO_ERR_FORMAT: wrong length or digit, stray bits, or
- * not a canonical form; MO_ERR_EMPTY; MO_ERR_NOT_CONTIGUOUS. */
-int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length, uint64_t *form);
+/* Reads an id (either case) into the canonical form that it spells. MO_ERR_FORMAT: wrong length or
+ * digit, stray bits, or not a canonical form; MO_ERR_EMPTY; MO_ERR_NOT_CONTIGUOUS. */
+int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
+                        uint64_t *form);
 
-/* A genotype of one workspace as one of another, placed there; turned by 90° when it fits only so. MO_ERR_RANGE: it does not fit. `moved`
- * must not overlap `bits`. Empty stays empty. */
-int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to, uint64_t *moved);
+/* A genotype of one workspace as one of another, placed there; turned by 90° when it fits only so.
+ * MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
+int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                     uint64_t *moved);
 
 uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b);
 
@@ -104,38 +115,44 @@ uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, c
 /* One random body (paper, appendix A.1), drawn from `random`. */
 int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, uint64_t *bits);
 
-/* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if nothing is left;
- * MO_ERR_RANGE for a rate outside 0 … 1. */
-int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate, struct mo_random *random,
-                       uint64_t *child);
+/* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if
+ * nothing is left; MO_ERR_RANGE for a rate outside 0 … 1. */
+int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
+                       struct mo_random *random, uint64_t *child);
 
-/* XOR of two parents, largest component, placed. MO_ERR_EMPTY if nothing is left (as for a parent with itself). */
-int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b, uint64_t *child);
+/* XOR of two parents, largest component, placed. MO_ERR_EMPTY if nothing is left (as for a parent
+ * with itself). */
+int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b,
+                          uint64_t *child);
 
 /* An exact set of canonical forms (of one workspace). Not for concurrent use. */
 struct mo_form_set;
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set);
 void mo_form_set_free(struct mo_form_set *set);
-/* 1: added; 0: was there; negative: MO_ERR_NO_MEMORY or, for an empty form, MO_ERR_EMPTY; set unchanged. `form` must be
- * canonical. */
+/* 1: added; 0: was there; negative: MO_ERR_NO_MEMORY or, for an empty form, MO_ERR_EMPTY; set
+ * unchanged. `form` must be canonical. */
 int mo_form_set_add(struct mo_form_set *set, const uint64_t *form);
 int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form); /* 1 or 0 */
 uint64_t mo_form_set_count(const struct mo_form_set *set);
 size_t mo_form_set_bytes(const struct mo_form_set *set); /* memory held */
 
-/* A stream of random bodies, no two with one canonical form: draw i is mo_genotype_random of (seed, BODY, 0, i); draws whose
- * form came before are skipped. MO_ERR_EXHAUSTED after 2^20 fruitless draws in a row (small workspaces run dry). */
+/* A stream of random bodies, no two with one canonical form: draw i is mo_genotype_random of (seed,
+ * BODY, 0, i); draws whose form came before are skipped. MO_ERR_EXHAUSTED after 2^20 fruitless
+ * draws in a row (small workspaces run dry). */
 struct mo_body_stream;
-int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct mo_body_stream **stream);
+int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
+                          struct mo_body_stream **stream);
 void mo_body_stream_free(struct mo_body_stream *stream);
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
 /* The same, with the body's canonical form. */
 int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-/* Threads that draw ahead from now on (1 at first: none does), each for some 10 µs per body; they live inside a call. The bodies
- * are the same. The number that it has already: nothing happens. MO_ERR_NO_MEMORY: as before. */
+/* Threads that draw ahead from now on (1 at first: none does), each for some 10 µs per body; they
+ * live inside a call. The bodies are the same. The number that it has already: nothing happens.
+ * MO_ERR_NO_MEMORY: as before. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
-uint64_t mo_body_stream_draws(const struct mo_body_stream *stream); /* draws so far, skipped ones included */
-size_t mo_body_stream_bytes(const struct mo_body_stream *stream);   /* memory held */
+uint64_t
+mo_body_stream_draws(const struct mo_body_stream *stream); /* draws so far, skipped ones included */
+size_t mo_body_stream_bytes(const struct mo_body_stream *stream); /* memory held */
 /* Forms to be skipped from now on. */
 int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form);
 
@@ -147,14 +164,16 @@ struct mo_lattice {
   uint32_t n_voxels, n_masses, n_springs;
   const uint32_t *spring_a;       /* (n_springs) lower mass index */
   const uint32_t *spring_b;       /* (n_springs) higher mass index */
-  const uint8_t *spring_diagonal; /* (n_springs) 0: edge, rest length MO_VOXEL_M; 1: face diagonal, MO_VOXEL_M·√2 */
+  const uint8_t *spring_diagonal; /* (n_springs) 0: edge, rest length MO_VOXEL_M; 1: face diagonal,
+                                     MO_VOXEL_M·√2 */
   const uint32_t *voxel_mass;     /* (n_voxels, 8) ascending */
   const uint32_t *voxel_spring;   /* (n_voxels, 24) ascending */
 };
 int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice);
 void mo_lattice_free(struct mo_lattice *lattice); /* NULL-safe */
 
-/* The masses and springs of one genotype, as given (callers place it first). Const after creation. */
+/* The masses and springs of one genotype, as given (callers place it first). Const after creation.
+ */
 struct mo_body {
   struct mo_workspace workspace;
   uint32_t n_voxels, n_masses, n_springs;

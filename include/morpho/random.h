@@ -1,9 +1,10 @@
 /* random.h: counter-based random numbers, Philox4x32-10 (Salmon et al., SC 2011).
  *
- * A stream is named by (seed, purpose, step, index): the same name gives the same numbers on every machine, in any order
- * of use, on any number of threads; nothing needs replaying after a restart. Key: the 64-bit seed. Counter words: 0 the
- * number of the block within the stream, 1 the low half of the index, 2 the step, 3 the purpose (high 16 bits) and the
- * upper 16 bits of the index. All results are bit-exact across instruction sets (no libm). */
+ * A stream is named by (seed, purpose, step, index): the same name gives the same numbers on every
+ * machine, in any order of use, on any number of threads; nothing needs replaying after a restart.
+ * Key: the 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the low half
+ * of the index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the index. All
+ * results are bit-exact across instruction sets (no libm). */
 #ifndef MORPHO_RANDOM_H
 #define MORPHO_RANDOM_H
 
@@ -45,14 +46,18 @@ struct mo_random {
 void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t out[4]);
 
 /* index ≤ MO_RANDOM_INDEX_MAX (higher bits are ignored). */
-void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index);
+void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step,
+                    uint64_t index);
 
 uint32_t mo_random_u32(struct mo_random *random);
-void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n); /* n times mo_random_u32, faster */
-uint64_t mo_random_u64(struct mo_random *random);                           /* first number is the low half */
-double mo_random_uniform(struct mo_random *random);                         /* [0, 1), 53 bits */
-uint32_t mo_random_below(struct mo_random *random, uint32_t n); /* uniform on 0 … n−1, unbiased; 0 for n = 0 */
-double mo_random_normal(struct mo_random *random);              /* N(0, 1) by inversion: one uniform per number */
+void mo_random_fill(struct mo_random *random, uint32_t *numbers,
+                    size_t n);                      /* n times mo_random_u32, faster */
+uint64_t mo_random_u64(struct mo_random *random);   /* first number is the low half */
+double mo_random_uniform(struct mo_random *random); /* [0, 1), 53 bits */
+uint32_t mo_random_below(struct mo_random *random,
+                         uint32_t n); /* uniform on 0 … n−1, unbiased; 0 for n = 0 */
+double
+mo_random_normal(struct mo_random *random); /* N(0, 1) by inversion: one uniform per number */
 
 #ifdef __cplusplus
 }

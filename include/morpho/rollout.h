@@ -1,13 +1,15 @@
-/* rollout.h: one simulated life of one body in one environment (paper, section 2.2; design constants in mo_default_physics).
+/* rollout.h: one simulated life of one body in one environment (paper, section 2.2; design
+ * constants in mo_default_physics).
  *
- * A step: sense → control → springs → velocity → position → contact; docs/model.md has the equations. Loss: distance in x, y from
- * the centre of mass to the light at the end, over the same at the start + 1e-8 m; lower is better, 1 is standing still.
+ * A step: sense → control → springs → velocity → position → contact; docs/model.md has the
+ * equations. Loss: distance in x, y from the centre of mass to the light at the end, over the same
+ * at the start + 1e-8 m; lower is better, 1 is standing still.
  *
  * Two implementations of the same mathematics:
  *   mo_rollout_reference  plain float64 C, one rollout, the yardstick of every test;
- *   mo_rollout_block      vectors over up to MO_BLOCK_LANES environments of one body, float32 or float64, compiled for
- *                         several instruction sets. A lane's bits depend on its own inputs alone: not on the other lanes, nor
- *                         on its place among them. */
+ *   mo_rollout_block      vectors over up to MO_BLOCK_LANES environments of one body, float32 or
+ * float64, compiled for several instruction sets. A lane's bits depend on its own inputs alone: not
+ * on the other lanes, nor on its place among them. */
 #ifndef MORPHO_ROLLOUT_H
 #define MORPHO_ROLLOUT_H
 
@@ -22,12 +24,14 @@
 extern "C" {
 #endif
 
-#define MO_BLOCK_LANES            16
-#define MO_STEPS_MAX              1000000
-#define MO_DIVERGED_SPEED_M_PER_S 1000.0 /* a mass faster than this, or not finite, ends its rollout as diverged */
+#define MO_BLOCK_LANES 16
+#define MO_STEPS_MAX   1000000
+#define MO_DIVERGED_SPEED_M_PER_S                                                                  \
+  1000.0 /* a mass faster than this, or not finite, ends its rollout as diverged */
 
 enum mo_impact {
-  MO_IMPACT_EXACT = 0,    /* time of impact in closed form: the gap over one terrain cell is a quadratic; the default */
+  MO_IMPACT_EXACT = 0,    /* time of impact in closed form: the gap over one terrain cell is a
+                             quadratic; the default */
   MO_IMPACT_BISECTION = 1 /* `bisections` halvings of [0, dt], lower end kept (paper: 8) */
 };
 enum mo_precision { MO_FLOAT32 = 0, MO_FLOAT64 = 1 };
@@ -50,8 +54,8 @@ struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 
-/* Positions at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. Arrays owned by the caller; NULL: not
- * recorded. Frames after a divergence hold the last finite state. */
+/* Positions at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. Arrays owned by
+ * the caller; NULL: not recorded. Frames after a divergence hold the last finite state. */
 struct mo_recording {
   uint32_t stride; /* ≥ 1 */
   double *com_m;   /* (frames, 3) */
@@ -61,21 +65,23 @@ uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
 
 struct mo_outcome {
   double loss;           /* +infinity when diverged */
-  int32_t diverged_step; /* step (1-based) after which the state was no longer finite or sane; 0: it never diverged */
+  int32_t diverged_step; /* step (1-based) after which the state was no longer finite or sane; 0: it
+                            never diverged */
   double com_start_m[3];
   double com_end_m[3]; /* the last finite one when diverged */
 };
 
-/* Called every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. May run other blocks meanwhile, in
- * another workspace: that is how urgent work overtakes. */
+/* Called every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. May run
+ * other blocks meanwhile, in another workspace: that is how urgent work overtakes. */
 struct mo_pause_point {
   uint32_t interval; /* 0: never */
   int (*reached)(void *context);
   void *context;
 };
 
-/* controller NULL: no actuation (rest lengths constant). recording nullable. MO_ERR_INVALID if the controller's workspace is
- * not the body's; MO_ERR_NO_MEMORY. A diverged rollout is MO_OK: see the outcome. */
+/* controller NULL: no actuation (rest lengths constant). recording nullable. MO_ERR_INVALID if the
+ * controller's workspace is not the body's; MO_ERR_NO_MEMORY. A diverged rollout is MO_OK: see the
+ * outcome. */
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome);
@@ -83,21 +89,23 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
 /* ---- the fast path ---- */
 
 enum mo_isa { MO_ISA_BASELINE = 0, MO_ISA_AVX2 = 1, MO_ISA_AVX512 = 2, MO_ISA_COUNT };
-enum mo_isa mo_isa_best(void);            /* the widest that this processor (and operating system) runs */
+enum mo_isa mo_isa_best(void); /* the widest that this processor (and operating system) runs */
 const char *mo_isa_name(enum mo_isa isa); /* "x86-64", "avx2", "avx512" */
 int mo_isa_from_name(const char *name, enum mo_isa *isa);
 
-/* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps no reference to the
- * controller. controller NULL: a pack for passive bodies of any workspace. MO_ERR_UNSUPPORTED: not on this processor. */
+/* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps
+ * no reference to the controller. controller NULL: a pack for passive bodies of any workspace.
+ * MO_ERR_UNSUPPORTED: not on this processor. */
 struct mo_pack;
-int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa, enum mo_precision precision,
-                   struct mo_pack **pack);
+int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
+                   enum mo_precision precision, struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack);
 size_t mo_pack_bytes(const struct mo_pack *pack);
 
 /* Where time went, in seconds, summed over calls. */
 struct mo_rollout_profile {
-  double pack_s, sense_s, control_s, spring_s, contact_s; /* contact includes velocity and position */
+  double pack_s, sense_s, control_s, spring_s,
+      contact_s; /* contact includes velocity and position */
   uint64_t rollout_steps;
 };
 
@@ -107,13 +115,13 @@ int mo_workspace_memory_create(struct mo_workspace_memory **memory);
 void mo_workspace_memory_free(struct mo_workspace_memory *memory);
 size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory);
 
-/* Runs one body in n_environments (1 … MO_BLOCK_LANES) environments. recordings: NULL or n_environments of them. outcomes:
- * (n_environments). pause, profile nullable. */
-int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack, const struct mo_body *body,
-                     const struct mo_environment *const *environments, uint32_t n_environments,
-                     const struct mo_physics *physics, const struct mo_recording *recordings,
-                     const struct mo_pause_point *pause, struct mo_rollout_profile *profile,
-                     struct mo_outcome *outcomes);
+/* Runs one body in n_environments (1 … MO_BLOCK_LANES) environments. recordings: NULL or
+ * n_environments of them. outcomes: (n_environments). pause, profile nullable. */
+int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                     const struct mo_body *body, const struct mo_environment *const *environments,
+                     uint32_t n_environments, const struct mo_physics *physics,
+                     const struct mo_recording *recordings, const struct mo_pause_point *pause,
+                     struct mo_rollout_profile *profile, struct mo_outcome *outcomes);
 
 #ifdef __cplusplus
 }

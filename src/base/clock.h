@@ -4,7 +4,8 @@
 
 #include <stdint.h>
 
-/* Nanoseconds since an arbitrary start; never goes back, not touched by changes of the wall clock. */
+/* Nanoseconds since an arbitrary start; never goes back, not touched by changes of the wall clock.
+ */
 uint64_t mo_clock_ns(void);
 
 #endif

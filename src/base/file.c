@@ -18,8 +18,8 @@ int mo_file_open(const char *path, uint64_t *size, struct mo_message *message)
   /* O_NONBLOCK: opening a pipe must not wait for its writer. */
   const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0)
-    return mo_fail(message, errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO, "cannot open %s: %s", path,
-                   strerrordesc_np(errno));
+    return mo_fail(message, errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO, "cannot open %s: %s",
+                   path, strerrordesc_np(errno));
   struct stat status;
   int r = MO_OK;
   if (fstat(fd, &status) < 0)
@@ -34,7 +34,8 @@ int mo_file_open(const char *path, uint64_t *size, struct mo_message *message)
   return fd;
 }
 
-int mo_file_read_at(int fd, void *buffer, uint64_t size, uint64_t offset, struct mo_message *message)
+int mo_file_read_at(int fd, void *buffer, uint64_t size, uint64_t offset,
+                    struct mo_message *message)
 {
   uint8_t *to = buffer;
   while (size > 0) {
@@ -55,8 +56,8 @@ int mo_file_read_at(int fd, void *buffer, uint64_t size, uint64_t offset, struct
 static int fail_writing(const char *path, struct mo_message *message)
 {
   const int error = errno;
-  return mo_fail(message, error == ENOSPC || error == EDQUOT ? MO_ERR_NO_SPACE : MO_ERR_IO, "cannot write %s: %s", path,
-                 strerrordesc_np(error));
+  return mo_fail(message, error == ENOSPC || error == EDQUOT ? MO_ERR_NO_SPACE : MO_ERR_IO,
+                 "cannot write %s: %s", path, strerrordesc_np(error));
 }
 
 static int write_all(int fd, const void *buffer, size_t size)
@@ -78,7 +79,8 @@ static int write_all(int fd, const void *buffer, size_t size)
 static int sync_folder(const char *path)
 {
   const char *slash = strrchr(path, '/');
-  char *folder = slash == NULL ? strdup(".") : strndup(path, slash == path ? 1 : (size_t)(slash - path));
+  char *folder =
+      slash == NULL ? strdup(".") : strndup(path, slash == path ? 1 : (size_t)(slash - path));
   if (folder == NULL)
     return -1;
   const int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
@@ -98,8 +100,8 @@ static int write_pieces(int fd, const struct mo_file_piece *pieces, size_t n)
   return fsync(fd);
 }
 
-static int write_temporary(const struct mo_file_piece *pieces, size_t n, const char *temporary, const char *path,
-                           struct mo_message *message)
+static int write_temporary(const struct mo_file_piece *pieces, size_t n, const char *temporary,
+                           const char *path, struct mo_message *message)
 {
   const int fd = open(temporary, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
   if (fd < 0)
@@ -116,7 +118,8 @@ static int write_temporary(const struct mo_file_piece *pieces, size_t n, const c
   return r;
 }
 
-int mo_file_replace(const char *path, const struct mo_file_piece *pieces, size_t n, struct mo_message *message)
+int mo_file_replace(const char *path, const struct mo_file_piece *pieces, size_t n,
+                    struct mo_message *message)
 {
   uint64_t unique = 0;
   if (getrandom(&unique, sizeof(unique), 0) != (ssize_t)sizeof(unique))

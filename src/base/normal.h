@@ -1,4 +1,5 @@
-/* normal.h: quantiles of the normal distribution without libm, so that every machine computes the same bits. */
+/* normal.h: quantiles of the normal distribution without libm, so that every machine computes the
+ * same bits. */
 #ifndef MORPHO_BASE_NORMAL_H
 #define MORPHO_BASE_NORMAL_H
 

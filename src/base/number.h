@@ -1,4 +1,5 @@
-/* number.h: numbers in messages, and their bounds. Two numbers that differ never look alike, so that no message contradicts itself. */
+/* number.h: numbers in messages, and their bounds. Two numbers that differ never look alike, so
+ * that no message contradicts itself. */
 #ifndef MORPHO_BASE_NUMBER_H
 #define MORPHO_BASE_NUMBER_H
 
@@ -9,7 +10,8 @@
 
 #define MO_NUMBER_BYTES 32
 
-/* A short text, of at least six digits where the number has them, that reads back as the same number; with a point whatever the locale. */
+/* A short text, of at least six digits where the number has them, that reads back as the same
+ * number; with a point whatever the locale. */
 const char *mo_number_text(double value, char text[MO_NUMBER_BYTES]);
 /* The same in place, as an argument of "%s"; good until the end of the block. */
 #define MO_NUMBER(value) mo_number_text((value), (char[MO_NUMBER_BYTES]){0})

@@ -1,5 +1,5 @@
-/* parallel.c: one loop on several threads, which live for the loop alone: a start costs some 20 µs, so a range should take a good
- * deal longer. */
+/* parallel.c: one loop on several threads, which live for the loop alone: a start costs some 20 µs,
+ * so a range should take a good deal longer. */
 #include "base/parallel.h"
 
 #include "base/thread.h"
@@ -23,7 +23,8 @@ static void *run(void *argument)
   return NULL;
 }
 
-void mo_parallel(uint32_t n_threads, size_t n, void (*part)(void *context, size_t first, size_t end), void *context)
+void mo_parallel(uint32_t n_threads, size_t n,
+                 void (*part)(void *context, size_t first, size_t end), void *context)
 {
   struct range ranges[MO_PARALLEL_THREADS_MAX];
   size_t n_ranges = n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
@@ -36,8 +37,10 @@ void mo_parallel(uint32_t n_threads, size_t n, void (*part)(void *context, size_
   }
   for (size_t i = 0; i < n_ranges; i++) {
     const size_t rest = n % n_ranges; /* the first ones take one more */
-    ranges[i] = (struct range){
-        .part = part, .context = context, .tag = mo_thread_tag, .first = n / n_ranges * i + (i < rest ? i : rest)};
+    ranges[i] = (struct range){.part = part,
+                               .context = context,
+                               .tag = mo_thread_tag,
+                               .first = n / n_ranges * i + (i < rest ? i : rest)};
     ranges[i].end = ranges[i].first + n / n_ranges + (i < rest);
     ranges[i].started = i > 0 && mo_thread_create(&ranges[i].thread, NULL, run, &ranges[i]) == 0;
   }

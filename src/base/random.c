@@ -1,7 +1,8 @@
 /* random.c: Philox4x32-10 and the streams made of it.
  *
- * One block is ten rounds of two 32 × 32 → 64 bit products on four counter words; see Salmon et al., "Parallel random
- * numbers: as easy as 1, 2, 3", SC 2011. Blocks do not depend on one another, so mo_random_fill computes several at once. */
+ * One block is ten rounds of two 32 × 32 → 64 bit products on four counter words; see Salmon et
+ * al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011. Blocks do not depend on one another,
+ * so mo_random_fill computes several at once. */
 #include <morpho/random.h>
 
 #include "base/normal.h"
@@ -43,8 +44,8 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
 
 /* LANES blocks whose first counter words follow one another, written one after the other. */
 #ifdef __SSE2__
-/* Two lanes in each vector, as the low halves of its 64-bit words: the product instruction reads only those, so what is in
- * the high halves does not matter. */
+/* Two lanes in each vector, as the low halves of its 64-bit words: the product instruction reads
+ * only those, so what is in the high halves does not matter. */
 static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
 {
   const __m128i multiplier_0 = _mm_set1_epi64x(MULTIPLIER_0);
@@ -54,7 +55,8 @@ static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint3
   __m128i c2[LANES / 2];
   __m128i c3[LANES / 2];
   for (int i = 0; i < LANES / 2; i++) {
-    c0[i] = _mm_set_epi64x((uint32_t)(counter[0] + 2 * (uint32_t)i + 1), (uint32_t)(counter[0] + 2 * (uint32_t)i));
+    c0[i] = _mm_set_epi64x((uint32_t)(counter[0] + 2 * (uint32_t)i + 1),
+                           (uint32_t)(counter[0] + 2 * (uint32_t)i));
     c1[i] = _mm_set1_epi64x(counter[1]);
     c2[i] = _mm_set1_epi64x(counter[2]);
     c3[i] = _mm_set1_epi64x(counter[3]);
@@ -94,7 +96,8 @@ static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint3
 }
 #endif
 
-void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index)
+void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose purpose, uint32_t step,
+                    uint64_t index)
 {
   random->key[0] = (uint32_t)seed;
   random->key[1] = (uint32_t)(seed >> 32);
@@ -151,8 +154,8 @@ double mo_random_uniform(struct mo_random *random)
   return (double)(mo_random_u64(random) >> 11) * 0x1p-53;
 }
 
-/* Multiply and shift (Lemire 2019): the low half tells whether the number falls into the part that would be counted once
- * too often. */
+/* Multiply and shift (Lemire 2019): the low half tells whether the number falls into the part that
+ * would be counted once too often. */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n)
 {
   if (n == 0) {

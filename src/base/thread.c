@@ -5,7 +5,8 @@
 
 _Thread_local volatile int64_t mo_thread_tag = -1;
 
-int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context), void *context)
+int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
+                     void *context)
 {
   static const int faults[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGTRAP, SIGSYS};
   sigset_t blocked, before;

@@ -1,5 +1,5 @@
-/* controller.c: a controller's packs, one per precision, made when a block first asks for them. Devices keep what they make of it
- * themselves, until they are told to forget it. */
+/* controller.c: a controller's packs, one per precision, made when a block first asks for them.
+ * Devices keep what they make of it themselves, until they are told to forget it. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -38,13 +38,14 @@ void mo_compute_controller_free(struct mo_compute_controller *controller)
   free(controller);
 }
 
-const struct mo_controller *mo_compute_controller_weights(const struct mo_compute_controller *controller)
+const struct mo_controller *
+mo_compute_controller_weights(const struct mo_compute_controller *controller)
 {
   return controller->controller;
 }
 
-int mo_compute_controller_pack(struct mo_compute_controller *controller, enum mo_precision precision,
-                               const struct mo_pack **ret)
+int mo_compute_controller_pack(struct mo_compute_controller *controller,
+                               enum mo_precision precision, const struct mo_pack **ret)
 {
   struct mo_pack *pack = atomic_load_explicit(&controller->pack[precision], memory_order_acquire);
   int status = MO_OK;

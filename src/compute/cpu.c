@@ -1,14 +1,18 @@
 /* cpu.c: the CPU back end: worker threads, queues, urgent blocks that overtake.
  *
- * Workers take from the queues under one mutex, the most urgent first; batch blocks wait in shares, and fair.h says whose is next. A
- * share is charged what its block took before the block's `done` is called, so that it may be freed from then on. A worker that is inside a batch block or a gradient block
- * looks at an atomic count every few steps; if an interactive scoring block waits, it runs it then and there, on its own stack
- * and in a second scratch, and goes on with its block, whose bits cannot notice. So an interactive scoring block waits for a
- * few steps of a rollout and never for a whole block, and no thread beyond one per worker is needed. Gradient blocks never run
- * inside another block: a worker holds one gradient scratch, hundreds of megabytes, made at first use.
+ * Workers take from the queues under one mutex, the most urgent first; batch blocks wait in shares,
+ * and fair.h says whose is next. A share is charged what its block took before the block's `done`
+ * is called, so that it may be freed from then on. A worker that is inside a batch block or a
+ * gradient block looks at an atomic count every few steps; if an interactive scoring block waits,
+ * it runs it then and there, on its own stack and in a second scratch, and goes on with its block,
+ * whose bits cannot notice. So an interactive scoring block waits for a few steps of a rollout and
+ * never for a whole block, and no thread beyond one per worker is needed. Gradient blocks never run
+ * inside another block: a worker holds one gradient scratch, hundreds of megabytes, made at first
+ * use.
  *
- * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand back what is queued as
- * cancelled, and leave. Every block's `done` is called exactly once. Counters are atomics: reading them takes no lock. */
+ * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand
+ * back what is queued as cancelled, and leave. Every block's `done` is called exactly once.
+ * Counters are atomics: reading them takes no lock. */
 #include "compute/devices.h"
 
 #include <morpho/error.h>
@@ -27,7 +31,8 @@
 
 enum {
   WORKERS_MAX = 1024,
-  PAUSE_STEPS = 20,     /* between looks at the queue, for bodies of the default workspace: about 1 ms */
+  PAUSE_STEPS =
+      20, /* between looks at the queue, for bodies of the default workspace: about 1 ms */
   PAUSE_SPRINGS = 2000, /* larger bodies look after every step */
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
@@ -64,7 +69,8 @@ struct mo_compute {
   struct mo_compute_share own; /* of blocks that name none */
   atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
-  atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged, blocks_preempted, busy_ns;
+  atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged,
+      blocks_preempted, busy_ns;
   atomic_uint_fast64_t gradient_robots_done, gradient_robots_diverged, gradient_robots_zeroed;
   atomic_size_t worker_bytes_max;
   char fingerprint[2][64], gradient_fingerprint[64];
@@ -129,8 +135,9 @@ static struct mo_block *pop(struct queue *queue)
 
 /* ---- one block ---- */
 
-/* Measures the worker time of a block: what passes, less what urgent blocks inside it take. Its share's counters follow at every
- * pause point, so that a long block does not count for nothing until its end. */
+/* Measures the worker time of a block: what passes, less what urgent blocks inside it take. Its
+ * share's counters follow at every pause point, so that a long block does not count for nothing
+ * until its end. */
 struct meter {
   struct mo_compute_share *share;
   bool urgent;
@@ -145,13 +152,15 @@ struct visit {
   struct meter *meter;
 };
 
-static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge);
+static void run_block(struct worker *worker, struct mo_block *block, int depth,
+                      const struct mo_fair_charge *charge);
 
 static bool is_cancelled(const struct mo_compute *compute, const struct mo_block *block)
 {
   return atomic_load_explicit(&compute->stopping, memory_order_relaxed) ||
          (block->cancel != NULL && __atomic_load_n(block->cancel, __ATOMIC_RELAXED) != 0) ||
-         (block->gradient != NULL && atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
+         (block->gradient != NULL &&
+          atomic_load_explicit(block->gradient->stop, memory_order_relaxed));
 }
 
 static void read_meter(const struct worker *worker, struct meter *meter)
@@ -173,7 +182,8 @@ static int look_up(void *context)
   struct mo_compute *compute = visit->worker->compute;
   struct queue *urgent = &compute->queues[URGENT];
   if (visit->depth == 0 && (visit->block->urgency == MO_BATCH || visit->block->gradient != NULL))
-    while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 && !is_cancelled(compute, visit->block)) {
+    while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 &&
+           !is_cancelled(compute, visit->block)) {
       pthread_mutex_lock(&compute->mutex);
       struct mo_block *block = pop(urgent);
       pthread_mutex_unlock(&compute->mutex);
@@ -203,20 +213,25 @@ static int simulate(struct worker *worker, struct mo_block *block, int depth, st
   if (status != MO_OK || body == NULL)
     return status;
   struct visit visit = {worker, block, depth, meter};
-  const struct mo_pause_point pause = {
-      .interval = body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS, .reached = look_up, .context = &visit};
-  status = mo_rollout_block(worker->memory[depth], pack, body, block->environments, block->n_environments,
-                            &block->physics, block->recordings, &pause, NULL, block->outcomes);
+  const struct mo_pause_point pause = {.interval =
+                                           body->n_springs > PAUSE_SPRINGS ? 1 : PAUSE_STEPS,
+                                       .reached = look_up,
+                                       .context = &visit};
+  status = mo_rollout_block(worker->memory[depth], pack, body, block->environments,
+                            block->n_environments, &block->physics, block->recordings, &pause, NULL,
+                            block->outcomes);
   mo_body_free(built);
   return status;
 }
 
-static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth, struct meter *meter)
+static int differentiate(struct worker *worker, struct mo_gradient_task *task, int depth,
+                         struct meter *meter)
 {
   if (is_cancelled(worker->compute, &task->block))
     return MO_ERR_CANCELLED;
   if (worker->gradient == NULL) {
-    const int status = mo_gradient_memory_create(worker->compute->gradient_bytes, &worker->gradient);
+    const int status =
+        mo_gradient_memory_create(worker->compute->gradient_bytes, &worker->gradient);
     if (status != MO_OK)
       return status;
   }
@@ -225,9 +240,12 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
     springs += task->robots[i].body->n_springs;
   struct visit visit = {worker, &task->block, depth, meter};
   const struct mo_pause_point pause = {
-      .interval = springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS, .reached = look_up, .context = &visit};
-  return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n, &task->block.physics, &task->options,
-                           &pause, &task->profile, task->outcomes, task->d_parameters, &task->counts);
+      .interval = springs > PAUSE_GRADIENT_SPRINGS ? 1 : PAUSE_GRADIENT_STEPS,
+      .reached = look_up,
+      .context = &visit};
+  return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
+                           &task->block.physics, &task->options, &pause, &task->profile,
+                           task->outcomes, task->d_parameters, &task->counts);
 }
 
 static void count(struct worker *worker, const struct mo_block *block)
@@ -252,12 +270,15 @@ static void count(struct worker *worker, const struct mo_block *block)
   for (uint32_t i = 0; i < block->n_environments; i++)
     diverged += block->outcomes[i].diverged_step > 0;
   atomic_fetch_add(&compute->rollouts_done, block->n_environments);
-  atomic_fetch_add(&compute->rollout_steps, (uint64_t)block->n_environments * block->physics.n_steps);
+  atomic_fetch_add(&compute->rollout_steps,
+                   (uint64_t)block->n_environments * block->physics.n_steps);
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* charge: of a batch block, else NULL. The block's time goes to its share; that of a batch block also moves the share's turn. */
-static void run_block(struct worker *worker, struct mo_block *block, int depth, const struct mo_fair_charge *charge)
+/* charge: of a batch block, else NULL. The block's time goes to its share; that of a batch block
+ * also moves the share's turn. */
+static void run_block(struct worker *worker, struct mo_block *block, int depth,
+                      const struct mo_fair_charge *charge)
 {
   struct mo_compute *compute = worker->compute;
   const int64_t outer_tag = current_tag;
@@ -284,8 +305,8 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth, 
 
 /* ---- workers ---- */
 
-/* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores. Neither is needed for a right
- * result, so a kernel that refuses is not an error. */
+/* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores.
+ * Neither is needed for a right result, so a kernel that refuses is not an error. */
 void mo_compute_settle(const struct mo_compute *compute)
 {
   const struct sched_param none = {0};
@@ -353,7 +374,8 @@ static uint32_t online_processors(void)
 
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
 {
-  if (config->n_workers > WORKERS_MAX || config->nice < 0 || config->nice > 19 || (unsigned)config->isa >= MO_ISA_COUNT)
+  if (config->n_workers > WORKERS_MAX || config->nice < 0 || config->nice > 19 ||
+      (unsigned)config->isa >= MO_ISA_COUNT)
     return MO_ERR_RANGE;
   if (config->isa > mo_isa_best())
     return MO_ERR_UNSUPPORTED;
@@ -368,12 +390,14 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
   }
   compute->isa = config->isa;
   compute->nice = config->nice;
-  compute->gradient_bytes = config->gradient_bytes > 0 ? config->gradient_bytes : MO_GRADIENT_DEFAULT_BYTES;
+  compute->gradient_bytes =
+      config->gradient_bytes > 0 ? config->gradient_bytes : MO_GRADIENT_DEFAULT_BYTES;
   for (int precision = 0; precision < 2; precision++)
-    snprintf(compute->fingerprint[precision], sizeof(compute->fingerprint[precision]), "cpu %s %s kernel-%d",
-             mo_isa_name(config->isa), precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
-  snprintf(compute->gradient_fingerprint, sizeof(compute->gradient_fingerprint), "cpu %s float32 gradient-%d",
-           mo_isa_name(config->isa), MO_GRADIENT_VERSION);
+    snprintf(compute->fingerprint[precision], sizeof(compute->fingerprint[precision]),
+             "cpu %s %s kernel-%d", mo_isa_name(config->isa),
+             precision == MO_FLOAT32 ? "float32" : "float64", MO_KERNEL_VERSION);
+  snprintf(compute->gradient_fingerprint, sizeof(compute->gradient_fingerprint),
+           "cpu %s float32 gradient-%d", mo_isa_name(config->isa), MO_GRADIENT_VERSION);
   pthread_mutex_init(&compute->mutex, NULL);
   pthread_cond_init(&compute->wake, NULL);
   mo_fair_init(&compute->fair, wanted);
@@ -417,15 +441,17 @@ void mo_compute_free(struct mo_compute *compute)
 
 static bool is_valid(const struct mo_compute *compute, const struct mo_block *block)
 {
-  if (block == NULL || (block->share != NULL && block->share->compute != compute) || block->done == NULL ||
-      block->controller == NULL || block->n_environments < 1 || block->n_environments > MO_BLOCK_LANES ||
+  if (block == NULL || (block->share != NULL && block->share->compute != compute) ||
+      block->done == NULL || block->controller == NULL || block->n_environments < 1 ||
+      block->n_environments > MO_BLOCK_LANES ||
       (block->body == NULL && (block->lattice == NULL || block->genotype == NULL)))
     return false;
   if ((block->precision != MO_FLOAT32 && block->precision != MO_FLOAT64) ||
       (block->urgency != MO_BATCH && block->urgency != MO_INTERACTIVE))
     return false;
   for (uint32_t i = 0; i < block->n_environments; i++)
-    if (block->environments[i] == NULL || mo_environment_check(block->environments[i], NULL) != MO_OK)
+    if (block->environments[i] == NULL ||
+        mo_environment_check(block->environments[i], NULL) != MO_OK)
       return false;
   return mo_physics_check(&block->physics, NULL) == MO_OK;
 }
@@ -456,7 +482,8 @@ int mo_compute_submit(struct mo_compute *compute, struct mo_block *block)
     return MO_ERR_INVALID;
   block->gradient = NULL;
   block->shards = NULL;
-  if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 && block->recordings == NULL)
+  if (block->back_end == MO_ON_DEVICE && block->precision == MO_FLOAT32 &&
+      block->recordings == NULL)
     return compute->devices != NULL ? mo_devices_submit(compute->devices, block) : MO_ERR_DEVICE;
   return enqueue(compute, block, URGENT);
 }
@@ -469,13 +496,15 @@ int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_ta
 
 /* ---- shares ---- */
 
-int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **ret)
+int mo_compute_share_create(struct mo_compute *compute, double weight,
+                            struct mo_compute_share **ret)
 {
   struct mo_compute_share *share = calloc(1, sizeof(*share));
   if (share == NULL)
     return MO_ERR_NO_MEMORY;
   share->compute = compute;
-  if (compute->devices != NULL && mo_devices_share_create(compute->devices, weight, &share->on_devices) != MO_OK) {
+  if (compute->devices != NULL &&
+      mo_devices_share_create(compute->devices, weight, &share->on_devices) != MO_OK) {
     free(share);
     return MO_ERR_NO_MEMORY;
   }
@@ -510,7 +539,8 @@ void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
     mo_devices_share_set_weight(share->compute->devices, share->on_devices, weight);
 }
 
-void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_compute_share_stats *stats)
+void mo_compute_share_get_stats(const struct mo_compute_share *share,
+                                struct mo_compute_share_stats *stats)
 {
   *stats = (struct mo_compute_share_stats){
       .busy_s = 1e-9 * (double)atomic_load(&share->busy_ns),
@@ -542,7 +572,8 @@ void mo_compute_get_stats(const struct mo_compute *compute, struct mo_compute_st
       .gradient_robots_diverged = atomic_load(&compute->gradient_robots_diverged),
       .gradient_robots_zeroed = atomic_load(&compute->gradient_robots_zeroed),
       .queued_batch = atomic_load(&compute->fair.waiting),
-      .queued_interactive = atomic_load(&compute->queues[URGENT].n) + atomic_load(&compute->queues[URGENT_GRADIENTS].n),
+      .queued_interactive = atomic_load(&compute->queues[URGENT].n) +
+                            atomic_load(&compute->queues[URGENT_GRADIENTS].n),
       .busy_s = 1e-9 * (double)atomic_load(&compute->busy_ns),
       .worker_bytes_max = atomic_load(&compute->worker_bytes_max),
   };

@@ -1,8 +1,8 @@
 /* device_chunk.c: from blocks that wait to rows of one call, and back.
  *
- * A chunk is taken from the share whose turn it is, as one block is by a worker, and goes on with what this share has waiting. What
- * waits is cut evenly: a job that has work for two calls and a half gets three of the same size, and all devices end at
- * about the same time. */
+ * A chunk is taken from the share whose turn it is, as one block is by a worker, and goes on with
+ * what this share has waiting. What waits is cut evenly: a job that has work for two calls and a
+ * half gets three of the same size, and all devices end at about the same time. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -21,8 +21,9 @@ int mo_chunk_create(struct mo_chunk *chunk)
   chunk->needs_body = calloc(MO_CHUNK_ROWS, sizeof(*chunk->needs_body));
   chunk->robots = calloc(MO_CHUNK_ROWS, sizeof(*chunk->robots));
   chunk->outcomes = calloc(MO_CHUNK_ROWS, sizeof(*chunk->outcomes));
-  return chunk->blocks == NULL || chunk->status == NULL || chunk->first_row == NULL || chunk->bodies == NULL ||
-                 chunk->needs_body == NULL || chunk->robots == NULL || chunk->outcomes == NULL
+  return chunk->blocks == NULL || chunk->status == NULL || chunk->first_row == NULL ||
+                 chunk->bodies == NULL || chunk->needs_body == NULL || chunk->robots == NULL ||
+                 chunk->outcomes == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -47,16 +48,19 @@ struct room {
 
 bool mo_same_physics(const struct mo_physics *a, const struct mo_physics *b)
 {
-  return a->dt_s == b->dt_s && a->n_steps == b->n_steps && a->stiffness_n_per_m == b->stiffness_n_per_m &&
-         a->mass_kg == b->mass_kg && a->drag_per_s == b->drag_per_s && a->gravity_m_per_s2 == b->gravity_m_per_s2 &&
-         a->actuation == b->actuation && a->friction == b->friction && a->friction_cap == b->friction_cap &&
-         a->drop_height_m == b->drop_height_m && a->impact == b->impact && a->bisections == b->bisections;
+  return a->dt_s == b->dt_s && a->n_steps == b->n_steps &&
+         a->stiffness_n_per_m == b->stiffness_n_per_m && a->mass_kg == b->mass_kg &&
+         a->drag_per_s == b->drag_per_s && a->gravity_m_per_s2 == b->gravity_m_per_s2 &&
+         a->actuation == b->actuation && a->friction == b->friction &&
+         a->friction_cap == b->friction_cap && a->drop_height_m == b->drop_height_m &&
+         a->impact == b->impact && a->bisections == b->bisections;
 }
 
 static bool fits(const struct mo_block *block, void *context)
 {
   const struct room *room = context;
-  return block->shards == NULL && block->controller == room->like->controller && block->n_environments <= room->rows &&
+  return block->shards == NULL && block->controller == room->like->controller &&
+         block->n_environments <= room->rows &&
          mo_same_physics(&block->physics, &room->like->physics);
 }
 
@@ -64,15 +68,17 @@ static bool fits(const struct mo_block *block, void *context)
 static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
                           const struct mo_block *first)
 {
-  const bool is_alone =
-      unit->devices->last == share && atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->waiting);
+  const bool is_alone = unit->devices->last == share &&
+                        atomic_load(&unit->devices->fair.waiting) == atomic_load(&share->waiting);
   const uint32_t limit = is_alone ? MO_CHUNK_ROWS : MO_CHUNK_ROWS_SHARED;
   const uint64_t most = unit->row_limit < limit ? unit->row_limit : limit;
-  const uint64_t n_working = atomic_load(&unit->devices->n_working), n_devices = n_working > 0 ? n_working : 1;
+  const uint64_t n_working = atomic_load(&unit->devices->n_working),
+                 n_devices = n_working > 0 ? n_working : 1;
   const uint64_t waiting = (1 + atomic_load(&share->waiting)) * first->n_environments;
   const uint64_t rounds = (waiting + most * n_devices - 1) / (most * n_devices);
   const uint64_t rows = (waiting + rounds * n_devices - 1) / (rounds * n_devices);
-  return rows < first->n_environments ? first->n_environments : (uint32_t)(rows < most ? rows : most);
+  return rows < first->n_environments ? first->n_environments
+                                      : (uint32_t)(rows < most ? rows : most);
 }
 
 bool mo_chunk_take(struct mo_unit *unit, struct mo_chunk *chunk)
@@ -116,11 +122,12 @@ static bool is_cancelled(const struct mo_block *block)
 static bool same_body(const struct mo_block *a, const struct mo_block *b)
 {
   return a->body == NULL && b->body == NULL && a->lattice == b->lattice &&
-         memcmp(a->genotype, b->genotype, mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
+         memcmp(a->genotype, b->genotype,
+                mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* Says of each block whether it needs a body of its own: not if it brings one, nor if it goes on with the one before that is still wanted. How
- * many do. */
+/* Says of each block whether it needs a body of its own: not if it brings one, nor if it goes on
+ * with the one before that is still wanted. How many do. */
 static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;
@@ -145,7 +152,8 @@ static void build_bodies(void *context, size_t first, size_t end)
   struct mo_chunk *chunk = context;
   for (size_t i = first; i < end; i++)
     if (chunk->needs_body[i]) {
-      const int status = mo_body_create(chunk->blocks[i]->lattice, chunk->blocks[i]->genotype, &chunk->bodies[i]);
+      const int status =
+          mo_body_create(chunk->blocks[i]->lattice, chunk->blocks[i]->genotype, &chunk->bodies[i]);
       if (status != MO_OK)
         chunk->status[i] = status;
     }
@@ -166,7 +174,8 @@ static void keep(struct mo_chunk *chunk, uint32_t place, const struct mo_body *b
   chunk->bodies[to] = own;
   chunk->first_row[to] = chunk->n_rows;
   for (uint32_t i = 0; i < block->n_environments; i++)
-    chunk->robots[chunk->n_rows++] = (struct mo_robot){.body = body, .environment = block->environments[i]};
+    chunk->robots[chunk->n_rows++] =
+        (struct mo_robot){.body = body, .environment = block->environments[i]};
 }
 
 /* Environments of one body are neighbours, also over several blocks. */
@@ -227,7 +236,8 @@ void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
 }
 
 /* outcomes: of a scoring block that has rows; else NULL. */
-static void end_block(struct mo_devices *devices, struct mo_block *block, int status, const struct mo_outcome *outcomes)
+static void end_block(struct mo_devices *devices, struct mo_block *block, int status,
+                      const struct mo_outcome *outcomes)
 {
   if (status == MO_CHUNK_TO_WORKERS) {
     status = mo_compute_submit_to_workers(devices->compute, block);
@@ -247,7 +257,8 @@ void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
   for (uint32_t i = 0; i < chunk->n_blocks; i++)
     if (chunk->blocks[i] != NULL)
       end_block(devices, chunk->blocks[i], chunk->status[i],
-                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i] : NULL);
+                chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i]
+                                                           : NULL);
   for (uint32_t i = 0; i < n_bodies; i++) { /* of which nobody but this chunk knows */
     mo_body_free(chunk->bodies[i]);
     chunk->bodies[i] = NULL;

@@ -1,10 +1,12 @@
 /* device_gradient.c: the gradient of a batch, on devices (gradient.c: on workers).
  *
- * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and these into as many parts as devices work, one call each. Every
- * shard has a float32 sum of its own; they are added up in float64, in order. So the bits do not depend on how many devices there
- * are, nor on how a call had to be halved.
+ * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and these into as many parts
+ * as devices work, one call each. Every shard has a float32 sum of its own; they are added up in
+ * float64, in order. So the bits do not depend on how many devices there are, nor on how a call had
+ * to be halved.
  *
- * The robots of the next batch do not depend on the weights: while a batch is computed, another thread may have the next one laid out. */
+ * The robots of the next batch do not depend on the weights: while a batch is computed, another
+ * thread may have the next one laid out. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -30,8 +32,8 @@ struct mo_device_gradients {
   float *shards; /* (room) */
   size_t room;
   pthread_mutex_t mutex;
-  struct laid_out
-      batches[2]; /* the one that is computed, and the one after it; `state` and what says whose, under the mutex */
+  struct laid_out batches[2]; /* the one that is computed, and the one after it; `state` and what
+                                 says whose, under the mutex */
 };
 
 int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_gradients **ret)
@@ -102,7 +104,8 @@ static int reserve(struct mo_device_gradients *gradients, size_t n)
 
 static uint32_t parts_of(const struct mo_devices *devices, uint32_t n)
 {
-  const uint32_t n_shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD, n_working = atomic_load(&devices->n_working);
+  const uint32_t n_shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD,
+                 n_working = atomic_load(&devices->n_working);
   return n_working < n_shards ? n_working : n_shards;
 }
 
@@ -142,16 +145,18 @@ static void lay_out_parts(void *context, size_t first, size_t end)
   for (uint32_t p = (uint32_t)first; p < end; p++) {
     const struct part part = part_of(batch->n, batch->n_parts, p);
     const struct mo_device *device = working_device(devices, p);
-    batch->statuses[p] = device == NULL
-                             ? MO_ERR_DEVICE
-                             : devices->module->lay_out(device, batch->robots + part.first, part.end - part.first,
-                                                        &batch->physics, &batch->parts[p]);
+    batch->statuses[p] =
+        device == NULL
+            ? MO_ERR_DEVICE
+            : devices->module->lay_out(device, batch->robots + part.first, part.end - part.first,
+                                       &batch->physics, &batch->parts[p]);
   }
 }
 
-/* Parts at the same time: a part has a thread for each of its shards, which are few where there are many parts. */
-int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots, uint32_t n,
-                       const struct mo_physics *physics)
+/* Parts at the same time: a part has a thread for each of its shards, which are few where there are
+ * many parts. */
+int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots,
+                       uint32_t n, const struct mo_physics *physics)
 {
   struct mo_devices *devices = gradients->devices;
   struct laid_out *batch = NULL;
@@ -186,7 +191,8 @@ static bool is_of(const struct laid_out *laid, const struct mo_gradient_batch *b
          mo_same_physics(&laid->physics, &batch->physics);
 }
 
-bool mo_devices_have_laid_out(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch)
+bool mo_devices_have_laid_out(struct mo_device_gradients *gradients,
+                              const struct mo_gradient_batch *batch)
 {
   pthread_mutex_lock(&gradients->mutex);
   const bool found = is_of(&gradients->batches[0], batch) || is_of(&gradients->batches[1], batch);
@@ -195,8 +201,8 @@ bool mo_devices_have_laid_out(struct mo_device_gradients *gradients, const struc
 }
 
 /* NULL: it has to be laid out. What was found is in use until give_back. */
-static struct laid_out *take(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch,
-                             uint32_t n_parts)
+static struct laid_out *take(struct mo_device_gradients *gradients,
+                             const struct mo_gradient_batch *batch, uint32_t n_parts)
 {
   struct laid_out *found = NULL;
   pthread_mutex_lock(&gradients->mutex);
@@ -242,7 +248,8 @@ static void part_done(struct mo_block *block, void *context)
 }
 
 static void submit(struct mo_device_gradients *gradients, const struct mo_gradient_batch *batch,
-                   const struct laid_out *laid, struct mo_device_task *parts, uint32_t n_parts, struct waiter *waiter)
+                   const struct laid_out *laid, struct mo_device_task *parts, uint32_t n_parts,
+                   struct waiter *waiter)
 {
   for (uint32_t p = 0; p < n_parts; p++) {
     const struct part part = part_of(batch->n, n_parts, p);
@@ -265,8 +272,9 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
                                        .weight = 1.0 / batch->n,
                                        .stop = &waiter->stop,
                                        .outcomes = batch->outcomes + part.first,
-                                       .d_parameters = gradients->shards +
-                                                       part.first / MO_DEVICE_SHARD * batch->controller->n_parameters};
+                                       .d_parameters =
+                                           gradients->shards + part.first / MO_DEVICE_SHARD *
+                                                                   batch->controller->n_parameters};
   }
   waiter->left = n_parts;
   for (uint32_t p = 0; p < n_parts; p++) {
@@ -316,7 +324,8 @@ int mo_devices_gradient(struct mo_device_gradients *gradients, struct mo_gradien
   if (n_parts == 0)
     return MO_ERR_DEVICE;
   struct mo_device_task *parts = calloc(n_parts, sizeof(*parts));
-  const int reserved = parts == NULL ? MO_ERR_NO_MEMORY : reserve(gradients, n_shards * n_parameters);
+  const int reserved =
+      parts == NULL ? MO_ERR_NO_MEMORY : reserve(gradients, n_shards * n_parameters);
   if (reserved != MO_OK) {
     free(parts);
     return reserved;

@@ -1,12 +1,13 @@
 /* device_run.c: the two threads of a device.
  *
- * The gatherer takes a chunk when work waits, while the device is still busy with the one before, and builds its bodies. Submitters hand over
- * one block at a time, and a device takes as long for one as for a thousand: so it waits while somebody says that there are more, and
- * then until no more come, a few milliseconds. It also watches
- * whether somebody still wants what runs.
+ * The gatherer takes a chunk when work waits, while the device is still busy with the one before,
+ * and builds its bodies. Submitters hand over one block at a time, and a device takes as long for
+ * one as for a thousand: so it waits while somebody says that there are more, and then until no
+ * more come, a few milliseconds. It also watches whether somebody still wants what runs.
  *
- * The runner calls the module. What the module has no memory for it gets in halves, and it gets more again after a while; what it does not support is
- * halved, too, until only the blocks are left that it cannot do: so which they are does not depend on their neighbours. A failure of the device
+ * The runner calls the module. What the module has no memory for it gets in halves, and it gets
+ * more again after a while; what it does not support is halved, too, until only the blocks are left
+ * that it cannot do: so which they are does not depend on their neighbours. A failure of the device
  * ends both threads; all that has no result goes back to the queue. */
 #include "compute/devices.h"
 
@@ -20,7 +21,8 @@
 #include "base/clock.h"
 
 enum {
-  LINGER_IDLE_MS = 2,  /* without a new block, before a device that has nothing to do gets what waits */
+  LINGER_IDLE_MS =
+      2, /* without a new block, before a device that has nothing to do gets what waits */
   LINGER_BUSY_MS = 10, /* … and one that has */
   LINGER_MAX_MS = 50,  /* however steadily they come */
   WATCH_MS = 20,
@@ -44,7 +46,8 @@ static bool wait_ms(struct mo_devices *devices, int ms)
 void mo_unit_account(struct mo_unit *unit)
 {
   const uint64_t now_ns = mo_clock_ns();
-  const double passed_s = 1e-9 * (double)(now_ns - unit->changed_ns), keep = exp(-passed_s / load_s);
+  const double passed_s = 1e-9 * (double)(now_ns - unit->changed_ns),
+               keep = exp(-passed_s / load_s);
   unit->changed_ns = now_ns;
   unit->status.load = unit->status.load * keep + (unit->running != NULL ? 1 - keep : 0);
   if (unit->running != NULL)
@@ -72,8 +75,10 @@ static void linger(struct mo_unit *unit)
   const uint64_t end_ns = mo_clock_ns() + UINT64_C(1000000) * LINGER_MAX_MS;
   uint64_t before = 0, waiting = atomic_load(&devices->fair.waiting), since_ns = mo_clock_ns();
   bool were_submitting = false;
-  while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit) && mo_clock_ns() < end_ns) {
-    const uint64_t patience_ns = UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
+  while (waiting > 0 && waiting < enough && devices->tasks_waiting == 0 && !has_ended(unit) &&
+         mo_clock_ns() < end_ns) {
+    const uint64_t patience_ns =
+        UINT64_C(1000000) * (unit->running != NULL ? LINGER_BUSY_MS : LINGER_IDLE_MS);
     const bool are_submitting = atomic_load(&devices->submitting) > 0;
     if (were_submitting && !are_submitting)
       return; /* that was the last */
@@ -97,7 +102,8 @@ static bool has_to_wait(const struct mo_unit *unit)
     return true;
   for (uint32_t i = 0; i < devices->n && unit->held != NULL; i++) {
     const struct mo_unit *other = &devices->units[i];
-    if (other->status.state == MO_DEVICE_WORKS && other->held == NULL && other->ready == NULL && !other->is_building)
+    if (other->status.state == MO_DEVICE_WORKS && other->held == NULL && other->ready == NULL &&
+        !other->is_building)
       return true;
   }
   return false;
@@ -174,7 +180,8 @@ static void drop_copies(struct mo_unit *unit)
   }
 }
 
-static struct mo_device_copy *find_copy(struct mo_unit *unit, const struct mo_compute_controller *owner)
+static struct mo_device_copy *find_copy(struct mo_unit *unit,
+                                        const struct mo_compute_controller *owner)
 {
   pthread_mutex_lock(&unit->devices->mutex);
   struct mo_device_copy *copy = unit->copies;
@@ -199,7 +206,8 @@ static int prepare_controller(struct mo_unit *unit, const struct mo_compute_cont
     copy = calloc(1, sizeof(*copy));
     if (copy == NULL)
       return MO_ERR_NO_MEMORY;
-    status = module->controller_create(unit->device, mo_compute_controller_weights(owner), &copy->controller);
+    status = module->controller_create(unit->device, mo_compute_controller_weights(owner),
+                                       &copy->controller);
     if (status != MO_OK && status != MO_ERR_UNSUPPORTED) {
       free(copy);
       return status;
@@ -232,18 +240,19 @@ static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, in
 }
 
 /* Scores blocks first … last − 1. MO_OK, whatever came of them, or MO_ERR_DEVICE. */
-static int score(struct mo_unit *unit, struct mo_chunk *chunk, struct mo_device_controller *controller, uint32_t first,
-                 uint32_t last)
+static int score(struct mo_unit *unit, struct mo_chunk *chunk,
+                 struct mo_device_controller *controller, uint32_t first, uint32_t last)
 {
   const struct mo_devices *devices = unit->devices;
   const uint32_t row = chunk->first_row[first], middle = first + (last - first) / 2;
-  struct mo_device_score call = {.controller = controller,
-                                 .robots = chunk->robots + row,
-                                 .n = (last < chunk->n_active ? chunk->first_row[last] : chunk->n_rows) - row,
-                                 .physics = chunk->blocks[first]->physics,
-                                 .precision = MO_DEVICE_EXACT,
-                                 .cancel = &unit->cancel,
-                                 .outcomes = chunk->outcomes + row};
+  struct mo_device_score call = {
+      .controller = controller,
+      .robots = chunk->robots + row,
+      .n = (last < chunk->n_active ? chunk->first_row[last] : chunk->n_rows) - row,
+      .physics = chunk->blocks[first]->physics,
+      .precision = MO_DEVICE_EXACT,
+      .cancel = &unit->cancel,
+      .outcomes = chunk->outcomes + row};
   const bool is_one = last - first == 1, is_too_large = !is_one && call.n > unit->row_limit;
   int status = is_too_large ? MO_ERR_NO_MEMORY : devices->module->score(unit->device, &call);
   if (status == MO_ERR_DEVICE || status == MO_OK || status == MO_ERR_CANCELLED) {
@@ -272,12 +281,14 @@ static int run_blocks(struct mo_unit *unit, struct mo_chunk *chunk)
     return score(unit, chunk, controller, 0, chunk->n_active);
   if (status == MO_ERR_DEVICE)
     return status;
-  set_status(chunk, 0, chunk->n_active, status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status);
+  set_status(chunk, 0, chunk->n_active,
+             status == MO_ERR_UNSUPPORTED ? MO_CHUNK_TO_WORKERS : status);
   return MO_OK;
 }
 
 /* Differentiates shards first … last − 1. */
-static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint32_t first, uint32_t last)
+static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint32_t first,
+                         uint32_t last)
 {
   const uint32_t row = first * MO_DEVICE_SHARD, n = last - first, middle = first + n / 2;
   const uint32_t end = last * MO_DEVICE_SHARD < task->n ? last * MO_DEVICE_SHARD : task->n;
@@ -291,10 +302,12 @@ static int differentiate(struct mo_unit *unit, struct mo_device_task *task, uint
                                     .restart_weight = task->restart_weight,
                                     .weight = task->weight,
                                     .cancel = &unit->cancel,
-                                    .d_parameters = task->d_parameters + first * task->controller->n_parameters,
+                                    .d_parameters =
+                                        task->d_parameters + first * task->controller->n_parameters,
                                     .outcomes = task->outcomes + row};
   const bool is_too_large = n > 1 && n > unit->shard_limit;
-  int status = is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->gradient(unit->device, &call);
+  int status =
+      is_too_large ? MO_ERR_NO_MEMORY : unit->devices->module->gradient(unit->device, &call);
   if (status == MO_OK)
     mo_gradient_counts_add(&task->counts, &call.counts);
   if (status != MO_ERR_NO_MEMORY)
@@ -351,7 +364,8 @@ static void drain(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
   struct mo_chunk *chunk = &unit->chunks[0];
-  while ((devices->stopping || atomic_load(&devices->n_working) == 0) && mo_chunk_take(unit, chunk)) {
+  while ((devices->stopping || atomic_load(&devices->n_working) == 0) &&
+         mo_chunk_take(unit, chunk)) {
     mo_fair_settle(&devices->fair, &chunk->charge, 0, false);
     chunk->n_active = 0;
     hand_back(devices, chunk);
@@ -363,7 +377,8 @@ static void lose(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
   unit->status.state = MO_DEVICE_LOST;
-  snprintf(unit->status.error, sizeof(unit->status.error), "%s", devices->module->error(unit->device));
+  snprintf(unit->status.error, sizeof(unit->status.error), "%s",
+           devices->module->error(unit->device));
   atomic_fetch_sub(&devices->n_working, 1);
   pthread_cond_broadcast(&devices->wake);
   if (devices->lost != NULL) {

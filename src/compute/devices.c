@@ -1,4 +1,5 @@
-/* devices.c: a module of devices: loading it, opening its devices, their queue, what can be seen of them. */
+/* devices.c: a module of devices: loading it, opening its devices, their queue, what can be seen of
+ * them. */
 #include "compute/devices.h"
 
 #include <dlfcn.h>
@@ -34,14 +35,15 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
   if (module == NULL)
     return mo_fail(message, MO_ERR_UNSUPPORTED, "%s is not a module of devices", path);
   if (module->abi != MO_DEVICE_ABI)
-    return mo_fail(
-        message, MO_ERR_UNSUPPORTED,
-        "%s is for another version of this program (interface %u, not %u): install the one that belongs to it", path,
-        (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "%s is for another version of this program (interface %u, not %u): install the "
+                   "one that belongs to it",
+                   path, (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
   devices->module = module;
-  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s", module->name, module->score_code);
-  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint), "%s float32 %s", module->name,
-           module->gradient_code);
+  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s", module->name,
+           module->score_code);
+  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint), "%s float32 %s",
+           module->name, module->gradient_code);
   return MO_OK;
 }
 
@@ -94,13 +96,17 @@ static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t 
 }
 
 /* Those that are asked for, or all that can be opened. */
-static int open_units(struct mo_devices *devices, const struct mo_devices_config *config, struct mo_message *message)
+static int open_units(struct mo_devices *devices, const struct mo_devices_config *config,
+                      struct mo_message *message)
 {
   uint32_t found = 0;
   int status = devices->module->count(&found);
   if (status != MO_OK)
-    return mo_fail(message, MO_ERR_DEVICE, "the module %s cannot count its devices", devices->module->name);
-  const uint32_t wanted = config->devices != NULL ? config->n : found < DEVICES_MAX ? found : DEVICES_MAX;
+    return mo_fail(message, MO_ERR_DEVICE, "the module %s cannot count its devices",
+                   devices->module->name);
+  const uint32_t wanted = config->devices != NULL ? config->n
+                          : found < DEVICES_MAX   ? found
+                                                  : DEVICES_MAX;
   devices->units = calloc((size_t)wanted + 1, sizeof(*devices->units));
   if (devices->units == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
@@ -108,8 +114,8 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
     const uint32_t index = config->devices != NULL ? config->devices[i] : i;
     struct mo_unit *unit = &devices->units[devices->n];
     if (index >= found)
-      return mo_fail(message, MO_ERR_RANGE, "there is no device %u: the module %s finds %u", (unsigned)index,
-                     devices->module->name, (unsigned)found);
+      return mo_fail(message, MO_ERR_RANGE, "there is no device %u: the module %s finds %u",
+                     (unsigned)index, devices->module->name, (unsigned)found);
     status = open_unit(devices, unit, index); /* no memory: its own may be full of others' work */
     if (status == MO_OK) {
       devices->n++;
@@ -118,11 +124,13 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
     if (config->lost != NULL)
       config->lost(config->context, &unit->status);
     if (config->devices != NULL)
-      return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be opened: %.180s", (unsigned)index, unit->status.error);
+      return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be opened: %.180s", (unsigned)index,
+                     unit->status.error);
   }
   return devices->n > 0
              ? MO_OK
-             : mo_fail(message, MO_ERR_EXHAUSTED, "the module %s finds no device that works", devices->module->name);
+             : mo_fail(message, MO_ERR_EXHAUSTED, "the module %s finds no device that works",
+                       devices->module->name);
 }
 
 static int start(struct mo_devices *devices)
@@ -133,7 +141,8 @@ static int start(struct mo_devices *devices)
     snprintf(name, sizeof(name), "mo-gather-%u", (unsigned)i % 10000);
     unit->has_gatherer = mo_thread_create(&unit->gatherer, name, mo_unit_gather, unit) == 0;
     snprintf(name, sizeof(name), "mo-device-%u", (unsigned)i % 10000);
-    unit->has_runner = unit->has_gatherer && mo_thread_create(&unit->runner, name, mo_unit_run, unit) == 0;
+    unit->has_runner =
+        unit->has_gatherer && mo_thread_create(&unit->runner, name, mo_unit_run, unit) == 0;
     if (!unit->has_runner)
       return MO_ERR_NO_MEMORY;
   }
@@ -186,7 +195,8 @@ void mo_devices_free(struct mo_devices *devices)
   devices->stopping = true;
   for (uint32_t i = 0; i < devices->n; i++) {
     __atomic_store_n(&devices->units[i].cancel, 1, __ATOMIC_RELAXED);
-    devices->units[i].gathered_all = devices->units[i].gathered_all || !devices->units[i].has_gatherer;
+    devices->units[i].gathered_all =
+        devices->units[i].gathered_all || !devices->units[i].has_gatherer;
   }
   pthread_cond_broadcast(&devices->wake);
   pthread_mutex_unlock(&devices->mutex);
@@ -259,7 +269,8 @@ void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_contr
   pthread_mutex_unlock(&devices->mutex);
 }
 
-int mo_devices_share_create(struct mo_devices *devices, double weight, struct mo_compute_share **ret)
+int mo_devices_share_create(struct mo_devices *devices, double weight,
+                            struct mo_compute_share **ret)
 {
   struct mo_compute_share *share = calloc(1, sizeof(*share));
   if (share == NULL)
@@ -278,7 +289,8 @@ void mo_devices_share_remove(struct mo_devices *devices, struct mo_compute_share
   pthread_mutex_unlock(&devices->mutex);
 }
 
-void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share, double weight)
+void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_share *share,
+                                 double weight)
 {
   pthread_mutex_lock(&devices->mutex);
   mo_fair_set_weight(&devices->fair, share, weight);
@@ -299,7 +311,8 @@ uint32_t mo_compute_devices_working(const struct mo_compute *compute)
   return devices != NULL ? atomic_load(&devices->n_working) : 0;
 }
 
-int mo_compute_device(struct mo_compute *compute, uint32_t position, struct mo_device_status *status)
+int mo_compute_device(struct mo_compute *compute, uint32_t position,
+                      struct mo_device_status *status)
 {
   struct mo_devices *devices = mo_compute_get_devices(compute);
   if (devices == NULL || position >= devices->n)

@@ -3,9 +3,10 @@
 
 #define SMOOTHING 0.125
 
-/* Before any block was measured: about what one core of 2.5 GHz takes. A first guess that is far too low lets every worker take a long
- * block of the same share. */
-static const double unit_s_at_first[MO_FAIR_KINDS] = {[MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
+/* Before any block was measured: about what one core of 2.5 GHz takes. A first guess that is far
+ * too low lets every worker take a long block of the same share. */
+static const double unit_s_at_first[MO_FAIR_KINDS] = {
+    [MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
 
 void mo_fair_init(struct mo_fair *fair, uint32_t n_workers)
 {
@@ -104,25 +105,29 @@ struct mo_block *mo_fair_take(struct mo_fair *fair, struct mo_fair_charge *charg
   return next != NULL ? mo_fair_take_from(fair, next, charge) : NULL;
 }
 
-struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share, struct mo_fair_charge *charge)
+struct mo_block *mo_fair_take_from(struct mo_fair *fair, struct mo_compute_share *share,
+                                   struct mo_fair_charge *charge)
 {
   if (share->first == NULL)
     return NULL;
   if (fair->virtual_s < share->virtual_s)
     fair->virtual_s = share->virtual_s;
   const bool is_gradient = share->first->gradient != NULL || share->first->shards != NULL;
-  *charge = (struct mo_fair_charge){.share = share, .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
+  *charge = (struct mo_fair_charge){.share = share,
+                                    .kind = is_gradient ? MO_FAIR_GRADIENT : MO_FAIR_SCORING};
   return take_first(fair, charge);
 }
 
 struct mo_block *mo_fair_take_more(struct mo_fair *fair, struct mo_fair_charge *charge,
-                                   bool (*fits)(const struct mo_block *block, void *context), void *context)
+                                   bool (*fits)(const struct mo_block *block, void *context),
+                                   void *context)
 {
   const struct mo_block *next = charge->share->first;
   return next != NULL && fits(next, context) ? take_first(fair, charge) : NULL;
 }
 
-void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds, bool whole)
+void mo_fair_settle(struct mo_fair *fair, const struct mo_fair_charge *charge, double seconds,
+                    bool whole)
 {
   struct mo_compute_share *share = charge->share;
   share->virtual_s += (seconds - charge->estimate_s) / share->weight;

@@ -1,8 +1,9 @@
 /* gradient.c: the gradient of a batch, from blocks that the workers compute in any order.
  *
- * Blocks are handed out in order, and their results are added up in order, by the calling thread, in float64. Between the two
- * lies a window of at most two blocks per worker, each with a float32 gradient of its own: a worker never waits for the sum, and
- * memory does not grow with the batch. What a sum's bits depend on is the batch alone. */
+ * Blocks are handed out in order, and their results are added up in order, by the calling thread,
+ * in float64. Between the two lies a window of at most two blocks per worker, each with a float32
+ * gradient of its own: a worker never waits for the sum, and memory does not grow with the batch.
+ * What a sum's bits depend on is the batch alone. */
 #include "compute/devices.h"
 
 #include <math.h>
@@ -23,8 +24,8 @@ struct mo_gradient_state {
   struct mo_compute *compute;
   struct mo_gradient_pack *pack;
   uint32_t n_slots;
-  struct slot *slots;                     /* (n_slots); block b of a batch is in slot b mod n_slots */
-  size_t n_parameters;                    /* that each slot has room for */
+  struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
+  size_t n_parameters; /* that each slot has room for */
   struct mo_device_gradients *on_devices; /* NULL: there are none */
   uint32_t *order;                        /* (order_room) */
   size_t order_room;
@@ -48,7 +49,8 @@ int mo_gradient_state_create(struct mo_compute *compute, struct mo_gradient_stat
   pthread_mutex_init(&state->mutex, NULL);
   pthread_cond_init(&state->finished, NULL);
   struct mo_devices *devices = mo_compute_get_devices(compute);
-  const int status = devices != NULL ? mo_device_gradients_create(devices, &state->on_devices) : MO_OK;
+  const int status =
+      devices != NULL ? mo_device_gradients_create(devices, &state->on_devices) : MO_OK;
   if (status != MO_OK) {
     mo_gradient_state_free(state);
     return status;
@@ -90,9 +92,10 @@ static int check(const struct mo_compute *compute, const struct mo_gradient_batc
 {
   if (batch->n < 1 || batch->n > MO_GRADIENT_BATCH_MAX)
     return MO_ERR_RANGE;
-  if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL || batch->outcomes == NULL ||
-      (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
-      mo_physics_check(&batch->physics, NULL) != MO_OK || (batch->share != NULL && batch->share->compute != compute))
+  if (batch->controller == NULL || batch->robots == NULL || batch->d_parameters == NULL ||
+      batch->outcomes == NULL || (batch->urgency != MO_BATCH && batch->urgency != MO_INTERACTIVE) ||
+      mo_physics_check(&batch->physics, NULL) != MO_OK ||
+      (batch->share != NULL && batch->share->compute != compute))
     return MO_ERR_INVALID;
   const struct mo_gradient_options options = options_of(batch);
   return mo_gradient_options_check(&options);
@@ -122,7 +125,8 @@ static int prepare_pack(struct mo_gradient_state *state, const struct mo_control
   return status;
 }
 
-static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch, uint32_t n_blocks)
+static int prepare(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
+                   uint32_t n_blocks)
 {
   const size_t n = batch->controller->n_parameters;
   if (n > state->n_parameters) {
@@ -159,7 +163,8 @@ static void block_done(struct mo_block *block, void *context)
   pthread_mutex_unlock(&state->mutex);
 }
 
-static int submit(struct mo_gradient_state *state, const struct mo_gradient_batch *batch, uint32_t number)
+static int submit(struct mo_gradient_state *state, const struct mo_gradient_batch *batch,
+                  uint32_t number)
 {
   struct slot *slot = state->slots + number % state->n_slots;
   struct mo_gradient_task *task = &slot->task;
@@ -192,8 +197,8 @@ static int wait_for(struct mo_gradient_state *state, const struct slot *slot)
   return slot->task.block.status;
 }
 
-static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task, uint32_t number,
-                struct mo_gradient_batch *batch)
+static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task,
+                uint32_t number, struct mo_gradient_batch *batch)
 {
   const uint32_t *order = state->order + (size_t)number * MO_GRADIENT_ROBOTS;
   const size_t n = batch->controller->n_parameters;
@@ -221,8 +226,8 @@ static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
   batch->computed_on = back_end;
 }
 
-int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
-                                const struct mo_physics *physics)
+int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
+                                uint32_t n, const struct mo_physics *physics)
 {
   int status;
   if (state->on_devices == NULL)
@@ -244,7 +249,8 @@ void mo_compute_gradient_forget(struct mo_gradient_state *state)
 int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batch *batch)
 {
   int status = check(state->compute, batch);
-  const bool was_checked = status == MO_OK && batch->back_end == MO_ON_DEVICE && state->on_devices != NULL &&
+  const bool was_checked = status == MO_OK && batch->back_end == MO_ON_DEVICE &&
+                           state->on_devices != NULL &&
                            same_workspace(batch->controller->workspace, MO_DEFAULT_WORKSPACE) &&
                            mo_devices_have_laid_out(state->on_devices, batch);
   if (status == MO_OK && !was_checked)
@@ -253,7 +259,8 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
     return status;
   if (batch->back_end == MO_ON_DEVICE) {
     clear(batch, MO_ON_DEVICE);
-    status = state->on_devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(state->on_devices, batch);
+    status =
+        state->on_devices == NULL ? MO_ERR_DEVICE : mo_devices_gradient(state->on_devices, batch);
     if (status != MO_ERR_UNSUPPORTED)
       return status;
   }

@@ -7,20 +7,21 @@
 #include <pthread.h>
 #include <stdatomic.h>
 
-/* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of any result.
- * tests/unit/rollout/bits.c notices such a change. */
+/* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of
+ * any result. tests/unit/rollout/bits.c notices such a change. */
 #define MO_KERNEL_VERSION 1
 /* The same for gradients: tests/unit/rollout/gradient-bits.c. */
 #define MO_GRADIENT_VERSION 3
 
-/* The pack of one precision, made at first use; waits while another thread makes it. MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
-int mo_compute_controller_pack(struct mo_compute_controller *controller, enum mo_precision precision,
-                               const struct mo_pack **pack);
+/* The pack of one precision, made at first use; waits while another thread makes it.
+ * MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
+int mo_compute_controller_pack(struct mo_compute_controller *controller,
+                               enum mo_precision precision, const struct mo_pack **pack);
 enum mo_isa mo_compute_isa(const struct mo_compute *compute);
 uint32_t mo_compute_workers(const struct mo_compute *compute);
 
-/* A gradient block: in the queues by its `block`, of which physics, urgency, cancel, tag, status, done and context mean what
- * they mean in a scoring block. */
+/* A gradient block: in the queues by its `block`, of which physics, urgency, cancel, tag, status,
+ * done and context mean what they mean in a scoring block. */
 struct mo_gradient_task {
   struct mo_block block;
   const struct mo_gradient_pack *pack;
@@ -34,7 +35,8 @@ struct mo_gradient_task {
   struct mo_gradient_counts counts;
   struct mo_gradient_profile profile;
 };
-/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots; queued by its `block`, as a gradient block is. */
+/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots; queued by its `block`, as a
+ * gradient block is. */
 struct mo_device_layout;
 struct mo_device_task {
   struct mo_block block;
@@ -54,13 +56,16 @@ struct mo_device_task {
 
 /* As mo_compute_submit; the task has been checked. MO_ERR_CANCELLED. */
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
-/* For a block that was submitted to devices and has to be computed by the workers. MO_ERR_CANCELLED. */
+/* For a block that was submitted to devices and has to be computed by the workers.
+ * MO_ERR_CANCELLED. */
 int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block);
 
 struct mo_devices;
-struct mo_devices *mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
+struct mo_devices *
+mo_compute_get_devices(const struct mo_compute *compute); /* NULL: there are none */
 void mo_compute_set_devices(struct mo_compute *compute, struct mo_devices *devices);
-const struct mo_controller *mo_compute_controller_weights(const struct mo_compute_controller *controller);
+const struct mo_controller *
+mo_compute_controller_weights(const struct mo_compute_controller *controller);
 void mo_compute_set_tag(int64_t tag); /* of the calling thread; −1: none */
 
 #endif

@@ -19,7 +19,8 @@ static void one_done(struct mo_block *block, void *context)
 
 int mo_compute_run(struct mo_compute *compute, struct mo_block *blocks, size_t n)
 {
-  struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER, .left = n};
+  struct waiter waiter = {
+      .mutex = PTHREAD_MUTEX_INITIALIZER, .all_done = PTHREAD_COND_INITIALIZER, .left = n};
   mo_compute_begin_blocks(compute);
   for (size_t i = 0; i < n; i++) {
     blocks[i].done = one_done;

@@ -1,5 +1,6 @@
-/* controller.c: the controller in memory. All parameters lie in one buffer in file order; the named views point into it, so
- * that an optimizer, a file and a hash can treat the controller as one array. */
+/* controller.c: the controller in memory. All parameters lie in one buffer in file order; the named
+ * views point into it, so that an optimizer, a file and a hash can treat the controller as one
+ * array. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -14,7 +15,8 @@ static const char *const sensor_names[] = {"inverse_sqrt", "inverse_square"};
 
 const char *mo_sensor_name(enum mo_sensor sensor)
 {
-  return (unsigned)sensor < sizeof(sensor_names) / sizeof(sensor_names[0]) ? sensor_names[sensor] : "unknown";
+  return (unsigned)sensor < sizeof(sensor_names) / sizeof(sensor_names[0]) ? sensor_names[sensor]
+                                                                           : "unknown";
 }
 
 int mo_sensor_from_name(const char *name, enum mo_sensor *sensor)
@@ -38,7 +40,8 @@ void mo_controller_workspace_text(struct mo_workspace workspace, char text[64])
   snprintf(text, 64, "%ux%ux%u", workspace.nx, workspace.ny, workspace.nz);
 }
 
-uint64_t mo_controller_tensors(struct mo_workspace workspace, struct mo_tensor tensors[MO_CONTROLLER_TENSORS])
+uint64_t mo_controller_tensors(struct mo_workspace workspace,
+                               struct mo_tensor tensors[MO_CONTROLLER_TENSORS])
 {
   const uint64_t n_inputs = (uint64_t)mo_workspace_masses(workspace) + MO_CPG_INPUTS;
   const uint64_t n_springs = mo_workspace_springs(workspace);
@@ -61,7 +64,8 @@ uint64_t mo_controller_tensors(struct mo_workspace workspace, struct mo_tensor t
   return offset;
 }
 
-int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor, struct mo_controller **ret)
+int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor,
+                           struct mo_controller **ret)
 {
   const int r = mo_workspace_check(workspace);
   if (r < 0)
@@ -106,7 +110,8 @@ static void clear_parameters(struct mo_controller *c)
       c->norm_gain[l][i] = 1.0F;
 }
 
-int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor, struct mo_controller **controller)
+int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor,
+                         struct mo_controller **controller)
 {
   if (sensor != MO_SENSOR_INVERSE_SQRT && sensor != MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_INVALID;
@@ -159,7 +164,8 @@ void mo_controller_randomize(struct mo_controller *controller, uint64_t seed)
   }
 }
 
-static struct mo_metadata_entry *find_metadata(const struct mo_controller *controller, const char *key)
+static struct mo_metadata_entry *find_metadata(const struct mo_controller *controller,
+                                               const char *key)
 {
   for (size_t i = 0; i < controller->n_metadata; i++)
     if (strcmp(controller->metadata[i].key, key) == 0)
@@ -190,7 +196,8 @@ int mo_controller_put_metadata(struct mo_controller *controller, const char *key
   }
   char *key_copy = strdup(key);
   struct mo_metadata_entry *grown =
-      key_copy != NULL ? realloc(controller->metadata, (controller->n_metadata + 1) * sizeof(struct mo_metadata_entry))
+      key_copy != NULL ? realloc(controller->metadata,
+                                 (controller->n_metadata + 1) * sizeof(struct mo_metadata_entry))
                        : NULL;
   if (grown == NULL) {
     free(key_copy);

@@ -1,5 +1,5 @@
-/* file.c: controllers from and to bytes and files. A file is read piece by piece straight into the parameters, so that a large
- * controller is held once. */
+/* file.c: controllers from and to bytes and files. A file is read piece by piece straight into the
+ * parameters, so that a large controller is held once. */
 #include "controller/internal.h"
 
 #include "base/file.h"
@@ -13,7 +13,8 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
                          struct mo_message *message)
 {
   if (size > MO_CONTROLLER_FILE_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "the file has %zu bytes; at most %" PRIu64 " are accepted", size,
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "the file has %zu bytes; at most %" PRIu64 " are accepted", size,
                    MO_CONTROLLER_FILE_MAX);
   uint32_t header_size = 0;
   int r = mo_safetensors_header_size(bytes, size, &header_size, message);
@@ -35,7 +36,8 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
   return MO_OK;
 }
 
-static int read_header(int fd, uint64_t size, struct mo_safetensors *file, struct mo_message *message)
+static int read_header(int fd, uint64_t size, struct mo_safetensors *file,
+                       struct mo_message *message)
 {
   uint8_t prefix[8] = {0};
   int r = mo_file_read_at(fd, prefix, size < 8 ? size : 8, 0, message);
@@ -54,18 +56,20 @@ static int read_header(int fd, uint64_t size, struct mo_safetensors *file, struc
   return r;
 }
 
-static int read_open(int fd, uint64_t size, struct mo_controller **controller, struct mo_message *message)
+static int read_open(int fd, uint64_t size, struct mo_controller **controller,
+                     struct mo_message *message)
 {
   if (size > MO_CONTROLLER_FILE_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "the file has %" PRIu64 " bytes; at most %" PRIu64 " are accepted", size,
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "the file has %" PRIu64 " bytes; at most %" PRIu64 " are accepted", size,
                    MO_CONTROLLER_FILE_MAX);
   struct mo_safetensors file = {0};
   int r = read_header(fd, size, &file, message);
   if (r < 0 || file.controller == NULL)
     return r;
   for (int i = 0; i < MO_CONTROLLER_TENSORS && r == MO_OK; i++)
-    r = mo_file_read_at(fd, file.controller->parameters + file.tensors[i].offset, file.tensors[i].count * sizeof(float),
-                        file.offsets[i], message);
+    r = mo_file_read_at(fd, file.controller->parameters + file.tensors[i].offset,
+                        file.tensors[i].count * sizeof(float), file.offsets[i], message);
   if (r == MO_OK)
     r = mo_safetensors_check_values(&file, message);
   if (r < 0) {
@@ -76,7 +80,8 @@ static int read_open(int fd, uint64_t size, struct mo_controller **controller, s
   return MO_OK;
 }
 
-int mo_controller_read(const char *path, struct mo_controller **controller, struct mo_message *message)
+int mo_controller_read(const char *path, struct mo_controller **controller,
+                       struct mo_message *message)
 {
   uint64_t size = 0;
   const int fd = mo_file_open(path, &size, message);
@@ -106,7 +111,8 @@ int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes
   return MO_OK;
 }
 
-int mo_controller_write(const struct mo_controller *controller, const char *path, struct mo_message *message)
+int mo_controller_write(const struct mo_controller *controller, const char *path,
+                        struct mo_message *message)
 {
   uint8_t *header = NULL;
   size_t header_size = 0;
@@ -114,8 +120,8 @@ int mo_controller_write(const struct mo_controller *controller, const char *path
   if (r < 0)
     return mo_fail(message, r, "cannot write %s: %s", path,
                    r == MO_ERR_LIMIT ? "its metadata exceeds the largest header" : "out of memory");
-  const struct mo_file_piece pieces[] = {{header, header_size},
-                                         {controller->parameters, controller->n_parameters * sizeof(float)}};
+  const struct mo_file_piece pieces[] = {
+      {header, header_size}, {controller->parameters, controller->n_parameters * sizeof(float)}};
   r = mo_file_replace(path, pieces, 2, message);
   free(header);
   return r;

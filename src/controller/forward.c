@@ -1,13 +1,14 @@
-/* forward.c: the network in float64, as plainly as speed in tests permits: each neuron's sum runs in input order; four
- * neurons go side by side so that their chains of additions overlap. */
+/* forward.c: the network in float64, as plainly as speed in tests permits: each neuron's sum runs
+ * in input order; four neurons go side by side so that their chains of additions overlap. */
 #include "controller/tape.h"
 
 #include <math.h>
 #include <string.h>
 
-/* sums[i] = bias + row · inputs for the n rows listed in `rows` (NULL: 0 … n−1) of a matrix with `width` columns. */
-static void dense(const float *weight, const float *bias, const uint32_t *rows, uint32_t n, uint32_t width,
-                  const double *inputs, double *sums)
+/* sums[i] = bias + row · inputs for the n rows listed in `rows` (NULL: 0 … n−1) of a matrix with
+ * `width` columns. */
+static void dense(const float *weight, const float *bias, const uint32_t *rows, uint32_t n,
+                  uint32_t width, const double *inputs, double *sums)
 {
   uint32_t i = 0;
   for (; i + 4 <= n; i += 4) {
@@ -40,9 +41,10 @@ static void dense(const float *weight, const float *bias, const uint32_t *rows, 
   }
 }
 
-/* h ← ReLU(LayerNorm(h)); the variance is the biased one, as in PyTorch. Keeps the normalized values and 1/σ if `normal` is
- * not NULL. */
-static void norm_relu(const float *gain, const float *shift, double *h, double *normal, double *kept_scale)
+/* h ← ReLU(LayerNorm(h)); the variance is the biased one, as in PyTorch. Keeps the normalized
+ * values and 1/σ if `normal` is not NULL. */
+static void norm_relu(const float *gain, const float *shift, double *h, double *normal,
+                      double *kept_scale)
 {
   double mean = 0;
   for (int i = 0; i < MO_HIDDEN; i++)
@@ -65,19 +67,19 @@ static void norm_relu(const float *gain, const float *shift, double *h, double *
 }
 
 /* The last layer, from the last hidden one. */
-static void finish(const struct mo_controller *controller, const double *hidden, const uint32_t *springs, uint32_t n,
-                   double *outputs)
+static void finish(const struct mo_controller *controller, const double *hidden,
+                   const uint32_t *springs, uint32_t n, double *outputs)
 {
   if (springs == NULL)
     n = controller->n_springs;
-  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n, MO_HIDDEN, hidden,
-        outputs);
+  dense(controller->weight[MO_HIDDEN_LAYERS], controller->bias[MO_HIDDEN_LAYERS], springs, n,
+        MO_HIDDEN, hidden, outputs);
   for (uint32_t i = 0; i < n; i++)
     outputs[i] = tanh(outputs[i]);
 }
 
-void mo_controller_forward(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
-                           uint32_t n, double *outputs, double *scratch)
+void mo_controller_forward(const struct mo_controller *controller, const double *inputs,
+                           const uint32_t *springs, uint32_t n, double *outputs, double *scratch)
 {
   const double *in = inputs;
   uint32_t width = controller->n_inputs;
@@ -91,8 +93,9 @@ void mo_controller_forward(const struct mo_controller *controller, const double 
   finish(controller, in, springs, n, outputs);
 }
 
-void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
-                                uint32_t n, double *outputs, struct mo_controller_tape *tape)
+void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs,
+                                const uint32_t *springs, uint32_t n, double *outputs,
+                                struct mo_controller_tape *tape)
 {
   memcpy(tape->input, inputs, controller->n_inputs * sizeof(double));
   const double *in = inputs;
@@ -100,8 +103,8 @@ void mo_controller_forward_tape(const struct mo_controller *controller, const do
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     double *h = tape->hidden + (size_t)l * MO_HIDDEN;
     dense(controller->weight[l], controller->bias[l], NULL, MO_HIDDEN, width, in, h);
-    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h, tape->normal + (size_t)l * MO_HIDDEN,
-              tape->scale + l);
+    norm_relu(controller->norm_gain[l], controller->norm_shift[l], h,
+              tape->normal + (size_t)l * MO_HIDDEN, tape->scale + l);
     in = h;
     width = MO_HIDDEN;
   }

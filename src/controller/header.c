@@ -1,6 +1,7 @@
-/* header.c: writes the header of a controller file. By hand, not with the JSON library: its printer, when memory runs out,
- * may return a text with a hole in it; and the bytes of a file, by whose hash a controller is known, should not depend on a
- * library's version. The longest possible header is allocated at once, so that nothing can fail half way. */
+/* header.c: writes the header of a controller file. By hand, not with the JSON library: its
+ * printer, when memory runs out, may return a text with a hole in it; and the bytes of a file, by
+ * whose hash a controller is known, should not depend on a library's version. The longest possible
+ * header is allocated at once, so that nothing can fail half way. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -45,7 +46,8 @@ bool mo_text_is_utf8(const char *text)
 /* A JSON string with its quotes: at most 6 bytes per byte and 2 more. Returns its end. */
 static char *put_string(char *out, const char *text)
 {
-  static const char escapes[] = "\bb\ff\nn\rr\tt\"\"\\\\"; /* pairs: character, letter after the backslash */
+  static const char escapes[] =
+      "\bb\ff\nn\rr\tt\"\"\\\\"; /* pairs: character, letter after the backslash */
   *out++ = '"';
   for (; *text != '\0'; text++) {
     const unsigned char c = (unsigned char)*text;
@@ -67,10 +69,12 @@ static char *put_string(char *out, const char *text)
 
 static char *put_tensor(char *out, const struct mo_tensor *tensor)
 {
-  out += sprintf(out, ",\"%s\":{\"dtype\":\"F32\",\"shape\":[%" PRIu64, tensor->name, tensor->shape[0]);
+  out += sprintf(out, ",\"%s\":{\"dtype\":\"F32\",\"shape\":[%" PRIu64, tensor->name,
+                 tensor->shape[0]);
   if (tensor->n_dims == 2)
     out += sprintf(out, ",%" PRIu64, tensor->shape[1]);
-  return out + sprintf(out, "],\"data_offsets\":[%" PRIu64 ",%" PRIu64 "]}", tensor->offset * sizeof(float),
+  return out + sprintf(out, "],\"data_offsets\":[%" PRIu64 ",%" PRIu64 "]}",
+                       tensor->offset * sizeof(float),
                        (tensor->offset + tensor->count) * sizeof(float));
 }
 
@@ -78,7 +82,8 @@ int mo_safetensors_format(const struct mo_controller *controller, uint8_t **byte
 {
   size_t longest = 64 + (size_t)MO_CONTROLLER_TENSORS * 192;
   for (size_t i = 0; i < controller->n_metadata; i++)
-    longest += 6 * (strlen(controller->metadata[i].key) + strlen(controller->metadata[i].value)) + 8;
+    longest +=
+        6 * (strlen(controller->metadata[i].key) + strlen(controller->metadata[i].value)) + 8;
   char *text = malloc(longest);
   if (text == NULL)
     return MO_ERR_NO_MEMORY;

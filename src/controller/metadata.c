@@ -4,8 +4,8 @@
 
 #include <morpho/controller.h>
 
-int mo_controller_get_metadata_number(const struct mo_controller *controller, const char *key, const char *member,
-                                      uint64_t *number)
+int mo_controller_get_metadata_number(const struct mo_controller *controller, const char *key,
+                                      const char *member, uint64_t *number)
 {
   const char *text = mo_controller_get_metadata(controller, key);
   json_error_t why;

@@ -1,14 +1,14 @@
 /* safetensors.c: the header of a safetensors file, read with distrust.
  *
  *   8 bytes   length of the header, little-endian
- *   header    JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape", "data_offsets": [begin, end]}, …},
- *             padded with spaces
- *   data      the tensors, row-major, at their offsets
+ *   header    JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape", "data_offsets":
+ * [begin, end]}, …}, padded with spaces data      the tensors, row-major, at their offsets
  *
- * A file is a controller only if its tensors are exactly ours, in float32, in the shapes of one workspace, and tile the data
- * without gap or overlap; their order in header and data is free, since the common writers sort by name. Nothing of the file's
- * size is allocated before its header agrees with the number of bytes that are really there. Messages quote the file's own
- * text only after `printable` has made it short and plain. */
+ * A file is a controller only if its tensors are exactly ours, in float32, in the shapes of one
+ * workspace, and tile the data without gap or overlap; their order in header and data is free,
+ * since the common writers sort by name. Nothing of the file's size is allocated before its header
+ * agrees with the number of bytes that are really there. Messages quote the file's own text only
+ * after `printable` has made it short and plain. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -38,19 +38,24 @@ static struct printable printable(const char *text)
   return p;
 }
 
-int mo_safetensors_header_size(const uint8_t *prefix, uint64_t size, uint32_t *header_size, struct mo_message *message)
+int mo_safetensors_header_size(const uint8_t *prefix, uint64_t size, uint32_t *header_size,
+                               struct mo_message *message)
 {
   if (size < 8)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the file has %" PRIu64 " bytes; a safetensors file starts with an 8-byte header length", size);
+                   "the file has %" PRIu64
+                   " bytes; a safetensors file starts with an 8-byte header length",
+                   size);
   uint64_t length;
   memcpy(&length, prefix, sizeof(length));
   if (length > MO_SAFETENSORS_HEADER_MAX)
-    return mo_fail(message, MO_ERR_LIMIT, "the header claims %" PRIu64 " bytes; at most %u are accepted", length,
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "the header claims %" PRIu64 " bytes; at most %u are accepted", length,
                    MO_SAFETENSORS_HEADER_MAX);
   if (length > size - 8)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the header claims %" PRIu64 " bytes, but only %" PRIu64 " follow: truncated?", length, size - 8);
+                   "the header claims %" PRIu64 " bytes, but only %" PRIu64 " follow: truncated?",
+                   length, size - 8);
   *header_size = (uint32_t)length;
   return MO_OK;
 }
@@ -78,16 +83,19 @@ static uint32_t nesting(const char *text, size_t size)
   return deepest;
 }
 
-static int parse_json(const char *header, uint32_t header_size, json_t **ret, struct mo_message *message)
+static int parse_json(const char *header, uint32_t header_size, json_t **ret,
+                      struct mo_message *message)
 {
   if (header_size == 0 || header[0] != '{')
-    return mo_fail(message, MO_ERR_FORMAT, "the header is not a JSON object: its first byte must be '{'");
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the header is not a JSON object: its first byte must be '{'");
   if (nesting(header, header_size) > DEPTH_MAX)
     return mo_fail(message, MO_ERR_FORMAT, "the header nests deeper than %d levels", DEPTH_MAX);
   json_error_t error;
   json_t *root = json_loadb(header, header_size, JSON_REJECT_DUPLICATES, &error);
   if (root == NULL) { /* the parser does not tell a lack of memory from a bad text */
-    return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s", printable(error.text).text);
+    return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s",
+                   printable(error.text).text);
   }
   *ret = root;
   return MO_OK;
@@ -116,12 +124,13 @@ static int parse_workspace(const char *text, struct mo_workspace *workspace)
 }
 
 /* An entry of the metadata that must have a certain value if it is there. */
-static int check_entry(const json_t *metadata, const char *key, const char *expected, struct mo_message *message)
+static int check_entry(const json_t *metadata, const char *key, const char *expected,
+                       struct mo_message *message)
 {
   const char *value = json_string_value(json_object_get(metadata, key));
   if (value != NULL && strcmp(value, expected) != 0)
-    return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is \"%s\"; expected \"%s\"", key, printable(value).text,
-                   expected);
+    return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is \"%s\"; expected \"%s\"", key,
+                   printable(value).text, expected);
   return MO_OK;
 }
 
@@ -135,7 +144,8 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
   if (!json_is_object(metadata))
     return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of texts");
   if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that we add */
-    return mo_fail(message, MO_ERR_LIMIT, "\"__metadata__\" has %zu entries; at most %d are accepted",
+    return mo_fail(message, MO_ERR_LIMIT,
+                   "\"__metadata__\" has %zu entries; at most %d are accepted",
                    json_object_size(metadata), MO_METADATA_MAX - 4);
   const char *key;
   json_t *value;
@@ -144,17 +154,17 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
     if (!json_is_string(value))
       return mo_fail(message, MO_ERR_FORMAT, "metadata \"%s\" is not a text", printable(key).text);
     if (strlen(key) > MO_METADATA_BYTES_MAX || json_string_length(value) > MO_METADATA_BYTES_MAX)
-      return mo_fail(message, MO_ERR_LIMIT, "metadata \"%s\" is longer than %zu bytes", printable(key).text,
-                     MO_METADATA_BYTES_MAX);
+      return mo_fail(message, MO_ERR_LIMIT, "metadata \"%s\" is longer than %zu bytes",
+                     printable(key).text, MO_METADATA_BYTES_MAX);
   }
   const char *text = json_string_value(json_object_get(metadata, "workspace"));
   if (text != NULL) {
     const int r = parse_workspace(text, workspace);
     if (r < 0)
-      return mo_fail(
-          message, r == MO_ERR_LIMIT ? r : MO_ERR_FORMAT,
-          "metadata \"workspace\" is \"%s\"; expected voxels along each axis, as in \"6x6x4\", at most %u in all",
-          printable(text).text, MO_VOXELS_MAX);
+      return mo_fail(message, r == MO_ERR_LIMIT ? r : MO_ERR_FORMAT,
+                     "metadata \"workspace\" is \"%s\"; expected voxels along each axis, as in "
+                     "\"6x6x4\", at most %u in all",
+                     printable(text).text, MO_VOXELS_MAX);
   }
   text = json_string_value(json_object_get(metadata, "sensor"));
   if (text != NULL && mo_sensor_from_name(text, sensor) < 0)
@@ -177,7 +187,8 @@ static struct printable shape_text(const json_t *shape)
   {
     char item[32];
     if (json_is_integer(n))
-      snprintf(item, sizeof(item), "%s%" JSON_INTEGER_FORMAT, i > 0 ? ", " : "", json_integer_value(n));
+      snprintf(item, sizeof(item), "%s%" JSON_INTEGER_FORMAT, i > 0 ? ", " : "",
+               json_integer_value(n));
     else
       snprintf(item, sizeof(item), "%s?", i > 0 ? ", " : "");
     if (used + strlen(item) + 5 > sizeof(p.text)) {
@@ -196,21 +207,23 @@ static bool shape_is(const json_t *shape, const struct mo_tensor *tensor)
     return false;
   for (uint32_t d = 0; d < tensor->n_dims; d++) {
     const json_t *n = json_array_get(shape, d);
-    if (!json_is_integer(n) || json_integer_value(n) < 0 || (uint64_t)json_integer_value(n) != tensor->shape[d])
+    if (!json_is_integer(n) || json_integer_value(n) < 0 ||
+        (uint64_t)json_integer_value(n) != tensor->shape[d])
       return false;
   }
   return true;
 }
 
-static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, const char *workspace, uint64_t data_size,
-                        uint64_t *begin, struct mo_message *message)
+static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, const char *workspace,
+                        uint64_t data_size, uint64_t *begin, struct mo_message *message)
 {
   const char *name = tensor->name;
   const json_t *dtype = json_object_get(entry, "dtype"), *shape = json_object_get(entry, "shape");
   const json_t *range = json_object_get(entry, "data_offsets");
-  if (!json_is_object(entry) || json_object_size(entry) != 3 || !json_is_string(dtype) || !json_is_array(shape) ||
-      !json_is_array(range))
-    return mo_fail(message, MO_ERR_FORMAT, "tensor %s: expected {\"dtype\": text, \"shape\": [], \"data_offsets\": []}",
+  if (!json_is_object(entry) || json_object_size(entry) != 3 || !json_is_string(dtype) ||
+      !json_is_array(shape) || !json_is_array(range))
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "tensor %s: expected {\"dtype\": text, \"shape\": [], \"data_offsets\": []}",
                    name);
   if (strcmp(json_string_value(dtype), "F32") != 0)
     return mo_fail(message, MO_ERR_FORMAT, "tensor %s has dtype \"%s\"; expected \"F32\"", name,
@@ -220,22 +233,27 @@ static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, con
     if (tensor->n_dims == 1)
       snprintf(expected, sizeof(expected), "[%" PRIu64 "]", tensor->shape[0]);
     else
-      snprintf(expected, sizeof(expected), "[%" PRIu64 ", %" PRIu64 "]", tensor->shape[0], tensor->shape[1]);
-    return mo_fail(message, MO_ERR_FORMAT, "tensor %s has shape %s; expected %s in a workspace of %s voxels", name,
+      snprintf(expected, sizeof(expected), "[%" PRIu64 ", %" PRIu64 "]", tensor->shape[0],
+               tensor->shape[1]);
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "tensor %s has shape %s; expected %s in a workspace of %s voxels", name,
                    shape_text(shape).text, expected, workspace);
   }
   const json_t *first = json_array_get(range, 0), *last = json_array_get(range, 1);
   if (json_array_size(range) != 2 || !json_is_integer(first) || !json_is_integer(last) ||
       json_integer_value(first) < 0 || json_integer_value(last) < json_integer_value(first))
-    return mo_fail(message, MO_ERR_FORMAT, "tensor %s: data_offsets must be [begin, end] with 0 <= begin <= end", name);
-  const uint64_t from = (uint64_t)json_integer_value(first), to = (uint64_t)json_integer_value(last);
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "tensor %s: data_offsets must be [begin, end] with 0 <= begin <= end", name);
+  const uint64_t from = (uint64_t)json_integer_value(first),
+                 to = (uint64_t)json_integer_value(last);
   if (to > data_size)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "tensor %s ends at byte %" PRIu64 " of the data, which has %" PRIu64 ": truncated?", name, to,
-                   data_size);
+                   "tensor %s ends at byte %" PRIu64 " of the data, which has %" PRIu64
+                   ": truncated?",
+                   name, to, data_size);
   if (to - from != tensor->count * sizeof(float))
-    return mo_fail(message, MO_ERR_FORMAT, "tensor %s spans %" PRIu64 " bytes; expected %" PRIu64, name, to - from,
-                   tensor->count * sizeof(float));
+    return mo_fail(message, MO_ERR_FORMAT, "tensor %s spans %" PRIu64 " bytes; expected %" PRIu64,
+                   name, to - from, tensor->count * sizeof(float));
   *begin = from;
   return MO_OK;
 }
@@ -253,19 +271,21 @@ static int check_tiling(const struct mo_tensor *tensors, const uint64_t *begins,
         next = i;
     if (begins[next] != end)
       return mo_fail(message, MO_ERR_FORMAT,
-                     "tensor %s starts at byte %" PRIu64 " of the data; expected %" PRIu64 ": %s", tensors[next].name,
-                     begins[next], end, begins[next] < end ? "tensors overlap" : "there is a gap between tensors");
+                     "tensor %s starts at byte %" PRIu64 " of the data; expected %" PRIu64 ": %s",
+                     tensors[next].name, begins[next], end,
+                     begins[next] < end ? "tensors overlap" : "there is a gap between tensors");
     end += tensors[next].count * sizeof(float);
     used[next] = true;
   }
   if (end != data_size)
-    return mo_fail(message, MO_ERR_FORMAT, "the tensors end at byte %" PRIu64 " of the data, which has %" PRIu64, end,
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the tensors end at byte %" PRIu64 " of the data, which has %" PRIu64, end,
                    data_size);
   return MO_OK;
 }
 
-static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t data_size, struct mo_safetensors *file,
-                         struct mo_message *message)
+static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t data_size,
+                         struct mo_safetensors *file, struct mo_message *message)
 {
   char size[64];
   mo_controller_workspace_text(workspace, size);
@@ -279,13 +299,15 @@ static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t d
       i++;
     if (i == MO_CONTROLLER_TENSORS && strcmp(key, "__metadata__") != 0)
       return mo_fail(message, MO_ERR_FORMAT,
-                     "unexpected tensor \"%s\": a controller has net.0.weight … net.9.bias only", printable(key).text);
+                     "unexpected tensor \"%s\": a controller has net.0.weight … net.9.bias only",
+                     printable(key).text);
   }
   for (int i = 0; i < MO_CONTROLLER_TENSORS; i++) {
     entry = json_object_get(root, file->tensors[i].name);
     if (entry == NULL)
       return mo_fail(message, MO_ERR_FORMAT, "tensor %s is missing", file->tensors[i].name);
-    const int r = check_tensor(entry, &file->tensors[i], size, data_size, &file->offsets[i], message);
+    const int r =
+        check_tensor(entry, &file->tensors[i], size, data_size, &file->offsets[i], message);
     if (r < 0)
       return r;
   }
@@ -306,16 +328,17 @@ static int copy_metadata(struct mo_controller *controller, json_t *metadata)
   }
   char mass_order[64];
   mo_controller_mass_order(controller->workspace, mass_order);
-  const char *const entries[][2] = {
-      {"mass_order", mass_order}, {"spring_order", MO_SPRING_ORDER}, {"sensor", mo_sensor_name(controller->sensor)}};
+  const char *const entries[][2] = {{"mass_order", mass_order},
+                                    {"spring_order", MO_SPRING_ORDER},
+                                    {"sensor", mo_sensor_name(controller->sensor)}};
   for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]) && r == MO_OK; i++)
     if (mo_controller_get_metadata(controller, entries[i][0]) == NULL)
       r = mo_controller_put_metadata(controller, entries[i][0], entries[i][1]);
   return r;
 }
 
-int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size, struct mo_safetensors *file,
-                         struct mo_message *message)
+int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size,
+                         struct mo_safetensors *file, struct mo_message *message)
 {
   json_t *root = NULL;
   int r = parse_json(header, header_size, &root, message);
@@ -352,11 +375,14 @@ int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_mes
     const float *values = file->controller->parameters + file->tensors[i].offset;
     for (uint64_t k = 0; k < file->tensors[i].count; k++) {
       if (!isfinite(values[k]))
-        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; all values must be finite",
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "tensor %s: value %" PRIu64 " is %s; all values must be finite",
                        file->tensors[i].name, k, isnan(values[k]) ? "NaN" : "infinite");
       if (fabsf(values[k]) > MO_WEIGHT_LIMIT)
-        return mo_fail(message, MO_ERR_FORMAT, "tensor %s: value %" PRIu64 " is %s; values must lie within ±%s",
-                       file->tensors[i].name, k, MO_NUMBER((double)values[k]), MO_NUMBER((double)MO_WEIGHT_LIMIT));
+        return mo_fail(message, MO_ERR_FORMAT,
+                       "tensor %s: value %" PRIu64 " is %s; values must lie within ±%s",
+                       file->tensors[i].name, k, MO_NUMBER((double)values[k]),
+                       MO_NUMBER((double)MO_WEIGHT_LIMIT));
     }
   }
   return MO_OK;

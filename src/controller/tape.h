@@ -1,39 +1,48 @@
-/* tape.h: the network with a memory: a forward pass that keeps what its derivative needs, and the backward pass, in float64.
+/* tape.h: the network with a memory: a forward pass that keeps what its derivative needs, and the
+ * backward pass, in float64.
  *
- * The gradient of the parameters is taken for several passes at once (mo_controller_accumulate), so that a row of the
- * gradient is fetched once for all of them. */
+ * The gradient of the parameters is taken for several passes at once (mo_controller_accumulate), so
+ * that a row of the gradient is fetched once for all of them. */
 #ifndef MORPHO_CONTROLLER_TAPE_H
 #define MORPHO_CONTROLLER_TAPE_H
 
 #include <morpho/controller.h>
 
-/* One pass over n springs. All arrays lie in memory of the caller's, see mo_controller_tape_place. */
+/* One pass over n springs. All arrays lie in memory of the caller's, see mo_controller_tape_place.
+ */
 struct mo_controller_tape {
-  double *input;   /* (n_inputs) */
-  double *normal;  /* (MO_HIDDEN_LAYERS, MO_HIDDEN) LayerNorm before gain and shift */
-  double *scale;   /* (MO_HIDDEN_LAYERS) 1 / sqrt(variance + ε) */
-  double *hidden;  /* (MO_HIDDEN_LAYERS, MO_HIDDEN) outputs of the ReLUs */
-  double *output;  /* (n) after tanh */
-  double *d_dense; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) ∂loss/∂ outputs of the matrices; written by the backward pass */
+  double *input;  /* (n_inputs) */
+  double *normal; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) LayerNorm before gain and shift */
+  double *scale;  /* (MO_HIDDEN_LAYERS) 1 / sqrt(variance + ε) */
+  double *hidden; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) outputs of the ReLUs */
+  double *output; /* (n) after tanh */
+  double *d_dense; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) ∂loss/∂ outputs of the matrices; written by the
+                      backward pass */
   double *d_shifted; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) ∂loss/∂ inputs of the ReLUs; likewise */
   double *d_last;    /* (n) ∂loss/∂ inputs of tanh; likewise */
 };
 
 /* Doubles that the arrays of one tape take, and the tape that lies in them. */
 size_t mo_controller_tape_doubles(const struct mo_controller *controller, uint32_t n);
-struct mo_controller_tape mo_controller_tape_place(const struct mo_controller *controller, uint32_t n, double *memory);
+struct mo_controller_tape mo_controller_tape_place(const struct mo_controller *controller,
+                                                   uint32_t n, double *memory);
 
 /* mo_controller_forward, to the bit, with a tape in place of scratch. */
-void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs, const uint32_t *springs,
-                                uint32_t n, double *outputs, struct mo_controller_tape *tape);
+void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs,
+                                const uint32_t *springs, uint32_t n, double *outputs,
+                                struct mo_controller_tape *tape);
 
-/* d_inputs (n_inputs) += ∂loss/∂inputs, given d_outputs (n) = ∂loss/∂outputs of the pass on the tape. */
-void mo_controller_backward(const struct mo_controller *controller, const uint32_t *springs, uint32_t n,
-                            const double *d_outputs, struct mo_controller_tape *tape, double *d_inputs);
+/* d_inputs (n_inputs) += ∂loss/∂inputs, given d_outputs (n) = ∂loss/∂outputs of the pass on the
+ * tape. */
+void mo_controller_backward(const struct mo_controller *controller, const uint32_t *springs,
+                            uint32_t n, const double *d_outputs, struct mo_controller_tape *tape,
+                            double *d_inputs);
 
-/* d_parameters (n_parameters, file order) += the sum over the tapes, in their order, of ∂loss/∂parameters. Each tape must
- * have been through mo_controller_backward with the same springs. */
-void mo_controller_accumulate(const struct mo_controller *controller, const uint32_t *springs, uint32_t n,
-                              const struct mo_controller_tape *tapes, uint32_t n_tapes, double *d_parameters);
+/* d_parameters (n_parameters, file order) += the sum over the tapes, in their order, of
+ * ∂loss/∂parameters. Each tape must have been through mo_controller_backward with the same springs.
+ */
+void mo_controller_accumulate(const struct mo_controller *controller, const uint32_t *springs,
+                              uint32_t n, const struct mo_controller_tape *tapes, uint32_t n_tapes,
+                              double *d_parameters);
 
 #endif

@@ -54,7 +54,8 @@ int crash_open(const char *state_dir, char **last, struct mo_message *message)
   if (result == MO_OK) {
     fd = open(current, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
     if (fd < 0)
-      result = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "%s: %s", current, strerror(errno));
+      result = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "%s: %s", current,
+                       strerror(errno));
   }
   if (result == MO_OK) {
     marker = fd;

@@ -37,13 +37,15 @@ static void log_devices(struct mo_compute *compute)
 {
   struct mo_device_status status;
   for (uint32_t i = 0; mo_compute_device(compute, i, &status) == MO_OK; i++)
-    log_info("device", LOG_INT("device", status.index), LOG_TEXT("name", status.name), LOG_TEXT("id", status.id),
-             LOG_INT("memory_mib", status.memory_bytes >> 20), LOG_INT("multiprocessors", status.multiprocessors));
+    log_info("device", LOG_INT("device", status.index), LOG_TEXT("name", status.name),
+             LOG_TEXT("id", status.id), LOG_INT("memory_mib", status.memory_bytes >> 20),
+             LOG_INT("multiprocessors", status.multiprocessors));
   log_info("devices compute", LOG_TEXT("scores", mo_compute_device_fingerprint(compute)),
            LOG_TEXT("gradients", mo_compute_device_gradient_fingerprint(compute)));
 }
 
-int devices_open(struct mo_compute *compute, const struct settings *settings, struct mo_message *message)
+int devices_open(struct mo_compute *compute, const struct settings *settings,
+                 struct mo_message *message)
 {
   struct device_choice choice;
   struct mo_message words = {""};
@@ -57,16 +59,17 @@ int devices_open(struct mo_compute *compute, const struct settings *settings, st
   }
   if (settings->compute_module == NULL)
     find_module(found);
-  const struct mo_devices_config config = {.module =
-                                               settings->compute_module != NULL ? settings->compute_module : found,
-                                           .devices = choice.all ? NULL : choice.indices,
-                                           .n = choice.n,
-                                           .lost = device_is_lost};
+  const struct mo_devices_config config = {
+      .module = settings->compute_module != NULL ? settings->compute_module : found,
+      .devices = choice.all ? NULL : choice.indices,
+      .n = choice.n,
+      .lost = device_is_lost};
   status = mo_compute_add_devices(compute, &config, &words);
   const bool is_named = settings->compute_module != NULL || !choice.all;
   if (status == MO_OK)
     log_devices(compute);
-  else if ((status == MO_ERR_NOT_FOUND && !is_named) || (status == MO_ERR_EXHAUSTED && choice.all)) {
+  else if ((status == MO_ERR_NOT_FOUND && !is_named) ||
+           (status == MO_ERR_EXHAUSTED && choice.all)) {
     log_info("no devices: the processors compute", LOG_TEXT("detail", words.text));
     status = MO_OK;
   } else

@@ -1,4 +1,5 @@
-/* log.c: see log.h. A line is built in a fixed buffer on the stack: logging allocates nothing and cannot fail loudly. */
+/* log.c: see log.h. A line is built in a fixed buffer on the stack: logging allocates nothing and
+ * cannot fail loudly. */
 #include "log.h"
 
 #include <inttypes.h>
@@ -42,7 +43,8 @@ static void put_text(struct line *line, const char *text)
   put(line, text, strlen(text));
 }
 
-__attribute__((format(printf, 2, 3))) static void put_format(struct line *line, const char *format, ...)
+__attribute__((format(printf, 2, 3))) static void put_format(struct line *line, const char *format,
+                                                             ...)
 {
   char text[64];
   va_list arguments;
@@ -53,8 +55,8 @@ __attribute__((format(printf, 2, 3))) static void put_format(struct line *line, 
     put(line, text, n < (int)sizeof(text) ? (size_t)n : sizeof(text) - 1);
 }
 
-/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so a line stays a line. Bytes above 0x7f
- * pass through: names and labels are UTF-8 by the time they get here. */
+/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so a line stays
+ * a line. Bytes above 0x7f pass through: names and labels are UTF-8 by the time they get here. */
 static void put_quoted(struct line *line, const char *text)
 {
   put_text(line, "\"");
@@ -117,8 +119,9 @@ static void put_time(struct line *line, int64_t time_us)
   put_format(line, ".%06dZ", (int)(time_us % 1000000));
 }
 
-size_t log_format_line(char *text, size_t capacity, enum log_format format, bool priority, int64_t time_us,
-                       enum log_level level, const char *message, const struct log_field *fields, size_t n_fields)
+size_t log_format_line(char *text, size_t capacity, enum log_format format, bool priority,
+                       int64_t time_us, enum log_level level, const char *message,
+                       const struct log_field *fields, size_t n_fields)
 {
   struct line line = {.text = text, .capacity = capacity};
   if (priority)
@@ -229,7 +232,8 @@ int log_format_from_name(const char *name, enum log_format *format)
   return -1;
 }
 
-void log_write(enum log_level level, const char *message, const struct log_field *fields, size_t n_fields)
+void log_write(enum log_level level, const char *message, const struct log_field *fields,
+               size_t n_fields)
 {
   if (!log_enabled(level))
     return;
@@ -237,8 +241,8 @@ void log_write(enum log_level level, const char *message, const struct log_field
   clock_gettime(CLOCK_REALTIME, &now);
   int64_t time_us = logger.journal ? 0 : (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
   char line[LINE_BYTES];
-  size_t n =
-      log_format_line(line, sizeof(line), logger.format, logger.journal, time_us, level, message, fields, n_fields);
+  size_t n = log_format_line(line, sizeof(line), logger.format, logger.journal, time_us, level,
+                             message, fields, n_fields);
   /* A log that cannot be written must not stop the service. */
   ssize_t written = write(STDERR_FILENO, line, n);
   (void)written;

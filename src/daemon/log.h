@@ -1,8 +1,9 @@
 /* log.h: structured log lines on standard error.
  *
- * A line is a level, a message and fields. Three formats: `text` for people, `logfmt` and `json` for machines. Where standard
- * error is the systemd journal, lines start with their priority ("<6>") and leave the time to the journal. A line is written
- * with one write(2), so that lines of several threads never mix. The level may be changed at any time from any thread. */
+ * A line is a level, a message and fields. Three formats: `text` for people, `logfmt` and `json`
+ * for machines. Where standard error is the systemd journal, lines start with their priority
+ * ("<6>") and leave the time to the journal. A line is written with one write(2), so that lines of
+ * several threads never mix. The level may be changed at any time from any thread. */
 #ifndef MORPHO_DAEMON_LOG_H
 #define MORPHO_DAEMON_LOG_H
 
@@ -27,18 +28,19 @@ struct log_field {
   } value;
 };
 
-#define LOG_TEXT(field_name, field_value)                                                                              \
+#define LOG_TEXT(field_name, field_value)                                                          \
   ((struct log_field){.name = (field_name), .kind = LOG_KIND_TEXT, .value.text = (field_value)})
-#define LOG_INT(field_name, field_value)                                                                               \
-  ((struct log_field){.name = (field_name), .kind = LOG_KIND_INT, .value.integer = (int64_t)(field_value)})
-#define LOG_REAL(field_name, field_value)                                                                              \
+#define LOG_INT(field_name, field_value)                                                           \
+  ((struct log_field){                                                                             \
+      .name = (field_name), .kind = LOG_KIND_INT, .value.integer = (int64_t)(field_value)})
+#define LOG_REAL(field_name, field_value)                                                          \
   ((struct log_field){.name = (field_name), .kind = LOG_KIND_REAL, .value.real = (field_value)})
 
 /* log_info("listening", LOG_TEXT("address", a), LOG_INT("port", p)); */
-#define LOG_AT(level, message, ...)                                                                                    \
-  do {                                                                                                                 \
-    const struct log_field log_fields[] = {{0}, ##__VA_ARGS__};                                                        \
-    log_write((level), (message), log_fields + 1, sizeof(log_fields) / sizeof(log_fields[0]) - 1);                     \
+#define LOG_AT(level, message, ...)                                                                \
+  do {                                                                                             \
+    const struct log_field log_fields[] = {{0}, ##__VA_ARGS__};                                    \
+    log_write((level), (message), log_fields + 1, sizeof(log_fields) / sizeof(log_fields[0]) - 1); \
   } while (0)
 #define log_error(message, ...)   LOG_AT(LOG_LEVEL_ERROR, message, ##__VA_ARGS__)
 #define log_warning(message, ...) LOG_AT(LOG_LEVEL_WARNING, message, ##__VA_ARGS__)
@@ -54,11 +56,14 @@ bool log_enabled(enum log_level level);
 int log_level_from_name(const char *name, enum log_level *level);
 int log_format_from_name(const char *name, enum log_format *format);
 
-void log_write(enum log_level level, const char *message, const struct log_field *fields, size_t n_fields);
+void log_write(enum log_level level, const char *message, const struct log_field *fields,
+               size_t n_fields);
 
-/* Formats one line, newline included, into `line` (capacity bytes, always terminated); returns its length. Too long a line is
- * cut and still well-formed enough to be one line. `time_us`: microseconds since 1970, 0: leave the time out. */
-size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority, int64_t time_us,
-                       enum log_level level, const char *message, const struct log_field *fields, size_t n_fields);
+/* Formats one line, newline included, into `line` (capacity bytes, always terminated); returns its
+ * length. Too long a line is cut and still well-formed enough to be one line. `time_us`:
+ * microseconds since 1970, 0: leave the time out. */
+size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority,
+                       int64_t time_us, enum log_level level, const char *message,
+                       const struct log_field *fields, size_t n_fields);
 
 #endif

@@ -1,5 +1,5 @@
-/* main.c: the process. Signals are blocked in every thread and taken, one at a time, by the main thread, which otherwise only
- * looks after the watchdog. */
+/* main.c: the process. Signals are blocked in every thread and taken, one at a time, by the main
+ * thread, which otherwise only looks after the watchdog. */
 #include <errno.h>
 #include <inttypes.h>
 #include <signal.h>
@@ -16,7 +16,8 @@
 #include "daemon/service.h"
 #include "daemon/settings.h"
 
-#define STOP_LIMIT_S       9        /* from the first SIGTERM, with a drain of 5 s or less, to the end of the process */
+#define STOP_LIMIT_S                                                                               \
+  9 /* from the first SIGTERM, with a drain of 5 s or less, to the end of the process */
 #define HEARTBEAT_LIMIT_US 15000000 /* a part that did not come round for so long is stuck */
 #define ROUND_S            1
 #define WATCHED_SIGNALS    5
@@ -34,7 +35,8 @@ static atomic_bool broken; /* set by the store when the process must end */
 
 static void must_end(const char *what)
 {
-  log_error("the state can no longer be written; ending to recover at the next start", LOG_TEXT("reason", what));
+  log_error("the state can no longer be written; ending to recover at the next start",
+            LOG_TEXT("reason", what));
   atomic_store(&broken, true);
   kill(getpid(), SIGUSR1); /* wakes the main thread */
 }
@@ -62,14 +64,15 @@ static void print_faults(const struct settings_faults *faults)
 }
 
 /* Flags, environment and file into `settings`. Faults are collected. */
-static void load(struct process *process, struct settings *settings, struct settings_request *request,
-                 struct settings_faults *faults)
+static void load(struct process *process, struct settings *settings,
+                 struct settings_request *request, struct settings_faults *faults)
 {
   if (settings_init(settings) != MO_OK) {
     settings_fault(faults, true, "out of memory");
     return;
   }
-  settings_load(settings, process->argc, process->argv, (const char *const *)environ, request, faults);
+  settings_load(settings, process->argc, process->argv, (const char *const *)environ, request,
+                faults);
   if (settings_complete(settings, (const char *const *)environ) != MO_OK)
     settings_fault(faults, true, "out of memory");
 }
@@ -96,23 +99,26 @@ static void reload(struct process *process)
       char *fresh = settings_value_text(&settings, &settings_table[i]);
       if (old != NULL && fresh != NULL && strcmp(old, fresh) != 0) {
         if (settings_table[i].reloads)
-          log_info("setting changed", LOG_TEXT("setting", settings_table[i].name), LOG_TEXT("value", fresh));
+          log_info("setting changed", LOG_TEXT("setting", settings_table[i].name),
+                   LOG_TEXT("value", fresh));
         else
-          log_warning("setting needs a restart to change", LOG_TEXT("setting", settings_table[i].name),
-                      LOG_TEXT("value", old), LOG_TEXT("new_value", fresh));
+          log_warning("setting needs a restart to change",
+                      LOG_TEXT("setting", settings_table[i].name), LOG_TEXT("value", old),
+                      LOG_TEXT("new_value", fresh));
       }
       free(old);
       free(fresh);
     }
     log_set_level((enum log_level)settings.log_level);
-    /* What needs a restart keeps its old value for the next comparison; the two that changed take the new one. */
+    /* What needs a restart keeps its old value for the next comparison; the two that changed take
+     * the new one. */
     struct mo_message ignored;
     for (size_t i = 0; i < settings_count; i++)
       if (settings_table[i].reloads) {
         char *fresh = settings_value_text(&settings, &settings_table[i]);
         if (fresh != NULL)
-          settings_set(&process->settings, &settings_table[i], fresh, (enum setting_source)settings.source[i], false,
-                       &ignored);
+          settings_set(&process->settings, &settings_table[i], fresh,
+                       (enum setting_source)settings.source[i], false, &ignored);
         free(fresh);
       }
     log_info("reloaded");
@@ -123,7 +129,8 @@ static void reload(struct process *process)
   sd_notify(0, "READY=1");
 }
 
-/* The stop takes longer than it may: everything acknowledged is durable, so the process can simply end. */
+/* The stop takes longer than it may: everything acknowledged is durable, so the process can simply
+ * end. */
 static void out_of_time(int number)
 {
   (void)number;
@@ -135,7 +142,8 @@ static void out_of_time(int number)
 
 static int wait_signal(const sigset_t *set, int64_t timeout_us)
 {
-  struct timespec timeout = {.tv_sec = timeout_us / 1000000, .tv_nsec = timeout_us % 1000000 * 1000};
+  struct timespec timeout = {.tv_sec = timeout_us / 1000000,
+                             .tv_nsec = timeout_us % 1000000 * 1000};
   return sigtimedwait(set, NULL, &timeout);
 }
 
@@ -146,7 +154,8 @@ static void stop(struct process *process, int number, const sigset_t *set)
   struct sigaction action = {.sa_handler = out_of_time};
   sigaction(SIGALRM, &action, NULL);
   alarm((unsigned)(drain_s > 5 ? drain_s + 4 : STOP_LIMIT_S));
-  sd_notifyf(0, "STOPPING=1\nSTATUS=Stopping\nEXTEND_TIMEOUT_USEC=%" PRIu64, (drain_s + 10) * 1000000);
+  sd_notifyf(0, "STOPPING=1\nSTATUS=Stopping\nEXTEND_TIMEOUT_USEC=%" PRIu64,
+             (drain_s + 10) * 1000000);
   log_info("stopping", LOG_TEXT("signal", sigabbrev_np(number)));
   service_drain(process->service);
   int64_t until = begin + (int64_t)process->settings.drain_timeout_ms * 1000;
@@ -215,7 +224,8 @@ static int run(struct process *process, const sigset_t *set)
   }
 }
 
-/* One line per address on standard output and in the file that was asked for, written whole before it gets its name. */
+/* One line per address on standard output and in the file that was asked for, written whole before
+ * it gets its name. */
 static int announce(const struct process *process, struct mo_message *message)
 {
   const char *const *addresses;
@@ -256,8 +266,10 @@ static int serve(struct process *process)
   pthread_sigmask(SIG_BLOCK, &set, NULL);
   signal(SIGPIPE, SIG_IGN);
   umask(077);
-  log_open((enum log_format)process->settings.log_format, (enum log_level)process->settings.log_level);
-  log_info("starting", LOG_TEXT("version", MORPHOD_VERSION), LOG_TEXT("state_dir", process->settings.state_dir),
+  log_open((enum log_format)process->settings.log_format,
+           (enum log_level)process->settings.log_level);
+  log_info("starting", LOG_TEXT("version", MORPHOD_VERSION),
+           LOG_TEXT("state_dir", process->settings.state_dir),
            LOG_TEXT("config", process->request.config_found), LOG_INT("pid", getpid()));
   struct mo_message message = {{0}};
   int status = service_start(&process->settings, must_end, &process->service, &message);

@@ -1,5 +1,6 @@
-/* service.c: see service.h. Order of start: listeners (cheap to refuse), state folder, store, crash marker, back end, jobs,
- * controller, HTTP. The end goes the other way, except that jobs park before HTTP ends, so that replies can still be given. */
+/* service.c: see service.h. Order of start: listeners (cheap to refuse), state folder, store, crash
+ * marker, back end, jobs, controller, HTTP. The end goes the other way, except that jobs park
+ * before HTTP ends, so that replies can still be given. */
 #include "service.h"
 
 #include <errno.h>
@@ -30,9 +31,10 @@
 #define EVENT_FIELDS_MAX 16
 #define ADDRESS_BYTES    256
 #define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
-#define STORE_READERS    8 /* more than threads that read: those of the API, the HTTP clock, the scheduler */
-#define JOBS_STOP_MS     3000
-#define HTTP_GRACE_MS    1000
+#define STORE_READERS                                                                              \
+  8 /* more than threads that read: those of the API, the HTTP clock, the scheduler */
+#define JOBS_STOP_MS  3000
+#define HTTP_GRACE_MS 1000
 
 struct service {
   char *state_dir;
@@ -64,8 +66,8 @@ static int make_folders(const char *path, struct mo_message *message)
     char kept = *slash;
     *slash = 0;
     if (mkdir(copy, 0700) != 0 && errno != EEXIST)
-      status =
-          mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "state_dir: %s: %s", copy, strerror(errno));
+      status = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "state_dir: %s: %s",
+                       copy, strerror(errno));
     *slash = kept;
     if (kept == 0 || status != MO_OK)
       break;
@@ -83,12 +85,14 @@ static int add_listener(struct service *service, int fd)
   return MO_OK;
 }
 
-static int open_listeners(struct service *service, const struct settings *settings, struct mo_message *message)
+static int open_listeners(struct service *service, const struct settings *settings,
+                          struct mo_message *message)
 {
   char **names = NULL;
   int n_passed = sd_listen_fds_with_names(1, &names);
   if (n_passed < 0)
-    return mo_fail(message, MO_ERR_IO, "cannot take the sockets that were passed: %s", strerror(-n_passed));
+    return mo_fail(message, MO_ERR_IO, "cannot take the sockets that were passed: %s",
+                   strerror(-n_passed));
   int status = MO_OK;
   for (int i = 0; i < n_passed && status == MO_OK; i++) {
     bool beyond;
@@ -178,8 +182,8 @@ static void log_event(enum log_level level, const struct mo_event *event)
 static void job_has_failed(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
-  log_warning("an attempt of a job failed", LOG_INT("job", job), LOG_TEXT("code", mo_error_name(error)),
-              LOG_TEXT("detail", text));
+  log_warning("an attempt of a job failed", LOG_INT("job", job),
+              LOG_TEXT("code", mo_error_name(error)), LOG_TEXT("detail", text));
 }
 
 static enum log_level level_of(const char *type)
@@ -187,7 +191,8 @@ static enum log_level level_of(const char *type)
   const char *what = strrchr(type, '.');
   if (what != NULL && strcmp(what, ".progress") == 0)
     return LOG_LEVEL_DEBUG;
-  return strcmp(type, "training.code_changed") == 0 || strcmp(type, "campaign.lineage_unreadable") == 0
+  return strcmp(type, "training.code_changed") == 0 ||
+                 strcmp(type, "campaign.lineage_unreadable") == 0
              ? LOG_LEVEL_WARNING
              : LOG_LEVEL_INFO;
 }
@@ -206,8 +211,9 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 {
   (void)context;
   /* Health checks and scrapes come every few seconds and say nothing, as long as they succeed. */
-  bool probe = entry->status == 200 && (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
-                                        strcmp(entry->path, "/metrics") == 0);
+  bool probe = entry->status == 200 &&
+               (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
+                strcmp(entry->path, "/metrics") == 0);
   enum log_level level = entry->status >= 500 || entry->reason != NULL ? LOG_LEVEL_WARNING
                          : probe                                       ? LOG_LEVEL_DEBUG
                                                                        : LOG_LEVEL_INFO;
@@ -223,7 +229,8 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 
 enum { CONTROLLER_NAME_BYTES = 128 };
 
-/* The name of a file without folder and ".safetensors"; "default" where that is no name for a controller. */
+/* The name of a file without folder and ".safetensors"; "default" where that is no name for a
+ * controller. */
 static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTES])
 {
   static const char ending[] = ".safetensors";
@@ -235,7 +242,8 @@ static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTE
   return mo_controller_name_check(name) == MO_OK ? name : "default";
 }
 
-/* The controller of the first start: "default", and by the name of its file, which stays when "default" is replaced. */
+/* The controller of the first start: "default", and by the name of its file, which stays when
+ * "default" is replaced. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
@@ -247,7 +255,8 @@ static int store_default_controller(struct service *service, const struct settin
   if (status != MO_ERR_NOT_FOUND)
     return status;
   const char *path = settings->default_controller != NULL ? settings->default_controller
-                                                          : MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
+                                                          : MORPHOD_DATADIR
+                         "/controllers/phototaxis.safetensors";
   struct mo_controller *controller = NULL;
   uint8_t *bytes = NULL;
   size_t size;
@@ -274,7 +283,8 @@ static int store_default_controller(struct service *service, const struct settin
   const char *const names[] = {name_of_file(path, own_name), "default"};
   for (size_t i = 0; i < 2 && status == MO_OK; i++) {
     bool created;
-    status = mo_store_controller_put(service->store, names[i], bytes, size, controller, &record, &created);
+    status = mo_store_controller_put(service->store, names[i], bytes, size, controller, &record,
+                                     &created);
   }
   if (status == MO_OK)
     log_info("default controller stored", LOG_TEXT("file", path));
@@ -283,7 +293,8 @@ static int store_default_controller(struct service *service, const struct settin
   return status;
 }
 
-static int start_http(struct service *service, const struct settings *settings, struct mo_message *message)
+static int start_http(struct service *service, const struct settings *settings,
+                      struct mo_message *message)
 {
   struct tokens tokens;
   int status = tokens_read(settings->token_file, &tokens, message);
@@ -293,8 +304,8 @@ static int start_http(struct service *service, const struct settings *settings, 
   for (size_t i = 0; i < settings->unix_groups.n && status == MO_OK; i++) {
     const struct group *group = getgrnam(settings->unix_groups.items[i]);
     if (group == NULL)
-      status =
-          mo_fail(message, MO_ERR_INVALID, "unix_groups: there is no group \"%s\"", settings->unix_groups.items[i]);
+      status = mo_fail(message, MO_ERR_INVALID, "unix_groups: there is no group \"%s\"",
+                       settings->unix_groups.items[i]);
     else
       groups[i] = group->gr_gid;
   }
@@ -320,7 +331,8 @@ static int start_http(struct service *service, const struct settings *settings, 
       .version = MORPHOD_VERSION,
       .log = log_request,
   };
-  struct mo_http_services services = {.store = service->store, .jobs = service->jobs, .compute = service->compute};
+  struct mo_http_services services = {
+      .store = service->store, .jobs = service->jobs, .compute = service->compute};
   if (status == MO_OK) {
     service->n_listeners = 0; /* taken over, whatever comes of it */
     status = mo_http_start(&config, &services, &service->http, message);
@@ -357,8 +369,8 @@ static int fail_with(struct mo_message *message, int error, int otherwise)
   return exit_status_of(error, otherwise);
 }
 
-int service_start(const struct settings *settings, void (*fatal)(const char *what), struct service **ret_service,
-                  struct mo_message *message)
+int service_start(const struct settings *settings, void (*fatal)(const char *what),
+                  struct service **ret_service, struct mo_message *message)
 {
   message->text[0] = 0;
   struct service *service = calloc(1, sizeof(*service));
@@ -372,11 +384,13 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   int exit_status = EXIT_OK;
   int error = open_listeners(service, settings, message);
   if (error != MO_OK) {
-    exit_status = fail_with(message, error, error == MO_ERR_INVALID ? EXIT_CONFIG : EXIT_UNAVAILABLE);
+    exit_status =
+        fail_with(message, error, error == MO_ERR_INVALID ? EXIT_CONFIG : EXIT_UNAVAILABLE);
     goto out;
   }
 
-  /* A migration, or the check after an unclean stop, takes as long as the database is large: the manager must not end it. */
+  /* A migration, or the check after an unclean stop, takes as long as the database is large: the
+   * manager must not end it. */
   sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
   error = make_folders(settings->state_dir, message);
   struct mo_store_config store = {.path = settings->state_dir,
@@ -394,14 +408,16 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   }
   service->crash_marker = true;
   if (last_marker != NULL)
-    log_warning("the last process crashed while it computed a job", LOG_TEXT("marker", last_marker));
+    log_warning("the last process crashed while it computed a job",
+                LOG_TEXT("marker", last_marker));
   if (mo_store_repairs(service->store)[0] != '\0')
     log_warning("damaged rows of the test set paper-test were written again",
                 LOG_TEXT("rows", mo_store_repairs(service->store)));
   mo_store_subscribe(service->store, log_events, service, &service->subscription);
 
   struct mo_compute_config compute = {.n_workers = (uint32_t)settings->workers,
-                                      .isa = settings->isa == 0 ? mo_isa_best() : (enum mo_isa)(settings->isa - 1),
+                                      .isa = settings->isa == 0 ? mo_isa_best()
+                                                                : (enum mo_isa)(settings->isa - 1),
                                       .nice = (int)settings->worker_nice};
   error = mo_compute_create_cpu(&compute, &service->compute);
   if (error != MO_OK) {
@@ -419,7 +435,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   error = store_default_controller(service, settings, message);
   if (error != MO_OK) {
     exit_status =
-        fail_with(message, error, error == MO_ERR_NO_SPACE || error == MO_ERR_CORRUPT ? EXIT_STATE : EXIT_CONFIG);
+        fail_with(message, error,
+                  error == MO_ERR_NO_SPACE || error == MO_ERR_CORRUPT ? EXIT_STATE : EXIT_CONFIG);
     goto out;
   }
 
@@ -434,14 +451,16 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);
   if (error != MO_OK) {
     exit_status =
-        fail_with(message, error, error == MO_ERR_IO || error == MO_ERR_NO_SPACE ? EXIT_STATE : EXIT_INTERNAL);
+        fail_with(message, error,
+                  error == MO_ERR_IO || error == MO_ERR_NO_SPACE ? EXIT_STATE : EXIT_INTERNAL);
     goto out;
   }
 
   error = start_http(service, settings, message);
   if (error != MO_OK) {
-    exit_status =
-        fail_with(message, error, error == MO_ERR_IO && settings->token_file == NULL ? EXIT_UNAVAILABLE : EXIT_CONFIG);
+    exit_status = fail_with(message, error,
+                            error == MO_ERR_IO && settings->token_file == NULL ? EXIT_UNAVAILABLE
+                                                                               : EXIT_CONFIG);
     goto out;
   }
   mo_http_set_ready(service->http, true);
@@ -461,7 +480,8 @@ size_t service_addresses(const struct service *service, const char *const **addr
   return service->n_listeners;
 }
 
-int service_reload_tokens(struct service *service, const struct settings *settings, struct mo_message *message)
+int service_reload_tokens(struct service *service, const struct settings *settings,
+                          struct mo_message *message)
 {
   struct tokens tokens;
   int status = tokens_read(settings->token_file, &tokens, message);
@@ -519,15 +539,18 @@ void service_describe(struct service *service, char *text, size_t capacity)
   struct mo_http_stats http;
   mo_jobs_get_stats(service->jobs, &jobs);
   mo_http_get_stats(service->http, &http);
-  snprintf(text, capacity, "%" PRIu64 " open jobs, %" PRIu64 " rollouts to do, %" PRIu32 " connections%s",
-           jobs.open_jobs, jobs.open_rollouts, http.connections, jobs.no_space ? ", waiting for room on the disk" : "");
+  snprintf(text, capacity,
+           "%" PRIu64 " open jobs, %" PRIu64 " rollouts to do, %" PRIu32 " connections%s",
+           jobs.open_jobs, jobs.open_rollouts, http.connections,
+           jobs.no_space ? ", waiting for room on the disk" : "");
 }
 
 void service_stop(struct service *service)
 {
   if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
     log_warning("work was still being parked at its deadline; it is repeated at the next start");
-  /* While they still listen: later the path may be the socket of a next process, which found ours without a server. */
+  /* While they still listen: later the path may be the socket of a next process, which found ours
+   * without a server. */
   for (size_t i = 0; i < LISTENERS_MAX; i++)
     if (service->unix_paths[i] != NULL) {
       unlink(service->unix_paths[i]);

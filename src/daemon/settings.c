@@ -1,5 +1,5 @@
-/* settings.c: the table, and how text becomes values. See settings.h; files, flags and checks are in settings_load.c and
- * settings_check.c. */
+/* settings.c: the table, and how text becomes values. See settings.h; files, flags and checks are
+ * in settings_load.c and settings_check.c. */
 #include "settings.h"
 
 #include <ctype.h>
@@ -17,55 +17,64 @@
 #define AT(settings, row)  ((void *)((char *)(settings) + (row)->offset))
 #define CAT(settings, row) ((const void *)((const char *)(settings) + (row)->offset))
 
-#define PATH_ROW(n, field, initial, words, reloads, help)                                                              \
-  {                                                                                                                    \
-    n, SETTING_PATH, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help                       \
+#define PATH_ROW(n, field, initial, words, reloads, help)                                          \
+  {                                                                                                \
+    n, SETTING_PATH, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help   \
   }
-#define LIST_ROW(n, field, initial, words, reloads, help)                                                              \
-  {                                                                                                                    \
-    n, SETTING_LIST, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help                       \
+#define LIST_ROW(n, field, initial, words, reloads, help)                                          \
+  {                                                                                                \
+    n, SETTING_LIST, reloads, offsetof(struct settings, field), 0, 0, initial, words, NULL, help   \
   }
-#define VALUE_ROW(n, type, field, min, max, initial, words, help)                                                      \
-  {                                                                                                                    \
-    n, type, false, offsetof(struct settings, field), min, max, initial, words, NULL, help                             \
+#define VALUE_ROW(n, type, field, min, max, initial, words, help)                                  \
+  {                                                                                                \
+    n, type, false, offsetof(struct settings, field), min, max, initial, words, NULL, help         \
   }
-#define CHOICE_ROW(n, field, choices, initial, reloads, help)                                                          \
-  {                                                                                                                    \
-    n, SETTING_CHOICE, reloads, offsetof(struct settings, field), 0, 0, initial, NULL, choices, help                   \
+#define CHOICE_ROW(n, field, choices, initial, reloads, help)                                      \
+  {                                                                                                \
+    n, SETTING_CHOICE, reloads, offsetof(struct settings, field), 0, 0, initial, NULL, choices,    \
+        help                                                                                       \
   }
 
 const struct setting settings_table[] = {
-    PATH_ROW("state_dir", state_dir, "", "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod",
-             false, "Folder of the database, controllers and recordings; made if missing, for the owner alone."),
+    PATH_ROW("state_dir", state_dir, "",
+             "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
+             "Folder of the database, controllers and recordings; made if missing, for the owner "
+             "alone."),
     LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
-             "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. Sockets that systemd "
+             "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
+             "Sockets that systemd "
              "passes "
              "are served besides; then the default is not."),
     VALUE_ROW("workers", SETTING_NUMBER, workers, 0, 1024, "0", "one per processor",
               "Threads that compute. Scores do not depend on it."),
-    CHOICE_ROW(
-        "isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
-        "Instruction set of the kernels. Scores of one set are the same for ever; sets differ in the last bits."),
+    CHOICE_ROW("isa", isa, "auto|x86-64|avx2|avx512", "auto", false,
+               "Instruction set of the kernels. Scores of one set are the same for ever; sets "
+               "differ in the last bits."),
     VALUE_ROW("worker_nice", SETTING_NUMBER, worker_nice, 0, 19, "5", NULL,
-              "Niceness of the computing threads above the process's, so that replies never wait for computing."),
+              "Niceness of the computing threads above the process's, so that replies never wait "
+              "for computing."),
     LIST_ROW("devices", devices, "auto", NULL, false,
-             "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not depend on how many "
+             "GPUs that compute: auto (all that work), none, or their numbers: 0,1. Scores do not "
+             "depend on how many "
              "there are, but differ from "
              "the processors' in the last digits."),
-    PATH_ROW("compute_module", compute_module, "", "morphod-cuda.so of the installation, if it is there", false,
+    PATH_ROW("compute_module", compute_module, "",
+             "morphod-cuda.so of the installation, if it is there", false,
              "Module that computes on the devices."),
-    PATH_ROW(
-        "default_controller", default_controller, "", "phototaxis.safetensors of the installation", false,
-        "Controller file that is stored at the first start: as \"default\", and by its own name where that can name a "
-        "controller."),
+    PATH_ROW("default_controller", default_controller, "",
+             "phototaxis.safetensors of the installation", false,
+             "Controller file that is stored at the first start: as \"default\", and by its own "
+             "name where that can name a "
+             "controller."),
     PATH_ROW("token_file", token_file, "", "credential \"token\", if systemd passes one", true,
              "File with bearer tokens, one per line. Required for addresses beyond loopback."),
     CHOICE_ROW("token_on_loopback", token_on_loopback, "no|yes", "no", false,
                "Whether loopback addresses ask for a token, too."),
-    LIST_ROW("allowed_hosts", allowed_hosts, "", "the loopback names and the addresses served", false,
-             "Further names that a request's Host and Origin may carry."),
-    LIST_ROW("unix_groups", unix_groups, "", "none", false,
-             "Groups whose members may use the unix sockets, besides root and the service's own user."),
+    LIST_ROW("allowed_hosts", allowed_hosts, "", "the loopback names and the addresses served",
+             false, "Further names that a request's Host and Origin may carry."),
+    LIST_ROW(
+        "unix_groups", unix_groups, "", "none", false,
+        "Groups whose members may use the unix sockets, besides root and the service's own user."),
     VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
               "Connections at one time; more are refused with 503."),
     VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
@@ -82,8 +91,8 @@ const struct setting settings_table[] = {
               "Time after which an idle connection is closed."),
     VALUE_ROW("max_open_jobs", SETTING_NUMBER, max_open_jobs, 1, 1000000, "10000", NULL,
               "Jobs queued, running or paused at one time; more are refused with 503."),
-    VALUE_ROW("max_open_rollouts", SETTING_NUMBER, max_open_rollouts, 1000, UINT64_C(1000000000), "20000000", NULL,
-              "Rollouts of all open jobs; more are refused with 503."),
+    VALUE_ROW("max_open_rollouts", SETTING_NUMBER, max_open_rollouts, 1000, UINT64_C(1000000000),
+              "20000000", NULL, "Rollouts of all open jobs; more are refused with 503."),
     VALUE_ROW("max_trainings", SETTING_NUMBER, max_trainings, 1, 16, "1", NULL,
               "Trainings that run side by side; the others wait in the order in which they came."),
     VALUE_ROW("max_campaigns", SETTING_NUMBER, max_campaigns, 1, 64, "4", NULL,
@@ -91,24 +100,27 @@ const struct setting settings_table[] = {
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests of one client handled at one time, event streams aside; more are refused with 429."),
+              "Requests of one client handled at one time, event streams aside; more are refused "
+              "with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
               "Accepted submissions per second and client address; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
               "Events kept for clients that come back with Last-Event-ID."),
-    VALUE_ROW(
-        "drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
-        "Time that a stop gives running work to finish before it is parked. Parked work continues at the next start."),
-    CHOICE_ROW(
-        "log_level", log_level, "error|warning|info|debug", "info", true,
-        "Least severe messages that are logged; info has a line for every request, debug also for health checks."),
+    VALUE_ROW("drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
+              "Time that a stop gives running work to finish before it is parked. Parked work "
+              "continues at the next start."),
+    CHOICE_ROW("log_level", log_level, "error|warning|info|debug", "info", true,
+               "Least severe messages that are logged; info has a line for every request, debug "
+               "also for health checks."),
     CHOICE_ROW("log_format", log_format, "text|logfmt|json", "text", false,
                "Format of the log lines on standard error."),
     PATH_ROW("port_file", port_file, "", "none", false,
-             "File that receives the addresses served, one per line, once they are served; removed at the end."),
+             "File that receives the addresses served, one per line, once they are served; removed "
+             "at the end."),
 };
 const size_t settings_count = sizeof(settings_table) / sizeof(settings_table[0]);
-_Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX, "settings.source is too short");
+_Static_assert(sizeof(settings_table) / sizeof(settings_table[0]) <= SETTINGS_MAX,
+               "settings.source is too short");
 
 void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
 {
@@ -165,7 +177,8 @@ static int list_add(struct setting_list *list, const char *text, size_t length)
   return MO_OK;
 }
 
-static int set_list(struct setting_list *list, const char *text, bool append, struct mo_message *message)
+static int set_list(struct setting_list *list, const char *text, bool append,
+                    struct mo_message *message)
 {
   if (!append)
     list_free(list);
@@ -188,14 +201,17 @@ struct unit {
 };
 static const struct unit byte_units[] = {{"", 1},      {"K", KIB}, {"KiB", KIB}, {"M", MIB},
                                          {"MiB", MIB}, {"G", GIB}, {"GiB", GIB}};
-static const struct unit time_units[] = {{"s", SECOND}, {"ms", 1}, {"min", 60 * SECOND}, {"h", HOUR}, {"", SECOND}};
+static const struct unit time_units[] = {
+    {"s", SECOND}, {"ms", 1}, {"min", 60 * SECOND}, {"h", HOUR}, {"", SECOND}};
 static const struct unit no_units[] = {{"", 1}};
 
 static int units_of(enum setting_type type, const struct unit **units)
 {
   switch (type) {
   case SETTING_BYTES: *units = byte_units; return (int)(sizeof(byte_units) / sizeof(byte_units[0]));
-  case SETTING_DURATION: *units = time_units; return (int)(sizeof(time_units) / sizeof(time_units[0]));
+  case SETTING_DURATION:
+    *units = time_units;
+    return (int)(sizeof(time_units) / sizeof(time_units[0]));
   default: *units = no_units; return 1;
   }
 }
@@ -219,7 +235,8 @@ static void write_number(enum setting_type type, uint64_t value, char *text, siz
     snprintf(text, capacity, "%" PRIu64, value);
 }
 
-static int set_number(const struct setting *setting, const char *text, uint64_t *number, struct mo_message *message)
+static int set_number(const struct setting *setting, const char *text, uint64_t *number,
+                      struct mo_message *message)
 {
   static const char *const wanted[] = {[SETTING_NUMBER] = "a whole number",
                                        [SETTING_BYTES] = "a size such as 64M",
@@ -238,8 +255,8 @@ static int set_number(const struct setting *setting, const char *text, uint64_t 
   if (u == n_units)
     return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not %s", text, wanted[setting->type]);
   uint64_t scaled;
-  if (errno == ERANGE || __builtin_mul_overflow((uint64_t)value, units[u].factor, &scaled) || scaled < setting->min ||
-      scaled > setting->max) {
+  if (errno == ERANGE || __builtin_mul_overflow((uint64_t)value, units[u].factor, &scaled) ||
+      scaled < setting->min || scaled > setting->max) {
     char low[32], high[32];
     write_number(setting->type, setting->min, low, sizeof(low));
     write_number(setting->type, setting->max, high, sizeof(high));
@@ -264,15 +281,17 @@ static int choice_at(const char *choices, const char *text)
   }
 }
 
-int settings_set(struct settings *settings, const struct setting *setting, const char *text, enum setting_source source,
-                 bool append, struct mo_message *message)
+int settings_set(struct settings *settings, const struct setting *setting, const char *text,
+                 enum setting_source source, bool append, struct mo_message *message)
 {
   int status = MO_OK;
   switch (setting->type) {
   case SETTING_PATH: {
     char *copy = NULL;
-    /* Empty takes others back to their default; here it is a variable of a script that was not set. */
-    if (*text == 0 && source != SOURCE_DEFAULT && setting->offset == offsetof(struct settings, state_dir))
+    /* Empty takes others back to their default; here it is a variable of a script that was not set.
+     */
+    if (*text == 0 && source != SOURCE_DEFAULT &&
+        setting->offset == offsetof(struct settings, state_dir))
       return mo_fail(message, MO_ERR_INVALID, "the path is empty");
     if (*text != 0 && (copy = strdup(text)) == NULL)
       return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
@@ -308,7 +327,8 @@ int settings_init(struct settings *settings)
 {
   *settings = (struct settings){0};
   for (size_t i = 0; i < settings_count; i++) {
-    int status = settings_set(settings, &settings_table[i], settings_table[i].initial, SOURCE_DEFAULT, false, NULL);
+    int status = settings_set(settings, &settings_table[i], settings_table[i].initial,
+                              SOURCE_DEFAULT, false, NULL);
     if (status != MO_OK) {
       settings_free(settings);
       return status;

@@ -1,12 +1,13 @@
 /* settings.h: everything about morphod that can be set, in one table.
  *
- * A row of the table drives the parsing of the file, the environment and the flags, `--help`, `--print-config`,
- * `--check-config`, the table in docs/configuration.md and the list in morphod(8): a setting that is not in the table does
- * not exist. Precedence: flag, environment variable, file, default.
+ * A row of the table drives the parsing of the file, the environment and the flags, `--help`,
+ * `--print-config`,
+ * `--check-config`, the table in docs/configuration.md and the list in morphod(8): a setting that
+ * is not in the table does not exist. Precedence: flag, environment variable, file, default.
  *
- * From the name `max_body` follow the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. File: `name = value` lines, `#`
- * comments. Lists are separated by commas or white space; a flag given again adds to its list. Sizes take K, M, G (powers
- * of 1024), durations ms, s, min, h. */
+ * From the name `max_body` follow the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. File:
+ * `name = value` lines, `#` comments. Lists are separated by commas or white space; a flag given
+ * again adds to its list. Sizes take K, M, G (powers of 1024), durations ms, s, min, h. */
 #ifndef MORPHO_DAEMON_SETTINGS_H
 #define MORPHO_DAEMON_SETTINGS_H
 
@@ -91,7 +92,14 @@ void settings_fault(struct settings_faults *faults, bool fatal, const char *form
 void settings_faults_free(struct settings_faults *faults);
 
 /* What the command line asks for besides settings. */
-enum settings_action { ACTION_RUN = 0, ACTION_HELP, ACTION_VERSION, ACTION_CHECK, ACTION_PRINT, ACTION_TABLE };
+enum settings_action {
+  ACTION_RUN = 0,
+  ACTION_HELP,
+  ACTION_VERSION,
+  ACTION_CHECK,
+  ACTION_PRINT,
+  ACTION_TABLE
+};
 struct settings_request {
   enum settings_action action;
   const char *config; /* --config or MORPHOD_CONFIG; NULL: the usual places */
@@ -103,27 +111,32 @@ struct settings_request {
 int settings_init(struct settings *settings);
 void settings_free(struct settings *settings);
 
-/* Reads flags, then file and environment, and applies them in order of precedence. Never stops at the first fault. */
-void settings_load(struct settings *settings, int argc, const char *const *argv, const char *const *environment,
-                   struct settings_request *request, struct settings_faults *faults);
+/* Reads flags, then file and environment, and applies them in order of precedence. Never stops at
+ * the first fault. */
+void settings_load(struct settings *settings, int argc, const char *const *argv,
+                   const char *const *environment, struct settings_request *request,
+                   struct settings_faults *faults);
 void settings_request_free(struct settings_request *request);
 
 /* The parts of settings_load, for tests. `name` in messages. */
-void settings_read_text(struct settings *settings, const char *name, const char *text, size_t length,
-                        struct settings_faults *faults);
+void settings_read_text(struct settings *settings, const char *name, const char *text,
+                        size_t length, struct settings_faults *faults);
 void settings_read_environment(struct settings *settings, const char *const *environment,
                                struct settings_faults *faults);
 
-/* Sets one value from its text. MO_ERR_INVALID, MO_ERR_RANGE with a message, MO_ERR_NO_MEMORY. `append`: lists grow. */
-int settings_set(struct settings *settings, const struct setting *setting, const char *text, enum setting_source source,
-                 bool append, struct mo_message *message);
+/* Sets one value from its text. MO_ERR_INVALID, MO_ERR_RANGE with a message, MO_ERR_NO_MEMORY.
+ * `append`: lists grow. */
+int settings_set(struct settings *settings, const struct setting *setting, const char *text,
+                 enum setting_source source, bool append, struct mo_message *message);
 
 /* Fills in what follows from the surroundings: state_dir, token_file from a credential. */
 int settings_complete(struct settings *settings, const char *const *environment);
 
-/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads, never writes. `state_dir`: the
- * state folder, too (a start finds out by itself, and tells a broken folder from a broken configuration). */
-void settings_check(const struct settings *settings, bool state_dir, struct settings_faults *faults);
+/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads,
+ * never writes. `state_dir`: the state folder, too (a start finds out by itself, and tells a broken
+ * folder from a broken configuration). */
+void settings_check(const struct settings *settings, bool state_dir,
+                    struct settings_faults *faults);
 
 /* "127.0.0.1:8765", "[::1]:8765", "localhost:0", "unix:/run/x": MO_ERR_INVALID with a message. */
 struct listen_address {
@@ -131,7 +144,8 @@ struct listen_address {
   char host[256]; /* or the path */
   uint16_t port;
 };
-int settings_parse_address(const char *text, struct listen_address *address, struct mo_message *message);
+int settings_parse_address(const char *text, struct listen_address *address,
+                           struct mo_message *message);
 
 /* Which devices: "auto", "none", or numbers. */
 #define SETTINGS_DEVICES_MAX 64
@@ -139,15 +153,19 @@ struct device_choice {
   bool all;
   uint32_t n, indices[SETTINGS_DEVICES_MAX]; /* (n) when not all; 0: none */
 };
-int settings_parse_devices(const struct setting_list *list, struct device_choice *choice, struct mo_message *message);
+int settings_parse_devices(const struct setting_list *list, struct device_choice *choice,
+                           struct mo_message *message);
 
 void settings_print_help(FILE *file);
-void settings_print(const struct settings *settings, FILE *file); /* a file that gives these values */
-void settings_print_table(FILE *file);                            /* Markdown */
+void settings_print(const struct settings *settings,
+                    FILE *file);       /* a file that gives these values */
+void settings_print_table(FILE *file); /* Markdown */
 
 /* The value of a setting as text (malloc, NULL without memory). */
 char *settings_value_text(const struct settings *settings, const struct setting *setting);
-void settings_flag_name(const struct setting *setting, char *text, size_t capacity);     /* "--state-dir" */
-void settings_variable_name(const struct setting *setting, char *text, size_t capacity); /* "MORPHOD_STATE_DIR" */
+void settings_flag_name(const struct setting *setting, char *text,
+                        size_t capacity); /* "--state-dir" */
+void settings_variable_name(const struct setting *setting, char *text,
+                            size_t capacity); /* "MORPHOD_STATE_DIR" */
 
 #endif

@@ -1,4 +1,5 @@
-/* settings_check.c: what the values refer to. Everything here only reads: --check-config changes nothing. */
+/* settings_check.c: what the values refer to. Everything here only reads: --check-config changes
+ * nothing. */
 #include "settings.h"
 
 #include <arpa/inet.h>
@@ -28,15 +29,18 @@ static bool is_loopback(const char *host)
   return strcmp(host, "localhost") == 0;
 }
 
-int settings_parse_address(const char *text, struct listen_address *address, struct mo_message *message)
+int settings_parse_address(const char *text, struct listen_address *address,
+                           struct mo_message *message)
 {
   struct listen_address result = {0};
   if (strncmp(text, "unix:", 5) == 0) {
     const char *path = text + 5;
     if (*path != '/')
-      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /", text);
+      return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": the path of a unix socket starts with /",
+                     text);
     if (strlen(path) >= sizeof(((struct sockaddr_un *)0)->sun_path))
-      return mo_fail(message, MO_ERR_RANGE, "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
+      return mo_fail(message, MO_ERR_RANGE,
+                     "\"%.100s…\": the path of a unix socket has at most %zu bytes", text,
                      sizeof(((struct sockaddr_un *)0)->sun_path) - 1);
     result.is_unix = result.is_loopback = true;
     snprintf(result.host, sizeof(result.host), "%s", path);
@@ -45,7 +49,8 @@ int settings_parse_address(const char *text, struct listen_address *address, str
   }
   const char *colon = strrchr(text, ':');
   if (colon == NULL || !isdigit((unsigned char)colon[1]))
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\" is not host:port, [ipv6]:port or unix:/path", text);
   char *end;
   errno = 0;
   unsigned long port = strtoul(colon + 1, &end, 10);
@@ -59,10 +64,12 @@ int settings_parse_address(const char *text, struct listen_address *address, str
     host++;
     length -= 2;
   } else if (memchr(host, ':', length) != NULL) {
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\": an IPv6 address stands in brackets: [::1]:8765", text);
   }
   if (length == 0 || length >= sizeof(result.host))
-    return mo_fail(message, MO_ERR_INVALID, "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
+    return mo_fail(message, MO_ERR_INVALID,
+                   "\"%.100s\" has no host; 0.0.0.0 stands for every address", text);
   memcpy(result.host, host, length);
   result.port = (uint16_t)port;
   result.is_loopback = is_loopback(result.host);
@@ -70,7 +77,8 @@ int settings_parse_address(const char *text, struct listen_address *address, str
   return MO_OK;
 }
 
-int settings_parse_devices(const struct setting_list *list, struct device_choice *choice, struct mo_message *message)
+int settings_parse_devices(const struct setting_list *list, struct device_choice *choice,
+                           struct mo_message *message)
 {
   struct device_choice found = {.n = 0};
   for (size_t i = 0; i < list->n; i++) {
@@ -86,12 +94,14 @@ int settings_parse_devices(const struct setting_list *list, struct device_choice
     errno = 0;
     const unsigned long index = strtoul(text, &end, 10);
     if (!isdigit((unsigned char)*text) || *end != 0 || errno != 0 || index > 1023)
-      return mo_fail(message, MO_ERR_INVALID, "\"%.60s\" is not auto, none or the number of a device", text);
+      return mo_fail(message, MO_ERR_INVALID,
+                     "\"%.60s\" is not auto, none or the number of a device", text);
     for (uint32_t k = 0; k < found.n; k++)
       if (found.indices[k] == index)
         return mo_fail(message, MO_ERR_INVALID, "device %lu is named twice", index);
     if (found.n == SETTINGS_DEVICES_MAX)
-      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named", SETTINGS_DEVICES_MAX);
+      return mo_fail(message, MO_ERR_LIMIT, "at most %d devices can be named",
+                     SETTINGS_DEVICES_MAX);
     found.indices[found.n++] = (uint32_t)index;
   }
   *choice = found;
@@ -105,10 +115,12 @@ static void check_devices(const struct settings *settings, struct settings_fault
   if (settings_parse_devices(&settings->devices, &choice, &message) != MO_OK)
     settings_fault(faults, true, "devices: %s", message.text);
   if (settings->compute_module != NULL && access(settings->compute_module, R_OK) != 0)
-    settings_fault(faults, true, "compute_module: %s: %s", settings->compute_module, strerror(errno));
+    settings_fault(faults, true, "compute_module: %s: %s", settings->compute_module,
+                   strerror(errno));
 }
 
-/* The state folder: a writable folder, or one that can be made below the deepest existing folder of its path. */
+/* The state folder: a writable folder, or one that can be made below the deepest existing folder of
+ * its path. */
 static void check_state_dir(const char *path, struct settings_faults *faults)
 {
   struct stat status;
@@ -143,9 +155,11 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
       *slash = 0;
     if (stat(parent, &status) == 0) {
       if (!S_ISDIR(status.st_mode))
-        settings_fault(faults, true, "state_dir: %s cannot be made: %s is not a folder", path, parent);
+        settings_fault(faults, true, "state_dir: %s cannot be made: %s is not a folder", path,
+                       parent);
       else if (faccessat(AT_FDCWD, parent, W_OK | X_OK, AT_EACCESS) != 0)
-        settings_fault(faults, true, "state_dir: %s cannot be made in %s: %s", path, parent, strerror(errno));
+        settings_fault(faults, true, "state_dir: %s cannot be made in %s: %s", path, parent,
+                       strerror(errno));
       break;
     }
     if (errno != ENOENT || slash == parent) {
@@ -159,7 +173,8 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
 static void check_token_file(const char *path, struct settings_faults *faults)
 {
   struct stat status;
-  if (stat(path, &status) != 0) { /* before it is opened: the reader of a pipe would wait for ever */
+  if (stat(path, &status) !=
+      0) { /* before it is opened: the reader of a pipe would wait for ever */
     settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);
@@ -227,7 +242,8 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Without a setting, the first start takes the controller of the installation; later starts need none. */
+/* Without a setting, the first start takes the controller of the installation; later starts need
+ * none. */
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
   static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
@@ -237,8 +253,8 @@ static void check_shipped_controller(const char *state_dir, struct settings_faul
     return;
   }
   if (access(path, R_OK) != 0 && access(database, F_OK) != 0)
-    settings_fault(faults, false, "default_controller: %s: %s; the first start needs a controller", path,
-                   strerror(errno));
+    settings_fault(faults, false, "default_controller: %s: %s; the first start needs a controller",
+                   path, strerror(errno));
   free(database);
 }
 
@@ -259,12 +275,14 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
   check_devices(settings, faults);
   for (size_t i = 0; i < settings->allowed_hosts.n; i++)
     if (strpbrk(settings->allowed_hosts.items[i], "/@") != NULL)
-      settings_fault(faults, true, "allowed_hosts: \"%s\" is not a host name", settings->allowed_hosts.items[i]);
+      settings_fault(faults, true, "allowed_hosts: \"%s\" is not a host name",
+                     settings->allowed_hosts.items[i]);
   if (settings->port_file != NULL)
     check_parent("port_file", settings->port_file, faults);
   for (size_t i = 0; i < settings->unix_groups.n; i++)
     if (getgrnam(settings->unix_groups.items[i]) == NULL)
-      settings_fault(faults, true, "unix_groups: there is no group \"%s\"", settings->unix_groups.items[i]);
+      settings_fault(faults, true, "unix_groups: there is no group \"%s\"",
+                     settings->unix_groups.items[i]);
   if (settings->max_streams > settings->max_connections)
     settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
 }

@@ -1,4 +1,5 @@
-/* settings_load.c: file, environment and flags, and the texts that the table gives: help, a file, Markdown. */
+/* settings_load.c: file, environment and flags, and the texts that the table gives: help, a file,
+ * Markdown. */
 #include "settings.h"
 
 #include <ctype.h>
@@ -18,8 +19,10 @@ static const struct flag action_flags[] = {
     {"--help", ACTION_HELP, "Print this text."},
     {"--version", ACTION_VERSION, "Print the version."},
     {"--check-config", ACTION_CHECK,
-     "Check the configuration and all that it refers to, say what is wrong, and exit with 0 or 78."},
-    {"--print-config", ACTION_PRINT, "Print the values in force as a configuration file, with where each came from."},
+     "Check the configuration and all that it refers to, say what is wrong, and exit with 0 or "
+     "78."},
+    {"--print-config", ACTION_PRINT,
+     "Print the values in force as a configuration file, with where each came from."},
     {"--print-settings", ACTION_TABLE, "Print the table of all settings as Markdown."},
 };
 static const size_t n_action_flags = sizeof(action_flags) / sizeof(action_flags[0]);
@@ -82,15 +85,16 @@ static char *trim(char *text)
   return text;
 }
 
-static void read_line(struct settings *settings, const char *file, size_t number, char *line, unsigned *lines_seen,
-                      struct settings_faults *faults)
+static void read_line(struct settings *settings, const char *file, size_t number, char *line,
+                      unsigned *lines_seen, struct settings_faults *faults)
 {
   char *text = trim(line);
   if (*text == 0 || *text == '#')
     return;
   char *equals = strchr(text, '=');
   if (equals == NULL) {
-    settings_fault(faults, true, "%s:%zu: no \"=\" in \"%.60s\"; a line is \"name = value\"", file, number, text);
+    settings_fault(faults, true, "%s:%zu: no \"=\" in \"%.60s\"; a line is \"name = value\"", file,
+                   number, text);
     return;
   }
   *equals = 0;
@@ -107,15 +111,16 @@ static void read_line(struct settings *settings, const char *file, size_t number
   if (setting == NULL) {
     const struct setting *near = nearest(name);
     if (near != NULL)
-      settings_fault(faults, true, "%s:%zu: unknown setting \"%.60s\"; did you mean \"%s\"?", file, number, name,
-                     near->name);
+      settings_fault(faults, true, "%s:%zu: unknown setting \"%.60s\"; did you mean \"%s\"?", file,
+                     number, name, near->name);
     else
       settings_fault(faults, true, "%s:%zu: unknown setting \"%.60s\"", file, number, name);
     return;
   }
   unsigned *seen = &lines_seen[setting - settings_table];
   if (*seen != 0) {
-    settings_fault(faults, true, "%s:%zu: \"%s\" is set already in line %u", file, number, name, *seen);
+    settings_fault(faults, true, "%s:%zu: \"%s\" is set already in line %u", file, number, name,
+                   *seen);
     return;
   }
   *seen = (unsigned)number;
@@ -124,8 +129,8 @@ static void read_line(struct settings *settings, const char *file, size_t number
     settings_fault(faults, true, "%s:%zu: %s: %s", file, number, name, message.text);
 }
 
-void settings_read_text(struct settings *settings, const char *file, const char *text, size_t length,
-                        struct settings_faults *faults)
+void settings_read_text(struct settings *settings, const char *file, const char *text,
+                        size_t length, struct settings_faults *faults)
 {
   unsigned lines_seen[SETTINGS_MAX] = {0};
   size_t number = 0;
@@ -149,10 +154,12 @@ void settings_read_text(struct settings *settings, const char *file, const char 
 }
 
 /* Returns whether the file exists. */
-static bool read_file(struct settings *settings, const char *path, bool required, struct settings_faults *faults)
+static bool read_file(struct settings *settings, const char *path, bool required,
+                      struct settings_faults *faults)
 {
   struct stat status;
-  if (stat(path, &status) == 0 && S_ISFIFO(status.st_mode)) { /* a reload would wait for its writer for ever */
+  if (stat(path, &status) == 0 &&
+      S_ISFIFO(status.st_mode)) { /* a reload would wait for its writer for ever */
     settings_fault(faults, true, "%s is a pipe, not a file", path);
     return false;
   }
@@ -204,8 +211,9 @@ void settings_read_environment(struct settings *settings, const char *const *env
       char variable[80] = "";
       if (near != NULL)
         settings_variable_name(near, variable, sizeof(variable));
-      settings_fault(faults, false, "environment: %.*s is not a setting%s%s%s", (int)length + 8, *entry,
-                     near != NULL ? "; did you mean " : "", variable, near != NULL ? "?" : "");
+      settings_fault(faults, false, "environment: %.*s is not a setting%s%s%s", (int)length + 8,
+                     *entry, near != NULL ? "; did you mean " : "", variable,
+                     near != NULL ? "?" : "");
       continue;
     }
     struct mo_message message = {{0}};
@@ -214,15 +222,15 @@ void settings_read_environment(struct settings *settings, const char *const *env
   }
 }
 
-static void usage(struct settings_request *request, struct settings_faults *faults, const char *flag, size_t length,
-                  const char *why)
+static void usage(struct settings_request *request, struct settings_faults *faults,
+                  const char *flag, size_t length, const char *why)
 {
   request->usage_fault = true;
   settings_fault(faults, true, "%.*s: %s", (int)length, flag, why);
 }
 
-static void apply_flag(struct settings *settings, const struct setting *setting, const char *flag, const char *value,
-                       struct settings_faults *faults)
+static void apply_flag(struct settings *settings, const struct setting *setting, const char *flag,
+                       const char *value, struct settings_faults *faults)
 {
   struct mo_message message = {{0}};
   bool again = settings->source[setting - settings_table] == SOURCE_FLAG;
@@ -230,18 +238,20 @@ static void apply_flag(struct settings *settings, const struct setting *setting,
     settings_fault(faults, true, "%s: %s", flag, message.text);
 }
 
-/* One walk over the command line. `settings` NULL: look only for what comes before everything else (action, --config). */
-static void read_flags(struct settings *settings, int argc, const char *const *argv, struct settings_request *request,
-                       struct settings_faults *faults)
+/* One walk over the command line. `settings` NULL: look only for what comes before everything else
+ * (action, --config). */
+static void read_flags(struct settings *settings, int argc, const char *const *argv,
+                       struct settings_request *request, struct settings_faults *faults)
 {
   bool first_walk = settings == NULL;
   for (int i = 1; i < argc; i++) {
     const char *equals = strchr(argv[i], '=');
     size_t length = equals != NULL ? (size_t)(equals - argv[i]) : strlen(argv[i]);
-    bool known =
-        length == 12 && strncmp(argv[i], "--foreground", length) == 0; /* the only mode: accepted, changes nothing */
+    bool known = length == 12 && strncmp(argv[i], "--foreground", length) ==
+                                     0; /* the only mode: accepted, changes nothing */
     for (size_t a = 0; a < n_action_flags && !known; a++)
-      if (strlen(action_flags[a].name) == length && strncmp(argv[i], action_flags[a].name, length) == 0) {
+      if (strlen(action_flags[a].name) == length &&
+          strncmp(argv[i], action_flags[a].name, length) == 0) {
         known = true;
         if (first_walk && request->action != ACTION_HELP)
           request->action = action_flags[a].action;
@@ -299,8 +309,9 @@ static const char *variable(const char *const *environment, const char *name)
   return NULL;
 }
 
-void settings_load(struct settings *settings, int argc, const char *const *argv, const char *const *environment,
-                   struct settings_request *request, struct settings_faults *faults)
+void settings_load(struct settings *settings, int argc, const char *const *argv,
+                   const char *const *environment, struct settings_request *request,
+                   struct settings_faults *faults)
 {
   *request = (struct settings_request){0};
   read_flags(NULL, argc, argv, request, faults);
@@ -313,7 +324,8 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
     /* systemd names the folder of ConfigurationDirectory=; by hand the usual place. */
     const char *folder = variable(environment, "CONFIGURATION_DIRECTORY");
     char *path = NULL;
-    if (asprintf(&path, "%s/morphod.conf", folder != NULL && *folder != 0 ? folder : "/etc/morphod") < 0)
+    if (asprintf(&path, "%s/morphod.conf",
+                 folder != NULL && *folder != 0 ? folder : "/etc/morphod") < 0)
       settings_fault(faults, true, "out of memory");
     else if (read_file(settings, path, false, faults))
       request->config_found = path;
@@ -433,7 +445,8 @@ static void bounds_text(const struct setting *setting, char *text, size_t capaci
 void settings_print_help(FILE *file)
 {
   fputs("Usage: morphod [FLAG]...\n"
-        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP reloads tokens and log "
+        "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
+        "reloads tokens and log "
         "level.\n\n"
         "  --config PATH\n"
         "      Configuration file (default: $CONFIGURATION_DIRECTORY/morphod.conf, else\n"
@@ -454,7 +467,8 @@ void settings_print_help(FILE *file)
     settings_flag_name(setting, flag, sizeof(flag));
     bounds_text(setting, bounds, sizeof(bounds));
     fprintf(file, "  %s %s\n", flag, value_word(setting));
-    const char *initial = setting->initial_words != NULL ? setting->initial_words : setting->initial;
+    const char *initial =
+        setting->initial_words != NULL ? setting->initial_words : setting->initial;
     if (setting->type == SETTING_CHOICE || *bounds == 0)
       snprintf(text, sizeof(text), "%s Default: %s.", setting->help, initial);
     else
@@ -470,7 +484,8 @@ void settings_print(const struct settings *settings, FILE *file)
     const struct setting *setting = &settings_table[i];
     char *text = settings_value_text(settings, setting);
     if (text == NULL || *text == 0)
-      fprintf(file, "# %s =  # %s\n", setting->name, setting->initial_words != NULL ? setting->initial_words : "empty");
+      fprintf(file, "# %s =  # %s\n", setting->name,
+              setting->initial_words != NULL ? setting->initial_words : "empty");
     else
       fprintf(file, "%s = %s  # %s\n", setting->name, text, sources[settings->source[i]]);
     free(text);
@@ -488,15 +503,19 @@ void settings_print_table(FILE *file)
     settings_flag_name(setting, flag, sizeof(flag));
     settings_variable_name(setting, name, sizeof(name));
     bounds_text(setting, bounds, sizeof(bounds));
-    const char *kind = setting->type == SETTING_PATH ? "path" : setting->type == SETTING_LIST ? "list" : bounds;
+    const char *kind = setting->type == SETTING_PATH   ? "path"
+                       : setting->type == SETTING_LIST ? "list"
+                                                       : bounds;
     if (setting->initial_words == NULL)
-      fprintf(file, "| `%s` | `%s` | `%s` | `%s` | %s | %s%s |\n", setting->name, flag, name, setting->initial, kind,
-              setting->help, setting->reloads ? " SIGHUP applies it." : "");
+      fprintf(file, "| `%s` | `%s` | `%s` | `%s` | %s | %s%s |\n", setting->name, flag, name,
+              setting->initial, kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
     else if (*setting->initial != 0)
-      fprintf(file, "| `%s` | `%s` | `%s` | `%s`: %s | %s | %s%s |\n", setting->name, flag, name, setting->initial,
-              setting->initial_words, kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
+      fprintf(file, "| `%s` | `%s` | `%s` | `%s`: %s | %s | %s%s |\n", setting->name, flag, name,
+              setting->initial, setting->initial_words, kind, setting->help,
+              setting->reloads ? " SIGHUP applies it." : "");
     else
-      fprintf(file, "| `%s` | `%s` | `%s` | %s | %s | %s%s |\n", setting->name, flag, name, setting->initial_words,
-              kind, setting->help, setting->reloads ? " SIGHUP applies it." : "");
+      fprintf(file, "| `%s` | `%s` | `%s` | %s | %s | %s%s |\n", setting->name, flag, name,
+              setting->initial_words, kind, setting->help,
+              setting->reloads ? " SIGHUP applies it." : "");
   }
 }

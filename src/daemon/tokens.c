@@ -49,7 +49,8 @@ int tokens_read(const char *path, struct tokens *tokens, struct mo_message *mess
   }
   if (n > TOKEN_FILE_MAX) {
     tokens_free(tokens);
-    return mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path, TOKEN_FILE_MAX);
+    return mo_fail(message, MO_ERR_LIMIT, "token_file: %s is larger than %d bytes", path,
+                   TOKEN_FILE_MAX);
   }
   char *rest = tokens->text, *line;
   while ((line = strsep(&rest, "\n")) != NULL) {

@@ -1,4 +1,5 @@
-/* champions.c: a few designs that stand for a population (paper, appendix: morphological distinctiveness). */
+/* champions.c: a few designs that stand for a population (paper, appendix: morphological
+ * distinctiveness). */
 #include "evolution/internal.h"
 
 #include <math.h>
@@ -21,9 +22,11 @@ static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_so
   return ranks;
 }
 
-/* `chosen`: (m) ranked places, best first; reorders them by distinctiveness. sums, genotypes: scratch for m. */
-static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen, uint32_t m,
-                  uint64_t *genotypes, double *sums, struct mo_rank *ranks, uint32_t *picks)
+/* `chosen`: (m) ranked places, best first; reorders them by distinctiveness. sums, genotypes:
+ * scratch for m. */
+static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen,
+                  uint32_t m, uint64_t *genotypes, double *sums, struct mo_rank *ranks,
+                  uint32_t *picks)
 {
   const size_t words = mo_workspace_words(workspace);
   for (size_t i = 0; i < m; i++)
@@ -36,8 +39,8 @@ static void order(struct mo_workspace workspace, const uint64_t *population, con
     picks[i] = ranks[i].place;
 }
 
-int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores, uint32_t n, uint32_t m,
-                 uint32_t *picks)
+int mo_champions(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
+                 uint32_t n, uint32_t m, uint32_t *picks)
 {
   if (m > n)
     return MO_ERR_RANGE;

@@ -25,8 +25,10 @@ struct mo_rank {
 /* Ascending by score, then by number. */
 void mo_rank_sort(struct mo_rank *ranks, uint32_t n);
 
-/* statistics.c: what mo_distinctiveness divides by (n − 1) · voxels: the sum of Hamming distances to all others, exact. */
-void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, double *sums);
+/* statistics.c: what mo_distinctiveness divides by (n − 1) · voxels: the sum of Hamming distances
+ * to all others, exact. */
+void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
+                      double *sums);
 
 static inline int mo_is_cancelled(const volatile int *cancel)
 {

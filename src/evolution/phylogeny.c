@@ -1,5 +1,6 @@
-/* phylogeny.c: who descends from whom. Parents have lower numbers than their children: one pass over the numbers, downwards for
- * ancestors and upwards for descendants, does it, however deep the tree is. A parent that is not lower is not one. */
+/* phylogeny.c: who descends from whom. Parents have lower numbers than their children: one pass
+ * over the numbers, downwards for ancestors and upwards for descendants, does it, however deep the
+ * tree is. A parent that is not lower is not one. */
 #include "evolution/internal.h"
 
 #include <inttypes.h>
@@ -76,7 +77,8 @@ static uint32_t parent_of(const struct forest *forest, uint32_t i)
   return parent < i ? parent : MO_NO_PARENT;
 }
 
-/* From the last to the first: what hangs on a parent is there before the parent is asked for, and lists end up ascending. */
+/* From the last to the first: what hangs on a parent is there before the parent is asked for, and
+ * lists end up ascending. */
 static void grow(const struct forest *forest, const uint8_t *keep, uint32_t n)
 {
   memset(forest->child, 0xff, n * sizeof(*forest->child));
@@ -101,8 +103,9 @@ static int put_label(const struct forest *forest, uint32_t i, struct writer *wri
   if (parent == MO_NO_PARENT)
     length = snprintf(text, sizeof(text), "%" PRIu32 ";\n", i);
   else
-    length = snprintf(text, sizeof(text), "%" PRIu32 ":%" PRIu32, i,
-                      forest->born[i] > forest->born[parent] ? forest->born[i] - forest->born[parent] : 0);
+    length = snprintf(
+        text, sizeof(text), "%" PRIu32 ":%" PRIu32, i,
+        forest->born[i] > forest->born[parent] ? forest->born[i] - forest->born[parent] : 0);
   return put(writer, text, (size_t)length);
 }
 
@@ -128,8 +131,9 @@ static int put_tree(const struct forest *forest, uint32_t root, struct writer *w
   return r;
 }
 
-int mo_newick(const struct mo_descent *descents, const uint32_t *born, const uint8_t *keep, uint32_t n,
-              int (*write)(void *context, const char *text, size_t length), void *context)
+int mo_newick(const struct mo_descent *descents, const uint32_t *born, const uint8_t *keep,
+              uint32_t n, int (*write)(void *context, const char *text, size_t length),
+              void *context)
 {
   if (n == 0)
     return MO_OK;

@@ -4,8 +4,8 @@
 #define ASK_EVERY 64 /* draws between two looks at `cancel` */
 
 /* Fills places *n … population − 1. */
-static int fill(const struct mo_campaign_settings *settings, struct mo_seen *seen, uint64_t *genotypes, uint32_t *n,
-                const volatile int *cancel)
+static int fill(const struct mo_campaign_settings *settings, struct mo_seen *seen,
+                uint64_t *genotypes, uint32_t *n, const volatile int *cancel)
 {
   const size_t words = mo_workspace_words(settings->workspace);
   uint32_t fruitless = 0;
@@ -26,8 +26,9 @@ static int fill(const struct mo_campaign_settings *settings, struct mo_seen *see
   return MO_OK;
 }
 
-int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen, uint64_t *genotypes,
-                          uint32_t n_given, uint32_t *n, uint32_t *fault, const volatile int *cancel)
+int mo_population_initial(const struct mo_campaign_settings *settings, struct mo_seen *seen,
+                          uint64_t *genotypes, uint32_t n_given, uint32_t *n, uint32_t *fault,
+                          const volatile int *cancel)
 {
   const size_t words = mo_workspace_words(settings->workspace);
   if (n_given > settings->population)

@@ -1,10 +1,12 @@
 /* pretraining.c: the bodies that a pretraining learned from, drawn again.
  *
- * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those that are held out and without those whose form
- * came before. An empty set of the default workspace is itself what tells them apart, so that ten million forms are held once.
+ * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those that are
+ * held out and without those whose form came before. An empty set of the default workspace is
+ * itself what tells them apart, so that ten million forms are held once.
  *
- * A draw depends on its number alone, so threads share out a round of draws, and then what tells them apart (form_set.h). A round has
- * no more draws than bodies are wanting: however many of them are new, none is one too many. */
+ * A draw depends on its number alone, so threads share out a round of draws, and then what tells
+ * them apart (form_set.h). A round has no more draws than bodies are wanting: however many of them
+ * are new, none is one too many. */
 #include "evolution/internal.h"
 
 #include "base/parallel.h"
@@ -15,8 +17,8 @@
 
 #define ASK_EVERY      64
 #define FRUITLESS_MAX  (UINT32_C(1) << 20) /* as in a body stream */
-#define ROUND          32768               /* draws of a thread, about 30 ms; fewer where a form has more words */
-#define WORTH_A_THREAD 256                 /* draws, some 200 µs */
+#define ROUND          32768 /* draws of a thread, about 30 ms; fewer where a form has more words */
+#define WORTH_A_THREAD 256   /* draws, some 200 µs */
 
 struct drawing {
   uint64_t seed;
@@ -49,7 +51,8 @@ static void draw_some(void *context, size_t first, size_t end)
     uint64_t one[MO_DEFAULT_WORDS], *form = drawing->forms + MO_DEFAULT_WORDS * i;
     uint64_t *body = drawing->bodies != NULL ? drawing->bodies + MO_DEFAULT_WORDS * i : one;
     struct mo_random random;
-    int r = (i - first) % ASK_EVERY == 0 && mo_is_cancelled(drawing->cancel) ? MO_ERR_CANCELLED : MO_OK;
+    int r =
+        (i - first) % ASK_EVERY == 0 && mo_is_cancelled(drawing->cancel) ? MO_ERR_CANCELLED : MO_OK;
     mo_random_init(&random, drawing->seed, MO_PURPOSE_BODY, 0, drawing->first + i);
     if (r == MO_OK)
       r = mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, body);
@@ -72,8 +75,8 @@ static void move_some(void *context, size_t first, size_t end)
   for (size_t i = first; i < end && r == MO_OK; i++) {
     uint64_t *form = drawing->elsewhere + drawing->words * i;
     if (drawing->marks[i] == MO_FORM_NEW)
-      r = mo_genotype_move(MO_DEFAULT_WORKSPACE, drawing->bodies + MO_DEFAULT_WORDS * i, drawing->workspace,
-                           moved.bits);
+      r = mo_genotype_move(MO_DEFAULT_WORKSPACE, drawing->bodies + MO_DEFAULT_WORDS * i,
+                           drawing->workspace, moved.bits);
     if (drawing->marks[i] != MO_FORM_NEW || r != MO_OK) {
       drawing->marks[i] = MO_FORM_OUT;
       r = r == MO_ERR_RANGE ? MO_OK : r;
@@ -94,7 +97,8 @@ static uint32_t threads_for(const struct drawing *drawing)
   return drawing->n_threads < enough ? drawing->n_threads : (uint32_t)enough;
 }
 
-/* Draws that gave nothing new, in a row, up to the end of the round; MO_ERR_EXHAUSTED: they were too many. */
+/* Draws that gave nothing new, in a row, up to the end of the round; MO_ERR_EXHAUSTED: they were
+ * too many. */
 static int count(const struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
 {
   for (size_t i = 0; i < drawing->n; i++) {
@@ -113,16 +117,16 @@ static int draw_round(struct drawing *drawing, uint64_t *found, uint32_t *fruitl
   mo_parallel(threads_for(drawing), drawing->n, draw_some, drawing);
   int r = atomic_load(&drawing->error);
   if (r == MO_OK)
-    r = mo_form_set_add_many(drawing->distinct, drawing->forms, drawing->hashes, drawing->n, drawing->n_threads,
-                             drawing->marks);
+    r = mo_form_set_add_many(drawing->distinct, drawing->forms, drawing->hashes, drawing->n,
+                             drawing->n_threads, drawing->marks);
   if (r == MO_OK)
     r = count(drawing, found, fruitless);
   if (r != MO_OK || drawing->set == NULL)
     return r;
   mo_parallel(threads_for(drawing), drawing->n, move_some, drawing);
   r = atomic_load(&drawing->error);
-  return r == MO_OK ? mo_form_set_add_many(drawing->set, drawing->elsewhere, drawing->hashes, drawing->n,
-                                           drawing->n_threads, drawing->marks)
+  return r == MO_OK ? mo_form_set_add_many(drawing->set, drawing->elsewhere, drawing->hashes,
+                                           drawing->n, drawing->n_threads, drawing->marks)
                     : r;
 }
 
@@ -144,7 +148,8 @@ static int draw(struct drawing *drawing, uint64_t n_bodies, volatile uint64_t *d
 
 static int make_room(struct drawing *drawing, uint64_t n_bodies)
 {
-  const size_t share = drawing->words <= MO_DEFAULT_WORDS ? ROUND : ROUND * MO_DEFAULT_WORDS / drawing->words + 1;
+  const size_t share =
+      drawing->words <= MO_DEFAULT_WORDS ? ROUND : ROUND * MO_DEFAULT_WORDS / drawing->words + 1;
   const size_t most = share * drawing->n_threads;
   drawing->room = n_bodies < most ? (size_t)n_bodies + 1 : most;
   drawing->forms = calloc(drawing->room, MO_DEFAULT_WORDS * sizeof(*drawing->forms));
@@ -159,8 +164,9 @@ static int make_room(struct drawing *drawing, uint64_t n_bodies)
   return drawing->bodies == NULL || drawing->elsewhere == NULL ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
-int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace, uint32_t n_threads,
-                         const volatile int *cancel, volatile uint64_t *done, struct mo_form_set *set)
+int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace workspace,
+                         uint32_t n_threads, const volatile int *cancel, volatile uint64_t *done,
+                         struct mo_form_set *set)
 {
   const bool tells_apart = is_default(workspace) && mo_form_set_count(set) == 0;
   struct mo_form_set *own = NULL;
@@ -168,9 +174,10 @@ int mo_pretraining_forms(uint64_t seed, uint64_t n_bodies, struct mo_workspace w
   if (r < 0)
     return r;
   struct drawing drawing = {.seed = seed,
-                            .n_threads = n_threads < 1                         ? 1
-                                         : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
-                                                                               : MO_PARALLEL_THREADS_MAX,
+                            .n_threads = n_threads < 1 ? 1
+                                         : n_threads < MO_PARALLEL_THREADS_MAX
+                                             ? n_threads
+                                             : MO_PARALLEL_THREADS_MAX,
                             .cancel = cancel,
                             .distinct = tells_apart ? set : own,
                             .set = tells_apart ? NULL : set,

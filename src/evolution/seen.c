@@ -1,4 +1,5 @@
-/* seen.c: which designs a campaign has had, by canonical form, over those that its controller was pretrained on. */
+/* seen.c: which designs a campaign has had, by canonical form, over those that its controller was
+ * pretrained on. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
@@ -11,7 +12,8 @@ struct mo_seen {
   struct mo_form_set *own;
 };
 
-int mo_seen_create(struct mo_workspace workspace, const struct mo_form_set *excluded, struct mo_seen **seen)
+int mo_seen_create(struct mo_workspace workspace, const struct mo_form_set *excluded,
+                   struct mo_seen **seen)
 {
   struct mo_seen *made = malloc(sizeof(*made));
   if (made == NULL)
@@ -63,8 +65,8 @@ int mo_seen_has(const struct mo_seen *seen, const uint64_t *genotype)
   if (mo_scratch_open(&form, mo_workspace_words(seen->workspace)) != MO_OK)
     return MO_ERR_NO_MEMORY;
   mo_genotype_canonical(seen->workspace, genotype, form.bits);
-  const int has =
-      mo_form_set_has(seen->own, form.bits) || (seen->excluded != NULL && mo_form_set_has(seen->excluded, form.bits));
+  const int has = mo_form_set_has(seen->own, form.bits) ||
+                  (seen->excluded != NULL && mo_form_set_has(seen->excluded, form.bits));
   mo_scratch_close(&form);
   return has;
 }

@@ -1,15 +1,17 @@
 /* selection.c: who lives.
  *
- * Candidates are ranked by score, then by number: no two have one rank, so that the order of the candidates in memory does not matter to
- * any scheme but novelty's sums, which are exact. A scheme sees only those that did not diverge, by rank, and chooses which of them
- * live; the diverged fill what places are left, the older first. */
+ * Candidates are ranked by score, then by number: no two have one rank, so that the order of the
+ * candidates in memory does not matter to any scheme but novelty's sums, which are exact. A scheme
+ * sees only those that did not diverge, by rank, and chooses which of them live; the diverged fill
+ * what places are left, the older first. */
 #include "evolution/internal.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* What a scheme chooses from: (n) ranks, best first, none diverged; n > places. lives: (n), zeroed; `places` of them become 1. */
+/* What a scheme chooses from: (n) ranks, best first, none diverged; n > places. lives: (n), zeroed;
+ * `places` of them become 1. */
 struct choice {
   const struct mo_campaign_settings *settings;
   uint32_t generation;
@@ -39,7 +41,8 @@ void mo_rank_sort(struct mo_rank *ranks, uint32_t n)
 
 /* ---- tournament ---- */
 
-/* The best lives. Each further survivor is the best of `tournament_size` draws, with repetition, from those left. */
+/* The best lives. Each further survivor is the best of `tournament_size` draws, with repetition,
+ * from those left. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */
@@ -49,7 +52,8 @@ static int choose_by_tournament(struct choice *choice)
   for (uint32_t i = 0; i < left; i++)
     pool[i] = i + 1;
   struct mo_random random;
-  mo_random_init(&random, choice->settings->seed, MO_PURPOSE_SELECTION, choice->generation, MO_STREAM_TOURNAMENTS);
+  mo_random_init(&random, choice->settings->seed, MO_PURPOSE_SELECTION, choice->generation,
+                 MO_STREAM_TOURNAMENTS);
   choice->lives[0] = 1;
   for (uint32_t filled = 1; filled < choice->places; filled++) {
     uint32_t winner = mo_random_below(&random, left);
@@ -66,8 +70,9 @@ static int choose_by_tournament(struct choice *choice)
 
 /* ---- novelty ---- */
 
-/* The best lives; the others by (1 − weight) · rank by score + weight · rank by novelty, both from 0; equal novelty, and an equal sum:
- * the better score first. With weight 0 the sum is the rank by score: truncation. */
+/* The best lives; the others by (1 − weight) · rank by score + weight · rank by novelty, both from
+ * 0; equal novelty, and an equal sum: the better score first. With weight 0 the sum is the rank by
+ * score: truncation. */
 static int choose_by_novelty(struct choice *choice)
 {
   const double weight = choice->settings->selection.novelty_weight;
@@ -82,7 +87,8 @@ static int choose_by_novelty(struct choice *choice)
     mo_rank_sort(novelty, choice->n);
     for (uint32_t i = 0; i < choice->n; i++) {
       const uint64_t rank = novelty[i].number;
-      both[i] = (struct mo_rank){.score = (1.0 - weight) * (double)rank + weight * (double)i, .number = rank};
+      both[i] = (struct mo_rank){.score = (1.0 - weight) * (double)rank + weight * (double)i,
+                                 .number = rank};
     }
     mo_rank_sort(both, choice->n);
     choice->lives[0] = 1;
@@ -100,8 +106,9 @@ static int choose_by_novelty(struct choice *choice)
 
 /* ---- layers of age ---- */
 
-/* From the youngest layer to the last: the best of those that are not older than its limit and do not live yet take its share of the
- * places; what it cannot fill goes to the next. The last has no limit and at least one place: the best lives. */
+/* From the youngest layer to the last: the best of those that are not older than its limit and do
+ * not live yet take its share of the places; what it cannot fill goes to the next. The last has no
+ * limit and at least one place: the best lives. */
 static void choose_by_age(struct choice *choice)
 {
   const struct mo_selection *selection = &choice->settings->selection;
@@ -135,8 +142,9 @@ static int choose(struct choice *choice)
   return MO_OK;
 }
 
-static int select_ranked(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *genotypes,
-                         const struct mo_candidate *candidates, const struct mo_rank *ranks, uint32_t n, uint8_t *lives,
+static int select_ranked(const struct mo_campaign_settings *settings, uint32_t generation,
+                         const uint64_t *genotypes, const struct mo_candidate *candidates,
+                         const struct mo_rank *ranks, uint32_t n, uint8_t *lives,
                          uint32_t *survivors, uint32_t *n_survivors)
 {
   const uint32_t places = n < settings->population ? n : settings->population;
@@ -167,8 +175,9 @@ static int select_ranked(const struct mo_campaign_settings *settings, uint32_t g
   return MO_OK;
 }
 
-int mo_select(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *genotypes,
-              const struct mo_candidate *candidates, uint32_t n, uint32_t *survivors, uint32_t *n_survivors)
+int mo_select(const struct mo_campaign_settings *settings, uint32_t generation,
+              const uint64_t *genotypes, const struct mo_candidate *candidates, uint32_t n,
+              uint32_t *survivors, uint32_t *n_survivors)
 {
   for (uint32_t i = 0; i < n; i++)
     if (isnan(candidates[i].score))
@@ -182,9 +191,11 @@ int mo_select(const struct mo_campaign_settings *settings, uint32_t generation, 
   int r = MO_ERR_NO_MEMORY;
   if (ranks != NULL && lives != NULL) {
     for (uint32_t i = 0; i < n; i++)
-      ranks[i] = (struct mo_rank){.score = candidates[i].score, .number = candidates[i].number, .place = i};
+      ranks[i] = (struct mo_rank){
+          .score = candidates[i].score, .number = candidates[i].number, .place = i};
     mo_rank_sort(ranks, n);
-    r = select_ranked(settings, generation, genotypes, candidates, ranks, n, lives, survivors, n_survivors);
+    r = select_ranked(settings, generation, genotypes, candidates, ranks, n, lives, survivors,
+                      n_survivors);
   }
   free(lives);
   free(ranks);

@@ -15,9 +15,11 @@
 #define AGE_GAP_MAX    1000
 
 static const char *const mode_names[MODES] = {"zero-shot", "few-shot", "simultaneous"};
-static const char *const selection_names[SELECTIONS] = {"truncation", "tournament", "novelty", "age-layered"};
+static const char *const selection_names[SELECTIONS] = {"truncation", "tournament", "novelty",
+                                                        "age-layered"};
 static const char *const preset_names[PRESETS] = {"paper", "workstation", "demo"};
-static const char *const operator_names[MO_OPERATORS] = {"random", "listed", "inherited", "mutation", "crossover"};
+static const char *const operator_names[MO_OPERATORS] = {"random", "listed", "inherited",
+                                                         "mutation", "crossover"};
 
 static const char *name_of(const char *const *names, unsigned n, unsigned i)
 {
@@ -99,14 +101,18 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
       .mutation_share = 0.25,
       .mutation_rate = 0.0,
       .mutation_growth = 1.025,
-      .selection =
-          {.kind = MO_SELECT_TRUNCATION, .tournament_size = 4, .novelty_weight = 0.5, .n_layers = 4, .age_gap = 5},
+      .selection = {.kind = MO_SELECT_TRUNCATION,
+                    .tournament_size = 4,
+                    .novelty_weight = 0.5,
+                    .n_layers = 4,
+                    .age_gap = 5},
       .exclude_pretraining = true,
       .collapse_share = 0.5,
       .parent_steps = steps[m],
       .child_steps = steps[m],
       .batch = 0,
-      .schedule = m == MO_SIMULTANEOUS ? mo_schedule_paper_simultaneous() : mo_schedule_paper_finetune(),
+      .schedule =
+          m == MO_SIMULTANEOUS ? mo_schedule_paper_simultaneous() : mo_schedule_paper_finetune(),
       .beta1 = 0.9,
       .beta2 = 0.999,
       .epsilon = 1e-8,
@@ -124,18 +130,21 @@ struct mo_campaign_settings mo_campaign_preset(enum mo_campaign_mode mode, enum 
 static int check_kinds(const struct mo_campaign_settings *settings, struct mo_message *message)
 {
   if ((unsigned)settings->mode >= MODES)
-    return mo_fail(message, MO_ERR_INVALID, "mode is %d; it must be 0 (zero-shot), 1 (few-shot) or 2 (simultaneous)",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "mode is %d; it must be 0 (zero-shot), 1 (few-shot) or 2 (simultaneous)",
                    (int)settings->mode);
   if ((unsigned)settings->selection.kind >= SELECTIONS)
     return mo_fail(message, MO_ERR_INVALID,
-                   "selection is %d; it must be 0 (truncation), 1 (tournament), 2 (novelty) or 3 (age-layered)",
+                   "selection is %d; it must be 0 (truncation), 1 (tournament), 2 (novelty) or 3 "
+                   "(age-layered)",
                    (int)settings->selection.kind);
   const struct mo_workspace most = MO_DEFAULT_WORKSPACE;
   const struct mo_workspace w = settings->workspace;
   if (w.nx < 1 || w.ny < 1 || w.nz < 1 || w.nx > most.nx || w.ny > most.ny || w.nz > most.nz)
-    return mo_fail(message, MO_ERR_RANGE,
-                   "workspace is %ux%ux%u voxels; it must be 1x1x1 to %ux%ux%u, which controllers are for", w.nx, w.ny,
-                   w.nz, most.nx, most.ny, most.nz);
+    return mo_fail(
+        message, MO_ERR_RANGE,
+        "workspace is %ux%ux%u voxels; it must be 1x1x1 to %ux%ux%u, which controllers are for",
+        w.nx, w.ny, w.nz, most.nx, most.ny, most.nz);
   return MO_OK;
 }
 
@@ -153,8 +162,8 @@ static int check_counts(const struct mo_campaign_settings *settings, struct mo_m
   };
   for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
     if (counts[i].value < counts[i].low || counts[i].value > counts[i].high)
-      return mo_fail(message, MO_ERR_RANGE, "%s is %" PRIu32 "; it must be %" PRIu32 " to %" PRIu32, counts[i].name,
-                     counts[i].value, counts[i].low, counts[i].high);
+      return mo_fail(message, MO_ERR_RANGE, "%s is %" PRIu32 "; it must be %" PRIu32 " to %" PRIu32,
+                     counts[i].name, counts[i].value, counts[i].low, counts[i].high);
   const uint64_t designs = (uint64_t)settings->population * (settings->generations + UINT64_C(1));
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
@@ -182,15 +191,17 @@ static int check_steps(const struct mo_campaign_settings *settings, struct mo_me
   static const char *const names[] = {"parent_steps", "child_steps"};
   for (int i = 0; i < 2; i++)
     if (steps[i] > MO_CAMPAIGN_STEPS_MAX)
-      return mo_fail(message, MO_ERR_RANGE, "%s is %" PRIu32 "; it must be 0 to %d", names[i], steps[i],
-                     MO_CAMPAIGN_STEPS_MAX);
+      return mo_fail(message, MO_ERR_RANGE, "%s is %" PRIu32 "; it must be 0 to %d", names[i],
+                     steps[i], MO_CAMPAIGN_STEPS_MAX);
   if (steps[0] + steps[1] == 0)
     return mo_fail(message, MO_ERR_RANGE,
-                   "parent_steps and child_steps are both 0; a campaign that learns needs a step in each generation");
+                   "parent_steps and child_steps are both 0; a campaign that learns needs a step "
+                   "in each generation");
   const uint64_t all = steps[1] + (uint64_t)(steps[0] + steps[1]) * settings->generations;
   if (settings->mode == MO_SIMULTANEOUS && all > MO_TRAINING_STEPS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "child_steps + (parent_steps + child_steps) × generations is %" PRIu64 "; it must be at most %d",
+                   "child_steps + (parent_steps + child_steps) × generations is %" PRIu64
+                   "; it must be at most %d",
                    all, MO_TRAINING_STEPS_MAX);
   return MO_OK;
 }
@@ -200,11 +211,13 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
 {
   if (settings->population > MO_TRAINING_DESIGNS_MAX)
     return mo_fail(message, MO_ERR_RANGE,
-                   "population is %" PRIu32 "; it must be at most %d in a campaign that learns (few-shot, "
+                   "population is %" PRIu32
+                   "; it must be at most %d in a campaign that learns (few-shot, "
                    "simultaneous)",
                    settings->population, MO_TRAINING_DESIGNS_MAX);
   if (settings->batch > MO_TRAINING_BATCH_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "batch is %" PRIu32 "; it must be 1 to %d, or 0 for the population",
+    return mo_fail(message, MO_ERR_RANGE,
+                   "batch is %" PRIu32 "; it must be 1 to %d, or 0 for the population",
                    settings->batch, MO_TRAINING_BATCH_MAX);
   int r = check_steps(settings, message);
   if (r != MO_OK)
@@ -213,7 +226,8 @@ static int check_learning(const struct mo_campaign_settings *settings, struct mo
   return mo_training_settings_check(&training, message);
 }
 
-int mo_campaign_settings_check(const struct mo_campaign_settings *settings, struct mo_message *message)
+int mo_campaign_settings_check(const struct mo_campaign_settings *settings,
+                               struct mo_message *message)
 {
   int r = check_kinds(settings, message);
   if (r == MO_OK)
@@ -229,13 +243,16 @@ int mo_campaign_settings_check(const struct mo_campaign_settings *settings, stru
 
 /* ---- the training inside ---- */
 
-struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings, uint32_t generation)
+struct mo_training_settings mo_campaign_training(const struct mo_campaign_settings *settings,
+                                                 uint32_t generation)
 {
   struct mo_training_settings training = mo_training_defaults(MO_TRAINING_FINETUNE);
-  const uint32_t first = settings->child_steps > 0 ? settings->child_steps : 1; /* generation 0 has no parents */
+  const uint32_t first =
+      settings->child_steps > 0 ? settings->child_steps : 1; /* generation 0 has no parents */
   const uint32_t steps = settings->parent_steps + settings->child_steps;
   training.seed = settings->seed;
-  training.n_steps = settings->generations > 0 ? settings->child_steps + steps * settings->generations : first;
+  training.n_steps =
+      settings->generations > 0 ? settings->child_steps + steps * settings->generations : first;
   if (settings->mode != MO_SIMULTANEOUS) {
     struct mo_random random;
     mo_random_init(&random, settings->seed, MO_PURPOSE_EVOLUTION_SEED, generation, 0);

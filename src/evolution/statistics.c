@@ -1,9 +1,9 @@
 /* statistics.c: what designs are made of, and how a population stands.
  *
- * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, how many of the n genotypes hold voxel v:
- *   over all pairs          Σ_v c_v (n − c_v)
- *   of one to all others    Σ_v (n − c_v where it holds v, c_v where it does not)
- * Both are integers below 2^53, exact in double as well. Columns are summed 64 at a time: no memory is needed. */
+ * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, how
+ * many of the n genotypes hold voxel v: over all pairs          Σ_v c_v (n − c_v) of one to all
+ * others    Σ_v (n − c_v where it holds v, c_v where it does not) Both are integers below 2^53,
+ * exact in double as well. Columns are summed 64 at a time: no memory is needed. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
@@ -13,7 +13,8 @@
 /* ---- distances ---- */
 
 /* Column sums of word w of the genotypes. */
-static void sum_columns(const uint64_t *genotypes, size_t words, size_t w, uint32_t n, uint32_t counts[64])
+static void sum_columns(const uint64_t *genotypes, size_t words, size_t w, uint32_t n,
+                        uint32_t counts[64])
 {
   memset(counts, 0, 64 * sizeof(*counts));
   for (size_t i = 0; i < n; i++)
@@ -37,7 +38,8 @@ double mo_diversity(struct mo_workspace workspace, const uint64_t *genotypes, ui
   return (double)sum / ((double)pairs * mo_workspace_voxels(workspace));
 }
 
-void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, double *sums)
+void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
+                      double *sums)
 {
   const size_t words = mo_workspace_words(workspace);
   for (size_t i = 0; i < n; i++)
@@ -57,7 +59,8 @@ void mo_distance_sums(struct mo_workspace workspace, const uint64_t *genotypes, 
   }
 }
 
-void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, double *distances)
+void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
+                        double *distances)
 {
   mo_distance_sums(workspace, genotypes, n, distances);
   const double others = n < 2 ? 1.0 : (double)(n - 1);
@@ -67,11 +70,13 @@ void mo_distinctiveness(struct mo_workspace workspace, const uint64_t *genotypes
 
 /* ---- sizes ---- */
 
-int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits, struct mo_design_size *size)
+int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits,
+                   struct mo_design_size *size)
 {
   uint64_t local[64]; /* enough for the default workspace */
   const uint32_t words = mo_workspace_words(lattice->workspace);
-  const uint32_t mass_words = (lattice->n_masses + 63) / 64, spring_words = (lattice->n_springs + 63) / 64;
+  const uint32_t mass_words = (lattice->n_masses + 63) / 64,
+                 spring_words = (lattice->n_springs + 63) / 64;
   const size_t marks = (size_t)mass_words + spring_words;
   uint64_t *masses = local;
   if (marks <= sizeof(local) / sizeof(local[0]))
@@ -114,7 +119,8 @@ static uint32_t sort_scores(const double *scores, uint32_t n, struct mo_rank *so
   return found;
 }
 
-static void describe_scores(const struct mo_rank *sound, uint32_t n, struct mo_population_stats *stats)
+static void describe_scores(const struct mo_rank *sound, uint32_t n,
+                            struct mo_population_stats *stats)
 {
   static const double shares[MO_QUANTILES] = {0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0};
   double sum = 0.0;
@@ -149,7 +155,8 @@ static struct mo_spread spread_of(const uint32_t *first, uint32_t n)
   return (struct mo_spread){least, (double)sum / n, most};
 }
 
-static int count_species(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n, uint32_t *species)
+static int count_species(struct mo_workspace workspace, const uint64_t *genotypes, uint32_t n,
+                         uint32_t *species)
 {
   struct mo_seen *seen = NULL;
   int r = mo_seen_create(workspace, NULL, &seen);
@@ -161,8 +168,9 @@ static int count_species(struct mo_workspace workspace, const uint64_t *genotype
   return r < 0 ? r : MO_OK;
 }
 
-int mo_population_stats(struct mo_workspace workspace, const uint64_t *genotypes, const double *scores,
-                        const struct mo_design_size *sizes, uint32_t n, struct mo_population_stats *stats)
+int mo_population_stats(struct mo_workspace workspace, const uint64_t *genotypes,
+                        const double *scores, const struct mo_design_size *sizes, uint32_t n,
+                        struct mo_population_stats *stats)
 {
   struct mo_population_stats made = {.n = n};
   int r = count_species(workspace, genotypes, n, &made.species);

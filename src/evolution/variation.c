@@ -1,12 +1,13 @@
 /* variation.c: the children of a generation (paper, section 2.5).
  *
  * Which numbers are taken from which stream is part of what a seed means: never change it.
- *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of 0 … n − 1; its first
- *                 round(share · n) places mutate, in this order, the others recombine
- *   mutants       (MUTATION, generation, i) for the child at place i: mo_genotype_mutate again and again
- *   recombinants  (CROSSOVER, generation, 0): a pair is below(g), then below(g − 1) among the others, g the size of the group
- *   fallbacks     (MUTATION, generation, i) for the child at place i: below(g) chooses the parent, then as for mutants
- * Places of children are given to those that are born: what is discarded takes none. */
+ *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of 0 …
+ * n − 1; its first round(share · n) places mutate, in this order, the others recombine mutants
+ * (MUTATION, generation, i) for the child at place i: mo_genotype_mutate again and again
+ *   recombinants  (CROSSOVER, generation, 0): a pair is below(g), then below(g − 1) among the
+ * others, g the size of the group fallbacks     (MUTATION, generation, i) for the child at place i:
+ * below(g) chooses the parent, then as for mutants Places of children are given to those that are
+ * born: what is discarded takes none. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
@@ -55,24 +56,28 @@ static int try_child(struct nursery *nursery, int made)
   return made < 0 ? made : mo_seen_add(nursery->seen, next_child(nursery));
 }
 
-static void bear(struct nursery *nursery, enum mo_operator op, uint32_t first, uint32_t second, uint32_t attempts)
+static void bear(struct nursery *nursery, enum mo_operator op, uint32_t first, uint32_t second,
+                 uint32_t attempts)
 {
-  nursery->births[nursery->n++] = (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
+  nursery->births[nursery->n++] =
+      (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
 /* One mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
 static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
-  double rate =
-      settings->mutation_rate > 0.0 ? settings->mutation_rate : 1.0 / (double)mo_workspace_voxels(settings->workspace);
+  double rate = settings->mutation_rate > 0.0
+                    ? settings->mutation_rate
+                    : 1.0 / (double)mo_workspace_voxels(settings->workspace);
   for (uint32_t attempts = 1; attempts <= MO_FRUITLESS_MAX; attempts++) {
     rate = rate < RATE_MAX ? rate : RATE_MAX;
     if (is_due(nursery, attempts))
       return MO_ERR_CANCELLED;
     nursery->counts.mutation_attempts++;
-    const int r = try_child(
-        nursery, mo_genotype_mutate(settings->workspace, parent_at(nursery, place), rate, random, next_child(nursery)));
+    const int r =
+        try_child(nursery, mo_genotype_mutate(settings->workspace, parent_at(nursery, place), rate,
+                                              random, next_child(nursery)));
     if (r < 0)
       return r;
     if (r == 1) {
@@ -88,7 +93,8 @@ static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random
 static struct mo_random mutation_stream(const struct nursery *nursery)
 {
   struct mo_random random;
-  mo_random_init(&random, nursery->settings->seed, MO_PURPOSE_MUTATION, nursery->generation, nursery->n);
+  mo_random_init(&random, nursery->settings->seed, MO_PURPOSE_MUTATION, nursery->generation,
+                 nursery->n);
   return random;
 }
 
@@ -110,7 +116,8 @@ static int bear_recombinants(struct nursery *nursery)
   const uint32_t g = nursery->n_group;
   struct mo_random random;
   mo_random_init(&random, settings->seed, MO_PURPOSE_CROSSOVER, nursery->generation, 0);
-  for (uint32_t attempts = 1; g >= 2 && nursery->n < settings->population && attempts <= PAIRS_FRUITLESS; attempts++) {
+  for (uint32_t attempts = 1;
+       g >= 2 && nursery->n < settings->population && attempts <= PAIRS_FRUITLESS; attempts++) {
     if (is_due(nursery, attempts))
       return MO_ERR_CANCELLED;
     const uint32_t first = mo_random_below(&random, g);
@@ -118,8 +125,9 @@ static int bear_recombinants(struct nursery *nursery)
     second += second >= first;
     const uint32_t a = nursery->group[first], b = nursery->group[second];
     nursery->counts.crossover_attempts++;
-    const int r = try_child(nursery, mo_genotype_crossover(settings->workspace, parent_at(nursery, a),
-                                                           parent_at(nursery, b), next_child(nursery)));
+    const int r =
+        try_child(nursery, mo_genotype_crossover(settings->workspace, parent_at(nursery, a),
+                                                 parent_at(nursery, b), next_child(nursery)));
     if (r < 0)
       return r;
     if (r == 1) {
@@ -162,7 +170,8 @@ static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parent
   const uint32_t share = (uint32_t)(settings->mutation_share * n_parents + 0.5);
   uint32_t n_mutate = share < n_parents ? share : n_parents;
   struct mo_random random;
-  mo_random_init(&random, settings->seed, MO_PURPOSE_SELECTION, nursery->generation, MO_STREAM_GROUPS);
+  mo_random_init(&random, settings->seed, MO_PURPOSE_SELECTION, nursery->generation,
+                 MO_STREAM_GROUPS);
   shuffle(places, n_parents, n_mutate, &random);
   const bool lonely = n_parents - n_mutate < 2;
   nursery->group = lonely ? places : places + n_mutate;
@@ -176,8 +185,9 @@ static int bear_all(struct nursery *nursery, uint32_t *places, uint32_t n_parent
   return r;
 }
 
-int mo_variation(const struct mo_campaign_settings *settings, uint32_t generation, const uint64_t *parents,
-                 uint32_t n_parents, struct mo_seen *seen, uint64_t *children, struct mo_birth *births, uint32_t *n,
+int mo_variation(const struct mo_campaign_settings *settings, uint32_t generation,
+                 const uint64_t *parents, uint32_t n_parents, struct mo_seen *seen,
+                 uint64_t *children, struct mo_birth *births, uint32_t *n,
                  struct mo_variation_counts *counts, const volatile int *cancel)
 {
   struct nursery nursery = {.settings = settings,

@@ -1,8 +1,8 @@
 /* accept.c: the acceptor, and the table of open connections with their deadlines.
  *
- * libmicrohttpd gets connections from here and never listens itself: this is where the limit on connections is kept, with an answer
- * (its own limit leaves clients in the backlog, and hangs when reached this way), and where peers of the unix
- * socket are checked. */
+ * libmicrohttpd gets connections from here and never listens itself: this is where the limit on
+ * connections is kept, with an answer (its own limit leaves clients in the backlog, and hangs when
+ * reached this way), and where peers of the unix socket are checked. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -18,30 +18,35 @@
 
 #include "http/server.h"
 
-#define LINGER_MAX   64
-#define LINGER_US    2000000
-#define LINGER_READS 16    /* at a time: a client that sends without end must not hold the acceptor */
-#define UNACKED_MS   30000 /* a peer that acknowledges nothing for so long is gone */
+#define LINGER_MAX 64
+#define LINGER_US  2000000
+#define LINGER_READS                                                                               \
+  16                     /* at a time: a client that sends without end must not hold the acceptor  \
+                          */
+#define UNACKED_MS 30000 /* a peer that acknowledges nothing for so long is gone */
 
-/* Connections that were answered with a refusal: what they still send is read and thrown away for a moment, since closing at once
- * would take the answer back. */
+/* Connections that were answered with a refusal: what they still send is read and thrown away for a
+ * moment, since closing at once would take the answer back. */
 struct lingering {
   int fd[LINGER_MAX];
   int64_t until_us[LINGER_MAX];
   size_t n;
 };
 
-static void refuse(struct mo_http *http, struct lingering *linger, int fd, unsigned status, const char *detail)
+static void refuse(struct mo_http *http, struct lingering *linger, int fd, unsigned status,
+                   const char *detail)
 {
   struct mo_text body = {0}, head = {0};
   char id[17];
-  snprintf(id, sizeof(id), "%016llx", (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
+  snprintf(id, sizeof(id), "%016llx",
+           (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
   mo_problem_write(&body, status, "about:blank", detail, "", id, NULL);
-  mo_text_format(
-      &head,
-      "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: %zu\r\nX-Request-Id: %s\r\n"
-      "Cache-Control: no-store\r\n%sConnection: close\r\n\r\n",
-      status, mo_status_title(status), body.size, id, status == 503 ? "Retry-After: 1\r\n" : "");
+  mo_text_format(&head,
+                 "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
+                 "%zu\r\nX-Request-Id: %s\r\n"
+                 "Cache-Control: no-store\r\n%sConnection: close\r\n\r\n",
+                 status, mo_status_title(status), body.size, id,
+                 status == 503 ? "Retry-After: 1\r\n" : "");
   mo_text_bytes(&head, body.data, body.size);
   if (!head.failed && !body.failed)
     (void)!send(fd, head.data, head.size, MSG_NOSIGNAL | MSG_DONTWAIT);
@@ -113,26 +118,30 @@ static void describe_tcp(const struct sockaddr_storage *name, struct mo_connecti
     connection->client_key[0] = '4';
     memcpy(connection->client_key + 4, &v4.sin_addr, 4);
     inet_ntop(AF_INET, &v4.sin_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "%s:%u", host, (unsigned)ntohs(v4.sin_port));
+    snprintf(connection->client, sizeof(connection->client), "%s:%u", host,
+             (unsigned)ntohs(v4.sin_port));
   } else {
     struct sockaddr_in6 v6;
     memcpy(&v6, name, sizeof(v6));
     memcpy(connection->client_key, &v6.sin6_addr, 8); /* a /64 is one client */
     connection->client_key[15] = '6';
     inet_ntop(AF_INET6, &v6.sin6_addr, host, sizeof(host));
-    snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host, (unsigned)ntohs(v6.sin6_port));
+    snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host,
+             (unsigned)ntohs(v6.sin6_port));
   }
 }
 
-static void take(struct mo_http *http, struct lingering *linger, size_t listener, int fd, struct sockaddr_storage *name,
-                 socklen_t size)
+static void take(struct mo_http *http, struct lingering *linger, size_t listener, int fd,
+                 struct sockaddr_storage *name, socklen_t size)
 {
   atomic_fetch_add(&http->metrics.accepted, 1);
-  /* An entry of a descriptor that is new: the library closed that connection before it told of it (no memory). */
+  /* An entry of a descriptor that is new: the library closed that connection before it told of it
+   * (no memory). */
   struct mo_connection *lost = mo_connection_find(http, fd);
   if (lost != NULL)
     mo_connection_forget(http, lost);
-  if (atomic_load(&http->n_connections) >= http->config.max_connections || (size_t)fd >= http->connections_size) {
+  if (atomic_load(&http->n_connections) >= http->config.max_connections ||
+      (size_t)fd >= http->connections_size) {
     refuse(http, linger, fd, 503, "All connections of the service are in use; try again later.");
     return;
   }
@@ -157,15 +166,18 @@ static void take(struct mo_http *http, struct lingering *linger, size_t listener
     setsockopt(fd, IPPROTO_TCP, TCP_USER_TIMEOUT, &unacked_ms, sizeof(unacked_ms));
     describe_tcp(name, connection);
   }
-  atomic_store(&connection->deadline_us, mo_http_clock_us() + (int64_t)http->config.header_timeout_ms * 1000);
+  atomic_store(&connection->deadline_us,
+               mo_http_clock_us() + (int64_t)http->config.header_timeout_ms * 1000);
   pthread_mutex_lock(&http->connections_lock);
   http->connections[fd] = connection;
   pthread_mutex_unlock(&http->connections_lock);
   atomic_fetch_add(&http->n_connections, 1);
-  /* The library compares no addresses of its own: a fixed one serves for unix sockets. Fails: it has closed the descriptor. */
+  /* The library compares no addresses of its own: a fixed one serves for unix sockets. Fails: it
+   * has closed the descriptor. */
   struct sockaddr_in fixed = {.sin_family = AF_INET};
   bool is_unix = connection->transport == MO_TRANSPORT_UNIX;
-  if (MHD_add_connection(http->daemon, fd, is_unix ? (struct sockaddr *)&fixed : (struct sockaddr *)name,
+  if (MHD_add_connection(http->daemon, fd,
+                         is_unix ? (struct sockaddr *)&fixed : (struct sockaddr *)name,
                          is_unix ? sizeof(fixed) : size) != MHD_YES) {
     connection = mo_connection_find(http, fd);
     if (connection != NULL)
@@ -193,7 +205,8 @@ static void *acceptor(void *context)
       for (int burst = 0; (polled[i + 1].revents & POLLIN) && burst < 64; burst++) {
         struct sockaddr_storage name = {0};
         socklen_t size = sizeof(name);
-        int fd = accept4(http->listeners[i], (struct sockaddr *)&name, &size, SOCK_CLOEXEC | SOCK_NONBLOCK);
+        int fd = accept4(http->listeners[i], (struct sockaddr *)&name, &size,
+                         SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
           take(http, &linger, i, fd, &name, size);
           continue;
@@ -247,7 +260,8 @@ bool mo_connection_has_left(const struct mo_connection *connection)
 
 void mo_connections_expire(struct mo_http *http, int64_t now_us)
 {
-  /* The lock keeps descriptors from being closed, and so from being another connection's, until shutdown is through. */
+  /* The lock keeps descriptors from being closed, and so from being another connection's, until
+   * shutdown is through. */
   pthread_mutex_lock(&http->connections_lock);
   for (size_t fd = 0; fd < http->connections_size; fd++) {
     struct mo_connection *connection = http->connections[fd];
@@ -272,7 +286,8 @@ int mo_connections_init(struct mo_http *http, struct mo_message *message)
     limit.rlim_cur = 1024;
   http->connections_size = limit.rlim_cur < (1 << 20) ? (size_t)limit.rlim_cur : (1 << 20);
   http->connections =
-      calloc(http->connections_size, sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
+      calloc(http->connections_size,
+             sizeof(*http->connections)); /* NOLINT(bugprone-sizeof-expression): of pointers */
   http->stop_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   if (http->connections == NULL || http->stop_fd < 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the table of connections");

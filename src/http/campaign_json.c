@@ -8,7 +8,8 @@
 #include "http/job_json.h"
 #include "http/learning_json.h"
 
-enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status, const struct mo_campaign_live *live)
+enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
+                                          const struct mo_campaign_live *live)
 {
   bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_CAMPAIGN_WAIT;
   return waits ? MO_JOB_PAUSED : status->job.state;
@@ -49,7 +50,8 @@ static void write_environments(struct mo_text *text, const struct mo_campaign_re
 static void write_initial(struct mo_text *text, const struct mo_campaign_record *record)
 {
   if (record->initial_campaign > 0)
-    mo_text_format(text, ",\"initial\":{\"campaign\":\"%lld\"}", (long long)record->initial_campaign);
+    mo_text_format(text, ",\"initial\":{\"campaign\":\"%lld\"}",
+                   (long long)record->initial_campaign);
   else if (record->n_listed > 0)
     mo_text_format(text, ",\"initial\":{\"n_designs\":%u}", record->n_listed);
   else
@@ -78,8 +80,9 @@ static void write_learning(struct mo_text *text, const struct mo_campaign_record
     mo_text_add(text, ",\"learning\":null");
     return;
   }
-  mo_text_format(text, ",\"learning\":{\"parent_steps\":%u,\"child_steps\":%u,\"batch\":%u", settings->parent_steps,
-                 settings->child_steps, settings->batch > 0 ? settings->batch : settings->population);
+  mo_text_format(text, ",\"learning\":{\"parent_steps\":%u,\"child_steps\":%u,\"batch\":%u",
+                 settings->parent_steps, settings->child_steps,
+                 settings->batch > 0 ? settings->batch : settings->population);
   mo_schedule_write(text, &settings->schedule);
   mo_adam_write(text, settings->beta1, settings->beta2, settings->epsilon);
   mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
@@ -98,12 +101,14 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_record
 {
   const struct mo_campaign_settings *settings = &record->settings;
   const struct mo_workspace workspace = settings->workspace;
-  double rate = settings->mutation_rate > 0 ? settings->mutation_rate : 1.0 / mo_workspace_voxels(workspace);
-  mo_text_format(text, ",\"settings\":{\"population\":%u,\"generations\":%u,\"seed\":%llu", settings->population,
-                 settings->generations, (unsigned long long)settings->seed);
+  double rate =
+      settings->mutation_rate > 0 ? settings->mutation_rate : 1.0 / mo_workspace_voxels(workspace);
+  mo_text_format(text, ",\"settings\":{\"population\":%u,\"generations\":%u,\"seed\":%llu",
+                 settings->population, settings->generations, (unsigned long long)settings->seed);
   write_environments(text, record);
   write_initial(text, record);
-  mo_text_format(text, ",\"workspace\":[%u,%u,%u],\"mutation\":{\"share\":", workspace.nx, workspace.ny, workspace.nz);
+  mo_text_format(text, ",\"workspace\":[%u,%u,%u],\"mutation\":{\"share\":", workspace.nx,
+                 workspace.ny, workspace.nz);
   mo_text_json_number(text, settings->mutation_share);
   mo_text_member_number(text, "rate", rate);
   mo_text_member_number(text, "growth", settings->mutation_growth);
@@ -135,8 +140,10 @@ static void write_progress(struct mo_text *text, const struct mo_campaign_status
   mo_text_member_count(text, "done", runs ? live->done : 0);
   mo_text_member_count(text, "total", runs ? live->total : 0);
   mo_text_member_count(text, "designs", status->n_designs);
-  mo_text_member_number(text, "rollouts_per_s", runs && live->rollouts_per_s > 0 ? live->rollouts_per_s : (double)NAN);
-  mo_text_member_number(text, "seconds_left", runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
+  mo_text_member_number(text, "rollouts_per_s",
+                        runs && live->rollouts_per_s > 0 ? live->rollouts_per_s : (double)NAN);
+  mo_text_member_number(text, "seconds_left",
+                        runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
   mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
   mo_text_add(text, "}");
 }
@@ -160,7 +167,8 @@ static void write_result(struct mo_text *text, const struct mo_campaign_status *
     return;
   }
   mo_text_add(text, ",\"result\":{\"controller\":");
-  mo_reference_write(text, status->record.name[0] != '\0' ? status->record.name : made, &status->result_sha256);
+  mo_reference_write(text, status->record.name[0] != '\0' ? status->record.name : made,
+                     &status->result_sha256);
   mo_text_add(text, "}");
 }
 
@@ -168,7 +176,8 @@ static void write_links(struct mo_text *text, long long id)
 {
   static const char *const below[] = {"generations", "learning",    "population", "phylogeny",
                                       "champions",   "checkpoints", "replicates"};
-  mo_text_format(text, ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"events\":\"/v1/events?job=%lld\"", id, id);
+  mo_text_format(text, ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"events\":\"/v1/events?job=%lld\"",
+                 id, id);
   for (size_t i = 0; i < sizeof(below) / sizeof(below[0]); i++)
     mo_text_format(text, ",\"%s\":\"/v1/campaigns/%lld/%s\"", below[i], id, below[i]);
   mo_text_add(text, "}");
@@ -194,8 +203,8 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   else
     mo_text_add(text, "null");
   write_settings(text, record);
-  mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}", (long long)record->group,
-                 record->replicate, record->replicates);
+  mo_text_format(text, ",\"group\":{\"id\":\"%lld\",\"replicate\":%u,\"replicates\":%u}",
+                 (long long)record->group, record->replicate, record->replicates);
   write_progress(text, status, live);
   write_end(text, status->end);
   mo_text_add(text, ",\"newest\":");
@@ -224,7 +233,8 @@ void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status 
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));
   mo_job_write_common(text, &status->job, mo_campaign_state_shown(status, live));
   write_reason(text, status, live);
-  mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"", mo_campaign_mode_name(status->record.settings.mode));
+  mo_text_format(text, ",\"campaign\":{\"mode\":\"%s\"",
+                 mo_campaign_mode_name(status->record.settings.mode));
   mo_text_member_count(text, "population", status->record.settings.population);
   if (status->generation >= 0)
     mo_text_member_count(text, "generation", (uint64_t)status->generation);
@@ -236,9 +246,11 @@ void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status 
 
 /* ---- generations ---- */
 
-static const char *const quantile_names[MO_QUANTILES] = {"p0", "p5", "p25", "p50", "p75", "p95", "p100"};
+static const char *const quantile_names[MO_QUANTILES] = {"p0",  "p5",  "p25", "p50",
+                                                         "p75", "p95", "p100"};
 
-static void write_operator(struct mo_text *text, const char *name, uint64_t born, uint64_t survived, uint64_t attempts)
+static void write_operator(struct mo_text *text, const char *name, uint64_t born, uint64_t survived,
+                           uint64_t attempts)
 {
   mo_text_format(text, "\"%s\":{\"born\":%llu", name, (unsigned long long)born);
   mo_text_member_count(text, "survived", survived);
@@ -274,7 +286,8 @@ void mo_campaign_json_generation(struct mo_text *text, const struct mo_campaign_
   mo_text_member_count(text, "species", stats->species);
   mo_text_member_number(text, "turnover", row->turnover);
   mo_text_add(text, ",\"operators\":{");
-  write_operator(text, "mutation", row->variation.mutants, row->survived_mutants, row->variation.mutation_attempts);
+  write_operator(text, "mutation", row->variation.mutants, row->survived_mutants,
+                 row->variation.mutation_attempts);
   mo_text_add(text, ",");
   write_operator(text, "crossover", row->variation.recombinants, row->survived_recombinants,
                  row->variation.crossover_attempts);
@@ -300,10 +313,14 @@ void mo_campaign_json_generation(struct mo_text *text, const struct mo_campaign_
 }
 
 const char mo_campaign_csv_generations[] =
-    "generation,population,born,first_number,mean,p0,p5,p25,p50,p75,p95,p100,diverged,diversity,species,turnover,"
-    "mutation_born,mutation_survived,mutation_attempts,crossover_born,crossover_survived,crossover_attempts,fallbacks,"
-    "voxels_least,voxels_mean,voxels_most,footprint_least,footprint_mean,footprint_most,masses_least,masses_mean,"
-    "masses_most,springs_least,springs_mean,springs_most,parents_mean,children_mean,learning_steps,first_loss,last_"
+    "generation,population,born,first_number,mean,p0,p5,p25,p50,p75,p95,p100,diverged,diversity,"
+    "species,turnover,"
+    "mutation_born,mutation_survived,mutation_attempts,crossover_born,crossover_survived,crossover_"
+    "attempts,fallbacks,"
+    "voxels_least,voxels_mean,voxels_most,footprint_least,footprint_mean,footprint_most,masses_"
+    "least,masses_mean,"
+    "masses_most,springs_least,springs_mean,springs_most,parents_mean,children_mean,learning_steps,"
+    "first_loss,last_"
     "loss,"
     "rollouts,cached,rollouts_diverged,exhausted,collapse,seconds\n";
 
@@ -328,8 +345,9 @@ void mo_campaign_csv_generation(struct mo_text *text, const struct mo_campaign_g
   mo_text_format(text, ",%u", stats->species);
   mo_csv_number(text, row->turnover);
   mo_text_format(text, ",%u,%u,%llu,%u,%u,%llu,%u", variation->mutants, row->survived_mutants,
-                 (unsigned long long)variation->mutation_attempts, variation->recombinants, row->survived_recombinants,
-                 (unsigned long long)variation->crossover_attempts, variation->fallbacks);
+                 (unsigned long long)variation->mutation_attempts, variation->recombinants,
+                 row->survived_recombinants, (unsigned long long)variation->crossover_attempts,
+                 variation->fallbacks);
   csv_spread(text, &stats->voxels);
   csv_spread(text, &stats->footprint);
   csv_spread(text, &stats->masses);
@@ -340,8 +358,8 @@ void mo_campaign_csv_generation(struct mo_text *text, const struct mo_campaign_g
   mo_csv_number(text, row->first_loss);
   mo_csv_number(text, row->last_loss);
   mo_text_format(text, ",%llu,%llu,%llu,%d,%d", (unsigned long long)row->rollouts,
-                 (unsigned long long)row->rollouts_cached, (unsigned long long)row->rollouts_diverged,
-                 variation->exhausted, row->collapse);
+                 (unsigned long long)row->rollouts_cached,
+                 (unsigned long long)row->rollouts_diverged, variation->exhausted, row->collapse);
   mo_csv_number(text, row->seconds);
   mo_text_add(text, "\n");
 }
@@ -360,19 +378,21 @@ const char mo_campaign_csv_steps[] = "generation,step,on," MO_REPORT_CSV "\n";
 
 void mo_campaign_csv_step(struct mo_text *text, const struct mo_campaign_step *row)
 {
-  mo_text_format(text, "%u,%u,%s", row->generation, row->step, row->on_children ? "children" : "parents");
+  mo_text_format(text, "%u,%u,%s", row->generation, row->step,
+                 row->on_children ? "children" : "parents");
   mo_report_csv(text, &row->report, row->seconds);
   mo_text_add(text, "\n");
 }
 
 /* ---- replicates ---- */
 
-static const char *const replicate_names[MO_REPLICATE_NUMBERS] = {"mean_score", "best_score", "diversity"};
+static const char *const replicate_names[MO_REPLICATE_NUMBERS] = {"mean_score", "best_score",
+                                                                  "diversity"};
 
 void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_generation *of_one)
 {
-  const double numbers[MO_REPLICATE_NUMBERS] = {of_one->stats.mean_score, of_one->stats.quantiles[0],
-                                                of_one->stats.diversity};
+  const double numbers[MO_REPLICATE_NUMBERS] = {
+      of_one->stats.mean_score, of_one->stats.quantiles[0], of_one->stats.diversity};
   row->generation = of_one->generation;
   row->campaigns++;
   for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
@@ -393,7 +413,8 @@ static struct mo_spread spread_of(const struct mo_replicate_row *row, int i)
 {
   if (row->numbers[i].n == 0)
     return (struct mo_spread){NAN, NAN, NAN};
-  return (struct mo_spread){row->numbers[i].least, row->numbers[i].sum / row->numbers[i].n, row->numbers[i].most};
+  return (struct mo_spread){row->numbers[i].least, row->numbers[i].sum / row->numbers[i].n,
+                            row->numbers[i].most};
 }
 
 void mo_replicate_json(struct mo_text *text, const struct mo_replicate_row *row)
@@ -407,7 +428,8 @@ void mo_replicate_json(struct mo_text *text, const struct mo_replicate_row *row)
 }
 
 const char mo_replicate_csv_heading[] =
-    "generation,campaigns,mean_score_least,mean_score_mean,mean_score_most,best_score_least,best_score_mean,"
+    "generation,campaigns,mean_score_least,mean_score_mean,mean_score_most,best_score_least,best_"
+    "score_mean,"
     "best_score_most,diversity_least,diversity_mean,diversity_most\n";
 
 void mo_replicate_csv(struct mo_text *text, const struct mo_replicate_row *row)
@@ -433,9 +455,8 @@ void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design
 {
   mo_text_add(text, ",\"parents\":[");
   write_parents(text, &row->descent);
-  mo_text_format(text,
-                 "],\"operator\":\"%s\",\"born\":%u,\"died\":", mo_operator_name((enum mo_operator)row->descent.op),
-                 row->born);
+  mo_text_format(text, "],\"operator\":\"%s\",\"born\":%u,\"died\":",
+                 mo_operator_name((enum mo_operator)row->descent.op), row->born);
   if (row->died >= 0)
     mo_text_json_integer(text, row->died);
   else
@@ -450,12 +471,12 @@ void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_desi
   mo_text_add(text, ",\"genotype\":");
   mo_bits_write(text, &row->genotype);
   mo_campaign_json_life(text, row);
-  mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u", row->size.voxels,
-                 row->size.footprint, row->size.masses, row->size.springs);
+  mo_text_format(text, ",\"voxels\":%u,\"footprint\":%u,\"masses\":%u,\"springs\":%u",
+                 row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
 }
 
-const char mo_campaign_csv_designs[] =
-    "id,ancestor_list,origin_time,destruction_time,operator,score,design,genotype,voxels,footprint,masses,springs\n";
+const char mo_campaign_csv_designs[] = "id,ancestor_list,origin_time,destruction_time,operator,"
+                                       "score,design,genotype,voxels,footprint,masses,springs\n";
 
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row, int64_t end)
 {
@@ -473,5 +494,6 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   mo_bits_write_id_bare(text, &row->form);
   mo_text_add(text, ",");
   mo_bits_write_bare(text, &row->genotype);
-  mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses, row->size.springs);
+  mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses,
+                 row->size.springs);
 }

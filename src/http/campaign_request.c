@@ -1,7 +1,8 @@
 /* campaign_request.c: see campaign_request.h.
  *
- * The defaults depend on mode and preset: a first pass over the text finds these, a second reads everything over their defaults. What
- * depends on several fields is checked after the last of them. */
+ * The defaults depend on mode and preset: a first pass over the text finds these, a second reads
+ * everything over their defaults. What depends on several fields is checked after the last of them.
+ */
 #include "http/campaign_request.h"
 
 #include <stdio.h>
@@ -63,7 +64,8 @@ static void read_workspace(struct mo_json *json, struct mo_workspace *workspace)
     given++;
   }
   if (!json->stop && given != 3)
-    mo_json_fault_at(json, depth, "", "%zu numbers are given; exactly 3, the voxels along x, y and z, are expected",
+    mo_json_fault_at(json, depth, "",
+                     "%zu numbers are given; exactly 3, the voxels along x, y and z, are expected",
                      given);
   if (!json->stop && json->faults->n == before)
     *workspace = (struct mo_workspace){(uint16_t)sides[0], (uint16_t)sides[1], (uint16_t)sides[2]};
@@ -117,7 +119,8 @@ static void read_selection_object(struct mo_json *json, struct mo_selection *sel
       gap = true;
       mo_read_count(json, 1, 1000, &read.age_gap);
     } else {
-      mo_read_unknown(json, "kind; size of a tournament; weight of novelty; layers and age_gap of age-layered");
+      mo_read_unknown(
+          json, "kind; size of a tournament; weight of novelty; layers and age_gap of age-layered");
     }
   }
   if (json->stop)
@@ -128,13 +131,17 @@ static void read_selection_object(struct mo_json *json, struct mo_selection *sel
     return;
   read.kind = (enum mo_selection_kind)kind;
   if (size && read.kind != MO_SELECT_TOURNAMENT)
-    mo_json_fault_at(json, depth, "/size", "the size is that of a tournament; this selection has none");
+    mo_json_fault_at(json, depth, "/size",
+                     "the size is that of a tournament; this selection has none");
   if (weight && read.kind != MO_SELECT_NOVELTY)
-    mo_json_fault_at(json, depth, "/weight", "the weight is that of novelty; this selection has none");
+    mo_json_fault_at(json, depth, "/weight",
+                     "the weight is that of novelty; this selection has none");
   if (layers && read.kind != MO_SELECT_AGE_LAYERED)
-    mo_json_fault_at(json, depth, "/layers", "layers are those of age-layered; this selection has none");
+    mo_json_fault_at(json, depth, "/layers",
+                     "layers are those of age-layered; this selection has none");
   if (gap && read.kind != MO_SELECT_AGE_LAYERED)
-    mo_json_fault_at(json, depth, "/age_gap", "the gap is that of age-layered; this selection has none");
+    mo_json_fault_at(json, depth, "/age_gap",
+                     "the gap is that of age-layered; this selection has none");
   if (json->faults->n == before)
     *selection = read;
 }
@@ -144,7 +151,8 @@ static void read_selection(struct mo_json *json, struct mo_selection *selection)
   enum mo_json_kind next = mo_json_peek(json);
   int kind;
   if (next == MO_JSON_STRING) {
-    if (mo_read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,", &kind))
+    if (mo_read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,",
+                     &kind))
       selection->kind = (enum mo_selection_kind)kind;
   } else if (next == MO_JSON_OBJECT) {
     read_selection_object(json, selection);
@@ -154,7 +162,8 @@ static void read_selection(struct mo_json *json, struct mo_selection *selection)
   }
 }
 
-static void read_learning(struct mo_json *json, struct mo_campaign_record *record, struct given *given)
+static void read_learning(struct mo_json *json, struct mo_campaign_record *record,
+                          struct given *given)
 {
   struct mo_campaign_settings *settings = &record->settings;
   struct mo_json_slice key;
@@ -188,8 +197,10 @@ static void read_learning(struct mo_json *json, struct mo_campaign_record *recor
     } else if (mo_json_is(key, "checkpoint_every_s")) {
       mo_read_count(json, 0, MO_CHECKPOINT_SECONDS_MAX, &record->checkpoint_every_s);
     } else {
-      mo_read_unknown(json, "parent_steps, child_steps, batch, schedule, adam, gradient_norm_limit, adjoint_bound, "
-                            "adjoint_rule, restart_weight, sensor, checkpoint_every_s");
+      mo_read_unknown(
+          json,
+          "parent_steps, child_steps, batch, schedule, adam, gradient_norm_limit, adjoint_bound, "
+          "adjoint_rule, restart_weight, sensor, checkpoint_every_s");
     }
   }
 }
@@ -205,7 +216,8 @@ static int read_initial(struct mo_json *json, struct mo_parsed_campaign *parsed)
   int code = MO_OK;
   if (next == MO_JSON_STRING) {
     if (mo_json_string(json, &key) && !mo_json_is(key, "random"))
-      mo_json_fault_at(json, depth, "", "\"random\", or an object with designs or campaign, is expected");
+      mo_json_fault_at(json, depth, "",
+                       "\"random\", or an object with designs or campaign, is expected");
     return MO_OK;
   }
   if (next != MO_JSON_OBJECT) {
@@ -229,7 +241,8 @@ static int read_initial(struct mo_json *json, struct mo_parsed_campaign *parsed)
   }
   if (code == MO_OK && !json->stop && ways != 1)
     mo_json_fault_at(json, depth, "",
-                     "an initial population is random, or of exactly one of designs and campaign; what is missing is "
+                     "an initial population is random, or of exactly one of designs and campaign; "
+                     "what is missing is "
                      "filled up with random bodies");
   return code;
 }
@@ -270,7 +283,8 @@ static int by_place(const void *a, const void *b)
   return x->place < y->place ? -1 : x->place > y->place;
 }
 
-/* Designs that do not fit the campaign's workspace, or that came before. Those with faults of their own are empty. */
+/* Designs that do not fit the campaign's workspace, or that came before. Those with faults of their
+ * own are empty. */
 static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   const struct mo_campaign_record *record = &parsed->request.record;
@@ -285,9 +299,10 @@ static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *p
     snprintf(below, sizeof(below), "/initial/designs/%u", i);
     extent(&parsed->genotypes[i], size);
     if (size[0] > workspace.nx || size[1] > workspace.ny || size[2] > workspace.nz)
-      mo_json_fault_at(json, 0, below,
-                       "the body takes %u × %u × %u voxels; the workspace of the campaign has %u × %u × %u", size[0],
-                       size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
+      mo_json_fault_at(
+          json, 0, below,
+          "the body takes %u × %u × %u voxels; the workspace of the campaign has %u × %u × %u",
+          size[0], size[1], size[2], workspace.nx, workspace.ny, workspace.nz);
     else if (size[0] > 0) {
       mo_genotype_canonical(MO_DEFAULT_WORKSPACE, parsed->genotypes[i].words, listed[n].form.words);
       listed[n].place = listed[n].first = i;
@@ -303,9 +318,10 @@ static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *p
     if (listed[i].first != listed[i].place) {
       char below[40];
       snprintf(below, sizeof(below), "/initial/designs/%u", listed[i].place);
-      mo_json_fault_at(json, 0, below,
-                       "the design is given twice: it has the form of design %u; each design is born once",
-                       listed[i].first);
+      mo_json_fault_at(
+          json, 0, below,
+          "the design is given twice: it has the form of design %u; each design is born once",
+          listed[i].first);
     }
   free(listed);
   return MO_OK;
@@ -314,52 +330,63 @@ static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *p
 /* ---- the whole ---- */
 
 /* What depends on the mode. */
-static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *parsed, const struct given *given)
+static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *parsed,
+                       const struct given *given)
 {
   enum mo_campaign_mode mode = parsed->request.record.settings.mode;
   bool random = mode == MO_SIMULTANEOUS && (!given->controller || given->no_controller);
   if (mode != MO_SIMULTANEOUS && given->no_controller)
     mo_json_fault_at(json, 0, "/controller",
-                     "null is given; a %s campaign needs a controller: its name, or sha256: and 64 hexadecimal digits, "
+                     "null is given; a %s campaign needs a controller: its name, or sha256: and 64 "
+                     "hexadecimal digits, "
                      "is expected",
                      mo_campaign_mode_name(mode));
   if (mode == MO_ZERO_SHOT && given->learning)
-    mo_json_fault_at(json, 0, "/learning",
-                     "nothing learns in a zero-shot campaign; settings of learning are expected of few-shot and "
-                     "simultaneous alone");
+    mo_json_fault_at(
+        json, 0, "/learning",
+        "nothing learns in a zero-shot campaign; settings of learning are expected of few-shot and "
+        "simultaneous alone");
   else if (given->sensor && !random)
-    mo_json_fault_at(json, 0, "/learning/sensor",
-                     "the campaign starts from a controller, which has its sensor; none is expected here");
+    mo_json_fault_at(
+        json, 0, "/learning/sensor",
+        "the campaign starts from a controller, which has its sensor; none is expected here");
   if (mode == MO_ZERO_SHOT && given->name)
     mo_json_fault_at(json, 0, "/name",
-                     "a zero-shot campaign gives no controller; a name for it is expected of few-shot and simultaneous "
+                     "a zero-shot campaign gives no controller; a name for it is expected of "
+                     "few-shot and simultaneous "
                      "alone");
 }
 
 /* What depends on several fields. */
-static int check_together(struct mo_json *json, const struct mo_parsed_campaign *parsed, const struct given *given)
+static int check_together(struct mo_json *json, const struct mo_parsed_campaign *parsed,
+                          const struct given *given)
 {
   const struct mo_campaign_record *record = &parsed->request.record;
   const struct mo_campaign_settings *settings = &record->settings;
   uint64_t designs = (uint64_t)settings->population * ((uint64_t)settings->generations + 1);
   uint64_t steps =
-      settings->child_steps + ((uint64_t)settings->parent_steps + settings->child_steps) * settings->generations;
+      settings->child_steps +
+      ((uint64_t)settings->parent_steps + settings->child_steps) * settings->generations;
   if (!given->mode)
-    mo_json_fault_at(json, 0, "", "mode is missing: \"zero-shot\", \"few-shot\" or \"simultaneous\"");
+    mo_json_fault_at(json, 0, "",
+                     "mode is missing: \"zero-shot\", \"few-shot\" or \"simultaneous\"");
   if (given->known_mode)
     check_mode(json, parsed, given);
   if (designs > MO_CAMPAIGN_DESIGNS_MAX)
     mo_json_fault_at(json, 0, "/generations",
-                     "%u designs in each of %u generations and the initial population are %llu; at most %llu are "
+                     "%u designs in each of %u generations and the initial population are %llu; at "
+                     "most %llu are "
                      "expected",
                      settings->population, settings->generations, (unsigned long long)designs,
                      (unsigned long long)MO_CAMPAIGN_DESIGNS_MAX);
   if (settings->mode != MO_ZERO_SHOT && settings->population > MO_TRAINING_DESIGNS_MAX)
-    mo_json_fault_at(json, 0, "/population", "%u is given; at most %d are expected of a campaign that learns",
+    mo_json_fault_at(json, 0, "/population",
+                     "%u is given; at most %d are expected of a campaign that learns",
                      settings->population, MO_TRAINING_DESIGNS_MAX);
   if (settings->mode != MO_ZERO_SHOT && settings->parent_steps + settings->child_steps == 0)
     mo_json_fault_at(json, 0, "/learning",
-                     "neither parent_steps nor child_steps is above 0; a campaign that learns takes a step in each "
+                     "neither parent_steps nor child_steps is above 0; a campaign that learns "
+                     "takes a step in each "
                      "generation");
   if (settings->mode == MO_SIMULTANEOUS && steps > MO_TRAINING_STEPS_MAX)
     mo_json_fault_at(json, 0, "/learning",
@@ -367,16 +394,18 @@ static int check_together(struct mo_json *json, const struct mo_parsed_campaign 
                      "are expected",
                      (unsigned long long)steps, MO_TRAINING_STEPS_MAX);
   if (settings->seed + record->replicates - 1 > (uint64_t)MO_SEED_MAX)
-    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld", record->replicates,
-                     (unsigned long long)settings->seed, (long long)MO_SEED_MAX);
+    mo_json_fault_at(json, 0, "/seed", "the seeds of %u replicates from %llu on go beyond %lld",
+                     record->replicates, (unsigned long long)settings->seed,
+                     (long long)MO_SEED_MAX);
   if (record->n_listed > settings->population)
     mo_json_fault_at(json, 0, "/initial/designs",
-                     "%u designs are given; at most the population, which is %u, is expected", record->n_listed,
-                     settings->population);
+                     "%u designs are given; at most the population, which is %u, is expected",
+                     record->n_listed, settings->population);
   return record->n_listed > 0 ? check_listed(json, parsed) : MO_OK;
 }
 
-static void read_controller(struct mo_json *json, struct mo_parsed_campaign *parsed, struct given *given)
+static void read_controller(struct mo_json *json, struct mo_parsed_campaign *parsed,
+                            struct given *given)
 {
   given->controller = true;
   if (mo_json_peek(json) == MO_JSON_NULL) {
@@ -388,7 +417,8 @@ static void read_controller(struct mo_json *json, struct mo_parsed_campaign *par
 }
 
 /* Of the campaign as a job: false if the key is none of these. */
-static bool read_job_field(struct mo_json *json, struct mo_json_slice key, struct mo_parsed_campaign *parsed)
+static bool read_job_field(struct mo_json *json, struct mo_json_slice key,
+                           struct mo_parsed_campaign *parsed)
 {
   struct mo_campaign_request *request = &parsed->request;
   int choice;
@@ -410,8 +440,8 @@ static bool read_job_field(struct mo_json *json, struct mo_json_slice key, struc
   return true;
 }
 
-static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_parsed_campaign *parsed,
-                      struct given *given)
+static int read_field(struct mo_json *json, struct mo_json_slice key,
+                      struct mo_parsed_campaign *parsed, struct given *given)
 {
   struct mo_campaign_record *record = &parsed->request.record;
   struct mo_campaign_settings *settings = &record->settings;
@@ -419,7 +449,8 @@ static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_
   int word;
   if (mo_json_is(key, "mode")) {
     given->mode = true;
-    given->known_mode = mo_read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
+    given->known_mode =
+        mo_read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
   } else if (mo_json_is(key, "preset")) {
     mo_read_word(json, find_preset, "\"paper\", \"workstation\" or \"demo\"", &word);
   } else if (mo_json_is(key, "population")) {
@@ -454,15 +485,18 @@ static int read_field(struct mo_json *json, struct mo_json_slice key, struct mo_
     given->name = true;
     mo_read_name(json, record->name);
   } else if (!read_job_field(json, key, parsed)) {
-    mo_read_unknown(json, "mode, preset, population, generations, seed, replicates, controller, environments, initial, "
-                          "workspace, mutation, selection, learning, exclude_pretraining, collapse_share, physics, "
-                          "name, label, priority, weight, device");
+    mo_read_unknown(
+        json,
+        "mode, preset, population, generations, seed, replicates, controller, environments, "
+        "initial, "
+        "workspace, mutation, selection, learning, exclude_pretraining, collapse_share, physics, "
+        "name, label, priority, weight, device");
   }
   return MO_OK;
 }
 
-static int read_text(struct mo_json *json, const char *text, size_t size, struct mo_parsed_campaign *parsed,
-                     struct mo_faults *faults)
+static int read_text(struct mo_json *json, const char *text, size_t size,
+                     struct mo_parsed_campaign *parsed, struct mo_faults *faults)
 {
   static const char *const keys[] = {"mode", "preset"};
   struct mo_campaign_record *record = &parsed->request.record;
@@ -500,12 +534,14 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
   return faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed, struct mo_faults *faults)
+int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
+                      struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_campaign){.request = {.priority = MO_BATCH,
-                                                    .back_end = MO_BACK_END_AUTO,
-                                                    .weight = 1,
-                                                    .record = {.replicates = 1, .checkpoint_every_s = 60}}};
+  *parsed = (struct mo_parsed_campaign){
+      .request = {.priority = MO_BATCH,
+                  .back_end = MO_BACK_END_AUTO,
+                  .weight = 1,
+                  .record = {.replicates = 1, .checkpoint_every_s = 60}}};
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;
@@ -518,7 +554,8 @@ int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *
     request->genotypes = parsed->genotypes;
     request->environments = parsed->environments;
     if (parsed->environments == NULL)
-      snprintf(request->record.environment_set, sizeof(request->record.environment_set), "paper-test");
+      snprintf(request->record.environment_set, sizeof(request->record.environment_set),
+               "paper-test");
   }
   return code;
 }
@@ -537,8 +574,8 @@ struct count_field {
   const char *key;
   uint32_t min, max, *value;
 };
-static int read_counts(const char *text, size_t size, const struct count_field *fields, size_t n, const char *needed,
-                       const char *expected, struct mo_faults *faults)
+static int read_counts(const char *text, size_t size, const struct count_field *fields, size_t n,
+                       const char *needed, const char *expected, struct mo_faults *faults)
 {
   struct mo_json *json = malloc(sizeof(*json));
   struct mo_json_slice key;
@@ -565,14 +602,17 @@ static int read_counts(const char *text, size_t size, const struct count_field *
   return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-int mo_extension_parse(const char *text, size_t size, uint32_t *generations, struct mo_faults *faults)
+int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
+                       struct mo_faults *faults)
 {
   const struct count_field fields[] = {{"generations", 1, MO_GENERATIONS_MAX, generations}};
   return read_counts(text, size, fields, 1, "generations", "generations", faults);
 }
 
-int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride, struct mo_faults *faults)
+int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride,
+                       struct mo_faults *faults)
 {
-  const struct count_field fields[] = {{"count", 1, MO_CHAMPIONS_MAX, count}, {"stride", 1, MO_STEPS_MAX, stride}};
+  const struct count_field fields[] = {{"count", 1, MO_CHAMPIONS_MAX, count},
+                                       {"stride", 1, MO_STEPS_MAX, stride}};
   return read_counts(text, size, fields, 2, NULL, "count, stride", faults);
 }

@@ -1,4 +1,5 @@
-/* campaign_request.h: the body of POST /v1/campaigns, read and checked. No I/O: the fuzz target calls this. */
+/* campaign_request.h: the body of POST /v1/campaigns, read and checked. No I/O: the fuzz target
+ * calls this. */
 #ifndef MORPHO_HTTP_CAMPAIGN_REQUEST_H
 #define MORPHO_HTTP_CAMPAIGN_REQUEST_H
 
@@ -14,16 +15,21 @@ struct mo_parsed_campaign {
   char label[MO_LABEL_BYTES_MAX + 1];
 };
 
-/* Reads `size` bytes (text[size] must be NUL). MO_OK: complete, with the defaults of its mode and preset filled in; MO_ERR_FORMAT: not
- * JSON (faults->malformed); MO_ERR_INVALID: faults say what; MO_ERR_NO_MEMORY. Free in every case. With MO_ERR_INVALID, `controller` and
- * request.record.initial_campaign hold what was well given, so that they can be looked up and all faults be told at once.
- * idempotency_key and body_sha256 are left to the caller. */
-int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed, struct mo_faults *faults);
+/* Reads `size` bytes (text[size] must be NUL). MO_OK: complete, with the defaults of its mode and
+ * preset filled in; MO_ERR_FORMAT: not JSON (faults->malformed); MO_ERR_INVALID: faults say what;
+ * MO_ERR_NO_MEMORY. Free in every case. With MO_ERR_INVALID, `controller` and
+ * request.record.initial_campaign hold what was well given, so that they can be looked up and all
+ * faults be told at once. idempotency_key and body_sha256 are left to the caller. */
+int mo_campaign_parse(const char *text, size_t size, struct mo_parsed_campaign *parsed,
+                      struct mo_faults *faults);
 void mo_campaign_parsed_free(struct mo_parsed_campaign *parsed);
 
-/* The body of POST …/extend: further generations; and of POST …/champions. MO_OK, MO_ERR_FORMAT, MO_ERR_INVALID, MO_ERR_NO_MEMORY. */
-int mo_extension_parse(const char *text, size_t size, uint32_t *generations, struct mo_faults *faults);
+/* The body of POST …/extend: further generations; and of POST …/champions. MO_OK, MO_ERR_FORMAT,
+ * MO_ERR_INVALID, MO_ERR_NO_MEMORY. */
+int mo_extension_parse(const char *text, size_t size, uint32_t *generations,
+                       struct mo_faults *faults);
 #define MO_CHAMPIONS_MAX 1000
-int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride, struct mo_faults *faults);
+int mo_champions_parse(const char *text, size_t size, uint32_t *count, uint32_t *stride,
+                       struct mo_faults *faults);
 
 #endif

@@ -1,5 +1,5 @@
-/* client.c: how much one client has under way. Clients are kept while they have requests, and a few seconds longer for their
- * rate. */
+/* client.c: how much one client has under way. Clients are kept while they have requests, and a few
+ * seconds longer for their rate. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -56,7 +56,8 @@ static struct mo_client *find_or_add(struct mo_clients *clients, const unsigned 
   return client;
 }
 
-struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16], uint32_t max, bool *refused)
+struct mo_client *mo_client_enter(struct mo_clients *clients, const unsigned char key[16],
+                                  uint32_t max, bool *refused)
 {
   *refused = false;
   pthread_mutex_lock(&clients->lock);
@@ -79,8 +80,8 @@ void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64
   pthread_mutex_unlock(&clients->lock);
 }
 
-struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16], uint64_t held, uint64_t more,
-                                 uint64_t most)
+struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char key[16],
+                                 uint64_t held, uint64_t more, uint64_t most)
 {
   pthread_mutex_lock(&clients->lock);
   struct mo_client *client = find_or_add(clients, key);
@@ -92,7 +93,8 @@ struct mo_client *mo_client_hold(struct mo_clients *clients, const unsigned char
   return client;
 }
 
-void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes, int64_t now_us)
+void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, uint64_t bytes,
+                         int64_t now_us)
 {
   pthread_mutex_lock(&clients->lock);
   client->body_bytes -= bytes;
@@ -100,14 +102,17 @@ void mo_client_give_back(struct mo_clients *clients, struct mo_client *client, u
   pthread_mutex_unlock(&clients->lock);
 }
 
-bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint32_t rate_per_s, int64_t now_us)
+bool mo_client_spend(struct mo_clients *clients, struct mo_client *client, uint32_t rate_per_s,
+                     int64_t now_us)
 {
   if (rate_per_s == 0)
     return true;
   pthread_mutex_lock(&clients->lock);
   double most = rate_per_s;
   client->allowance =
-      client->allowance_us == 0 ? most : client->allowance + (double)(now_us - client->allowance_us) * 1e-6 * most;
+      client->allowance_us == 0
+          ? most
+          : client->allowance + (double)(now_us - client->allowance_us) * 1e-6 * most;
   if (client->allowance > most)
     client->allowance = most;
   client->allowance_us = now_us;

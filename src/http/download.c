@@ -1,11 +1,13 @@
 /* download.c: long replies, written piece by piece.
  *
- * A reply that may have hundreds of megabytes (every design of a campaign) is not made in memory: an API thread makes a piece of it,
- * libmicrohttpd takes the piece, and when it is used up the connection is suspended until an API thread has made the next. So neither
- * an I/O thread waits for the store nor does a slow reader hold more than one piece. A reply that fits its first piece is an
- * ordinary one, with its length.
+ * A reply that may have hundreds of megabytes (every design of a campaign) is not made in memory:
+ * an API thread makes a piece of it, libmicrohttpd takes the piece, and when it is used up the
+ * connection is suspended until an API thread has made the next. So neither an I/O thread waits for
+ * the store nor does a slow reader hold more than one piece. A reply that fits its first piece is
+ * an ordinary one, with its length.
  *
- * Whoever has the request has the download: the I/O thread while the connection runs, one API thread while it is suspended. */
+ * Whoever has the request has the download: the I/O thread while the connection runs, one API
+ * thread while it is suspended. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -51,8 +53,9 @@ static void discard(struct mo_download *download)
   free(download);
 }
 
-enum mo_handled mo_download_open(struct mo_request *request, const char *type, const char *tag, uint64_t held,
-                                 mo_download_more more, void *context, void (*free_context)(void *context))
+enum mo_handled mo_download_open(struct mo_request *request, const char *type, const char *tag,
+                                 uint64_t held, mo_download_more more, void *context,
+                                 void (*free_context)(void *context))
 {
   mo_reply_static(request, 200, type, "", 0);
   if (tag != NULL)
@@ -129,14 +132,16 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
 
 enum MHD_Result mo_download_send(struct mo_request *request)
 {
-  struct MHD_Response *response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 64 * 1024, reader, request, NULL);
+  struct MHD_Response *response =
+      MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 64 * 1024, reader, request, NULL);
   if (response == NULL)
     return MHD_NO;
   atomic_store(&request->connection->deadline_us, mo_http_clock_us() + STALL_US);
   if (atomic_load(&request->http->stopping))
     request->reply.close = true;
-  enum MHD_Result result =
-      mo_reply_headers(request, response) ? MHD_queue_response(request->mhd, request->reply.status, response) : MHD_NO;
+  enum MHD_Result result = mo_reply_headers(request, response)
+                               ? MHD_queue_response(request->mhd, request->reply.status, response)
+                               : MHD_NO;
   MHD_destroy_response(response);
   return result;
 }

@@ -1,5 +1,5 @@
-/* evaluation_request.c: see evaluation_request.h. Every fault names its place: a cell that is out of bounds is
- * /designs/3/cells/7/0. */
+/* evaluation_request.c: see evaluation_request.h. Every fault names its place: a cell that is out
+ * of bounds is /designs/3/cells/7/0. */
 #include "http/evaluation_request.h"
 
 #include <stdlib.h>
@@ -66,22 +66,28 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
     } else if (mo_json_is(key, "verify")) {
       mo_json_bool(json, &request->verify);
     } else {
-      mo_read_unknown(json, "designs, environments, controller, record, record_stride, physics, precision, priority, "
-                            "weight, device, label, verify");
+      mo_read_unknown(
+          json,
+          "designs, environments, controller, record, record_stride, physics, precision, priority, "
+          "weight, device, label, verify");
     }
   }
   if (code != MO_OK || json->stop)
     return code;
   if (!designs)
-    mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs", MO_DESIGNS_MAX);
+    mo_json_fault_at(json, 0, "", "designs is missing: an array of 1 to %d designs",
+                     MO_DESIGNS_MAX);
   if (stride_given && stride > request->physics.n_steps)
-    mo_json_fault_at(json, 0, "/record_stride", "%lld is given; at most n_steps, which is %u, is expected",
-                     (long long)stride, request->physics.n_steps);
-  request->record_stride = stride < request->physics.n_steps ? (uint32_t)stride : request->physics.n_steps;
+    mo_json_fault_at(json, 0, "/record_stride",
+                     "%lld is given; at most n_steps, which is %u, is expected", (long long)stride,
+                     request->physics.n_steps);
+  request->record_stride =
+      stride < request->physics.n_steps ? (uint32_t)stride : request->physics.n_steps;
   return code;
 }
 
-int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed, struct mo_faults *faults)
+int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
+                        struct mo_faults *faults)
 {
   *parsed = (struct mo_parsed_evaluation){.controller = "default", .environment_set = "paper-test"};
   parsed->request.physics = mo_default_physics();

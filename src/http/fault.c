@@ -18,7 +18,8 @@ static void trim_utf8(char *text)
   text[at] = '\0';
 }
 
-void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where, const char *format, ...)
+void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where,
+                   const char *format, ...)
 {
   if (mo_faults_full(faults))
     return;
@@ -66,8 +67,8 @@ static void member(struct mo_text *text, const char *name, const char *value)
   mo_text_json_string(text, value, strlen(value));
 }
 
-void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail, const char *instance,
-                      const char *request_id, const struct mo_faults *faults)
+void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail,
+                      const char *instance, const char *request_id, const struct mo_faults *faults)
 {
   static const char *const places[] = {"pointer", "parameter", "header"};
   mo_text_format(text, "{\"status\":%u", status);

@@ -1,6 +1,7 @@
 /* fault.h: what is wrong with a request, and the problem document (RFC 9457) that says so.
  *
- * Faults are collected, not thrown: a client learns of up to MO_FAULTS_MAX of them at once, each with the place it is at. */
+ * Faults are collected, not thrown: a client learns of up to MO_FAULTS_MAX of them at once, each
+ * with the place it is at. */
 #ifndef MORPHO_HTTP_FAULT_H
 #define MORPHO_HTTP_FAULT_H
 
@@ -30,8 +31,8 @@ struct mo_faults {
 };
 
 /* Adds one fault; those beyond MO_FAULTS_MAX are dropped. Longer texts are cut. */
-void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where, const char *format, ...)
-    __attribute__((format(printf, 4, 5)));
+void mo_faults_add(struct mo_faults *faults, enum mo_fault_place place, const char *where,
+                   const char *format, ...) __attribute__((format(printf, 4, 5)));
 static inline bool mo_faults_full(const struct mo_faults *faults)
 {
   return faults->n == MO_FAULTS_MAX;
@@ -41,7 +42,7 @@ static inline bool mo_faults_full(const struct mo_faults *faults)
 const char *mo_status_title(unsigned status);
 
 /* Writes a problem document. type: "about:blank" or "/problems/…"; faults nullable. */
-void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail, const char *instance,
-                      const char *request_id, const struct mo_faults *faults);
+void mo_problem_write(struct mo_text *text, unsigned status, const char *type, const char *detail,
+                      const char *instance, const char *request_id, const struct mo_faults *faults);
 
 #endif

@@ -130,7 +130,8 @@ static int quality(const char *at, size_t n)
       int q = (*digits++ - '0') * 1000;
       if (digits < end && *digits == '.') {
         digits++;
-        for (int unit = 100; unit > 0 && digits < end && isdigit((unsigned char)*digits); unit /= 10)
+        for (int unit = 100; unit > 0 && digits < end && isdigit((unsigned char)*digits);
+             unit /= 10)
           q += (*digits++ - '0') * unit;
       }
       return q > 1000 ? -1 : q;
@@ -152,10 +153,11 @@ int mo_accept_choose(const char *field, const char *const *types, size_t n)
       at = skip_blank(at);
       size_t size = strcspn(at, ",");
       size_t name = trimmed(at, strcspn(at, ",;"));
-      int rank = name == strlen(type) && strncasecmp(at, type, name) == 0                             ? 2
-                 : name == major + 2 && strncasecmp(at, type, major + 1) == 0 && at[major + 1] == '*' ? 1
-                 : name == 3 && strncmp(at, "*/*", 3) == 0                                            ? 0
-                                                                                                      : -1;
+      int rank =
+          name == strlen(type) && strncasecmp(at, type, name) == 0                             ? 2
+          : name == major + 2 && strncasecmp(at, type, major + 1) == 0 && at[major + 1] == '*' ? 1
+          : name == 3 && strncmp(at, "*/*", 3) == 0                                            ? 0
+                                                                                               : -1;
       if (rank > specific) {
         specific = rank;
         q = quality(at, size);

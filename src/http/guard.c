@@ -8,7 +8,8 @@
 
 #include "http/field.h"
 
-static bool refuse(struct mo_refusal *refusal, unsigned status, bool close, const char *header, const char *detail)
+static bool refuse(struct mo_refusal *refusal, unsigned status, bool close, const char *header,
+                   const char *detail)
 {
   *refusal = (struct mo_refusal){status, close, header, detail};
   return false;
@@ -17,13 +18,14 @@ static bool refuse(struct mo_refusal *refusal, unsigned status, bool close, cons
 static bool is_token(const char *text, size_t n)
 {
   for (size_t i = 0; i < n; i++)
-    if (!isalnum((unsigned char)text[i]) && (text[i] == '\0' || strchr("!#$%&'*+-.^_`|~", text[i]) == NULL))
+    if (!isalnum((unsigned char)text[i]) &&
+        (text[i] == '\0' || strchr("!#$%&'*+-.^_`|~", text[i]) == NULL))
       return false;
   return n > 0;
 }
 
-bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, struct mo_framing *framing,
-                      struct mo_refusal *refusal)
+bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
+                      struct mo_framing *framing, struct mo_refusal *refusal)
 {
   *framing = (struct mo_framing){0};
   const char *length = NULL, *coding = NULL, *expect = NULL;
@@ -51,7 +53,8 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, st
   for (size_t i = 0; i < n; i++) {
     const struct mo_header *header = &headers[i];
     if (!is_token(header->name, header->name_size))
-      return refuse(refusal, 400, true, NULL, "a field name has characters that are not allowed in it");
+      return refuse(refusal, 400, true, NULL,
+                    "a field name has characters that are not allowed in it");
     for (size_t k = 0; k < header->value_size; k++) {
       unsigned char c = (unsigned char)header->value[k];
       if ((c < 0x20 && c != '\t') || c == 0x7F)
@@ -71,7 +74,8 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, st
     if (http10)
       return refuse(refusal, 400, true, "Transfer-Encoding", "HTTP/1.0 has no transfer codings");
     if (strcasecmp(coding, "chunked") != 0)
-      return refuse(refusal, 501, true, "Transfer-Encoding", "the only transfer coding that is understood is chunked");
+      return refuse(refusal, 501, true, "Transfer-Encoding",
+                    "the only transfer coding that is understood is chunked");
     framing->chunked = true;
   }
   if (length != NULL) {
@@ -83,7 +87,8 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, st
   }
   if (expect != NULL) {
     if (strcasecmp(expect, "100-continue") != 0)
-      return refuse(refusal, 417, true, "Expect", "the only expectation that is understood is 100-continue");
+      return refuse(refusal, 417, true, "Expect",
+                    "the only expectation that is understood is 100-continue");
     framing->expects_continue = !http10;
   }
   if (framing->host == NULL && !http10)
@@ -95,8 +100,10 @@ bool mo_guard_target(const char *target, struct mo_target *parts, struct mo_refu
 {
   *parts = (struct mo_target){0};
   for (const char *c = target; *c != '\0'; c++)
-    if ((unsigned char)*c <= 0x20 || *c == 0x7F || (unsigned char)*c >= 0x80 || *c == '#' || *c == '\\')
-      return refuse(refusal, 400, true, NULL, "the request target has characters that must be escaped");
+    if ((unsigned char)*c <= 0x20 || *c == 0x7F || (unsigned char)*c >= 0x80 || *c == '#' ||
+        *c == '\\')
+      return refuse(refusal, 400, true, NULL,
+                    "the request target has characters that must be escaped");
   if (strstr(target, "%00") != NULL)
     return refuse(refusal, 400, true, NULL, "the request target has an escaped NUL");
   const char *path = target;
@@ -149,7 +156,8 @@ void mo_names_free(struct mo_names *names)
   *names = (struct mo_names){0};
 }
 
-/* Is the authority (host, port) one of the configured names? A name without a port stands for every port. */
+/* Is the authority (host, port) one of the configured names? A name without a port stands for every
+ * port. */
 static bool is_named(const char *host, unsigned port, const struct mo_names *names)
 {
   for (size_t i = 0; i < names->n; i++) {
@@ -170,17 +178,21 @@ bool mo_guard_host(const char *host, size_t n, const struct mo_names *names)
   bool literal;
   if (!mo_authority_split(host, n, name, &port, &literal))
     return false;
-  /* An address in digits cannot be rebound: the browser would have to be at that address already. */
+  /* An address in digits cannot be rebound: the browser would have to be at that address already.
+   */
   return names->any || literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
 }
 
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names)
 {
-  size_t scheme = strncasecmp(origin, "http://", 7) == 0 ? 7 : strncasecmp(origin, "https://", 8) == 0 ? 8 : 0;
+  size_t scheme = strncasecmp(origin, "http://", 7) == 0    ? 7
+                  : strncasecmp(origin, "https://", 8) == 0 ? 8
+                                                            : 0;
   char name[256], own[256];
   unsigned port, own_port;
   bool literal;
-  if (scheme == 0 || !mo_authority_split(origin + scheme, strlen(origin + scheme), name, &port, &literal))
+  if (scheme == 0 ||
+      !mo_authority_split(origin + scheme, strlen(origin + scheme), name, &port, &literal))
     return false;
   if (is_named(name, port, names))
     return true;
@@ -214,15 +226,18 @@ void mo_tokens_free(struct mo_tokens *tokens)
   *tokens = (struct mo_tokens){0};
 }
 
-int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n, struct mo_message *message)
+int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
+                  struct mo_message *message)
 {
   for (size_t i = 0; i < n; i++) {
     size_t size = strlen(items[i]);
     if (size < 16 || size > 512)
-      return mo_fail(message, MO_ERR_INVALID, "token %zu has %zu characters; 16 to 512 are expected", i + 1, size);
+      return mo_fail(message, MO_ERR_INVALID,
+                     "token %zu has %zu characters; 16 to 512 are expected", i + 1, size);
     for (size_t k = 0; k < size; k++)
       if (items[i][k] <= 0x20 || items[i][k] > 0x7E)
-        return mo_fail(message, MO_ERR_INVALID, "token %zu has characters other than printable ASCII", i + 1);
+        return mo_fail(message, MO_ERR_INVALID,
+                       "token %zu has characters other than printable ASCII", i + 1);
   }
   char **copy = calloc(n > 0 ? n : 1, sizeof(char *));
   size_t copied = 0;
@@ -249,7 +264,8 @@ static unsigned equals(const char *secret, const char *given, size_t given_size)
   size_t secret_size = strlen(secret);
   unsigned difference = secret_size != given_size;
   for (size_t i = 0; i < given_size; i++)
-    difference |= (unsigned)((unsigned char)secret[secret_size == 0 ? 0 : i % secret_size] ^ (unsigned char)given[i]);
+    difference |= (unsigned)((unsigned char)secret[secret_size == 0 ? 0 : i % secret_size] ^
+                             (unsigned char)given[i]);
   return difference == 0;
 }
 

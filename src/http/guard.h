@@ -1,8 +1,9 @@
 /* guard.h: what a request must satisfy before any route sees it.
  *
- * libmicrohttpd 0.9.75 lets through framing that two parsers may read differently (repeated or spaced Content-Length, unknown
- * transfer codings, control bytes in names): such requests are refused and their connection is closed. Host and Origin are
- * checked so that no web page can reach the service by rebinding a name. Tokens are compared in constant time. */
+ * libmicrohttpd 0.9.75 lets through framing that two parsers may read differently (repeated or
+ * spaced Content-Length, unknown transfer codings, control bytes in names): such requests are
+ * refused and their connection is closed. Host and Origin are checked so that no web page can reach
+ * the service by rebinding a name. Tokens are compared in constant time. */
 #ifndef MORPHO_HTTP_GUARD_H
 #define MORPHO_HTTP_GUARD_H
 
@@ -32,16 +33,17 @@ struct mo_framing {
   bool has_length, chunked;
   uint64_t length;
   bool expects_continue;
-  const char *host, *origin, *authorization, *accept, *content_type, *content_encoding, *prefer, *idempotency_key,
-      *if_none_match, *last_event_id;
+  const char *host, *origin, *authorization, *accept, *content_type, *content_encoding, *prefer,
+      *idempotency_key, *if_none_match, *last_event_id;
 };
 
 /* False: *refusal is filled in. http10: the request's version is 1.0. */
-bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10, struct mo_framing *framing,
-                      struct mo_refusal *refusal);
+bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
+                      struct mo_framing *framing, struct mo_refusal *refusal);
 
-/* Request target in origin or absolute form: *path_size bytes of path from *path, query behind (not NULL, "" if none; NUL-terminated),
- * *authority: of the absolute form, else NULL. `target` is as it came. */
+/* Request target in origin or absolute form: *path_size bytes of path from *path, query behind (not
+ * NULL, "" if none; NUL-terminated), *authority: of the absolute form, else NULL. `target` is as it
+ * came. */
 struct mo_target {
   const char *path, *query, *authority;
   size_t path_size, authority_size;
@@ -70,9 +72,12 @@ struct mo_tokens {
 };
 int mo_tokens_init(struct mo_tokens *tokens);
 void mo_tokens_free(struct mo_tokens *tokens);
-/* MO_ERR_INVALID: fewer than 16 or more than 512 characters, or others than printable ASCII; the old ones stay. */
-int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n, struct mo_message *message);
-/* "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time does not tell which token, nor how much of it, was right. */
+/* MO_ERR_INVALID: fewer than 16 or more than 512 characters, or others than printable ASCII; the
+ * old ones stay. */
+int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
+                  struct mo_message *message);
+/* "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time does not tell which token, nor
+ * how much of it, was right. */
 int mo_tokens_check(struct mo_tokens *tokens, const char *authorization);
 
 #endif

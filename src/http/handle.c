@@ -1,4 +1,5 @@
-/* handle.c: which route is which function, what they share, and the routes that are answered at once. */
+/* handle.c: which route is which function, what they share, and the routes that are answered at
+ * once. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,7 +26,8 @@ static enum mo_handled handle_campaign(struct mo_request *request)
   case MO_ROUTE_CAMPAIGN_ANCESTORS: mo_handle_campaign_ancestors(request); break;
   case MO_ROUTE_CAMPAIGN_DESCENDANTS: mo_handle_campaign_descendants(request); break;
   case MO_ROUTE_CAMPAIGN_CHECKPOINTS:
-    (request->method == MO_DELETE ? mo_handle_campaign_checkpoints_delete : mo_handle_campaign_checkpoints)(request);
+    (request->method == MO_DELETE ? mo_handle_campaign_checkpoints_delete
+                                  : mo_handle_campaign_checkpoints)(request);
     break;
   case MO_ROUTE_CAMPAIGN_CHAMPIONS:
     (post ? mo_handle_campaign_champions_post : mo_handle_campaign_champions)(request);
@@ -108,11 +110,13 @@ bool mo_accepts_json(struct mo_request *request)
 {
   if (mo_accept_choose(request->framing.accept, mo_json_type, 1) == 0)
     return true;
-  mo_reply_problem(request, 406, NULL, "This path gives application/json, which the Accept field does not allow.");
+  mo_reply_problem(request, 406, NULL,
+                   "This path gives application/json, which the Accept field does not allow.");
   return false;
 }
 
-bool mo_query_read(struct mo_request *request, const char *const *names, struct mo_query_value *values, size_t n)
+bool mo_query_read(struct mo_request *request, const char *const *names,
+                   struct mo_query_value *values, size_t n)
 {
   const char *query = request->target.query;
   struct mo_query_item item;
@@ -131,11 +135,14 @@ bool mo_query_read(struct mo_request *request, const char *const *names, struct 
       for (i = 0; i < n && strcmp(names[i], name) != 0;)
         i++;
     if (i == n)
-      mo_faults_add(faults, MO_FAULT_PARAMETER, good ? name : "?", "this path has no such parameter");
+      mo_faults_add(faults, MO_FAULT_PARAMETER, good ? name : "?",
+                    "this path has no such parameter");
     else if (values[i].present)
       mo_faults_add(faults, MO_FAULT_PARAMETER, name, "the parameter is given more than once");
-    else if (!mo_percent_decode(item.value, item.value_size, true, values[i].text, sizeof(values[i].text)))
-      mo_faults_add(faults, MO_FAULT_PARAMETER, name, "the value is too long, or not UTF-8 in percent escapes");
+    else if (!mo_percent_decode(item.value, item.value_size, true, values[i].text,
+                                sizeof(values[i].text)))
+      mo_faults_add(faults, MO_FAULT_PARAMETER, name,
+                    "the value is too long, or not UTF-8 in percent escapes");
     if (i < n)
       values[i].present = true;
   }
@@ -172,13 +179,14 @@ bool mo_query_limit(struct mo_request *request, const struct mo_query_value *val
   return true;
 }
 
-bool mo_query_number(struct mo_request *request, const char *name, const struct mo_query_value *value, int64_t min,
-                     int64_t max, int64_t *number)
+bool mo_query_number(struct mo_request *request, const char *name,
+                     const struct mo_query_value *value, int64_t min, int64_t max, int64_t *number)
 {
   char detail[96];
   if (!value->present || mo_decimal(value->text, strlen(value->text), min, max, number))
     return true;
-  snprintf(detail, sizeof(detail), "an integer from %lld to %lld is expected", (long long)min, (long long)max);
+  snprintf(detail, sizeof(detail), "an integer from %lld to %lld is expected", (long long)min,
+           (long long)max);
   bad_parameter(request, name, detail);
   return false;
 }
@@ -188,12 +196,13 @@ bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
   const char *text = request->parameters[parameter];
   if (text[0] != '0' && mo_decimal(text, strlen(text), 1, INT64_MAX, id))
     return true;
-  mo_reply_problem(request, 404, NULL, "There is no such job: an id is a positive integer in decimal digits.");
+  mo_reply_problem(request, 404, NULL,
+                   "There is no such job: an id is a positive integer in decimal digits.");
   return false;
 }
 
-bool mo_query_form(struct mo_request *request, const struct mo_query_value *format, const char *const *names,
-                   const char *const *types, int n, int *form)
+bool mo_query_form(struct mo_request *request, const struct mo_query_value *format,
+                   const char *const *names, const char *const *types, int n, int *form)
 {
   char list[128] = "";
   for (int i = 0; i < n; i++) {
@@ -208,10 +217,12 @@ bool mo_query_form(struct mo_request *request, const struct mo_query_value *form
                          : " or ",
              format->present ? names[i] : types[i]);
   }
-  if (!format->present && (*form = mo_accept_choose(request->framing.accept, types, (size_t)n)) >= 0)
+  if (!format->present &&
+      (*form = mo_accept_choose(request->framing.accept, types, (size_t)n)) >= 0)
     return true;
   if (!format->present) {
-    mo_reply_problem(request, 406, NULL, "This path gives %s, which the Accept field does not allow.", list);
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives %s, which the Accept field does not allow.", list);
     return false;
   }
   snprintf(list + strlen(list), sizeof(list) - strlen(list), " is expected");
@@ -263,18 +274,21 @@ static void workers(struct mo_request *request)
   if (!mo_accepts_json(request))
     return;
   mo_compute_get_stats(compute, &c);
-  mo_text_format(
-      &text,
-      "{\"n_workers\":%u,\"n_busy\":%u,\"blocks_done\":%llu,\"rollouts_done\":%llu,\"rollout_steps\":%llu,"
-      "\"rollouts_diverged\":%llu,\"blocks_preempted\":%llu,\"queued_batch\":%llu,\"queued_interactive\":%llu,"
-      "\"worker_bytes_max\":%zu,\"busy_s\":",
-      c.n_workers, c.n_busy, (unsigned long long)c.blocks_done, (unsigned long long)c.rollouts_done,
-      (unsigned long long)c.rollout_steps, (unsigned long long)c.rollouts_diverged,
-      (unsigned long long)c.blocks_preempted, (unsigned long long)c.queued_batch,
-      (unsigned long long)c.queued_interactive, c.worker_bytes_max);
+  mo_text_format(&text,
+                 "{\"n_workers\":%u,\"n_busy\":%u,\"blocks_done\":%llu,\"rollouts_done\":%llu,"
+                 "\"rollout_steps\":%llu,"
+                 "\"rollouts_diverged\":%llu,\"blocks_preempted\":%llu,\"queued_batch\":%llu,"
+                 "\"queued_interactive\":%llu,"
+                 "\"worker_bytes_max\":%zu,\"busy_s\":",
+                 c.n_workers, c.n_busy, (unsigned long long)c.blocks_done,
+                 (unsigned long long)c.rollouts_done, (unsigned long long)c.rollout_steps,
+                 (unsigned long long)c.rollouts_diverged, (unsigned long long)c.blocks_preempted,
+                 (unsigned long long)c.queued_batch, (unsigned long long)c.queued_interactive,
+                 c.worker_bytes_max);
   mo_text_json_number(&text, c.busy_s);
   for (int precision = 0; precision < 2; precision++) {
-    const char *fingerprint = mo_compute_fingerprint(compute, precision == 0 ? MO_FLOAT32 : MO_FLOAT64);
+    const char *fingerprint =
+        mo_compute_fingerprint(compute, precision == 0 ? MO_FLOAT32 : MO_FLOAT64);
     mo_text_add(&text, precision == 0 ? ",\"fingerprints\":{\"float32\":" : ",\"float64\":");
     mo_text_json_string(&text, fingerprint, strlen(fingerprint));
   }
@@ -284,7 +298,8 @@ static void workers(struct mo_request *request)
 
 static const char index_page[] =
     "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>morphod</title>\n"
-    "<style>body{font-family:sans-serif;max-width:40em;margin:3em auto;line-height:1.5}</style></head>\n"
+    "<style>body{font-family:sans-serif;max-width:40em;margin:3em "
+    "auto;line-height:1.5}</style></head>\n"
     "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable and the same for ever.</p>\n<ul>\n"
     "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
     "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/trainings\">trainings</a>, <a "
@@ -292,7 +307,8 @@ static const char index_page[] =
     "<a "
     "href=\"/v1/controllers\">controllers</a>, "
     "<a href=\"/v1/workers\">workers</a>, <a href=\"/v1/devices\">devices</a></li>\n"
-    "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a href=\"/metrics\">metrics</a></li>\n"
+    "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a "
+    "href=\"/metrics\">metrics</a></li>\n"
     "</ul></body></html>\n";
 
 void mo_handle_direct(struct mo_request *request)
@@ -310,6 +326,8 @@ void mo_handle_direct(struct mo_request *request)
     mo_reply_static(request, 200, "application/json", mo_openapi_json, mo_openapi_json_size);
     mo_reply_etag(request, "openapi-%s", request->http->contract_tag);
     break;
-  default: mo_reply_static(request, 200, "text/html; charset=utf-8", index_page, sizeof(index_page) - 1); break;
+  default:
+    mo_reply_static(request, 200, "text/html; charset=utf-8", index_page, sizeof(index_page) - 1);
+    break;
   }
 }

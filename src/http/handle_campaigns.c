@@ -1,5 +1,5 @@
-/* handle_campaigns.c: campaigns: submission, state, lists, control, checkpoints. Their curves are in handle_curves.c, what was born in them in
- * handle_phylogeny.c. */
+/* handle_campaigns.c: campaigns: submission, state, lists, control, checkpoints. Their curves are
+ * in handle_curves.c, what was born in them in handle_phylogeny.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,11 +12,14 @@
 
 /* ---- POST /v1/campaigns ---- */
 
-/* What the request names must be there: both faults are told at once, besides those of the body itself. */
-static void look_up(struct mo_store *store, const struct mo_parsed_campaign *parsed, struct mo_faults *faults)
+/* What the request names must be there: both faults are told at once, besides those of the body
+ * itself. */
+static void look_up(struct mo_store *store, const struct mo_parsed_campaign *parsed,
+                    struct mo_faults *faults)
 {
   mo_look_up_controller(store, parsed->request.controller, faults);
-  mo_look_up_job(store, parsed->request.record.initial_campaign, MO_JOB_CAMPAIGN, "/initial/campaign", faults);
+  mo_look_up_job(store, parsed->request.record.initial_campaign, MO_JOB_CAMPAIGN,
+                 "/initial/campaign", faults);
 }
 
 /* A listed design, found out by the jobs. */
@@ -66,7 +69,8 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
   }
 }
 
-int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status *status, struct mo_campaign_live *live)
+int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status *status,
+                     struct mo_campaign_live *live)
 {
   int code = mo_store_campaign(http->services.store, id, status);
   *live = (struct mo_campaign_live){.seconds_left = -1};
@@ -111,7 +115,8 @@ static void reply_campaign(struct mo_request *request, unsigned http_status, int
 }
 
 /* Parses and stores; false: a reply is made. */
-static bool submit(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
+static bool submit(struct mo_request *request, const struct mo_submission_key *key,
+                   struct mo_faults *faults)
 {
   struct mo_http *http = request->http;
   struct mo_parsed_campaign *parsed = malloc(sizeof(*parsed));
@@ -126,8 +131,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     bool replayed;
     parsed->request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
     parsed->request.body_sha256 = key->body_sha256;
-    code = mo_jobs_submit_campaign(http->services.jobs, &parsed->request, &request->submitted, &replayed, &place,
-                                   &message);
+    code = mo_jobs_submit_campaign(http->services.jobs, &parsed->request, &request->submitted,
+                                   &replayed, &place, &message);
     if (code != MO_OK)
       submission_error(request, parsed, key, code, place, &message, faults);
   } else {
@@ -164,11 +169,13 @@ enum mo_handled mo_handle_campaign(struct mo_request *request)
   return mo_handle_job_of(request, MO_JOB_CAMPAIGN, "campaign", reply_now);
 }
 
-static void reply_list(struct mo_request *request, const struct mo_campaign_query *query, size_t limit)
+static void reply_list(struct mo_request *request, const struct mo_campaign_query *query,
+                       size_t limit)
 {
   struct mo_http *http = request->http;
   struct mo_campaign_status *page = malloc(limit * sizeof(*page));
-  int64_t n = page != NULL ? mo_store_campaigns(http->services.store, query, page, limit) : MO_ERR_NO_MEMORY;
+  int64_t n = page != NULL ? mo_store_campaigns(http->services.store, query, page, limit)
+                           : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   struct mo_unreadable unreadable = {0};
   const char *comma = "";
@@ -181,7 +188,8 @@ static void reply_list(struct mo_request *request, const struct mo_campaign_quer
     }
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_campaign_live(http->services.jobs, page[i].job.id, &live);
-    if (query->state >= 0 && mo_campaign_state_shown(&page[i], &live) != (enum mo_job_state)query->state)
+    if (query->state >= 0 &&
+        mo_campaign_state_shown(&page[i], &live) != (enum mo_job_state)query->state)
       continue; /* it has begun or ceased to wait since it was found */
     mo_text_add(&text, comma);
     comma = ",";
@@ -196,14 +204,18 @@ void mo_handle_campaigns(struct mo_request *request)
   static const char *const names[] = {"state", "group", "limit", "cursor"};
   struct mo_query_value values[4];
   int64_t waiting[MO_WAITING_MAX];
-  struct mo_campaign_query query = {
-      .state = -1, .waiting = waiting, .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
+  struct mo_campaign_query query = {.state = -1,
+                                    .waiting = waiting,
+                                    .n_waiting =
+                                        mo_jobs_waiting(request->http->services.jobs, waiting)};
   size_t limit;
   if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[2], &limit) || !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_limit(request, &values[2], &limit) ||
+      !mo_query_state(request, &values[0], &query.state) ||
       !mo_query_before(request, &values[3], &query.before))
     return;
-  if (values[1].present && !mo_decimal(values[1].text, strlen(values[1].text), 1, INT64_MAX, &query.group))
+  if (values[1].present &&
+      !mo_decimal(values[1].text, strlen(values[1].text), 1, INT64_MAX, &query.group))
     mo_reply_bad_parameter(request, "group", "the id of a group, in decimal digits, is expected");
   else
     reply_list(request, &query, limit);
@@ -216,15 +228,18 @@ void mo_handle_campaign_change(struct mo_request *request)
   struct mo_http *http = request->http;
   struct mo_query_value none;
   int64_t id;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id) ||
       !mo_job_is_even_unreadable(request, id, MO_JOB_CAMPAIGN, "campaign"))
     return;
-  bool pause = request->route == MO_ROUTE_CAMPAIGN_PAUSE, resume = request->route == MO_ROUTE_CAMPAIGN_RESUME;
+  bool pause = request->route == MO_ROUTE_CAMPAIGN_PAUSE,
+       resume = request->route == MO_ROUTE_CAMPAIGN_RESUME;
   int code = pause    ? mo_jobs_pause(http->services.jobs, id)
              : resume ? mo_jobs_resume(http->services.jobs, id)
                       : mo_jobs_cancel(http->services.jobs, id);
   struct mo_job *job = malloc(sizeof(*job));
-  if (code == MO_ERR_CONFLICT && job != NULL && mo_job_is_known(job, mo_store_job(http->services.store, id, job)))
+  if (code == MO_ERR_CONFLICT && job != NULL &&
+      mo_job_is_known(job, mo_store_job(http->services.store, id, job)))
     mo_reply_problem(request, 409, NULL, "The campaign cannot be %s: it is %s.",
                      pause    ? "paused"
                      : resume ? "resumed"
@@ -239,8 +254,8 @@ void mo_handle_campaign_change(struct mo_request *request)
   free(job);
 }
 
-static void extension_error(struct mo_request *request, int64_t id, int code, const struct mo_message *message,
-                            struct mo_faults *faults)
+static void extension_error(struct mo_request *request, int64_t id, int code,
+                            const struct mo_message *message, struct mo_faults *faults)
 {
   const char *words = message->text[0] != '\0' ? message->text : mo_error_text(code);
   struct mo_campaign_status *status = code == MO_ERR_CONFLICT ? malloc(sizeof(*status)) : NULL;
@@ -249,13 +264,17 @@ static void extension_error(struct mo_request *request, int64_t id, int code, co
     if (status == NULL || mo_store_campaign(request->http->services.store, id, status) != MO_OK)
       mo_reply_error(request, code, "campaign");
     else
-      mo_reply_problem(
-          request, 409, NULL, "The campaign cannot be extended: it %s%s.",
-          status->end == MO_CAMPAIGN_EXHAUSTED ? "has exhausted its morphospace, of which nothing new is left" : "is ",
-          status->end == MO_CAMPAIGN_EXHAUSTED ? "" : mo_job_state_name(status->job.state));
+      mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: it %s%s.",
+                       status->end == MO_CAMPAIGN_EXHAUSTED
+                           ? "has exhausted its morphospace, of which nothing new is left"
+                           : "is ",
+                       status->end == MO_CAMPAIGN_EXHAUSTED ? ""
+                                                            : mo_job_state_name(status->job.state));
     break;
   case MO_ERR_UNSUPPORTED:
-  case MO_ERR_EMPTY: mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: %s.", words); break;
+  case MO_ERR_EMPTY:
+    mo_reply_problem(request, 409, NULL, "The campaign cannot be extended: %s.", words);
+    break;
   case MO_ERR_DUPLICATE: mo_reply_key_conflict(request, faults); break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE:
@@ -268,7 +287,8 @@ static void extension_error(struct mo_request *request, int64_t id, int code, co
   free(status);
 }
 
-static bool extend(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
+static bool extend(struct mo_request *request, const struct mo_submission_key *key,
+                   struct mo_faults *faults)
 {
   struct mo_message message = {""};
   struct mo_request_key known;
@@ -300,9 +320,10 @@ void mo_handle_campaign_extend(struct mo_request *request)
 static bool begin_checkpoints(struct mo_request *request, int64_t *id)
 {
   struct mo_query_value none;
-  return mo_query_read(request, NULL, &none, 0) && mo_accepts_json(request) && mo_path_id(request, 0, id) &&
-         (request->method == MO_DELETE ? mo_job_is_even_unreadable : mo_job_is)(request, *id, MO_JOB_CAMPAIGN,
-                                                                                "campaign");
+  return mo_query_read(request, NULL, &none, 0) && mo_accepts_json(request) &&
+         mo_path_id(request, 0, id) &&
+         (request->method == MO_DELETE ? mo_job_is_even_unreadable
+                                       : mo_job_is)(request, *id, MO_JOB_CAMPAIGN, "campaign");
 }
 
 void mo_handle_campaign_checkpoints(struct mo_request *request)
@@ -312,7 +333,8 @@ void mo_handle_campaign_checkpoints(struct mo_request *request)
   int64_t id;
   if (!begin_checkpoints(request, &id))
     return;
-  int64_t n = mo_store_campaign_checkpoints(request->http->services.store, id, rows, MO_CAMPAIGN_CHECKPOINTS_MAX);
+  int64_t n = mo_store_campaign_checkpoints(request->http->services.store, id, rows,
+                                            MO_CAMPAIGN_CHECKPOINTS_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -341,8 +363,8 @@ void mo_handle_campaign_checkpoints_delete(struct mo_request *request)
   }
   mo_text_add(&text, "{\"removed\":[");
   for (size_t i = 0; i < removed.n; i++)
-    mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "", removed.places[i][0],
-                   removed.places[i][1]);
+    mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "",
+                   removed.places[i][0], removed.places[i][1]);
   mo_text_add(&text, "]");
   mo_text_member_count(&text, "bytes", removed.bytes);
   mo_text_add(&text, "}");

@@ -10,7 +10,8 @@
 #include "http/unreadable.h"
 
 /* Writes the description; MO_OK or an error of the store. */
-static int write_controller(struct mo_store *store, struct mo_text *text, const struct mo_controller_record *record)
+static int write_controller(struct mo_store *store, struct mo_text *text,
+                            const struct mo_controller_record *record)
 {
   char *metadata = NULL;
   int code = mo_store_controller_metadata(store, &record->sha256, &metadata);
@@ -23,9 +24,12 @@ static int write_controller(struct mo_store *store, struct mo_text *text, const 
     mo_text_add(text, "null");
   mo_text_add(text, ",\"sha256\":");
   mo_hash_write(text, &record->sha256);
-  mo_text_format(text, ",\"bytes\":%llu,\"parameters\":%llu,\"sensor\":\"%s\",\"workspace\":[%u,%u,%u],\"metadata\":",
+  mo_text_format(text,
+                 ",\"bytes\":%llu,\"parameters\":%llu,\"sensor\":\"%s\",\"workspace\":[%u,%u,%u],"
+                 "\"metadata\":",
                  (unsigned long long)record->size, (unsigned long long)record->n_parameters,
-                 mo_sensor_name(record->sensor), record->workspace.nx, record->workspace.ny, record->workspace.nz);
+                 mo_sensor_name(record->sensor), record->workspace.nx, record->workspace.ny,
+                 record->workspace.nz);
   mo_text_json_stored(text, metadata);
   mo_text_add(text, ",\"stored_at\":");
   mo_text_json_time(text, record->stored_us);
@@ -34,7 +38,8 @@ static int write_controller(struct mo_store *store, struct mo_text *text, const 
   return MO_OK;
 }
 
-static void reply_controller(struct mo_request *request, unsigned status, const struct mo_controller_record *record)
+static void reply_controller(struct mo_request *request, unsigned status,
+                             const struct mo_controller_record *record)
 {
   struct mo_text text = {0};
   int code = write_controller(request->http->services.store, &text, record);
@@ -47,8 +52,8 @@ static void reply_controller(struct mo_request *request, unsigned status, const 
   mo_reply_etag_of_body(request);
 }
 
-/* A place in the list of controllers: those with names by their names, then those whose names are damaged, which say nothing of a place, by
- * their number. */
+/* A place in the list of controllers: those with names by their names, then those whose names are
+ * damaged, which say nothing of a place, by their number. */
 #define MISNAMED '~' /* no name has it */
 struct place {
   const char *after_name;  /* NULL: from the first */
@@ -64,13 +69,16 @@ static bool read_place(const char *cursor, struct place *place)
 }
 
 /* Returns how many, or an error. *n_misnamed: of these, at their end. */
-static int64_t read_page(struct mo_store *store, const struct place *place, struct mo_controller_record *records,
-                         size_t limit, int64_t *n_misnamed)
+static int64_t read_page(struct mo_store *store, const struct place *place,
+                         struct mo_controller_record *records, size_t limit, int64_t *n_misnamed)
 {
-  int64_t n = place->misnamed_passed > 0 ? 0 : mo_store_controllers(store, place->after_name, records, limit);
+  int64_t n = place->misnamed_passed > 0
+                  ? 0
+                  : mo_store_controllers(store, place->after_name, records, limit);
   *n_misnamed = n < 0 || (size_t)n == limit
                     ? 0
-                    : mo_store_controllers_misnamed(store, place->misnamed_passed, records + n, limit - (size_t)n);
+                    : mo_store_controllers_misnamed(store, place->misnamed_passed, records + n,
+                                                    limit - (size_t)n);
   return *n_misnamed < 0 ? *n_misnamed : n + *n_misnamed;
 }
 
@@ -90,7 +98,8 @@ void mo_handle_controllers(struct mo_request *request)
   }
   struct mo_controller_record *records = malloc(limit * sizeof(*records));
   int64_t n_misnamed = 0;
-  int64_t n = records != NULL ? read_page(store, &place, records, limit, &n_misnamed) : MO_ERR_NO_MEMORY;
+  int64_t n =
+      records != NULL ? read_page(store, &place, records, limit, &n_misnamed) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   struct mo_unreadable unreadable = {0};
   mo_text_add(&text, "{\"items\":[");
@@ -127,7 +136,8 @@ void mo_handle_controllers(struct mo_request *request)
 
 void mo_handle_controller_get(struct mo_request *request)
 {
-  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors", "application/json"};
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors",
+                                      "application/json"};
   struct mo_store *store = request->http->services.store;
   struct mo_query_value none;
   struct mo_controller_record record;
@@ -135,9 +145,9 @@ void mo_handle_controller_get(struct mo_request *request)
     return;
   int form = mo_accept_choose(request->framing.accept, types, 3);
   if (form < 0) {
-    mo_reply_problem(
-        request, 406, NULL,
-        "This path gives application/octet-stream or application/json, which the Accept field does not allow.");
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives application/octet-stream or application/json, which the "
+                     "Accept field does not allow.");
     return;
   }
   int code = mo_store_controller(store, request->parameters[0], &record);
@@ -157,11 +167,11 @@ void mo_handle_controller_get(struct mo_request *request)
   char digits[MO_SHA256_DIGITS + 1];
   mo_sha256_to_hex(&record.sha256, digits);
   if (code == MO_ERR_CORRUPT) {
-    mo_reply_problem(
-        request, 500, NULL,
-        "The file controllers/%s.safetensors in the state folder of the service is missing or damaged. PUT "
-        "of the same file, under any name, puts it right.",
-        digits);
+    mo_reply_problem(request, 500, NULL,
+                     "The file controllers/%s.safetensors in the state folder of the service is "
+                     "missing or damaged. PUT "
+                     "of the same file, under any name, puts it right.",
+                     digits);
     return;
   }
   if (code != MO_OK) {
@@ -187,22 +197,25 @@ void mo_handle_controller_put(struct mo_request *request)
   struct mo_faults *faults = calloc(1, sizeof(*faults));
   int code = faults == NULL ? MO_ERR_NO_MEMORY : mo_controller_name_check(name);
   if (code == MO_ERR_FORMAT) {
-    mo_faults_add(faults, MO_FAULT_PARAMETER, "name",
-                  "1 to 64 of a-z, 0-9, '.', '_' and '-', beginning with a letter or digit, are expected");
+    mo_faults_add(
+        faults, MO_FAULT_PARAMETER, "name",
+        "1 to 64 of a-z, 0-9, '.', '_' and '-', beginning with a letter or digit, are expected");
     mo_reply_problem(request, 422, faults, NULL);
   } else if (code == MO_OK) {
-    code = mo_controller_decode((const uint8_t *)request->body, request->body_size, &controller, &message);
-    if (code == MO_ERR_FORMAT || code == MO_ERR_LIMIT || code == MO_ERR_UNSUPPORTED || code == MO_ERR_INVALID ||
-        code == MO_ERR_RANGE) {
+    code = mo_controller_decode((const uint8_t *)request->body, request->body_size, &controller,
+                                &message);
+    if (code == MO_ERR_FORMAT || code == MO_ERR_LIMIT || code == MO_ERR_UNSUPPORTED ||
+        code == MO_ERR_INVALID || code == MO_ERR_RANGE) {
       mo_faults_add(faults, MO_FAULT_BODY, "", "%s", message.text);
       mo_reply_problem(request, 422, faults, "The body is not a controller: %s.", message.text);
     } else if (code == MO_OK) {
-      code = mo_store_controller_put(store, name, (const uint8_t *)request->body, request->body_size, controller,
-                                     &record, &created);
+      code = mo_store_controller_put(store, name, (const uint8_t *)request->body,
+                                     request->body_size, controller, &record, &created);
       if (code == MO_OK) {
         reply_controller(request, created ? 201 : 200, &record);
         if (request->reply.status == 201)
-          snprintf(request->reply.location, sizeof(request->reply.location), "/v1/controllers/%s", name);
+          snprintf(request->reply.location, sizeof(request->reply.location), "/v1/controllers/%s",
+                   name);
       }
     }
   }
@@ -219,11 +232,13 @@ void mo_handle_controller_delete(struct mo_request *request)
   if (!mo_query_read(request, NULL, &none, 0))
     return;
   if (strcmp(name, "default") == 0) {
-    mo_reply_problem(request, 409, NULL, "The name default cannot be taken away; PUT points it at another file.");
+    mo_reply_problem(request, 409, NULL,
+                     "The name default cannot be taken away; PUT points it at another file.");
     return;
   }
-  int code = mo_controller_name_check(name) == MO_OK ? mo_store_controller_remove(request->http->services.store, name)
-                                                     : MO_ERR_NOT_FOUND;
+  int code = mo_controller_name_check(name) == MO_OK
+                 ? mo_store_controller_remove(request->http->services.store, name)
+                 : MO_ERR_NOT_FOUND;
   if (code != MO_OK)
     mo_reply_error(request, code, "controller");
   else

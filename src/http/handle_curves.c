@@ -1,5 +1,6 @@
-/* handle_curves.c: what a campaign did, row by row: its generations, its learning, and the generations of a group of replicates. A page as
- * JSON, or the whole curve as CSV, read and written a page at a time. */
+/* handle_curves.c: what a campaign did, row by row: its generations, its learning, and the
+ * generations of a group of replicates. A page as JSON, or the whole curve as CSV, read and written
+ * a page at a time. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -37,7 +38,8 @@ static void separate(const struct curve *curve, struct mo_text *text)
     mo_text_bytes(text, ",", 1);
 }
 
-static void leave_out_generation(const struct curve *curve, int64_t job, const struct mo_campaign_generation *row)
+static void leave_out_generation(const struct curve *curve, int64_t job,
+                                 const struct mo_campaign_generation *row)
 {
   char id[24], place[48];
   snprintf(id, sizeof(id), "%u", row->generation);
@@ -56,7 +58,8 @@ static void leave_out_step(const struct curve *curve, const struct mo_campaign_s
 static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text *text)
 {
   struct mo_campaign_generation *rows = malloc(limit * sizeof(*rows));
-  int64_t n = rows != NULL ? mo_store_campaign_generations(curve->store, curve->id, curve->after, rows, limit)
+  int64_t n = rows != NULL ? mo_store_campaign_generations(curve->store, curve->id, curve->after,
+                                                           rows, limit)
                            : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
     curve->after = rows[i].generation;
@@ -74,9 +77,10 @@ static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text
 static int64_t add_steps(struct curve *curve, size_t limit, struct mo_text *text)
 {
   struct mo_campaign_step *rows = malloc(limit * sizeof(*rows));
-  int64_t n = rows != NULL ? mo_store_campaign_steps(curve->store, curve->id, (uint32_t)curve->after, curve->after_step,
-                                                     rows, limit)
-                           : MO_ERR_NO_MEMORY;
+  int64_t n = rows != NULL
+                  ? mo_store_campaign_steps(curve->store, curve->id, (uint32_t)curve->after,
+                                            curve->after_step, rows, limit)
+                  : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
     curve->after = rows[i].generation;
     curve->after_step = rows[i].step;
@@ -105,7 +109,8 @@ static int64_t add_replicates(struct curve *curve, size_t limit, struct mo_text 
   struct mo_replicate_row *sums = calloc((size_t)n, sizeof(*sums));
   int64_t code = rows != NULL && sums != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   for (uint32_t m = 0; m < curve->n_members && code >= 0; m++) {
-    code = mo_store_campaign_generations(curve->store, curve->members[m], curve->after, rows, (size_t)n);
+    code = mo_store_campaign_generations(curve->store, curve->members[m], curve->after, rows,
+                                         (size_t)n);
     for (int64_t i = 0; i < code; i++) {
       if (rows[i].generation < first || rows[i].generation >= first + n)
         continue;
@@ -141,7 +146,8 @@ static int add_page(struct curve *curve, struct mo_text *text)
   if (n < 0)
     return (int)n;
   curve->left -= (uint64_t)n;
-  return curve->kind == CURVE_REPLICATES ? curve->n_members > 0 && curve->after < curve->newest : (size_t)n == limit;
+  return curve->kind == CURVE_REPLICATES ? curve->n_members > 0 && curve->after < curve->newest
+                                         : (size_t)n == limit;
 }
 
 /* ---- replies ---- */
@@ -175,7 +181,8 @@ static void reply_page(struct mo_request *request, struct curve *curve)
     return;
   }
   if (curve->kind == CURVE_LEARNING)
-    mo_text_format(&text, "],\"next_after\":\"%lld.%u\"", (long long)curve->after, curve->after_step);
+    mo_text_format(&text, "],\"next_after\":\"%lld.%u\"", (long long)curve->after,
+                   curve->after_step);
   else if (curve->after >= 0)
     mo_text_format(&text, "],\"next_after\":%lld", (long long)curve->after);
   else
@@ -200,7 +207,8 @@ static int find_members(struct curve *curve)
   }
   curve->newest = INT64_MAX;
   for (int64_t i = 0; i < n; i++) {
-    if (all[i].job.damage[0] != '\0' || all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
+    if (all[i].job.damage[0] != '\0' || all[i].job.state == MO_JOB_CANCELLED ||
+        all[i].job.state == MO_JOB_FAILED)
       continue;
     curve->members[curve->n_members++] = all[i].job.id;
     curve->newest = all[i].generation < curve->newest ? all[i].generation : curve->newest;
@@ -235,14 +243,18 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
                         .after = kind == CURVE_LEARNING ? 0 : -1};
   int64_t limit = 0;
   int form;
-  if (!mo_query_read(request, names, values, 3) || !mo_query_form(request, &values[2], forms, types, 2, &form))
+  if (!mo_query_read(request, names, values, 3) ||
+      !mo_query_form(request, &values[2], forms, types, 2, &form))
     return MO_HANDLED;
-  if (kind == CURVE_LEARNING && values[0].present && !read_place(values[0].text, &curve.after, &curve.after_step)) {
+  if (kind == CURVE_LEARNING && values[0].present &&
+      !read_place(values[0].text, &curve.after, &curve.after_step)) {
     mo_reply_bad_parameter(request, "after", "generation and step, as in 12.30, are expected");
     return MO_HANDLED;
   }
-  if ((kind != CURVE_LEARNING && !mo_query_number(request, "after", &values[0], 0, UINT32_MAX, &curve.after)) ||
-      !mo_query_number(request, "limit", &values[1], 1, MO_PAGE_MAX, &limit) || !mo_path_id(request, 0, &curve.id) ||
+  if ((kind != CURVE_LEARNING &&
+       !mo_query_number(request, "after", &values[0], 0, UINT32_MAX, &curve.after)) ||
+      !mo_query_number(request, "limit", &values[1], 1, MO_PAGE_MAX, &limit) ||
+      !mo_path_id(request, 0, &curve.id) ||
       !mo_job_is(request, curve.id, MO_JOB_CAMPAIGN, "campaign"))
     return MO_HANDLED;
   curve.csv = form == 1;
@@ -264,8 +276,8 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
     return MO_HANDLED;
   }
   *kept = curve;
-  return mo_download_open(request, "text/csv; charset=utf-8; header=present", NULL, sizeof(*kept), more_csv, kept,
-                          free);
+  return mo_download_open(request, "text/csv; charset=utf-8; header=present", NULL, sizeof(*kept),
+                          more_csv, kept, free);
 }
 
 enum mo_handled mo_handle_campaign_generations(struct mo_request *request)

@@ -19,8 +19,8 @@ static void write_head(struct mo_text *text, const struct mo_bits *form, const s
 {
   mo_text_add(text, "{\"id\":");
   mo_bits_write_id(text, form);
-  mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels, body->n_masses,
-                 body->n_springs);
+  mo_text_format(text, ",\"voxels\":%u,\"masses\":%u,\"springs\":%u,\"genotype\":", body->n_voxels,
+                 body->n_masses, body->n_springs);
   mo_bits_write(text, form);
   mo_text_add(text, ",\"first_seen_at\":");
   mo_text_json_time(text, first_seen_us);
@@ -40,7 +40,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   }
   mo_text_add(text, ",\"physics\":");
   mo_hash_write(text, &score->physics_sha256);
-  mo_text_format(text, ",\"precision\":\"%s\",\"score\":", score->precision == MO_FLOAT64 ? "float64" : "float32");
+  mo_text_format(text, ",\"precision\":\"%s\",\"score\":",
+                 score->precision == MO_FLOAT64 ? "float64" : "float32");
   mo_loss_write(text, score->score);
   mo_text_add(text, ",\"losses\":[");
   for (uint32_t k = 0; k < score->n_losses; k++) {
@@ -59,7 +60,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
 static int write_campaigns(struct mo_store *store, struct mo_text *text, const struct mo_bits *form)
 {
   struct mo_campaign_place *places = malloc(CAMPAIGNS_MAX * sizeof(*places));
-  int64_t n = places != NULL ? mo_store_campaigns_of_design(store, form, 0, places, CAMPAIGNS_MAX) : MO_ERR_NO_MEMORY;
+  int64_t n = places != NULL ? mo_store_campaigns_of_design(store, form, 0, places, CAMPAIGNS_MAX)
+                             : MO_ERR_NO_MEMORY;
   int code = n < 0 ? (int)n : MO_OK;
   mo_text_add(text, ",\"campaigns\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
@@ -67,8 +69,8 @@ static int write_campaigns(struct mo_store *store, struct mo_text *text, const s
     code = mo_store_campaign_designs_of(store, places[i].campaign, &places[i].number, 1, &row);
     if (code != MO_OK)
       break;
-    mo_text_format(text, "%s{\"campaign\":\"%lld\",\"number\":%u", i > 0 ? "," : "", (long long)places[i].campaign,
-                   places[i].number);
+    mo_text_format(text, "%s{\"campaign\":\"%lld\",\"number\":%u", i > 0 ? "," : "",
+                   (long long)places[i].campaign, places[i].number);
     mo_campaign_json_life(text, &row);
     mo_text_add(text, "}");
   }
@@ -86,9 +88,10 @@ void mo_handle_design(struct mo_request *request)
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request))
     return;
   if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
-    mo_reply_problem(request, 404, NULL,
-                     "There is no such design: an id has %d hexadecimal digits of a canonical form.",
-                     MO_DEFAULT_ID_DIGITS);
+    mo_reply_problem(
+        request, 404, NULL,
+        "There is no such design: an id has %d hexadecimal digits of a canonical form.",
+        MO_DEFAULT_ID_DIGITS);
     return;
   }
   struct mo_design *design = NULL;
@@ -138,7 +141,8 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
     return mo_decimal(text, strlen(text), 1, INT64_MAX, &query->after_row);
   char digits[17] = "";
   size_t n = strspn(text, "0123456789abcdef");
-  if (n != 16 || text[16] != '-' || !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row))
+  if (n != 16 || text[16] != '-' ||
+      !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row))
     return false;
   memcpy(digits, text, 16);
   uint64_t bits = strtoull(digits, NULL, 16);
@@ -147,8 +151,9 @@ static bool read_cursor(const char *text, struct mo_design_query *query)
 }
 
 /* MO_ERR_NO_MEMORY, or 0. A form that is no body is damage. */
-static int write_row(struct mo_request *request, struct mo_text *text, const struct mo_design_query *query,
-                     const struct mo_design_row *row, struct mo_unreadable *unreadable)
+static int write_row(struct mo_request *request, struct mo_text *text,
+                     const struct mo_design_query *query, const struct mo_design_row *row,
+                     struct mo_unreadable *unreadable)
 {
   const bool whole = row->damage[0] == '\0';
   struct mo_body *body = NULL;
@@ -191,7 +196,8 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
   } else {
     uint64_t bits;
     memcpy(&bits, &rows[n - 1].score, sizeof(bits));
-    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits, rows[n - 1].genotype_row);
+    mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits,
+                   rows[n - 1].genotype_row);
   }
   mo_unreadable_end(request, &text, &unreadable);
   mo_text_add(&text, "}");
@@ -205,7 +211,8 @@ void mo_handle_designs(struct mo_request *request)
   static const char *const names[] = {"sort", "controller", "environments", "limit", "cursor"};
   struct mo_store *store = request->http->services.store;
   struct mo_query_value values[5];
-  struct mo_design_query query = {.sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
+  struct mo_design_query query = {
+      .sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
   if (!mo_query_read(request, names, values, 5) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[3], &limit))
@@ -226,12 +233,14 @@ void mo_handle_designs(struct mo_request *request)
     return;
   }
   if (values[4].present && !read_cursor(values[4].text, &query)) {
-    mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page with the same sort is expected");
+    mo_reply_bad_parameter(request, "cursor",
+                           "the next_cursor of an earlier page with the same sort is expected");
     return;
   }
   if (query.sort == MO_DESIGNS_BY_SCORE) {
     struct mo_controller_record controller;
-    int code = mo_store_controller(store, values[1].present ? values[1].text : "default", &controller);
+    int code =
+        mo_store_controller(store, values[1].present ? values[1].text : "default", &controller);
     if (code != MO_OK) {
       mo_reply_error(request, code, "controller");
       return;

@@ -25,8 +25,8 @@ static void write_device(struct mo_text *text, const struct mo_device_status *st
   mo_text_member_count(text, "memory_bytes", status->memory_bytes);
   mo_text_member_count(text, "free_bytes", status->free_bytes);
   mo_text_member_count(text, "multiprocessors", status->multiprocessors);
-  mo_text_format(text, ",\"capability\":\"%u.%u\",\"busy\":%s", status->capability / 10, status->capability % 10,
-                 status->is_busy ? "true" : "false");
+  mo_text_format(text, ",\"capability\":\"%u.%u\",\"busy\":%s", status->capability / 10,
+                 status->capability % 10, status->is_busy ? "true" : "false");
   mo_text_member_number(text, "load", status->load);
   mo_text_member_number(text, "busy_s", status->busy_s);
   mo_text_member_count(text, "calls", status->calls);

@@ -14,9 +14,9 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
   int64_t oldest = 0, newest = 0;
   if (after < 0)
     after = 0;
-  int64_t n = events != NULL
-                  ? mo_store_events(request->http->services.store, after, job, events, limit, &oldest, &newest)
-                  : MO_ERR_NO_MEMORY;
+  int64_t n = events != NULL ? mo_store_events(request->http->services.store, after, job, events,
+                                               limit, &oldest, &newest)
+                             : MO_ERR_NO_MEMORY;
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     free(events);
@@ -42,7 +42,8 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
   if (after > newest || next > newest) /* the newest whose place can be told */
     next = newest;
   bool reset = (after > 0 && after < oldest - 1) || after > newest;
-  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s", (long long)next, reset ? "true" : "false");
+  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s", (long long)next,
+                 reset ? "true" : "false");
   mo_unreadable_end(request, &text, &unreadable);
   mo_text_add(&text, "}");
   free(events);
@@ -63,11 +64,13 @@ enum mo_handled mo_handle_events(struct mo_request *request)
     mo_reply_bad_parameter(request, "format", "stream or json is expected");
     return MO_HANDLED;
   }
-  if (values[1].present && !mo_decimal(values[1].text, strlen(values[1].text), 0, INT64_MAX, &after)) {
+  if (values[1].present &&
+      !mo_decimal(values[1].text, strlen(values[1].text), 0, INT64_MAX, &after)) {
     mo_reply_bad_parameter(request, "after", "the id of an event, in decimal digits, is expected");
     return MO_HANDLED;
   }
-  if (values[2].present && !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &job)) {
+  if (values[2].present &&
+      !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &job)) {
     mo_reply_bad_parameter(request, "job", "the id of a job, in decimal digits, is expected");
     return MO_HANDLED;
   }
@@ -75,7 +78,8 @@ enum mo_handled mo_handle_events(struct mo_request *request)
   if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after)) {
     struct mo_faults *faults = calloc(1, sizeof(*faults));
     if (faults != NULL)
-      mo_faults_add(faults, MO_FAULT_HEADER, "Last-Event-ID", "the id of an event, in decimal digits, is expected");
+      mo_faults_add(faults, MO_FAULT_HEADER, "Last-Event-ID",
+                    "the id of an event, in decimal digits, is expected");
     mo_reply_problem(request, 400, faults, NULL);
     free(faults);
     return MO_HANDLED;
@@ -86,9 +90,9 @@ enum mo_handled mo_handle_events(struct mo_request *request)
     return MO_HANDLED;
   }
   if (mo_accept_choose(request->framing.accept, stream_type, 1) != 0) {
-    mo_reply_problem(
-        request, 406, NULL,
-        "This path gives text/event-stream, which the Accept field does not allow; format=json gives a page.");
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives text/event-stream, which the Accept field does not allow; "
+                     "format=json gives a page.");
     return MO_HANDLED;
   }
   if (request->method == MO_HEAD) {
@@ -103,7 +107,8 @@ enum mo_handled mo_handle_events(struct mo_request *request)
     return MO_STREAMED;
   }
   if (code == MO_ERR_LIMIT) {
-    mo_reply_problem(request, 503, NULL, "All event streams of the service are in use; try again later.");
+    mo_reply_problem(request, 503, NULL,
+                     "All event streams of the service are in use; try again later.");
     request->reply.retry_after_s = 5;
   } else {
     mo_reply_error(request, code == MO_ERR_BUSY ? MO_ERR_CANCELLED : code, "stream");

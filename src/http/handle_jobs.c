@@ -22,29 +22,32 @@ bool mo_read_wait(struct mo_request *request)
     return true;
   struct mo_faults *faults = calloc(1, sizeof(*faults));
   if (faults != NULL)
-    mo_faults_add(faults, MO_FAULT_HEADER, "Prefer", "wait must be a number of seconds, as in wait=30");
+    mo_faults_add(faults, MO_FAULT_HEADER, "Prefer",
+                  "wait must be a number of seconds, as in wait=30");
   mo_reply_problem(request, 400, faults, NULL);
   free(faults);
   return false;
 }
 
-/* The tag of a job's representation: results come with the state, so the row's version tells all. */
+/* The tag of a job's representation: results come with the state, so the row's version tells all.
+ */
 static void tag(struct mo_request *request, const char *what, const struct mo_job *job)
 {
   mo_reply_etag(request, "%s-%lld-%lld", what, (long long)job->id, (long long)job->version);
 }
 
-/* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is not, or not any more, in the state that is
- * asked for (−1: any). */
-static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job, int state,
-                     const char *before)
+/* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is
+ * not, or not any more, in the state that is asked for (−1: any). */
+static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job,
+                     int state, const char *before)
 {
   int code = MO_OK;
   if (job->kind == MO_JOB_TRAINING) {
     struct mo_training_live live;
     struct mo_training_status *training = malloc(sizeof(*training));
     code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
-    if (code == MO_OK && (state < 0 || mo_training_state(training, &live) == (enum mo_job_state)state)) {
+    if (code == MO_OK &&
+        (state < 0 || mo_training_state(training, &live) == (enum mo_job_state)state)) {
       mo_text_add(text, before);
       mo_training_json_job(text, training, &live);
     }
@@ -53,7 +56,8 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
     struct mo_campaign_live live;
     struct mo_campaign_status *campaign = malloc(sizeof(*campaign));
     code = campaign != NULL ? mo_read_campaign(http, job->id, campaign, &live) : MO_ERR_NO_MEMORY;
-    if (code == MO_OK && (state < 0 || mo_campaign_state_shown(campaign, &live) == (enum mo_job_state)state)) {
+    if (code == MO_OK &&
+        (state < 0 || mo_campaign_state_shown(campaign, &live) == (enum mo_job_state)state)) {
       mo_text_add(text, before);
       mo_campaign_json_job(text, campaign, &live);
     }
@@ -65,8 +69,10 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
   return code;
 }
 
-/* Writes the evaluation (with results if there are any) or the job, as `status`. An error: there is no reply yet. */
-static int write_reply(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
+/* Writes the evaluation (with results if there are any) or the job, as `status`. An error: there is
+ * no reply yet. */
+static int write_reply(struct mo_request *request, unsigned status, struct mo_job *job,
+                       bool with_results)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_text text = {0};
@@ -96,7 +102,8 @@ static int write_reply(struct mo_request *request, unsigned status, struct mo_jo
   return MO_OK;
 }
 
-static void reply_job(struct mo_request *request, unsigned status, struct mo_job *job, bool with_results)
+static void reply_job(struct mo_request *request, unsigned status, struct mo_job *job,
+                      bool with_results)
 {
   int code = write_reply(request, status, job, with_results);
   if (code != MO_OK)
@@ -150,7 +157,8 @@ static void submission_error(struct mo_request *request, int code, const struct 
 }
 
 /* Parses and stores; false: a reply is made. */
-static bool submit(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
+static bool submit(struct mo_request *request, const struct mo_submission_key *key,
+                   struct mo_faults *faults)
 {
   struct mo_http *http = request->http;
   struct mo_parsed_evaluation parsed;
@@ -160,7 +168,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     bool replayed;
     parsed.request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
     parsed.request.body_sha256 = key->body_sha256;
-    code = mo_jobs_submit_evaluation(http->services.jobs, &parsed.request, &request->submitted, &replayed, &message);
+    code = mo_jobs_submit_evaluation(http->services.jobs, &parsed.request, &request->submitted,
+                                     &replayed, &message);
     if (code != MO_OK)
       submission_error(request, code, &message);
   } else {
@@ -173,7 +182,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
 static void reply_submitted(struct mo_request *request, struct mo_job *job, bool done)
 {
   reply_job(request, done ? 200 : 202, job, true);
-  snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld", (long long)job->id);
+  snprintf(request->reply.location, sizeof(request->reply.location), "/v1/evaluations/%lld",
+           (long long)job->id);
   if (!done) {
     request->reply.applied[0] = '\0';
     request->reply.retry_after_s = 1;
@@ -182,7 +192,8 @@ static void reply_submitted(struct mo_request *request, struct mo_job *job, bool
 
 enum mo_handled mo_handle_evaluations_post(struct mo_request *request)
 {
-  if (request->submitted == 0 && (!mo_read_wait(request) || !mo_handle_submission(request, "evaluation", submit)))
+  if (request->submitted == 0 &&
+      (!mo_read_wait(request) || !mo_handle_submission(request, "evaluation", submit)))
     return MO_HANDLED;
   struct mo_job *job = malloc(sizeof(*job));
   int code = MO_ERR_NO_MEMORY;
@@ -217,8 +228,8 @@ enum mo_handled mo_handle_job_of(struct mo_request *request, int kind, const cha
 {
   struct mo_query_value none;
   int64_t id;
-  if (!request->wait_over &&
-      (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_read_wait(request)))
+  if (!request->wait_over && (!mo_query_read(request, NULL, &none, 0) ||
+                              !mo_accepts_json(request) || !mo_read_wait(request)))
     return MO_HANDLED;
   if (!mo_path_id(request, 0, &id))
     return MO_HANDLED;
@@ -264,7 +275,8 @@ bool mo_query_state(struct mo_request *request, const struct mo_query_value *val
   enum mo_job_state named;
   *state = -1;
   if (value->present && mo_job_state_from_name(value->text, &named) != MO_OK) {
-    mo_reply_bad_parameter(request, "state", "queued, running, paused, succeeded, failed or cancelled is expected");
+    mo_reply_bad_parameter(request, "state",
+                           "queued, running, paused, succeeded, failed or cancelled is expected");
     return false;
   }
   if (value->present)
@@ -272,7 +284,8 @@ bool mo_query_state(struct mo_request *request, const struct mo_query_value *val
   return true;
 }
 
-bool mo_query_before(struct mo_request *request, const struct mo_query_value *value, int64_t *before)
+bool mo_query_before(struct mo_request *request, const struct mo_query_value *value,
+                     int64_t *before)
 {
   *before = 0;
   if (!value->present || mo_decimal(value->text, strlen(value->text), 1, INT64_MAX, before))
@@ -281,8 +294,8 @@ bool mo_query_before(struct mo_request *request, const struct mo_query_value *va
   return false;
 }
 
-void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit, int64_t last,
-                   struct mo_unreadable *unreadable)
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                   int64_t last, struct mo_unreadable *unreadable)
 {
   if (n < 0) {
     mo_text_free(text);
@@ -305,8 +318,10 @@ void mo_handle_jobs(struct mo_request *request)
   static const char *const names[] = {"state", "kind", "limit", "cursor"};
   struct mo_query_value values[4];
   int64_t waiting[MO_WAITING_MAX];
-  struct mo_job_query query = {
-      .state = -1, .kind = -1, .waiting = waiting, .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
+  struct mo_job_query query = {.state = -1,
+                               .kind = -1,
+                               .waiting = waiting,
+                               .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
   size_t limit;
   if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[2], &limit))
@@ -323,7 +338,8 @@ void mo_handle_jobs(struct mo_request *request)
   if (values[1].present)
     query.kind = (int)kind;
   struct mo_job *jobs = malloc((limit + 1) * sizeof(*jobs));
-  int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit) : MO_ERR_NO_MEMORY;
+  int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit)
+                           : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   struct mo_unreadable unreadable = {0};
   const char *comma = "";
@@ -342,7 +358,8 @@ void mo_handle_jobs(struct mo_request *request)
     if (text.size > size)
       comma = ",";
   }
-  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0, &unreadable);
+  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0,
+                &unreadable);
   free(jobs);
 }
 
@@ -353,7 +370,8 @@ void mo_handle_job_change(struct mo_request *request)
   struct mo_jobs *jobs = request->http->services.jobs;
   struct mo_query_value none;
   int64_t id;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id))
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id))
     return;
   struct mo_job *job = malloc(sizeof(*job));
   if (job == NULL) {
@@ -366,11 +384,13 @@ void mo_handle_job_change(struct mo_request *request)
   int code = request->route == MO_ROUTE_JOB_PAUSE    ? mo_jobs_pause(jobs, id)
              : request->route == MO_ROUTE_JOB_RESUME ? mo_jobs_resume(jobs, id)
                                                      : mo_jobs_cancel(jobs, id);
-  const bool conflict = code == MO_ERR_CONFLICT, cancelled = code == MO_OK && request->route == MO_ROUTE_JOB;
+  const bool conflict = code == MO_ERR_CONFLICT,
+             cancelled = code == MO_OK && request->route == MO_ROUTE_JOB;
   if (code == MO_OK || conflict)
     code = mo_store_job(request->http->services.store, id, job);
   if (conflict && mo_job_is_known(job, code)) {
-    mo_reply_problem(request, 409, NULL, "The job cannot be %s: it is %s.", verb, mo_job_state_name(job->state));
+    mo_reply_problem(request, 409, NULL, "The job cannot be %s: it is %s.", verb,
+                     mo_job_state_name(job->state));
   } else {
     if (code == MO_OK)
       code = write_reply(request, 200, job, false);
@@ -401,14 +421,15 @@ static int read_weight(const struct mo_request *request, double *weight, struct 
       mo_read_unknown(json, "weight");
     }
   if (object && !json->stop && !given)
-    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s", MO_NUMBER(MO_WEIGHT_MIN),
-                     MO_NUMBER(MO_WEIGHT_MAX));
+    mo_json_fault_at(json, 0, "", "weight is missing: a number from %s to %s",
+                     MO_NUMBER(MO_WEIGHT_MIN), MO_NUMBER(MO_WEIGHT_MAX));
   mo_json_finish(json);
   free(json);
   return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-static void set_weight(struct mo_request *request, int64_t id, struct mo_faults *faults, struct mo_job *job)
+static void set_weight(struct mo_request *request, int64_t id, struct mo_faults *faults,
+                       struct mo_job *job)
 {
   double weight = 1;
   int code = read_weight(request, &weight, faults);
@@ -424,7 +445,8 @@ static void set_weight(struct mo_request *request, int64_t id, struct mo_faults 
   if (code != MO_OK) {
     mo_reply_error(request, code, "job");
   } else if (conflict) {
-    mo_reply_problem(request, 409, NULL, "The job has no use for a weight: it is %s.", mo_job_state_name(job->state));
+    mo_reply_problem(request, 409, NULL, "The job has no use for a weight: it is %s.",
+                     mo_job_state_name(job->state));
   } else {
     reply_job(request, 200, job, false);
     request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
@@ -435,8 +457,8 @@ void mo_handle_job_weight(struct mo_request *request)
 {
   struct mo_query_value none;
   int64_t id;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !mo_check_content(request, "application/json", NULL))
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id) || !mo_check_content(request, "application/json", NULL))
     return;
   struct mo_faults *faults = calloc(1, sizeof(*faults));
   struct mo_job *job = malloc(sizeof(*job));
@@ -476,7 +498,8 @@ static void write_frames(struct mo_text *text, const struct mo_trajectory *t)
   }
 }
 
-/* The numbers of one array as float32, little-endian (as this machine has them: the build refuses others). */
+/* The numbers of one array as float32, little-endian (as this machine has them: the build refuses
+ * others). */
 static void reply_binary(struct mo_request *request, const struct mo_trajectory *t, bool masses)
 {
   size_t n = masses ? (size_t)t->n_frames * t->n_masses * 3 : (size_t)t->n_frames * 3;
@@ -510,17 +533,19 @@ void mo_handle_trajectory(struct mo_request *request)
     return;
   int form = mo_accept_choose(request->framing.accept, types, 2);
   if (form < 0) {
-    mo_reply_problem(
-        request, 406, NULL,
-        "This path gives application/json or application/octet-stream, which the Accept field does not allow.");
+    mo_reply_problem(request, 406, NULL,
+                     "This path gives application/json or application/octet-stream, which the "
+                     "Accept field does not allow.");
     return;
   }
   const char *design = request->parameters[1];
   if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &n)) {
-    mo_reply_problem(request, 404, NULL, "There is no such design: its place in the request, from 0, is expected.");
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: its place in the request, from 0, is expected.");
     return;
   }
-  if (values[0].present && !mo_decimal(values[0].text, strlen(values[0].text), 0, MO_ENVIRONMENTS_MAX - 1, &k)) {
+  if (values[0].present &&
+      !mo_decimal(values[0].text, strlen(values[0].text), 0, MO_ENVIRONMENTS_MAX - 1, &k)) {
     mo_reply_bad_parameter(request, "environment", "an integer from 0 to 63 is expected");
     return;
   }
@@ -535,13 +560,15 @@ void mo_handle_trajectory(struct mo_request *request)
   if (code != MO_OK) {
     mo_reply_error(request, code, "evaluation");
   } else if ((uint32_t)n >= job->n_designs || (uint32_t)k >= job->n_environments) {
-    mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.", job->n_designs,
-                     job->n_environments);
+    mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
+                     job->n_designs, job->n_environments);
   } else if (!job->record_com && !job->record_masses) {
     mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording.");
   } else if ((masses && !job->record_masses) || (com && !job->record_com)) {
-    mo_reply_problem(request, 404, NULL, "The evaluation did not ask for a recording of this array.");
-  } else if ((code = mo_store_trajectory(store, id, (uint32_t)n, (uint32_t)k, &trajectory)) == MO_ERR_NOT_FOUND) {
+    mo_reply_problem(request, 404, NULL,
+                     "The evaluation did not ask for a recording of this array.");
+  } else if ((code = mo_store_trajectory(store, id, (uint32_t)n, (uint32_t)k, &trajectory)) ==
+             MO_ERR_NOT_FOUND) {
     if (mo_job_state_is_final(job->state))
       mo_reply_problem(request, 404, NULL, "This rollout was not recorded: the evaluation has %s.",
                        mo_job_state_name(job->state));
@@ -554,17 +581,19 @@ void mo_handle_trajectory(struct mo_request *request)
     reply_binary(request, trajectory, masses || (!com && trajectory->mass_m != NULL));
   } else {
     struct mo_text text = {0};
-    mo_text_format(
-        &text, "{\"evaluation\":\"%lld\",\"design\":%lld,\"environment\":%lld,\"stride\":%u,\"frames\":%u,\"dt_s\":",
-        (long long)id, (long long)n, (long long)k, trajectory->stride, trajectory->n_frames);
+    mo_text_format(&text,
+                   "{\"evaluation\":\"%lld\",\"design\":%lld,\"environment\":%lld,\"stride\":%u,"
+                   "\"frames\":%u,\"dt_s\":",
+                   (long long)id, (long long)n, (long long)k, trajectory->stride,
+                   trajectory->n_frames);
     mo_text_json_number(&text, trajectory->dt_s);
     write_frames(&text, trajectory);
     mo_text_add(&text, "}");
     mo_reply_json(request, 200, &text);
   }
   if (request->reply.status == 200)
-    mo_reply_etag(request, "trajectory-%lld-%lld-%lld-%d%s", (long long)id, (long long)n, (long long)k, form,
-                  values[1].text);
+    mo_reply_etag(request, "trajectory-%lld-%lld-%lld-%d%s", (long long)id, (long long)n,
+                  (long long)k, form, values[1].text);
   mo_trajectory_free(trajectory);
   free(job);
 }

@@ -1,4 +1,5 @@
-/* handle_learned.c: what a training gives and is measured by: its controller so far, and held-out designs and environments. */
+/* handle_learned.c: what a training gives and is measured by: its controller so far, and held-out
+ * designs and environments. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,8 +16,8 @@
 /* ---- the controller ---- */
 
 /* The controller of a checkpoint (step 0: the newest) as a file. *at: its step. */
-static int export_checkpoint(struct mo_http *http, const struct mo_training_status *status, uint32_t step,
-                             uint8_t **bytes, size_t *size, uint32_t *at)
+static int export_checkpoint(struct mo_http *http, const struct mo_training_status *status,
+                             uint32_t step, uint8_t **bytes, size_t *size, uint32_t *at)
 {
   struct mo_training *training = NULL;
   struct mo_controller *controller = NULL;
@@ -25,15 +26,16 @@ static int export_checkpoint(struct mo_http *http, const struct mo_training_stat
   size_t n = 0;
   char digits[MO_SHA256_DIGITS + 1];
   mo_sha256_to_hex(&status->record.parent_sha256, digits);
-  int code = mo_store_training_checkpoint_bytes(http->services.store, status->job.id, step, &stored, &n);
+  int code =
+      mo_store_training_checkpoint_bytes(http->services.store, status->job.id, step, &stored, &n);
   if (code == MO_OK)
     code = mo_training_decode(stored, n, &training, &message);
   free(stored);
   if (code == MO_OK) {
     *at = mo_training_step(training);
-    code =
-        mo_training_export(training, status->record.has_parent ? digits : NULL,
-                           mo_jobs_code_version(http->services.jobs, status->job.back_end), &status->code, &controller);
+    code = mo_training_export(training, status->record.has_parent ? digits : NULL,
+                              mo_jobs_code_version(http->services.jobs, status->job.back_end),
+                              &status->code, &controller);
   }
   if (code == MO_OK)
     code = mo_controller_encode(controller, bytes, size);
@@ -42,9 +44,10 @@ static int export_checkpoint(struct mo_http *http, const struct mo_training_stat
   return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
 }
 
-/* Of the training's result, or of a checkpoint (step 0: the newest): a row says what the file must be, and one of them does not. */
-static void reply_damaged(struct mo_request *request, const struct mo_training_status *status, bool result,
-                          uint32_t step)
+/* Of the training's result, or of a checkpoint (step 0: the newest): a row says what the file must
+ * be, and one of them does not. */
+static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
+                          bool result, uint32_t step)
 {
   static const char words[] = "in the state folder of the service is missing or damaged.";
   struct mo_training_checkpoint_row newest = {.step = step};
@@ -57,8 +60,8 @@ static void reply_damaged(struct mo_request *request, const struct mo_training_s
   if (result)
     mo_reply_problem(request, 500, NULL, "The file controllers/%s.safetensors %s", digits, words);
   else
-    mo_reply_problem(request, 500, NULL, "The file trainings/%lld/%u.checkpoint %s", (long long)status->job.id,
-                     newest.step, words);
+    mo_reply_problem(request, 500, NULL, "The file trainings/%lld/%u.checkpoint %s",
+                     (long long)status->job.id, newest.step, words);
 }
 
 void mo_handle_training_controller(struct mo_request *request)
@@ -72,17 +75,20 @@ void mo_handle_training_controller(struct mo_request *request)
     return;
   int form = mo_accept_choose(request->framing.accept, types, 2);
   if (form < 0) {
-    mo_reply_problem(request, 406, NULL,
-                     "This path gives application/octet-stream, which the Accept field does not allow.");
+    mo_reply_problem(
+        request, 406, NULL,
+        "This path gives application/octet-stream, which the Accept field does not allow.");
     return;
   }
-  if (!mo_query_number(request, "step", &value, 1, MO_TRAINING_STEPS_MAX, &step) || !mo_path_id(request, 0, &id))
+  if (!mo_query_number(request, "step", &value, 1, MO_TRAINING_STEPS_MAX, &step) ||
+      !mo_path_id(request, 0, &id))
     return;
   struct mo_training_status *status = malloc(sizeof(*status));
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t at = 0;
-  int code = status != NULL ? mo_store_training(http->services.store, id, status) : MO_ERR_NO_MEMORY;
+  int code =
+      status != NULL ? mo_store_training(http->services.store, id, status) : MO_ERR_NO_MEMORY;
   if (code != MO_OK) {
     mo_reply_error(request, code, "training");
     free(status);
@@ -97,7 +103,8 @@ void mo_handle_training_controller(struct mo_request *request)
   }
   if (code == MO_ERR_NOT_FOUND && value.present)
     mo_reply_problem(request, 404, NULL,
-                     "The training keeps no checkpoint of step %lld; GET /v1/trainings/%lld/checkpoints lists them.",
+                     "The training keeps no checkpoint of step %lld; GET "
+                     "/v1/trainings/%lld/checkpoints lists them.",
                      (long long)step, (long long)id);
   else if (code == MO_ERR_NOT_FOUND)
     mo_reply_problem(request, 404, NULL,
@@ -122,8 +129,9 @@ void mo_handle_training_controller(struct mo_request *request)
 
 /* ---- held-out sets ---- */
 
-static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes, uint32_t n_designs,
-                           uint64_t seed, uint32_t n_environments, const struct mo_physics *physics)
+static void reply_held_out(struct mo_request *request, const struct mo_bits *genotypes,
+                           uint32_t n_designs, uint64_t seed, uint32_t n_environments,
+                           const struct mo_physics *physics)
 {
   struct mo_environment *environments = calloc(n_environments, sizeof(*environments));
   struct mo_text text = {0};
@@ -141,7 +149,8 @@ static void reply_held_out(struct mo_request *request, const struct mo_bits *gen
 static int draw(uint64_t seed, uint32_t n, struct mo_bits **genotypes)
 {
   struct mo_bits *drawn = calloc(n, sizeof(*drawn));
-  _Static_assert(sizeof(*drawn) == MO_DEFAULT_WORDS * sizeof(uint64_t), "genotypes lie one behind the other");
+  _Static_assert(sizeof(*drawn) == MO_DEFAULT_WORDS * sizeof(uint64_t),
+                 "genotypes lie one behind the other");
   int code = drawn != NULL ? mo_held_out_designs(seed, n, (uint64_t *)drawn) : MO_ERR_NO_MEMORY;
   if (code != MO_OK)
     free(drawn);
@@ -154,7 +163,8 @@ void mo_handle_training_held_out(struct mo_request *request)
 {
   struct mo_query_value none;
   int64_t id;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id))
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id))
     return;
   struct mo_store *store = request->http->services.store;
   struct mo_training_status *status = malloc(sizeof(*status));
@@ -173,8 +183,8 @@ void mo_handle_training_held_out(struct mo_request *request)
   if (code != MO_OK)
     mo_reply_error(request, code, "training");
   else
-    reply_held_out(request, genotypes, n, status->record.settings.seed, status->record.settings.held_out_environments,
-                   &status->record.settings.physics);
+    reply_held_out(request, genotypes, n, status->record.settings.seed,
+                   status->record.settings.held_out_environments, &status->record.settings.physics);
   free(genotypes);
   free(status);
 }
@@ -194,6 +204,7 @@ void mo_handle_held_out(struct mo_request *request)
   if (code != MO_OK)
     mo_reply_error(request, code, "set");
   else
-    reply_held_out(request, genotypes, (uint32_t)designs, (uint64_t)seed, (uint32_t)environments, NULL);
+    reply_held_out(request, genotypes, (uint32_t)designs, (uint64_t)seed, (uint32_t)environments,
+                   NULL);
   free(genotypes);
 }

@@ -1,4 +1,5 @@
-/* handle_phylogeny.c: the designs of a campaign: its populations, each design with its lineage, the whole phylogeny, its champions. */
+/* handle_phylogeny.c: the designs of a campaign: its populations, each design with its lineage, the
+ * whole phylogeny, its champions. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,7 +24,8 @@ static void write_rows(struct mo_text *text, const struct mo_campaign_design *ro
 }
 
 /* A cursor that is the number of the last design of the page before; −1 without one. */
-static bool read_cursor(struct mo_request *request, const struct mo_query_value *value, int64_t *after)
+static bool read_cursor(struct mo_request *request, const struct mo_query_value *value,
+                        int64_t *after)
 {
   *after = -1;
   if (!value->present || mo_decimal(value->text, strlen(value->text), 0, UINT32_MAX, after))
@@ -63,23 +65,27 @@ void mo_handle_campaign_population(struct mo_request *request)
       !mo_query_limit(request, &values[1], &limit) || !mo_path_id(request, 0, &id))
     return;
   asked = generation;
-  if (values[2].present &&
-      (!read_population_cursor(values[2].text, &generation, &offset) || (asked >= 0 && asked != generation))) {
+  if (values[2].present && (!read_population_cursor(values[2].text, &generation, &offset) ||
+                            (asked >= 0 && asked != generation))) {
     mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
     return;
   }
   struct mo_campaign_status *status = malloc(sizeof(*status));
   struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
   uint32_t size = 0;
-  int64_t n = status != NULL && rows != NULL ? mo_store_campaign(store, id, status) : MO_ERR_NO_MEMORY;
+  int64_t n =
+      status != NULL && rows != NULL ? mo_store_campaign(store, id, status) : MO_ERR_NO_MEMORY;
   bool known = n == MO_OK;
   if (known && generation < 0)
-    generation = status->generation; /* a page is of one generation, also while the next one is committed */
+    generation =
+        status->generation; /* a page is of one generation, also while the next one is committed */
   if (known)
-    n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset, rows, limit, &size)
+    n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset,
+                                                       rows, limit, &size)
                         : MO_ERR_NOT_FOUND;
   if (n == MO_ERR_NOT_FOUND && known && generation < 0) {
-    mo_reply_problem(request, 404, NULL, "The campaign has no population yet: its first one is not scored.");
+    mo_reply_problem(request, 404, NULL,
+                     "The campaign has no population yet: its first one is not scored.");
   } else if (n == MO_ERR_NOT_FOUND && known) {
     mo_reply_problem(request, 404, NULL, "The campaign has no generation %lld: the newest is %lld.",
                      (long long)generation, (long long)status->generation);
@@ -91,7 +97,8 @@ void mo_handle_campaign_population(struct mo_request *request)
     write_rows(&text, rows, (size_t)n);
     offset += n;
     if (offset < size)
-      mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation, (long long)offset);
+      mo_text_format(&text, ",\"next_cursor\":\"%lld-%lld\"}", (long long)generation,
+                     (long long)offset);
     else
       mo_text_add(&text, ",\"next_cursor\":null}");
     mo_reply_json(request, 200, &text);
@@ -103,7 +110,8 @@ void mo_handle_campaign_population(struct mo_request *request)
 
 /* ---- one design and its lineage ---- */
 
-/* The descents of a campaign and a design's number among them, both from the path. Free `descents` in every case. */
+/* The descents of a campaign and a design's number among them, both from the path. Free `descents`
+ * in every case. */
 struct lineage {
   int64_t id;
   uint32_t number, n;
@@ -115,7 +123,8 @@ static void no_such_design(struct mo_request *request, uint32_t n)
   if (n == 0)
     mo_reply_problem(request, 404, NULL, "The campaign has no designs yet.");
   else
-    mo_reply_problem(request, 404, NULL, "There is no such design: the campaign has the numbers 0 to %u.", n - 1);
+    mo_reply_problem(request, 404, NULL,
+                     "There is no such design: the campaign has the numbers 0 to %u.", n - 1);
 }
 
 /* False: the reply is made. */
@@ -124,15 +133,18 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
   const char *text = request->parameters[1];
   int64_t number = -1;
   *lineage = (struct lineage){0};
-  if (!mo_path_id(request, 0, &lineage->id) || !mo_job_is(request, lineage->id, MO_JOB_CAMPAIGN, "campaign"))
+  if (!mo_path_id(request, 0, &lineage->id) ||
+      !mo_job_is(request, lineage->id, MO_JOB_CAMPAIGN, "campaign"))
     return false;
-  if ((text[0] == '0' && text[1] != '\0') || !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
-    mo_reply_problem(request, 404, NULL,
-                     "There is no such design: its number in the campaign, in decimal digits, is expected.");
+  if ((text[0] == '0' && text[1] != '\0') ||
+      !mo_decimal(text, strlen(text), 0, UINT32_MAX - 1, &number)) {
+    mo_reply_problem(
+        request, 404, NULL,
+        "There is no such design: its number in the campaign, in decimal digits, is expected.");
     return false;
   }
-  int code =
-      mo_store_campaign_descents(request->http->services.store, lineage->id, &lineage->descents, NULL, &lineage->n);
+  int code = mo_store_campaign_descents(request->http->services.store, lineage->id,
+                                        &lineage->descents, NULL, &lineage->n);
   if (code != MO_OK)
     mo_reply_error(request, code, "campaign");
   else if (number >= lineage->n)
@@ -142,8 +154,8 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
 }
 
 /* The page of those marked behind `after`: adds "items" and "next_cursor" to `text`. */
-static int write_marked(struct mo_request *request, const struct lineage *lineage, const uint8_t *marks, int64_t after,
-                        size_t limit, struct mo_text *text)
+static int write_marked(struct mo_request *request, const struct lineage *lineage,
+                        const uint8_t *marks, int64_t after, size_t limit, struct mo_text *text)
 {
   uint32_t *numbers = malloc(limit * sizeof(*numbers));
   struct mo_campaign_design *rows = calloc(limit, sizeof(*rows));
@@ -158,7 +170,8 @@ static int write_marked(struct mo_request *request, const struct lineage *lineag
       numbers[n++] = (uint32_t)i;
   }
   if (code == MO_OK && n > 0)
-    code = mo_store_campaign_designs_of(request->http->services.store, lineage->id, numbers, n, rows);
+    code =
+        mo_store_campaign_designs_of(request->http->services.store, lineage->id, numbers, n, rows);
   if (code == MO_OK) {
     write_rows(text, rows, n);
     write_next(text, more ? (int64_t)numbers[n - 1] : -1);
@@ -195,8 +208,9 @@ void mo_handle_campaign_design(struct mo_request *request)
     return;
   if (read_lineage(request, &lineage)) {
     uint8_t *marks = calloc(lineage.n, 1);
-    int code =
-        marks != NULL ? mo_store_campaign_designs_of(store, lineage.id, &lineage.number, 1, &row) : MO_ERR_NO_MEMORY;
+    int code = marks != NULL
+                   ? mo_store_campaign_designs_of(store, lineage.id, &lineage.number, 1, &row)
+                   : MO_ERR_NO_MEMORY;
     for (uint32_t i = lineage.number + 1; i < lineage.n && code == MO_OK; i++) {
       const uint32_t *parents = lineage.descents[i].parents;
       marks[i] = parents[0] == lineage.number || parents[1] == lineage.number;
@@ -214,8 +228,9 @@ void mo_handle_campaign_design(struct mo_request *request)
   free(lineage.descents);
 }
 
-static void handle_relatives(struct mo_request *request, void (*mark)(const struct mo_descent *descents, uint32_t n,
-                                                                      uint32_t number, uint8_t *marks))
+static void handle_relatives(struct mo_request *request,
+                             void (*mark)(const struct mo_descent *descents, uint32_t n,
+                                          uint32_t number, uint8_t *marks))
 {
   static const char *const names[] = {"limit", "cursor"};
   struct mo_query_value values[2];
@@ -258,8 +273,9 @@ void mo_handle_campaign_descendants(struct mo_request *request)
 static void reply_page(struct mo_request *request, int64_t id, int64_t after, size_t limit)
 {
   struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
-  int64_t n = rows != NULL ? mo_store_campaign_designs(request->http->services.store, id, after, rows, limit)
-                           : MO_ERR_NO_MEMORY;
+  int64_t n = rows != NULL
+                  ? mo_store_campaign_designs(request->http->services.store, id, after, rows, limit)
+                  : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   if (n >= 0) {
     mo_text_add(&text, "{");
@@ -288,8 +304,9 @@ static int more_lines(void *context, struct mo_text *text)
   if (limit == 0)
     return 0;
   struct mo_campaign_design *rows = malloc(limit * sizeof(*rows));
-  int64_t n =
-      rows != NULL ? mo_store_campaign_designs(lines->store, lines->id, lines->after, rows, limit) : MO_ERR_NO_MEMORY;
+  int64_t n = rows != NULL
+                  ? mo_store_campaign_designs(lines->store, lines->id, lines->after, rows, limit)
+                  : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
     mo_campaign_csv_design(text, &rows[i], lines->newest);
     lines->after = rows[i].number;
@@ -301,7 +318,8 @@ static int more_lines(void *context, struct mo_text *text)
   return lines->left > 0;
 }
 
-static enum mo_handled reply_csv(struct mo_request *request, const struct mo_campaign_status *status, const char *tag)
+static enum mo_handled reply_csv(struct mo_request *request,
+                                 const struct mo_campaign_status *status, const char *tag)
 {
   struct lines *lines = malloc(sizeof(*lines));
   if (lines == NULL) {
@@ -313,12 +331,12 @@ static enum mo_handled reply_csv(struct mo_request *request, const struct mo_cam
                           .after = -1,
                           .newest = status->generation,
                           .left = status->n_designs};
-  return mo_download_open(request, "text/csv; charset=utf-8; header=present", tag, sizeof(*lines), more_lines, lines,
-                          free);
+  return mo_download_open(request, "text/csv; charset=utf-8; header=present", tag, sizeof(*lines),
+                          more_lines, lines, free);
 }
 
-static enum mo_handled reply_newick(struct mo_request *request, const struct mo_campaign_status *status,
-                                    const char *tag)
+static enum mo_handled reply_newick(struct mo_request *request,
+                                    const struct mo_campaign_status *status, const char *tag)
 {
   struct mo_newick_pieces *pieces = NULL;
   struct mo_descent *descents = NULL;
@@ -327,7 +345,8 @@ static enum mo_handled reply_newick(struct mo_request *request, const struct mo_
   mo_reply_etag(request, "%s", tag);
   if (request->reply.status == 304)
     return MO_HANDLED; /* before everything is read */
-  int code = mo_store_campaign_descents(request->http->services.store, status->job.id, &descents, &born, &n);
+  int code = mo_store_campaign_descents(request->http->services.store, status->job.id, &descents,
+                                        &born, &n);
   if (code == MO_OK && n > status->n_designs)
     n = (uint32_t)status->n_designs; /* those of the tag */
   if (code == MO_OK)
@@ -336,8 +355,8 @@ static enum mo_handled reply_newick(struct mo_request *request, const struct mo_
     mo_reply_error(request, code, "campaign");
     return MO_HANDLED;
   }
-  return mo_download_open(request, "text/x-nh; charset=utf-8", tag, mo_newick_pieces_bytes(n), mo_newick_pieces_more,
-                          pieces, mo_newick_pieces_free);
+  return mo_download_open(request, "text/x-nh; charset=utf-8", tag, mo_newick_pieces_bytes(n),
+                          mo_newick_pieces_more, pieces, mo_newick_pieces_free);
 }
 
 enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request)
@@ -351,24 +370,27 @@ enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request)
   size_t limit;
   int form;
   char tag[80];
-  if (!mo_query_read(request, names, values, 3) || !mo_query_form(request, &values[0], forms, types, 3, &form) ||
+  if (!mo_query_read(request, names, values, 3) ||
+      !mo_query_form(request, &values[0], forms, types, 3, &form) ||
       !mo_query_limit(request, &values[1], &limit) || !read_cursor(request, &values[2], &after) ||
       !mo_path_id(request, 0, &id))
     return handled;
   for (size_t i = 1; i < 3; i++)
     if (form > 0 && values[i].present) {
-      mo_reply_bad_parameter(request, names[i], "this parameter is for JSON: the other forms are whole");
+      mo_reply_bad_parameter(request, names[i],
+                             "this parameter is for JSON: the other forms are whole");
       return handled;
     }
   struct mo_campaign_status *status = malloc(sizeof(*status));
-  int code = status != NULL ? mo_store_campaign(request->http->services.store, id, status) : MO_ERR_NO_MEMORY;
+  int code = status != NULL ? mo_store_campaign(request->http->services.store, id, status)
+                            : MO_ERR_NO_MEMORY;
   if (code != MO_OK) {
     mo_reply_error(request, code, "campaign");
   } else if (form == 0) {
     reply_page(request, id, after, limit);
   } else {
-    snprintf(tag, sizeof(tag), "phylogeny-%s-%lld-%lld-%llu", forms[form], (long long)id, (long long)status->generation,
-             (unsigned long long)status->n_designs);
+    snprintf(tag, sizeof(tag), "phylogeny-%s-%lld-%lld-%llu", forms[form], (long long)id,
+             (long long)status->generation, (unsigned long long)status->n_designs);
     handled = (form == 1 ? reply_csv : reply_newick)(request, status, tag);
   }
   free(status);
@@ -398,8 +420,8 @@ void mo_handle_campaign_champions(struct mo_request *request)
   if (known && generation < 0)
     generation = status->generation;
   if (known)
-    code = generation >= 0 ? mo_jobs_campaign_champions(http->services.jobs, id, generation, (uint32_t)count, rows,
-                                                        distinctiveness, &n)
+    code = generation >= 0 ? mo_jobs_campaign_champions(http->services.jobs, id, generation,
+                                                        (uint32_t)count, rows, distinctiveness, &n)
                            : MO_ERR_NOT_FOUND;
   if (code == MO_ERR_NOT_FOUND && known) {
     mo_reply_problem(request, 404, NULL,
@@ -446,7 +468,8 @@ static void record_error(struct mo_request *request, int code, const struct mo_m
   }
 }
 
-static bool record(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
+static bool record(struct mo_request *request, const struct mo_submission_key *key,
+                   struct mo_faults *faults)
 {
   struct mo_message message = {""};
   struct mo_request_key known;
@@ -460,8 +483,8 @@ static bool record(struct mo_request *request, const struct mo_submission_key *k
     return false;
   }
   code = mo_jobs_campaign_record_champions(request->http->services.jobs, id, count, stride,
-                                           mo_submission_key_of(key, "champions", id, &known), &request->submitted,
-                                           &message);
+                                           mo_submission_key_of(key, "champions", id, &known),
+                                           &request->submitted, &message);
   if (code != MO_OK)
     record_error(request, code, &message, faults);
   return code == MO_OK;

@@ -1,5 +1,5 @@
-/* handle_trainings.c: trainings: submission, state, lists, curves, checkpoints. What a training gives and is measured by (its
- * controller, its held-out set) is in handle_learned.c. */
+/* handle_trainings.c: trainings: submission, state, lists, curves, checkpoints. What a training
+ * gives and is measured by (its controller, its held-out set) is in handle_learned.c. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,26 +10,31 @@
 #include "http/training_request.h"
 #include "http/unreadable.h"
 
-#define CSV_ROWS_MAX                                                                                                   \
-  10000 /* of one reply that was not asked for a limit: 5 µs each on a thread that serves others, too */
+#define CSV_ROWS_MAX                                                                               \
+  10000 /* of one reply that was not asked for a limit: 5 µs each on a thread that serves others, \
+           too */
 
 /* ---- POST /v1/trainings ---- */
 
 static const char *population_pointer(const struct mo_parsed_training *parsed)
 {
-  return parsed->population_kind == MO_JOB_CAMPAIGN ? "/population/campaign" : "/population/evaluation";
+  return parsed->population_kind == MO_JOB_CAMPAIGN ? "/population/campaign"
+                                                    : "/population/evaluation";
 }
 
-/* What the request names must be there: both faults are told at once, besides those of the body itself. */
-static void look_up(struct mo_store *store, const struct mo_parsed_training *parsed, struct mo_faults *faults)
+/* What the request names must be there: both faults are told at once, besides those of the body
+ * itself. */
+static void look_up(struct mo_store *store, const struct mo_parsed_training *parsed,
+                    struct mo_faults *faults)
 {
   mo_look_up_controller(store, parsed->request.parent, faults);
-  mo_look_up_job(store, parsed->request.population, parsed->population_kind, population_pointer(parsed), faults);
+  mo_look_up_job(store, parsed->request.population, parsed->population_kind,
+                 population_pointer(parsed), faults);
 }
 
 static void submission_error(struct mo_request *request, const struct mo_parsed_training *parsed,
-                             const struct mo_submission_key *key, int code, const struct mo_message *message,
-                             struct mo_faults *faults)
+                             const struct mo_submission_key *key, int code,
+                             const struct mo_message *message, struct mo_faults *faults)
 {
   struct mo_store *store = request->http->services.store;
   const char *words = message->text[0] != '\0' ? message->text : mo_error_text(code);
@@ -48,7 +53,8 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
     mo_reply_problem(request, 422, faults, NULL);
     break;
   case MO_ERR_EMPTY:
-    mo_faults_add(faults, MO_FAULT_BODY, parsed->request.population > 0 ? "/population" : "/designs", "%s", words);
+    mo_faults_add(faults, MO_FAULT_BODY,
+                  parsed->request.population > 0 ? "/population" : "/designs", "%s", words);
     mo_reply_problem(request, 422, faults, NULL);
     break;
   case MO_ERR_CONFLICT:
@@ -68,7 +74,8 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
   }
 }
 
-int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status, struct mo_training_live *live)
+int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
+                     struct mo_training_live *live)
 {
   int code = mo_store_training(http->services.store, id, status);
   *live = (struct mo_training_live){.seconds_left = -1};
@@ -81,7 +88,8 @@ int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status
 }
 
 /* Of the job whose designs a training learns from. */
-static enum mo_job_kind population_kind(struct mo_http *http, const struct mo_training_status *status)
+static enum mo_job_kind population_kind(struct mo_http *http,
+                                        const struct mo_training_status *status)
 {
   enum mo_job_kind kind = MO_JOB_EVALUATION;
   struct mo_job *job = status->record.population > 0 ? malloc(sizeof(*job)) : NULL;
@@ -116,7 +124,8 @@ static void reply_training(struct mo_request *request, unsigned http_status, int
 }
 
 /* Parses and stores; false: a reply is made. */
-static bool submit(struct mo_request *request, const struct mo_submission_key *key, struct mo_faults *faults)
+static bool submit(struct mo_request *request, const struct mo_submission_key *key,
+                   struct mo_faults *faults)
 {
   struct mo_http *http = request->http;
   struct mo_parsed_training *parsed = malloc(sizeof(*parsed));
@@ -138,7 +147,8 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     bool replayed;
     parsed->request.idempotency_key = key->key[0] != '\0' ? key->key : NULL;
     parsed->request.body_sha256 = key->body_sha256;
-    code = mo_jobs_submit_training(http->services.jobs, &parsed->request, &request->submitted, &replayed, &message);
+    code = mo_jobs_submit_training(http->services.jobs, &parsed->request, &request->submitted,
+                                   &replayed, &message);
     if (code != MO_OK)
       submission_error(request, parsed, key, code, &message, faults);
   } else {
@@ -182,13 +192,15 @@ void mo_handle_trainings(struct mo_request *request)
   int64_t waiting[MO_WAITING_MAX];
   size_t limit;
   if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[1], &limit) || !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_limit(request, &values[1], &limit) ||
+      !mo_query_state(request, &values[0], &query.state) ||
       !mo_query_before(request, &values[2], &query.before))
     return;
   query.waiting = waiting;
   query.n_waiting = mo_jobs_waiting(http->services.jobs, waiting);
   struct mo_training_status *page = malloc(limit * sizeof(*page));
-  int64_t n = page != NULL ? mo_store_trainings(http->services.store, &query, page, limit) : MO_ERR_NO_MEMORY;
+  int64_t n = page != NULL ? mo_store_trainings(http->services.store, &query, page, limit)
+                           : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
   struct mo_unreadable unreadable = {0};
   const char *comma = "";
@@ -230,10 +242,11 @@ struct curve {
 
 static int64_t read_rows(const struct curve *curve, size_t limit)
 {
-  return curve->validations
-             ? mo_store_training_validations(curve->store, curve->id, curve->after, curve->rows.validations, limit)
-             : mo_store_training_steps(curve->store, curve->id, curve->after > 0 ? (uint32_t)curve->after : 0,
-                                       curve->stride, curve->rows.steps, limit);
+  return curve->validations ? mo_store_training_validations(curve->store, curve->id, curve->after,
+                                                            curve->rows.validations, limit)
+                            : mo_store_training_steps(curve->store, curve->id,
+                                                      curve->after > 0 ? (uint32_t)curve->after : 0,
+                                                      curve->stride, curve->rows.steps, limit);
 }
 
 static int64_t step_of_row(const struct curve *curve, int64_t i)
@@ -249,8 +262,9 @@ static bool leave_out(const struct curve *curve, int64_t i)
   if (damage->column == NULL)
     return false;
   snprintf(place, sizeof(place), "step %lld", (long long)step_of_row(curve, i));
-  mo_unreadable_row(curve->request, curve->unreadable, curve->id, curve->validations ? "validation" : "step",
-                    place + strlen("step "), place, damage);
+  mo_unreadable_row(curve->request, curve->unreadable, curve->id,
+                    curve->validations ? "validation" : "step", place + strlen("step "), place,
+                    damage);
   return true;
 }
 
@@ -297,7 +311,9 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
 {
   struct mo_text text = {0};
   bool more;
-  mo_text_add(&text, !csv ? "{\"items\":[" : curve->validations ? mo_training_csv_validations : mo_training_csv_steps);
+  mo_text_add(&text, !csv                 ? "{\"items\":["
+                     : curve->validations ? mo_training_csv_validations
+                                          : mo_training_csv_steps);
   int code = write_rows(&text, curve, limit, csv, &more);
   if (code != MO_OK || (csv && text.failed)) {
     if (!csv)
@@ -312,7 +328,8 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
       mo_reply_extra(request, "Morphod-Next-After", "%lld", (long long)curve->after);
   } else {
     if (curve->after >= 0)
-      mo_text_format(&text, "],\"next_after\":%lld,\"more\":%s", (long long)curve->after, more ? "true" : "false");
+      mo_text_format(&text, "],\"next_after\":%lld,\"more\":%s", (long long)curve->after,
+                     more ? "true" : "false");
     else
       mo_text_add(&text, "],\"next_after\":null,\"more\":false");
     mo_unreadable_end(request, &text, curve->unreadable);
@@ -332,8 +349,9 @@ static void handle_curve(struct mo_request *request, bool validations)
     return;
   int form = mo_accept_choose(request->framing.accept, types, 2);
   if (form < 0) {
-    mo_reply_problem(request, 406, NULL,
-                     "This path gives application/json or text/csv, which the Accept field does not allow.");
+    mo_reply_problem(
+        request, 406, NULL,
+        "This path gives application/json or text/csv, which the Accept field does not allow.");
     return;
   }
   if (form == 1)
@@ -351,7 +369,8 @@ static void handle_curve(struct mo_request *request, bool validations)
                         .id = id,
                         .after = after,
                         .stride = (uint32_t)stride};
-  curve.rows.any = malloc(MO_PAGE_MAX * (validations ? sizeof(*curve.rows.validations) : sizeof(*curve.rows.steps)));
+  curve.rows.any = malloc(
+      MO_PAGE_MAX * (validations ? sizeof(*curve.rows.validations) : sizeof(*curve.rows.steps)));
   if (curve.rows.any == NULL)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "page");
   else
@@ -374,10 +393,11 @@ void mo_handle_training_checkpoints(struct mo_request *request)
   struct mo_query_value none;
   struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
   int64_t id;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
-      !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
-  int64_t n = mo_store_training_checkpoints(request->http->services.store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
+  int64_t n = mo_store_training_checkpoints(request->http->services.store, id, rows,
+                                            MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -401,22 +421,27 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
   const char *text = request->parameters[1];
   bool one = request->route == MO_ROUTE_TRAINING_CHECKPOINT;
   int64_t id, step = 0;
-  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) || !mo_path_id(request, 0, &id) ||
+  if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
+      !mo_path_id(request, 0, &id) ||
       !mo_job_is_even_unreadable(request, id, MO_JOB_TRAINING, "training"))
     return;
-  int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step) ? MO_ERR_NOT_FOUND : MO_OK;
+  int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step)
+                 ? MO_ERR_NOT_FOUND
+                 : MO_OK;
   if (code == MO_OK)
-    code = mo_store_training_checkpoints_remove(request->http->services.store, id, (uint32_t)step, &removed);
+    code = mo_store_training_checkpoints_remove(request->http->services.store, id, (uint32_t)step,
+                                                &removed);
   if (code == MO_ERR_NOT_FOUND) {
     mo_reply_problem(request, 404, NULL,
-                     "The training keeps no checkpoint of this step; GET /v1/trainings/%lld/checkpoints lists them.",
+                     "The training keeps no checkpoint of this step; GET "
+                     "/v1/trainings/%lld/checkpoints lists them.",
                      (long long)id);
   } else if (code == MO_ERR_CONFLICT) {
-    mo_reply_problem(
-        request, 409, NULL,
-        "The training has not ended and goes on from its newest checkpoint, that of step %lld, after a restart "
-        "or a pause; it can be deleted when the training has ended or was cancelled.",
-        (long long)step);
+    mo_reply_problem(request, 409, NULL,
+                     "The training has not ended and goes on from its newest checkpoint, that of "
+                     "step %lld, after a restart "
+                     "or a pause; it can be deleted when the training has ended or was cancelled.",
+                     (long long)step);
   } else if (code != MO_OK) {
     mo_reply_error(request, code, "checkpoint");
   } else {

@@ -90,7 +90,8 @@ static void write_results(struct mo_text *text, const struct mo_evaluation_resul
     bool first = true;
     for (uint32_t k = 0; k < columns; k++)
       if (steps[k] != 0) {
-        mo_text_format(text, "%s{\"environment\":%u,\"step\":%d}", first ? "" : ",", k, (int)steps[k]);
+        mo_text_format(text, "%s{\"environment\":%u,\"step\":%d}", first ? "" : ",", k,
+                       (int)steps[k]);
         first = false;
       }
     mo_text_bytes(text, "]", 1);
@@ -136,7 +137,8 @@ void mo_job_write_common(struct mo_text *text, const struct mo_job *job, enum mo
   }
 }
 
-void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct mo_evaluation_results *results)
+void mo_job_write(struct mo_text *text, const struct mo_job *job,
+                  const struct mo_evaluation_results *results)
 {
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)job->id);
   mo_text_member(text, "kind", mo_job_kind_name(job->kind));
@@ -157,7 +159,8 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job, const struct m
   mo_physics_write(text, &job->physics);
   mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
   mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
-                 job->record_com && job->record_masses ? "," : "", job->record_masses ? "\"masses\"" : "");
+                 job->record_com && job->record_masses ? "," : "",
+                 job->record_masses ? "\"masses\"" : "");
   mo_text_member_count(text, "record_stride", job->record_stride > 0 ? job->record_stride : 1);
   mo_text_format(text, ",\"verify\":%s", job->verify ? "true" : "false");
   mo_text_member_count(text, "n_designs", job->n_designs);

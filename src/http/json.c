@@ -19,7 +19,8 @@ static int hex_value(char c)
                                 : -1;
 }
 
-/* Resolves the escapes of a string that was checked already. Writes at most `capacity` bytes; returns the full length. */
+/* Resolves the escapes of a string that was checked already. Writes at most `capacity` bytes;
+ * returns the full length. */
 static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
 {
   size_t n = 0;
@@ -66,7 +67,8 @@ static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
       bytes[2] = (char)(0x80 | (code & 0x3F)), length = 3;
     } else {
       bytes[0] = (char)(0xF0 | code >> 18), bytes[1] = (char)(0x80 | (code >> 12 & 0x3F));
-      bytes[2] = (char)(0x80 | (code >> 6 & 0x3F)), bytes[3] = (char)(0x80 | (code & 0x3F)), length = 4;
+      bytes[2] = (char)(0x80 | (code >> 6 & 0x3F)), bytes[3] = (char)(0x80 | (code & 0x3F)),
+      length = 4;
     }
     for (unsigned k = 0; k < length; k++, n++)
       if (n < capacity)
@@ -119,7 +121,8 @@ static void fault_words(struct mo_json *json, unsigned depth, const char *below,
     json->stop = true;
 }
 
-void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format, ...)
+void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
+                      ...)
 {
   char words[256];
   va_list arguments;
@@ -194,7 +197,8 @@ bool mo_json_finish(struct mo_json *json)
   if (json->stop)
     return false;
   skip_space(json);
-  return json->at == json->size || syntax(json, "something follows the value; exactly one JSON value is expected");
+  return json->at == json->size ||
+         syntax(json, "something follows the value; exactly one JSON value is expected");
 }
 
 static bool literal(struct mo_json *json, const char *words)
@@ -336,7 +340,8 @@ static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
   }
   /* What follows must end the number; also no NUL within the text is taken for its end. */
   char c = text[at];
-  if (at < json->size && c != ' ' && c != '\t' && c != '\n' && c != '\r' && c != ',' && c != ']' && c != '}')
+  if (at < json->size && c != ' ' && c != '\t' && c != '\n' && c != '\r' && c != ',' && c != ']' &&
+      c != '}')
     good = false;
   if (!good)
     return syntax(json, "not a number in JSON's notation");
@@ -378,7 +383,8 @@ bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
   }
   size_t n = plain ? raw.size : decode(raw, json->decoded, MO_JSON_STRING_MAX);
   if (n > MO_JSON_STRING_MAX) {
-    mo_json_fault(json, "a string of %zu bytes is given; at most %d are expected", n, MO_JSON_STRING_MAX);
+    mo_json_fault(json, "a string of %zu bytes is given; at most %d are expected", n,
+                  MO_JSON_STRING_MAX);
     return false;
   }
   *value = (struct mo_json_slice){json->decoded, n};
@@ -418,8 +424,8 @@ bool mo_json_bounded(struct mo_json *json, double min, double max, double *value
   if (!mo_json_number(json, &number))
     return false;
   if (number < min || number > max) {
-    mo_json_fault(json, "%s is given; a number from %s to %s is expected", MO_NUMBER(number), MO_NUMBER(min),
-                  MO_NUMBER(max));
+    mo_json_fault(json, "%s is given; a number from %s to %s is expected", MO_NUMBER(number),
+                  MO_NUMBER(min), MO_NUMBER(max));
     return false;
   }
   *value = number;
@@ -445,20 +451,22 @@ bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *va
     number = negative ? -number : number;
   } else {
     double real = strtod(raw.bytes, NULL);
-    if (!(fabs(real) <= 9007199254740992.0)) { /* beyond 2^53 a float64 need not be the number that was written */
-      mo_json_fault(json, "the number is too large; an integer from %lld to %lld is expected", (long long)min,
-                    (long long)max);
+    if (!(fabs(real) <=
+          9007199254740992.0)) { /* beyond 2^53 a float64 need not be the number that was written */
+      mo_json_fault(json, "the number is too large; an integer from %lld to %lld is expected",
+                    (long long)min, (long long)max);
       return false;
     }
     if (real != nearbyint(real)) {
-      mo_json_fault(json, "%.*s is given; an integer is expected", raw.size > 32 ? 32 : (int)raw.size, raw.bytes);
+      mo_json_fault(json, "%.*s is given; an integer is expected",
+                    raw.size > 32 ? 32 : (int)raw.size, raw.bytes);
       return false;
     }
     number = (int64_t)real;
   }
   if (number < min || number > max) {
-    mo_json_fault(json, "%lld is given; an integer from %lld to %lld is expected", (long long)number, (long long)min,
-                  (long long)max);
+    mo_json_fault(json, "%lld is given; an integer from %lld to %lld is expected",
+                  (long long)number, (long long)min, (long long)max);
     return false;
   }
   *value = number;
@@ -486,7 +494,8 @@ bool mo_json_object(struct mo_json *json)
   return kind == MO_JSON_OBJECT ? open_level(json, true) : mismatch(json, kind, "an object");
 }
 
-/* Moves to the next item or member. False at the closing bracket (then the level is left), or at an error. */
+/* Moves to the next item or member. False at the closing bracket (then the level is left), or at an
+ * error. */
 static bool advance(struct mo_json *json, char closing)
 {
   if (json->stop)
@@ -533,7 +542,8 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
     return false;
   struct mo_json_level *level = &json->levels[json->depth - 1];
   if (next_byte(json) != '"')
-    return syntax(json, json->at >= json->size ? "the text ends inside an object" : "a key in quotes is expected");
+    return syntax(json, json->at >= json->size ? "the text ends inside an object"
+                                               : "a key in quotes is expected");
   bool plain;
   struct mo_json_slice raw;
   if (!raw_string(json, &raw, &plain))
@@ -560,7 +570,9 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
 
 uint32_t mo_json_index(const struct mo_json *json)
 {
-  return json->depth == 0 || json->levels[json->depth - 1].index == 0 ? 0 : json->levels[json->depth - 1].index - 1;
+  return json->depth == 0 || json->levels[json->depth - 1].index == 0
+             ? 0
+             : json->levels[json->depth - 1].index - 1;
 }
 
 /* Without recursion: closes what it opens. */

@@ -67,6 +67,7 @@ void mo_report_csv(struct mo_text *text, const struct mo_training_report *report
   mo_csv_number(text, report->gradient_norm);
   mo_csv_number(text, report->clipped_share);
   mo_csv_number(text, report->clipped_robots_share);
-  mo_text_format(text, ",%u,%u,%d,%u", report->diverged, report->zeroed, report->skipped, report->bounded);
+  mo_text_format(text, ",%u,%u,%d,%u", report->diverged, report->zeroed, report->skipped,
+                 report->bounded);
   mo_csv_number(text, seconds);
 }

@@ -29,15 +29,17 @@ static void read_schedule_name(struct mo_json *json, struct mo_schedule *schedul
       *schedule = named[i].make();
       return;
     }
-  mo_json_fault_at(json, depth, "",
-                   "there is no such schedule; \"paper-pretrain\", \"paper-finetune\", \"paper-simultaneous\", "
-                   "\"one-cosine\", \"finetune-cosine\", or an object with kind, peak, floor … is expected");
+  mo_json_fault_at(
+      json, depth, "",
+      "there is no such schedule; \"paper-pretrain\", \"paper-finetune\", \"paper-simultaneous\", "
+      "\"one-cosine\", \"finetune-cosine\", or an object with kind, peak, floor … is expected");
 }
 
 static bool read_schedule_kind(struct mo_json *json, enum mo_schedule_kind *kind)
 {
   static const char *const names[] = {"restarts", "cosine", "constant"};
-  static const enum mo_schedule_kind kinds[] = {MO_SCHEDULE_RESTARTS, MO_SCHEDULE_COSINE, MO_SCHEDULE_CONSTANT};
+  static const enum mo_schedule_kind kinds[] = {MO_SCHEDULE_RESTARTS, MO_SCHEDULE_COSINE,
+                                                MO_SCHEDULE_CONSTANT};
   struct mo_json_slice name;
   unsigned depth = json->depth;
   if (!mo_json_string(json, &name))
@@ -51,7 +53,8 @@ static bool read_schedule_kind(struct mo_json *json, enum mo_schedule_kind *kind
   return false;
 }
 
-/* The fields that are not given are those of the paper's pretraining (restarts, constant) or of one cosine. */
+/* The fields that are not given are those of the paper's pretraining (restarts, constant) or of one
+ * cosine. */
 static void read_schedule_object(struct mo_json *json, struct mo_schedule *schedule)
 {
   struct mo_schedule read = {.peak = 0, .floor = 0, .decay = 0};
@@ -84,7 +87,8 @@ static void read_schedule_object(struct mo_json *json, struct mo_schedule *sched
     return;
   if (!has_kind)
     mo_json_fault_at(json, depth, "", "kind is missing: \"restarts\", \"cosine\" or \"constant\"");
-  struct mo_schedule full = kind == MO_SCHEDULE_COSINE ? mo_schedule_one_cosine() : mo_schedule_paper_pretrain();
+  struct mo_schedule full =
+      kind == MO_SCHEDULE_COSINE ? mo_schedule_one_cosine() : mo_schedule_paper_pretrain();
   struct mo_schedule paper = mo_schedule_paper_pretrain();
   full.kind = kind;
   full.peak = read.peak > 0 ? read.peak : full.peak;
@@ -97,7 +101,8 @@ static void read_schedule_object(struct mo_json *json, struct mo_schedule *sched
     return;
   struct mo_message message = {""};
   if (full.floor > full.peak)
-    mo_json_fault_at(json, depth, "/floor", "%s is given; at most the peak, which is %s, is expected",
+    mo_json_fault_at(json, depth, "/floor",
+                     "%s is given; at most the peak, which is %s, is expected",
                      MO_NUMBER(full.floor), MO_NUMBER(full.peak));
   else if (mo_schedule_check(&full, &message) != MO_OK)
     mo_json_fault_at(json, depth, "", "%s", message.text);
@@ -113,7 +118,8 @@ void mo_read_schedule(struct mo_json *json, struct mo_schedule *schedule)
   } else if (kind == MO_JSON_OBJECT) {
     read_schedule_object(json, schedule);
   } else if (kind != MO_JSON_NONE) {
-    mo_json_fault(json, "the name of a schedule, or an object with kind, peak, floor … is expected");
+    mo_json_fault(json,
+                  "the name of a schedule, or an object with kind, peak, floor … is expected");
     mo_json_skip(json);
   }
 }

@@ -28,9 +28,11 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
   int listening = 0, type = 0;
   if (getsockname(fd, (struct sockaddr *)&name, &size) != 0 ||
       getsockopt(fd, SOL_SOCKET, SO_ACCEPTCONN, &listening, &option_size) != 0 ||
-      getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &option_size) != 0 || !listening || type != SOCK_STREAM ||
+      getsockopt(fd, SOL_SOCKET, SO_TYPE, &type, &option_size) != 0 || !listening ||
+      type != SOCK_STREAM ||
       (name.ss_family != AF_INET && name.ss_family != AF_INET6 && name.ss_family != AF_UNIX))
-    return mo_fail(message, MO_ERR_INVALID, "descriptor %d is not a listening TCP or unix socket", fd);
+    return mo_fail(message, MO_ERR_INVALID, "descriptor %d is not a listening TCP or unix socket",
+                   fd);
   if (name.ss_family == AF_UNIX) {
     const struct sockaddr_un *path = (const struct sockaddr_un *)&name;
     *beyond_loopback = false;
@@ -49,7 +51,8 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
                   NI_NUMERICHOST | NI_NUMERICSERV) != 0)
     return mo_fail(message, MO_ERR_INVALID, "descriptor %d has no printable address", fd);
   if (address != NULL)
-    snprintf(address, 128, name.ss_family == AF_INET6 ? "http://[%s]:%s" : "http://%s:%s", host, port);
+    snprintf(address, 128, name.ss_family == AF_INET6 ? "http://[%s]:%s" : "http://%s:%s", host,
+             port);
   return MO_OK;
 }
 
@@ -57,7 +60,8 @@ static int listen_unix(const char *path, struct mo_message *message)
 {
   struct sockaddr_un name = {.sun_family = AF_UNIX};
   if (path[0] != '/' || strlen(path) >= sizeof(name.sun_path))
-    return mo_fail(message, MO_ERR_INVALID, "a unix socket needs an absolute path of at most %zu characters: %s",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a unix socket needs an absolute path of at most %zu characters: %s",
                    sizeof(name.sun_path) - 1, path);
   memcpy(name.sun_path, path, strlen(path) + 1);
   struct stat status;
@@ -65,7 +69,8 @@ static int listen_unix(const char *path, struct mo_message *message)
     if (!S_ISSOCK(status.st_mode))
       return mo_fail(message, MO_ERR_CONFLICT, "%s exists and is not a socket", path);
     int probe = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    bool alive = probe >= 0 && (connect(probe, (struct sockaddr *)&name, sizeof(name)) == 0 || errno == EAGAIN);
+    bool alive = probe >= 0 &&
+                 (connect(probe, (struct sockaddr *)&name, sizeof(name)) == 0 || errno == EAGAIN);
     if (probe >= 0)
       close(probe);
     if (alive)
@@ -76,7 +81,8 @@ static int listen_unix(const char *path, struct mo_message *message)
   int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (fd < 0)
     return mo_fail(message, MO_ERR_IO, "cannot make a socket: %s", strerror(errno));
-  if (bind(fd, (struct sockaddr *)&name, sizeof(name)) != 0 || chmod(path, 0666) != 0 || listen(fd, BACKLOG) != 0) {
+  if (bind(fd, (struct sockaddr *)&name, sizeof(name)) != 0 || chmod(path, 0666) != 0 ||
+      listen(fd, BACKLOG) != 0) {
     int code = mo_fail(message, MO_ERR_IO, "cannot serve %s: %s", path, strerror(errno));
     close(fd);
     return code;
@@ -97,20 +103,23 @@ static int listen_tcp(const char *where, struct mo_message *message)
     n = 0;
   }
   char *end = NULL;
-  unsigned long port = colon != NULL && colon[1] >= '0' && colon[1] <= '9' ? strtoul(colon + 1, &end, 10) : 65536;
+  unsigned long port =
+      colon != NULL && colon[1] >= '0' && colon[1] <= '9' ? strtoul(colon + 1, &end, 10) : 65536;
   if (n == 0 || n >= sizeof(host) || port > 65535 || *end != '\0')
-    return mo_fail(message, MO_ERR_INVALID, "%s is not an address; host:port, [ipv6]:port or unix:/path is expected",
-                   where);
+    return mo_fail(message, MO_ERR_INVALID,
+                   "%s is not an address; host:port, [ipv6]:port or unix:/path is expected", where);
   memcpy(host, start, n);
   host[n] = '\0';
-  struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE | AI_ADDRCONFIG}, *found = NULL;
+  struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_PASSIVE | AI_ADDRCONFIG},
+                  *found = NULL;
   struct in6_addr v6;
   struct in_addr v4;
   if (inet_pton(AF_INET, host, &v4) == 1 || inet_pton(AF_INET6, host, &v6) == 1)
     hints.ai_flags = AI_PASSIVE | AI_NUMERICHOST;
   int status = getaddrinfo(host, colon + 1, &hints, &found);
   if (status != 0)
-    return mo_fail(message, MO_ERR_NOT_FOUND, "the name %s is not known: %s", host, gai_strerror(status));
+    return mo_fail(message, MO_ERR_NOT_FOUND, "the name %s is not known: %s", host,
+                   gai_strerror(status));
   int one = 1, code = MO_OK;
   int fd = socket(found->ai_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
   if (fd < 0) {
@@ -120,8 +129,8 @@ static int listen_tcp(const char *where, struct mo_message *message)
     if (found->ai_family == AF_INET6)
       setsockopt(fd, IPPROTO_IPV6, IPV6_V6ONLY, &one, sizeof(one));
     if (bind(fd, found->ai_addr, found->ai_addrlen) != 0 || listen(fd, BACKLOG) != 0) {
-      code = mo_fail(message, errno == EADDRINUSE ? MO_ERR_CONFLICT : MO_ERR_IO, "cannot serve %s: %s", where,
-                     strerror(errno));
+      code = mo_fail(message, errno == EADDRINUSE ? MO_ERR_CONFLICT : MO_ERR_IO,
+                     "cannot serve %s: %s", where, strerror(errno));
       close(fd);
     }
   }
@@ -131,7 +140,8 @@ static int listen_tcp(const char *where, struct mo_message *message)
 
 int mo_http_listen(const char *where, int *fd, char *address, struct mo_message *message)
 {
-  int result = strncmp(where, "unix:", 5) == 0 ? listen_unix(where + 5, message) : listen_tcp(where, message);
+  int result = strncmp(where, "unix:", 5) == 0 ? listen_unix(where + 5, message)
+                                               : listen_tcp(where, message);
   if (result < 0)
     return result;
   bool beyond;

@@ -1,4 +1,5 @@
-/* metrics.c: see metrics.h. Names follow Prometheus' rules: base units, _total for counters, no labels without bounds. */
+/* metrics.c: see metrics.h. Names follow Prometheus' rules: base units, _total for counters, no
+ * labels without bounds. */
 #include "http/metrics.h"
 
 #include <stdio.h>
@@ -6,13 +7,14 @@
 
 #include "http/server.h"
 
-static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 400, 401, 403, 404, 405, 406, 408, 409,
-                                                      411, 413, 415, 417, 422, 429, 431, 500, 501, 503, 507, 0};
-static const double bounds_s[MO_METRIC_BUCKETS] = {0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25,
-                                                   0.5,   1,      2.5,   5,    10,    30,   60};
+static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 400, 401, 403, 404,
+                                                      405, 406, 408, 409, 411, 413, 415, 417, 422,
+                                                      429, 431, 500, 501, 503, 507, 0};
+static const double bounds_s[MO_METRIC_BUCKETS] = {
+    0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60};
 
-void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status, int64_t duration_us,
-                        bool stream)
+void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status,
+                        int64_t duration_us, bool stream)
 {
   size_t s = 0;
   while (s < MO_METRIC_STATUSES - 1 && statuses[s] != status)
@@ -24,7 +26,8 @@ void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigne
   while (b < MO_METRIC_BUCKETS && (double)duration_us > bounds_s[b] * 1e6)
     b++;
   atomic_fetch_add_explicit(&metrics->latency[b], 1, memory_order_relaxed);
-  atomic_fetch_add_explicit(&metrics->latency_us, (uint64_t)(duration_us > 0 ? duration_us : 0), memory_order_relaxed);
+  atomic_fetch_add_explicit(&metrics->latency_us, (uint64_t)(duration_us > 0 ? duration_us : 0),
+                            memory_order_relaxed);
 }
 
 static void head(struct mo_text *text, const char *name, const char *type, const char *help)
@@ -32,13 +35,15 @@ static void head(struct mo_text *text, const char *name, const char *type, const
   mo_text_format(text, "# HELP %s %s\n# TYPE %s %s\n", name, help, name, type);
 }
 
-static void whole(struct mo_text *text, const char *name, const char *type, const char *help, uint64_t value)
+static void whole(struct mo_text *text, const char *name, const char *type, const char *help,
+                  uint64_t value)
 {
   head(text, name, type, help);
   mo_text_format(text, "%s %llu\n", name, (unsigned long long)value);
 }
 
-static void real(struct mo_text *text, const char *name, const char *type, const char *help, double value)
+static void real(struct mo_text *text, const char *name, const char *type, const char *help,
+                 double value)
 {
   head(text, name, type, help);
   mo_text_format(text, "%s %.9g\n", name, value);
@@ -47,26 +52,28 @@ static void real(struct mo_text *text, const char *name, const char *type, const
 static void write_requests(struct mo_http *http, struct mo_text *text)
 {
   struct mo_metrics *metrics = &http->metrics;
-  head(text, "morphod_http_requests_total", "counter", "Requests by route and status; code 0: ended before a reply.");
+  head(text, "morphod_http_requests_total", "counter",
+       "Requests by route and status; code 0: ended before a reply.");
   for (size_t r = 0; r < MO_ROUTES; r++)
     for (size_t s = 0; s < MO_METRIC_STATUSES; s++) {
       uint64_t n = atomic_load_explicit(&metrics->requests[r][s], memory_order_relaxed);
       if (n > 0)
-        mo_text_format(text, "morphod_http_requests_total{route=\"%s\",code=\"%u\"} %llu\n", mo_routes[r].path,
-                       statuses[s], (unsigned long long)n);
+        mo_text_format(text, "morphod_http_requests_total{route=\"%s\",code=\"%u\"} %llu\n",
+                       mo_routes[r].path, statuses[s], (unsigned long long)n);
     }
   head(text, "morphod_http_request_duration_seconds", "histogram",
        "Time from the end of a request's header to the end of its reply, event streams excepted.");
   uint64_t sum_us = atomic_load_explicit(&metrics->latency_us, memory_order_relaxed), n = 0;
   for (size_t b = 0; b < MO_METRIC_BUCKETS; b++) {
     n += atomic_load_explicit(&metrics->latency[b], memory_order_relaxed);
-    mo_text_format(text, "morphod_http_request_duration_seconds_bucket{le=\"%g\"} %llu\n", bounds_s[b],
-                   (unsigned long long)n);
+    mo_text_format(text, "morphod_http_request_duration_seconds_bucket{le=\"%g\"} %llu\n",
+                   bounds_s[b], (unsigned long long)n);
   }
   n += atomic_load_explicit(&metrics->latency[MO_METRIC_BUCKETS], memory_order_relaxed);
   mo_text_format(text,
                  "morphod_http_request_duration_seconds_bucket{le=\"+Inf\"} %llu\n"
-                 "morphod_http_request_duration_seconds_sum %.6f\nmorphod_http_request_duration_seconds_count %llu\n",
+                 "morphod_http_request_duration_seconds_sum "
+                 "%.6f\nmorphod_http_request_duration_seconds_count %llu\n",
                  (unsigned long long)n, (double)sum_us * 1e-6, (unsigned long long)n);
 }
 
@@ -76,21 +83,25 @@ static void write_http(struct mo_http *http, struct mo_text *text)
   struct mo_http_stats stats;
   mo_http_get_stats(http, &stats);
   whole(text, "morphod_http_connections", "gauge", "Open connections.", stats.connections);
-  whole(text, "morphod_http_requests_in_flight", "gauge", "Requests under way, event streams included.",
-        stats.in_flight);
-  whole(text, "morphod_http_requests_queued", "gauge", "Requests waiting for an API thread.", stats.queued);
+  whole(text, "morphod_http_requests_in_flight", "gauge",
+        "Requests under way, event streams included.", stats.in_flight);
+  whole(text, "morphod_http_requests_queued", "gauge", "Requests waiting for an API thread.",
+        stats.queued);
   whole(text, "morphod_http_connections_accepted_total", "counter", "Connections accepted.",
         stats.connections_accepted);
-  whole(text, "morphod_http_connections_refused_total", "counter", "Connections refused: too many, or not allowed.",
-        stats.connections_refused);
-  whole(text, "morphod_http_connections_timed_out_total", "counter", "Connections cut off at a deadline.",
-        stats.connections_timed_out);
+  whole(text, "morphod_http_connections_refused_total", "counter",
+        "Connections refused: too many, or not allowed.", stats.connections_refused);
+  whole(text, "morphod_http_connections_timed_out_total", "counter",
+        "Connections cut off at a deadline.", stats.connections_timed_out);
   whole(text, "morphod_http_unauthorized_total", "counter", "Requests without a valid token.",
         atomic_load(&m->unauthorized));
-  whole(text, "morphod_http_request_body_bytes_total", "counter", "Bytes of request bodies.", atomic_load(&m->body_in));
-  whole(text, "morphod_http_response_body_bytes_total", "counter", "Bytes of reply bodies.", atomic_load(&m->body_out));
+  whole(text, "morphod_http_request_body_bytes_total", "counter", "Bytes of request bodies.",
+        atomic_load(&m->body_in));
+  whole(text, "morphod_http_response_body_bytes_total", "counter", "Bytes of reply bodies.",
+        atomic_load(&m->body_out));
   whole(text, "morphod_event_streams", "gauge", "Open event streams.", stats.streams);
-  whole(text, "morphod_events_sent_total", "counter", "Events written to streams.", atomic_load(&m->events_sent));
+  whole(text, "morphod_events_sent_total", "counter", "Events written to streams.",
+        atomic_load(&m->events_sent));
   whole(text, "morphod_event_streams_dropped_total", "counter",
         "Event streams ended because their reader did not read.", atomic_load(&m->streams_dropped));
 }
@@ -101,19 +112,23 @@ static void write_compute(struct mo_http *http, struct mo_text *text)
   mo_compute_get_stats(http->services.compute, &c);
   whole(text, "morphod_workers", "gauge", "Computing threads.", c.n_workers);
   whole(text, "morphod_workers_busy", "gauge", "Computing threads inside a block.", c.n_busy);
-  real(text, "morphod_worker_busy_seconds_total", "counter", "Time of computing threads inside blocks.", c.busy_s);
-  whole(text, "morphod_worker_scratch_bytes", "gauge", "Largest scratch memory of one computing thread.",
-        c.worker_bytes_max);
+  real(text, "morphod_worker_busy_seconds_total", "counter",
+       "Time of computing threads inside blocks.", c.busy_s);
+  whole(text, "morphod_worker_scratch_bytes", "gauge",
+        "Largest scratch memory of one computing thread.", c.worker_bytes_max);
   whole(text, "morphod_blocks_total", "counter", "Blocks computed.", c.blocks_done);
-  whole(text, "morphod_blocks_preempted_total", "counter", "Blocks set aside for urgent ones.", c.blocks_preempted);
+  whole(text, "morphod_blocks_preempted_total", "counter", "Blocks set aside for urgent ones.",
+        c.blocks_preempted);
   head(text, "morphod_blocks_queued", "gauge", "Blocks waiting for a computing thread.");
-  mo_text_format(
-      text, "morphod_blocks_queued{priority=\"interactive\"} %llu\nmorphod_blocks_queued{priority=\"batch\"} %llu\n",
-      (unsigned long long)c.queued_interactive, (unsigned long long)c.queued_batch);
+  mo_text_format(text,
+                 "morphod_blocks_queued{priority=\"interactive\"} "
+                 "%llu\nmorphod_blocks_queued{priority=\"batch\"} %llu\n",
+                 (unsigned long long)c.queued_interactive, (unsigned long long)c.queued_batch);
   whole(text, "morphod_rollouts_total", "counter", "Rollouts computed.", c.rollouts_done);
-  whole(text, "morphod_rollout_steps_total", "counter", "Steps of rollouts computed.", c.rollout_steps);
-  whole(text, "morphod_rollouts_diverged_total", "counter", "Rollouts whose numbers left the sane range.",
-        c.rollouts_diverged);
+  whole(text, "morphod_rollout_steps_total", "counter", "Steps of rollouts computed.",
+        c.rollout_steps);
+  whole(text, "morphod_rollouts_diverged_total", "counter",
+        "Rollouts whose numbers left the sane range.", c.rollouts_diverged);
 }
 
 /* One series for each device. */
@@ -123,14 +138,19 @@ static void write_devices(struct mo_http *http, struct mo_text *text)
   static const struct {
     const char *name, *type, *help;
   } series[SERIES] = {
-      [LOST] = {"morphod_device_lost", "gauge", "1 of a device that has failed and computes nothing any more."},
-      [LOAD] = {"morphod_device_load", "gauge", "Share of the last ten seconds in which the device was busy."},
+      [LOST] = {"morphod_device_lost", "gauge",
+                "1 of a device that has failed and computes nothing any more."},
+      [LOAD] = {"morphod_device_load", "gauge",
+                "Share of the last ten seconds in which the device was busy."},
       [BUSY] = {"morphod_device_busy_seconds_total", "counter", "Time of calls to the device."},
-      [CALLS] = {"morphod_device_calls_total", "counter", "Calls: chunks of rollouts, parts of gradients."},
+      [CALLS] = {"morphod_device_calls_total", "counter",
+                 "Calls: chunks of rollouts, parts of gradients."},
       [ROLLOUTS] = {"morphod_device_rollouts_total", "counter", "Rollouts computed by the device."},
-      [ROBOTS] = {"morphod_device_gradient_robots_total", "counter", "Robots whose gradient the device computed."},
+      [ROBOTS] = {"morphod_device_gradient_robots_total", "counter",
+                  "Robots whose gradient the device computed."},
       [MEMORY] = {"morphod_device_memory_bytes", "gauge", "Memory of the device."},
-      [FREE] = {"morphod_device_memory_free_bytes", "gauge", "Free memory, as of the look before this one."},
+      [FREE] = {"morphod_device_memory_free_bytes", "gauge",
+                "Free memory, as of the look before this one."},
   };
   struct mo_device_status status;
   for (int s = 0; s < SERIES && mo_compute_devices(http->services.compute) > 0; s++) {
@@ -155,20 +175,24 @@ static void write_jobs(struct mo_http *http, struct mo_text *text)
   mo_jobs_get_stats(http->services.jobs, &j);
   head(text, "morphod_jobs", "gauge", "Jobs by state, at most a second old.");
   for (int state = 0; state < MO_JOB_STATES; state++)
-    mo_text_format(text, "morphod_jobs{state=\"%s\"} %llu\n", mo_job_state_name((enum mo_job_state)state),
+    mo_text_format(text, "morphod_jobs{state=\"%s\"} %llu\n",
+                   mo_job_state_name((enum mo_job_state)state),
                    (unsigned long long)atomic_load(&http->jobs_by_state[state]));
-  whole(text, "morphod_jobs_submitted_total", "counter", "Jobs accepted since the start.", j.jobs_submitted);
+  whole(text, "morphod_jobs_submitted_total", "counter", "Jobs accepted since the start.",
+        j.jobs_submitted);
   head(text, "morphod_jobs_finished_total", "counter", "Jobs ended since the start.");
-  mo_text_format(
-      text,
-      "morphod_jobs_finished_total{state=\"succeeded\"} %llu\nmorphod_jobs_finished_total{state=\"failed\"} %llu\n"
-      "morphod_jobs_finished_total{state=\"cancelled\"} %llu\n",
-      (unsigned long long)j.jobs_succeeded, (unsigned long long)j.jobs_failed, (unsigned long long)j.jobs_cancelled);
-  whole(text, "morphod_rollouts_open", "gauge", "Rollouts accepted and not yet done.", j.open_rollouts);
-  whole(text, "morphod_rollouts_cached_total", "counter", "Rollouts found in the store since the start.",
-        j.rollouts_cached);
-  whole(text, "morphod_rollouts_shared_total", "counter", "Rollouts computed once for several jobs since the start.",
-        j.rollouts_shared);
+  mo_text_format(text,
+                 "morphod_jobs_finished_total{state=\"succeeded\"} "
+                 "%llu\nmorphod_jobs_finished_total{state=\"failed\"} %llu\n"
+                 "morphod_jobs_finished_total{state=\"cancelled\"} %llu\n",
+                 (unsigned long long)j.jobs_succeeded, (unsigned long long)j.jobs_failed,
+                 (unsigned long long)j.jobs_cancelled);
+  whole(text, "morphod_rollouts_open", "gauge", "Rollouts accepted and not yet done.",
+        j.open_rollouts);
+  whole(text, "morphod_rollouts_cached_total", "counter",
+        "Rollouts found in the store since the start.", j.rollouts_cached);
+  whole(text, "morphod_rollouts_shared_total", "counter",
+        "Rollouts computed once for several jobs since the start.", j.rollouts_shared);
 }
 
 /* Urgent blocks among them. */
@@ -179,13 +203,16 @@ static void write_worker_time(struct mo_http *http, struct mo_text *text)
   head(text, "morphod_job_worker_seconds_total", "counter",
        "Time of computing threads by kind of job, since the start.");
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
-    mo_text_format(text, "morphod_job_worker_seconds_total{kind=\"%s\"} ", mo_job_kind_name((enum mo_job_kind)kind));
+    mo_text_format(text, "morphod_job_worker_seconds_total{kind=\"%s\"} ",
+                   mo_job_kind_name((enum mo_job_kind)kind));
     mo_text_json_number(text, j.worker_s[kind]);
     mo_text_add(text, "\n");
   }
-  head(text, "morphod_job_device_seconds_total", "counter", "Time of devices by kind of job, since the start.");
+  head(text, "morphod_job_device_seconds_total", "counter",
+       "Time of devices by kind of job, since the start.");
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
-    mo_text_format(text, "morphod_job_device_seconds_total{kind=\"%s\"} ", mo_job_kind_name((enum mo_job_kind)kind));
+    mo_text_format(text, "morphod_job_device_seconds_total{kind=\"%s\"} ",
+                   mo_job_kind_name((enum mo_job_kind)kind));
     mo_text_json_number(text, j.device_s[kind]);
     mo_text_add(text, "\n");
   }
@@ -195,36 +222,42 @@ static void write_trainings(struct mo_http *http, struct mo_text *text)
 {
   struct mo_jobs_stats j;
   mo_jobs_get_stats(http->services.jobs, &j);
-  whole(text, "morphod_trainings_running", "gauge", "Trainings that run or are being prepared.", j.active_trainings);
-  whole(text, "morphod_training_steps_total", "counter", "Steps of learning since the start.", j.training_steps);
+  whole(text, "morphod_trainings_running", "gauge", "Trainings that run or are being prepared.",
+        j.active_trainings);
+  whole(text, "morphod_training_steps_total", "counter", "Steps of learning since the start.",
+        j.training_steps);
   real(text, "morphod_training_step_seconds_total", "counter",
        "Time of these steps: over their number, seconds per step.", j.training_step_s);
-  whole(text, "morphod_training_robots_total", "counter", "Robots of these steps, each with its gradient.",
-        j.training_robots);
-  whole(text, "morphod_training_robots_diverged_total", "counter", "Of these, robots whose rollout diverged.",
-        j.training_diverged);
-  whole(text, "morphod_training_robots_zeroed_total", "counter", "Of these, robots whose gradient was not finite.",
-        j.training_zeroed);
-  whole(text, "morphod_training_validations_total", "counter", "Validations since the start.", j.training_validations);
-  whole(text, "morphod_training_checkpoints_total", "counter", "Checkpoints written since the start.",
-        j.training_checkpoints);
+  whole(text, "morphod_training_robots_total", "counter",
+        "Robots of these steps, each with its gradient.", j.training_robots);
+  whole(text, "morphod_training_robots_diverged_total", "counter",
+        "Of these, robots whose rollout diverged.", j.training_diverged);
+  whole(text, "morphod_training_robots_zeroed_total", "counter",
+        "Of these, robots whose gradient was not finite.", j.training_zeroed);
+  whole(text, "morphod_training_validations_total", "counter", "Validations since the start.",
+        j.training_validations);
+  whole(text, "morphod_training_checkpoints_total", "counter",
+        "Checkpoints written since the start.", j.training_checkpoints);
 }
 
 static void write_campaigns(struct mo_http *http, struct mo_text *text)
 {
   struct mo_jobs_stats j;
   mo_jobs_get_stats(http->services.jobs, &j);
-  whole(text, "morphod_campaigns_running", "gauge", "Campaigns that run or are being prepared.", j.active_campaigns);
-  whole(text, "morphod_campaign_generations_total", "counter", "Generations committed since the start.",
-        j.campaign_generations);
-  whole(text, "morphod_campaign_designs_total", "counter", "Designs born in these generations.", j.campaign_designs);
-  whole(text, "morphod_campaign_rollouts_total", "counter", "Rollouts computed for scores of campaigns.",
-        j.campaign_rollouts);
+  whole(text, "morphod_campaigns_running", "gauge", "Campaigns that run or are being prepared.",
+        j.active_campaigns);
+  whole(text, "morphod_campaign_generations_total", "counter",
+        "Generations committed since the start.", j.campaign_generations);
+  whole(text, "morphod_campaign_designs_total", "counter", "Designs born in these generations.",
+        j.campaign_designs);
+  whole(text, "morphod_campaign_rollouts_total", "counter",
+        "Rollouts computed for scores of campaigns.", j.campaign_rollouts);
   whole(text, "morphod_campaign_rollouts_cached_total", "counter",
         "Rollouts of committed generations that were found in the store.", j.campaign_cached);
-  whole(text, "morphod_campaign_rollouts_diverged_total", "counter", "Rollouts of committed generations that diverged.",
-        j.campaign_diverged);
-  whole(text, "morphod_campaign_learning_steps_total", "counter", "Steps of learning in campaigns.", j.campaign_steps);
+  whole(text, "morphod_campaign_rollouts_diverged_total", "counter",
+        "Rollouts of committed generations that diverged.", j.campaign_diverged);
+  whole(text, "morphod_campaign_learning_steps_total", "counter", "Steps of learning in campaigns.",
+        j.campaign_steps);
 }
 
 static void write_store(struct mo_http *http, struct mo_text *text)
@@ -232,10 +265,12 @@ static void write_store(struct mo_http *http, struct mo_text *text)
   struct mo_store_stats s;
   mo_store_get_stats(http->services.store, &s);
   whole(text, "morphod_store_commits_total", "counter", "Commits since the start.", s.commits);
-  whole(text, "morphod_store_operations_total", "counter", "Operations written since the start.", s.operations);
-  whole(text, "morphod_store_operations_failed_total", "counter", "Operations that failed since the start.",
-        s.operations_failed);
-  whole(text, "morphod_store_operations_queued", "gauge", "Operations waiting for the writer.", s.queued);
+  whole(text, "morphod_store_operations_total", "counter", "Operations written since the start.",
+        s.operations);
+  whole(text, "morphod_store_operations_failed_total", "counter",
+        "Operations that failed since the start.", s.operations_failed);
+  whole(text, "morphod_store_operations_queued", "gauge", "Operations waiting for the writer.",
+        s.queued);
   real(text, "morphod_store_commit_seconds_total", "counter", "Time spent in commits.", s.commit_s);
   whole(text, "morphod_store_database_bytes", "gauge", "Size of the database.",
         s.database_bytes > 0 ? (uint64_t)s.database_bytes : 0);

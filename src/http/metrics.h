@@ -1,4 +1,5 @@
-/* metrics.h: counters of the HTTP room and the page of /metrics (Prometheus text format). Atomics only; nothing waits. */
+/* metrics.h: counters of the HTTP room and the page of /metrics (Prometheus text format). Atomics
+ * only; nothing waits. */
 #ifndef MORPHO_HTTP_METRICS_H
 #define MORPHO_HTTP_METRICS_H
 
@@ -22,8 +23,8 @@ struct mo_metrics {
 struct mo_http;
 
 /* Streams count as requests, but not in the histogram. */
-void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status, int64_t duration_us,
-                        bool stream);
+void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status,
+                        int64_t duration_us, bool stream);
 void mo_metrics_write(struct mo_http *http, struct mo_text *text);
 
 #endif

@@ -49,7 +49,8 @@ static void *run(void *context)
   return NULL;
 }
 
-int mo_newick_pieces_start(struct mo_descent *descents, uint32_t *born, uint32_t n, struct mo_newick_pieces **ret)
+int mo_newick_pieces_start(struct mo_descent *descents, uint32_t *born, uint32_t n,
+                           struct mo_newick_pieces **ret)
 {
   struct mo_newick_pieces *pieces = calloc(1, sizeof(*pieces));
   if (pieces != NULL) {

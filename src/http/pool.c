@@ -1,4 +1,5 @@
-/* pool.c: the API threads, and the requests that wait for a job to end. See server.h for who owns a request when. */
+/* pool.c: the API threads, and the requests that wait for a job to end. See server.h for who owns a
+ * request when. */
 #include <stdlib.h>
 
 #include "http/server.h"
@@ -141,7 +142,8 @@ void mo_wait_end(struct mo_request *request)
   pthread_mutex_unlock(&pool->lock);
 }
 
-/* A parked request is handled once more; one that is not parked yet sees that it need not. With the pool's lock. */
+/* A parked request is handled once more; one that is not parked yet sees that it need not. With the
+ * pool's lock. */
 static void let_go(struct mo_pool *pool, struct mo_request *request)
 {
   request->wait_fired = true;

@@ -8,7 +8,8 @@
 #include "http/server.h"
 #include "http/unreadable.h"
 
-#define SMALL_BYTES ((uint64_t)64 << 10) /* of a reply that no limit holds back: refusals must get through */
+#define SMALL_BYTES                                                                                \
+  ((uint64_t)64 << 10) /* of a reply that no limit holds back: refusals must get through */
 
 void mo_reply_clear(struct mo_reply *reply)
 {
@@ -16,7 +17,8 @@ void mo_reply_clear(struct mo_reply *reply)
   *reply = (struct mo_reply){0};
 }
 
-void mo_reply_bytes(struct mo_request *request, unsigned status, const char *type, char *body, size_t size)
+void mo_reply_bytes(struct mo_request *request, unsigned status, const char *type, char *body,
+                    size_t size)
 {
   mo_reply_clear(&request->reply);
   request->reply.status = status;
@@ -25,7 +27,8 @@ void mo_reply_bytes(struct mo_request *request, unsigned status, const char *typ
   request->reply.size = size;
 }
 
-void mo_reply_static(struct mo_request *request, unsigned status, const char *type, const char *body, size_t size)
+void mo_reply_static(struct mo_request *request, unsigned status, const char *type,
+                     const char *body, size_t size)
 {
   mo_reply_bytes(request, status, type, NULL, size);
   request->reply.fixed = body;
@@ -63,8 +66,8 @@ void mo_request_note(struct mo_request *request, const char *format, ...)
   va_end(arguments);
 }
 
-void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults, const char *detail,
-                      ...)
+void mo_reply_problem(struct mo_request *request, unsigned status, const struct mo_faults *faults,
+                      const char *detail, ...)
 {
   char words[MO_REASON_BYTES];
   if (detail != NULL) {
@@ -73,19 +76,20 @@ void mo_reply_problem(struct mo_request *request, unsigned status, const struct 
     vsnprintf(words, sizeof(words), detail, arguments);
     va_end(arguments);
   } else if (faults != NULL && faults->n > 0) {
-    snprintf(words, sizeof(words), "%s%s%s", faults->items[0].where, faults->items[0].where[0] != '\0' ? ": " : "",
-             faults->items[0].detail);
+    snprintf(words, sizeof(words), "%s%s%s", faults->items[0].where,
+             faults->items[0].where[0] != '\0' ? ": " : "", faults->items[0].detail);
   } else {
     snprintf(words, sizeof(words), "%s.", mo_status_title(status));
   }
   if (status >= 500)
     mo_request_note(request, "%s", words);
   struct mo_text text = {0};
-  mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id, faults);
+  mo_problem_write(&text, status, problem_type(status, faults), words, request->path, request->id,
+                   faults);
   mo_text_bytes(&text, "\n", 1);
-  static const char bare[] =
-      "{\"type\":\"about:blank\",\"title\":\"Service Unavailable\",\"status\":503,\"detail\":\"Out of "
-      "memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
+  static const char bare[] = "{\"type\":\"about:blank\",\"title\":\"Service "
+                             "Unavailable\",\"status\":503,\"detail\":\"Out of "
+                             "memory.\",\"instance\":\"\",\"request_id\":\"0000000000000000\"}\n";
   if (text.failed) {
     mo_text_free(&text);
     mo_reply_static(request, 503, "application/problem+json", bare, sizeof(bare) - 1);
@@ -101,10 +105,13 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
 {
   switch (code) {
   case MO_ERR_NOT_FOUND: mo_reply_problem(request, 404, NULL, "There is no such %s.", what); break;
-  case MO_ERR_CONFLICT: mo_reply_problem(request, 409, NULL, "The state of the %s does not allow this.", what); break;
+  case MO_ERR_CONFLICT:
+    mo_reply_problem(request, 409, NULL, "The state of the %s does not allow this.", what);
+    break;
   case MO_ERR_NO_SPACE:
-    mo_reply_problem(request, 507, NULL,
-                     "The disk of the service is full. Nothing was stored; try again when there is room.");
+    mo_reply_problem(
+        request, 507, NULL,
+        "The disk of the service is full. Nothing was stored; try again when there is room.");
     break;
   case MO_ERR_BUSY:
   case MO_ERR_NO_MEMORY:
@@ -116,13 +123,15 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
     request->reply.retry_after_s = 10;
     break;
   case MO_ERR_IO:
-    mo_reply_problem(request, 503, NULL, "The service cannot read or write its store; its operator has been told.");
+    mo_reply_problem(request, 503, NULL,
+                     "The service cannot read or write its store; its operator has been told.");
     request->reply.retry_after_s = 30;
     break;
   default:
     if (code == MO_ERR_CORRUPT && mo_reply_unreadable(request))
       break;
-    mo_reply_problem(request, 500, NULL, "The service failed to handle the %s: %s. Its log has the request's id.", what,
+    mo_reply_problem(request, 500, NULL,
+                     "The service failed to handle the %s: %s. Its log has the request's id.", what,
                      mo_error_text(code));
     break;
   }
@@ -177,18 +186,23 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
   if (reply->retry_after_s > 0)
     snprintf(retry, sizeof(retry), "%u", reply->retry_after_s);
   bool has_type = reply->status != 204 && reply->status != 304;
-  bool good = add(response, "X-Request-Id", request->id) && add(response, "X-Content-Type-Options", "nosniff") &&
-              add(response, "Content-Type", has_type && reply->type != NULL ? reply->type : "") &&
-              add(response, "Cache-Control", reply->etag[0] != '\0' ? "no-cache" : "no-store") &&
-              add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
-              add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
-              add(response, "Preference-Applied", reply->applied) &&
-              add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
-              add(response, "Connection", reply->close ? "close" : "");
+  bool good =
+      add(response, "X-Request-Id", request->id) &&
+      add(response, "X-Content-Type-Options", "nosniff") &&
+      add(response, "Content-Type", has_type && reply->type != NULL ? reply->type : "") &&
+      add(response, "Cache-Control", reply->etag[0] != '\0' ? "no-cache" : "no-store") &&
+      add(response, "ETag", reply->etag) && add(response, "Location", reply->location) &&
+      add(response, "Retry-After", retry) && add(response, "Allow", reply->allow) &&
+      add(response, "Preference-Applied", reply->applied) &&
+      add(response, "WWW-Authenticate", reply->authenticate ? "Bearer realm=\"morphod\"" : "") &&
+      add(response, "Connection", reply->close ? "close" : "");
   if (request->route == MO_ROUTE_CONTROLLER || request->route == MO_ROUTE_TRAJECTORY ||
-      request->route == MO_ROUTE_TRAINING_STEPS || request->route == MO_ROUTE_TRAINING_VALIDATIONS ||
-      request->route == MO_ROUTE_CAMPAIGN_GENERATIONS || request->route == MO_ROUTE_CAMPAIGN_LEARNING ||
-      request->route == MO_ROUTE_CAMPAIGN_REPLICATES || request->route == MO_ROUTE_CAMPAIGN_PHYLOGENY)
+      request->route == MO_ROUTE_TRAINING_STEPS ||
+      request->route == MO_ROUTE_TRAINING_VALIDATIONS ||
+      request->route == MO_ROUTE_CAMPAIGN_GENERATIONS ||
+      request->route == MO_ROUTE_CAMPAIGN_LEARNING ||
+      request->route == MO_ROUTE_CAMPAIGN_REPLICATES ||
+      request->route == MO_ROUTE_CAMPAIGN_PHYLOGENY)
     good = good && add(response, "Vary", "Accept");
   if (request->route == MO_ROUTE_INDEX)
     good = good && add(response, "Content-Security-Policy",
@@ -206,13 +220,14 @@ void mo_request_drop_body(struct mo_request *request)
   atomic_fetch_sub(&request->http->body_memory, request->body_reserved);
   request->body_reserved = 0;
   if (request->body_client != NULL)
-    mo_client_give_back(&request->http->clients, request->body_client, request->body_held, mo_http_clock_us());
+    mo_client_give_back(&request->http->clients, request->body_client, request->body_held,
+                        mo_http_clock_us());
   request->body_client = NULL;
   request->body_held = 0;
 }
 
-/* The request's body has served. A large reply takes its place in the limit on memory until it is sent: readers that do not read
- * would otherwise hold any amount. One alone always passes. */
+/* The request's body has served. A large reply takes its place in the limit on memory until it is
+ * sent: readers that do not read would otherwise hold any amount. One alone always passes. */
 static bool reserve_reply(struct mo_request *request)
 {
   struct mo_http *http = request->http;
@@ -239,8 +254,8 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   }
   bool empty = reply->status == 204;
   if (empty || reply->body == NULL)
-    response = MHD_create_response_from_buffer(empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed),
-                                               MHD_RESPMEM_PERSISTENT);
+    response = MHD_create_response_from_buffer(
+        empty ? 0 : reply->size, (void *)(empty ? "" : reply->fixed), MHD_RESPMEM_PERSISTENT);
   else
     response = MHD_create_response_from_buffer(reply->size, reply->body, MHD_RESPMEM_MUST_FREE);
   if (response == NULL)
@@ -254,8 +269,9 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
                mo_http_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
   if (atomic_load(&request->http->stopping))
     reply->close = true;
-  enum MHD_Result result =
-      mo_reply_headers(request, response) ? MHD_queue_response(request->mhd, reply->status, response) : MHD_NO;
+  enum MHD_Result result = mo_reply_headers(request, response)
+                               ? MHD_queue_response(request->mhd, reply->status, response)
+                               : MHD_NO;
   MHD_destroy_response(response);
   return result;
 }

@@ -1,4 +1,5 @@
-/* request_parts.c: see request_parts.h. Every fault names its place: a cell that is out of bounds is /designs/3/cells/7/0. */
+/* request_parts.c: see request_parts.h. Every fault names its place: a cell that is out of bounds
+ * is /designs/3/cells/7/0. */
 #include "http/request_parts.h"
 
 #include <stdio.h>
@@ -61,7 +62,8 @@ bool mo_read_positive(struct mo_json *json, double max, double *value)
   if (!mo_json_number(json, &number))
     return false;
   if (number <= 0 || number > max) {
-    mo_json_fault(json, "%s is given; a number above 0, at most %s, is expected", MO_NUMBER(number), MO_NUMBER(max));
+    mo_json_fault(json, "%s is given; a number above 0, at most %s, is expected", MO_NUMBER(number),
+                  MO_NUMBER(max));
     return false;
   }
   *value = number;
@@ -74,32 +76,37 @@ void mo_read_limit(struct mo_json *json, double max, double *value)
   if (!mo_json_number(json, &number))
     return;
   if (number < 0 || number > max)
-    mo_json_fault(json, "%s is given; a number above 0, at most %s, or 0 for no limit, is expected", MO_NUMBER(number),
-                  MO_NUMBER(max));
+    mo_json_fault(json, "%s is given; a number above 0, at most %s, or 0 for no limit, is expected",
+                  MO_NUMBER(number), MO_NUMBER(max));
   else
     *value = number;
 }
 
 /* ---- designs ---- */
 
-static void cell_fault(struct mo_json *json, unsigned depth, int code, const struct mo_cell_fault *fault)
+static void cell_fault(struct mo_json *json, unsigned depth, int code,
+                       const struct mo_cell_fault *fault)
 {
   static const char *const sides[] = {"x, 0 to 5", "y, 0 to 5", "z, 0 to 3"};
   char below[48];
   snprintf(below, sizeof(below), "/%zu", fault->cell);
   switch (code) {
-  case MO_ERR_EMPTY: mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected"); break;
+  case MO_ERR_EMPTY:
+    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one cell is expected");
+    break;
   case MO_ERR_RANGE:
     snprintf(below, sizeof(below), "/%zu/%d", fault->cell, fault->axis);
     mo_json_fault_at(json, depth, below, "outside the workspace; a coordinate along %s is expected",
                      sides[fault->axis]);
     break;
   case MO_ERR_DUPLICATE:
-    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu", fault->other);
+    mo_json_fault_at(json, depth, below, "the cell is given twice: it equals cell %zu",
+                     fault->other);
     break;
   case MO_ERR_NOT_CONTIGUOUS:
-    mo_json_fault_at(json, depth, below,
-                     "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
+    mo_json_fault_at(
+        json, depth, below,
+        "the cell is not connected to cell 0; a body in one piece (through faces) is expected");
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
   }
@@ -114,8 +121,8 @@ static bool read_cells(struct mo_json *json, uint64_t *bits)
     return false;
   while (mo_json_item(json)) {
     if (n == MO_DEFAULT_VOXELS) {
-      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d", MO_DEFAULT_VOXELS,
-                       MO_DEFAULT_VOXELS);
+      mo_json_fault_at(json, depth, "", "more than %d cells are given; the workspace has %d",
+                       MO_DEFAULT_VOXELS, MO_DEFAULT_VOXELS);
       mo_json_skip(json);
       while (mo_json_item(json))
         mo_json_skip(json);
@@ -140,7 +147,8 @@ static bool read_cells(struct mo_json *json, uint64_t *bits)
   if (json->stop || json->faults->n > before)
     return false;
   struct mo_cell_fault fault;
-  int code = mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, &fault);
+  int code =
+      mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, &fault);
   if (code != MO_OK)
     cell_fault(json, depth, code, &fault);
   return code == MO_OK;
@@ -157,16 +165,20 @@ static bool read_voxels(struct mo_json *json, uint64_t *bits)
   switch (code) {
   case MO_OK: break;
   case MO_ERR_RANGE:
-    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected", text.size,
-                     MO_DEFAULT_VOXELS);
+    mo_json_fault_at(json, depth, "", "%zu characters are given; exactly %d are expected",
+                     text.size, MO_DEFAULT_VOXELS);
     break;
-  case MO_ERR_FORMAT: mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell); break;
-  case MO_ERR_EMPTY: mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected"); break;
+  case MO_ERR_FORMAT:
+    mo_json_fault_at(json, depth, "", "character %zu (from 0) is neither 0 nor 1", fault.cell);
+    break;
+  case MO_ERR_EMPTY:
+    mo_json_fault_at(json, depth, "", "the body has no voxels; at least one 1 is expected");
+    break;
   case MO_ERR_NOT_CONTIGUOUS:
-    mo_json_fault_at(
-        json, depth, "",
-        "voxel %zu (from 0) is not connected to the first one; a body in one piece (through faces) is expected",
-        fault.cell);
+    mo_json_fault_at(json, depth, "",
+                     "voxel %zu (from 0) is not connected to the first one; a body in one piece "
+                     "(through faces) is expected",
+                     fault.cell);
     break;
   default: mo_json_fault_at(json, depth, "", "%s", mo_error_text(code)); break;
   }
@@ -183,7 +195,8 @@ static bool read_id(struct mo_json *json, uint64_t *bits)
   if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
     mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
   else if (code != MO_OK)
-    mo_json_fault_at(json, depth, "", "not a design's id; %d hexadecimal digits of a canonical form are expected",
+    mo_json_fault_at(json, depth, "",
+                     "not a design's id; %d hexadecimal digits of a canonical form are expected",
                      MO_DEFAULT_ID_DIGITS);
   return code == MO_OK;
 }
@@ -219,8 +232,8 @@ int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *
     return MO_OK;
   while (mo_json_item(json)) {
     if (n == MO_DESIGNS_MAX) {
-      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected", MO_DESIGNS_MAX,
-                       MO_DESIGNS_MAX);
+      mo_json_fault_at(json, depth, "", "more than %d designs are given; at most %d are expected",
+                       MO_DESIGNS_MAX, MO_DESIGNS_MAX);
       mo_json_skip(json);
       while (mo_json_item(json))
         mo_json_skip(json);
@@ -293,13 +306,15 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
   if (!light)
     mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in metres");
   if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
-    mo_json_fault_at(json, depth, "",
-                     "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
+    mo_json_fault_at(
+        json, depth, "",
+        "the terrain is given either by terrain_heights_m, or by terrain_sigma_m and seed");
   else if (!heights)
     mo_terrain_random((uint64_t)seed, 0, 0, sigma_m, environment->terrain_heights_m);
 }
 
-int mo_read_environments(struct mo_json *json, struct mo_environment **environments, uint32_t *n_environments)
+int mo_read_environments(struct mo_json *json, struct mo_environment **environments,
+                         uint32_t *n_environments)
 {
   unsigned depth = json->depth;
   enum mo_json_kind kind = mo_json_peek(json);
@@ -308,12 +323,14 @@ int mo_read_environments(struct mo_json *json, struct mo_environment **environme
     if (!mo_json_string(json, &name))
       return MO_OK;
     if (!mo_json_is(name, "paper-test"))
-      mo_json_fault_at(json, depth, "", "there is no such set of environments; \"paper-test\" is expected");
+      mo_json_fault_at(json, depth, "",
+                       "there is no such set of environments; \"paper-test\" is expected");
     return MO_OK;
   }
   if (kind != MO_JSON_ARRAY) {
     if (kind != MO_JSON_NONE) {
-      mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected", MO_ENVIRONMENTS_MAX);
+      mo_json_fault(json, "\"paper-test\" or an array of 1 to %d environments is expected",
+                    MO_ENVIRONMENTS_MAX);
       mo_json_skip(json);
     }
     return MO_OK;
@@ -332,8 +349,8 @@ int mo_read_environments(struct mo_json *json, struct mo_environment **environme
     n += n <= MO_ENVIRONMENTS_MAX;
   }
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected", n == 0 ? "no" : "too many",
-                     MO_ENVIRONMENTS_MAX);
+    mo_json_fault_at(json, depth, "", "%s environments are given; 1 to %d are expected",
+                     n == 0 ? "no" : "too many", MO_ENVIRONMENTS_MAX);
   *n_environments = n;
   return MO_OK;
 }
@@ -351,13 +368,15 @@ static void read_impact(struct mo_json *json, struct mo_physics *physics)
     return;
   }
   uint32_t n = 0;
-  bool good = name.size > 9 && name.size <= 11 && memcmp(name.bytes, "bisection", 9) == 0 && name.bytes[9] != '0';
+  bool good = name.size > 9 && name.size <= 11 && memcmp(name.bytes, "bisection", 9) == 0 &&
+              name.bytes[9] != '0';
   for (size_t i = 9; i < name.size && good; i++) {
     good = name.bytes[i] >= '0' && name.bytes[i] <= '9';
     n = n * 10 + (uint32_t)(name.bytes[i] - '0');
   }
   if (!good || n < 1 || n > 52) {
-    mo_json_fault_at(json, depth, "", "\"exact\", or \"bisection\" followed by 1 to 52, is expected");
+    mo_json_fault_at(json, depth, "",
+                     "\"exact\", or \"bisection\" followed by 1 to 52, is expected");
     return;
   }
   physics->impact = MO_IMPACT_BISECTION;
@@ -404,10 +423,9 @@ void mo_read_physics(struct mo_json *json, struct mo_physics *physics)
     } else if (mo_json_is(key, "impact")) {
       read_impact(json, physics);
     } else {
-      mo_read_unknown(
-          json,
-          "dt_s, n_steps, stiffness_n_per_m, mass_kg, drag_per_s, gravity_m_per_s2, actuation, friction, friction_cap, "
-          "drop_height_m, impact");
+      mo_read_unknown(json, "dt_s, n_steps, stiffness_n_per_m, mass_kg, drag_per_s, "
+                            "gravity_m_per_s2, actuation, friction, friction_cap, "
+                            "drop_height_m, impact");
     }
   }
 }
@@ -424,11 +442,13 @@ void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX 
   if (good) {
     memcpy(text, name.bytes, name.size);
     text[name.size] = '\0';
-    good = strncmp(text, "sha256:", 7) == 0 ? mo_sha256_from_hex(text + 7, strlen(text + 7), &hash) == MO_OK
-                                            : mo_controller_name_check(text) == MO_OK;
+    good = strncmp(text, "sha256:", 7) == 0
+               ? mo_sha256_from_hex(text + 7, strlen(text + 7), &hash) == MO_OK
+               : mo_controller_name_check(text) == MO_OK;
   }
   if (!good)
-    mo_json_fault_at(json, depth, "", "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
+    mo_json_fault_at(json, depth, "",
+                     "a controller's name, or sha256: and 64 hexadecimal digits, is expected");
   else
     memcpy(controller, text, strlen(text) + 1);
 }
@@ -450,7 +470,8 @@ void mo_read_name(struct mo_json *json, char name[MO_NAME_BYTES_MAX + 1])
     memcpy(name, text, sizeof(text));
   else
     mo_json_fault_at(json, depth, "",
-                     "a controller's name is expected: 1 to %d of a-z, 0-9, '.', '_' and '-', beginning with a letter "
+                     "a controller's name is expected: 1 to %d of a-z, 0-9, '.', '_' and '-', "
+                     "beginning with a letter "
                      "or digit",
                      MO_NAME_BYTES_MAX);
 }
@@ -461,9 +482,11 @@ bool mo_read_job_id(struct mo_json *json, const char *what, int64_t *id)
   unsigned depth = json->depth;
   if (!mo_json_string(json, &digits))
     return false;
-  if (digits.size > 0 && digits.bytes[0] != '0' && mo_decimal(digits.bytes, digits.size, 1, INT64_MAX, id))
+  if (digits.size > 0 && digits.bytes[0] != '0' &&
+      mo_decimal(digits.bytes, digits.size, 1, INT64_MAX, id))
     return true;
-  mo_json_fault_at(json, depth, "", "the id of %s, a positive integer in decimal digits, is expected", what);
+  mo_json_fault_at(json, depth, "",
+                   "the id of %s, a positive integer in decimal digits, is expected", what);
   return false;
 }
 
@@ -477,7 +500,8 @@ bool mo_read_label(struct mo_json *json, char label[MO_LABEL_BYTES_MAX + 1])
   for (size_t i = 0; i < words.size; i++)
     characters += ((unsigned char)words.bytes[i] & 0xC0) != 0x80;
   if (characters > 200) {
-    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected", characters);
+    mo_json_fault_at(json, depth, "", "%zu characters are given; at most 200 are expected",
+                     characters);
     return false;
   }
   memcpy(label, words.bytes, words.size);
@@ -521,7 +545,8 @@ bool mo_read_choice(struct mo_json *json, const char *first, const char *second,
   return true;
 }
 
-bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value), const char *expected, int *value)
+bool mo_read_word(struct mo_json *json, int (*find)(const char *word, int *value),
+                  const char *expected, int *value)
 {
   struct mo_json_slice slice;
   unsigned depth = json->depth;

@@ -15,8 +15,10 @@ const struct mo_route_info mo_routes[MO_ROUTES] = {
     [MO_ROUTE_TRAINING] = {"/v1/trainings/{id}", MO_GET, false, false},
     [MO_ROUTE_TRAINING_STEPS] = {"/v1/trainings/{id}/steps", MO_GET, false, false},
     [MO_ROUTE_TRAINING_VALIDATIONS] = {"/v1/trainings/{id}/validations", MO_GET, false, false},
-    [MO_ROUTE_TRAINING_CHECKPOINTS] = {"/v1/trainings/{id}/checkpoints", MO_GET | MO_DELETE, false, false},
-    [MO_ROUTE_TRAINING_CHECKPOINT] = {"/v1/trainings/{id}/checkpoints/{step}", MO_DELETE, false, false},
+    [MO_ROUTE_TRAINING_CHECKPOINTS] = {"/v1/trainings/{id}/checkpoints", MO_GET | MO_DELETE, false,
+                                       false},
+    [MO_ROUTE_TRAINING_CHECKPOINT] = {"/v1/trainings/{id}/checkpoints/{step}", MO_DELETE, false,
+                                      false},
     [MO_ROUTE_TRAINING_CONTROLLER] = {"/v1/trainings/{id}/controller", MO_GET, false, false},
     [MO_ROUTE_TRAINING_HELD_OUT] = {"/v1/trainings/{id}/held-out", MO_GET, false, false},
     [MO_ROUTE_HELD_OUT] = {"/v1/held-out", MO_GET, false, false},
@@ -31,11 +33,15 @@ const struct mo_route_info mo_routes[MO_ROUTES] = {
     [MO_ROUTE_CAMPAIGN_REPLICATES] = {"/v1/campaigns/{id}/replicates", MO_GET, false, false},
     [MO_ROUTE_CAMPAIGN_POPULATION] = {"/v1/campaigns/{id}/population", MO_GET, false, false},
     [MO_ROUTE_CAMPAIGN_DESIGN] = {"/v1/campaigns/{id}/designs/{number}", MO_GET, false, false},
-    [MO_ROUTE_CAMPAIGN_ANCESTORS] = {"/v1/campaigns/{id}/designs/{number}/ancestors", MO_GET, false, false},
-    [MO_ROUTE_CAMPAIGN_DESCENDANTS] = {"/v1/campaigns/{id}/designs/{number}/descendants", MO_GET, false, false},
+    [MO_ROUTE_CAMPAIGN_ANCESTORS] = {"/v1/campaigns/{id}/designs/{number}/ancestors", MO_GET, false,
+                                     false},
+    [MO_ROUTE_CAMPAIGN_DESCENDANTS] = {"/v1/campaigns/{id}/designs/{number}/descendants", MO_GET,
+                                       false, false},
     [MO_ROUTE_CAMPAIGN_PHYLOGENY] = {"/v1/campaigns/{id}/phylogeny", MO_GET, false, false},
-    [MO_ROUTE_CAMPAIGN_CHAMPIONS] = {"/v1/campaigns/{id}/champions", MO_GET | MO_POST, false, false},
-    [MO_ROUTE_CAMPAIGN_CHECKPOINTS] = {"/v1/campaigns/{id}/checkpoints", MO_GET | MO_DELETE, false, false},
+    [MO_ROUTE_CAMPAIGN_CHAMPIONS] = {"/v1/campaigns/{id}/champions", MO_GET | MO_POST, false,
+                                     false},
+    [MO_ROUTE_CAMPAIGN_CHECKPOINTS] = {"/v1/campaigns/{id}/checkpoints", MO_GET | MO_DELETE, false,
+                                       false},
     [MO_ROUTE_JOBS] = {"/v1/jobs", MO_GET, false, false},
     [MO_ROUTE_JOB] = {"/v1/jobs/{id}", MO_GET | MO_DELETE, false, false},
     [MO_ROUTE_JOB_PAUSE] = {"/v1/jobs/{id}/pause", MO_POST, false, false},
@@ -83,7 +89,8 @@ static bool matches(const char *pattern, const char *path, size_t size,
     while (at + given < size && path[at + given] != '/')
       given++;
     if (*pattern == '{') {
-      if (given == 0 || !mo_percent_decode(path + at, given, false, parameters[parameter], MO_PATH_PARAMETER_BYTES))
+      if (given == 0 || !mo_percent_decode(path + at, given, false, parameters[parameter],
+                                           MO_PATH_PARAMETER_BYTES))
         return false;
       parameter++;
     } else if (wanted != given || memcmp(pattern, path + at, given) != 0) {
@@ -95,7 +102,8 @@ static bool matches(const char *pattern, const char *path, size_t size,
   return at == size;
 }
 
-enum mo_route mo_route_find(const char *path, size_t size, char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES])
+enum mo_route mo_route_find(const char *path, size_t size,
+                            char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES])
 {
   for (enum mo_route route = MO_ROUTE_NONE + 1; route < MO_ROUTES; route++)
     if (matches(mo_routes[route].path, path, size, parameters))

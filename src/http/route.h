@@ -1,5 +1,5 @@
-/* route.h: which path and method is which call. The table is the one list of routes: metrics, Allow and the contract test
- * (tests/api) follow it. */
+/* route.h: which path and method is which call. The table is the one list of routes: metrics, Allow
+ * and the contract test (tests/api) follow it. */
 #ifndef MORPHO_HTTP_ROUTE_H
 #define MORPHO_HTTP_ROUTE_H
 
@@ -79,7 +79,8 @@ extern const struct mo_route_info mo_routes[MO_ROUTES];
 
 enum mo_method mo_method_of(const char *name);
 
-/* The route of a path as it came (percent escapes resolved per segment). parameters: the {…} in order, terminated. */
+/* The route of a path as it came (percent escapes resolved per segment). parameters: the {…} in
+ * order, terminated. */
 enum mo_route mo_route_find(const char *path, size_t size,
                             char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
 

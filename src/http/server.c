@@ -1,4 +1,5 @@
-/* server.c: libmicrohttpd's callbacks, and start and stop. See http.h for the threads and server.h for the life of a request. */
+/* server.c: libmicrohttpd's callbacks, and start and stop. See http.h for the threads and server.h
+ * for the life of a request. */
 #include "http/server.h"
 
 #include <inttypes.h>
@@ -12,7 +13,8 @@
 #include "http/openapi.h"
 
 #define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that take none */
-#define DRAIN_BYTES        (UINT64_C(64) << 20) /* of a refused body, read so that the refusal reaches the client */
+#define DRAIN_BYTES                                                                                \
+  (UINT64_C(64) << 20) /* of a refused body, read so that the refusal reaches the client */
 
 int64_t mo_http_clock_us(void)
 {
@@ -29,7 +31,8 @@ static void *on_target(void *context, const char *target, struct MHD_Connection 
   struct mo_request *request = calloc(1, sizeof(*request));
   if (request == NULL)
     return NULL;
-  const union MHD_ConnectionInfo *info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
+  const union MHD_ConnectionInfo *info =
+      MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
   request->http = http;
   request->mhd = mhd;
   request->connection = info != NULL ? info->socket_context : NULL;
@@ -40,8 +43,10 @@ static void *on_target(void *context, const char *target, struct MHD_Connection 
   snprintf(request->id, sizeof(request->id), "%016" PRIx64, number);
   size_t n = 0;
   for (; target[n] != '\0' && target[n] != '?' && n < sizeof(request->path) - 1; n++)
-    request->path[n] = (unsigned char)target[n] > 0x20 && (unsigned char)target[n] < 0x7F ? target[n] : '?';
-  if (request->connection != NULL) /* the request line is here: the rest of the header must follow */
+    request->path[n] =
+        (unsigned char)target[n] > 0x20 && (unsigned char)target[n] < 0x7F ? target[n] : '?';
+  if (request->connection !=
+      NULL) /* the request line is here: the rest of the header must follow */
     atomic_store(&request->connection->deadline_us,
                  request->started_us + (int64_t)http->config.header_timeout_ms * 1000);
   atomic_fetch_add(&http->n_in_flight, 1);
@@ -53,14 +58,14 @@ struct header_list {
   size_t n;
 };
 
-static enum MHD_Result collect(void *context, enum MHD_ValueKind kind, const char *name, size_t name_size,
-                               const char *value, size_t value_size)
+static enum MHD_Result collect(void *context, enum MHD_ValueKind kind, const char *name,
+                               size_t name_size, const char *value, size_t value_size)
 {
   (void)kind;
   struct header_list *list = context;
   if (list->n <= MO_HEADERS_MAX)
-    list->items[list->n++] =
-        (struct mo_header){name, value != NULL ? value : "", name_size, value != NULL ? value_size : 0};
+    list->items[list->n++] = (struct mo_header){name, value != NULL ? value : "", name_size,
+                                                value != NULL ? value_size : 0};
   return MHD_YES;
 }
 
@@ -69,7 +74,8 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
   struct mo_faults *faults = calloc(1, sizeof(*faults));
   if (faults != NULL && refusal->header != NULL)
     mo_faults_add(faults, MO_FAULT_HEADER, refusal->header, "%s", refusal->detail);
-  mo_reply_problem(request, refusal->status, faults, "The request is not acceptable: %s.", refusal->detail);
+  mo_reply_problem(request, refusal->status, faults, "The request is not acceptable: %s.",
+                   refusal->detail);
   request->reply.close = refusal->close;
   free(faults);
 }
@@ -77,8 +83,9 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
 /* Whether it brings work, described at length. */
 static bool submits(const struct mo_request *request)
 {
-  return request->method == MO_POST && (request->route == MO_ROUTE_EVALUATIONS ||
-                                        request->route == MO_ROUTE_TRAININGS || request->route == MO_ROUTE_CAMPAIGNS);
+  return request->method == MO_POST &&
+         (request->route == MO_ROUTE_EVALUATIONS || request->route == MO_ROUTE_TRAININGS ||
+          request->route == MO_ROUTE_CAMPAIGNS);
 }
 
 static uint64_t body_limit(const struct mo_request *request)
@@ -106,7 +113,8 @@ static bool admitted(struct mo_request *request)
       !mo_guard_host(host, host_size, &http->names)) {
     refusal.header = "Host";
     refusal.detail = "the Host field names a host that this service does not serve";
-  } else if (framing->origin != NULL && !mo_guard_origin(framing->origin, framing->host, &http->names)) {
+  } else if (framing->origin != NULL &&
+             !mo_guard_origin(framing->origin, framing->host, &http->names)) {
     refusal.header = "Origin";
     refusal.detail = "pages of this origin may not use the service";
   }
@@ -117,25 +125,32 @@ static bool admitted(struct mo_request *request)
   bool open = mo_routes[request->route].open || request->method == MO_OPTIONS;
   if (is_unix || (request->route != MO_ROUTE_NONE && open))
     return true;
-  bool needed = request->connection->transport == MO_TRANSPORT_TCP || http->config.token_on_loopback;
-  int token = needed || framing->authorization != NULL ? mo_tokens_check(&http->tokens, framing->authorization) : -1;
+  bool needed =
+      request->connection->transport == MO_TRANSPORT_TCP || http->config.token_on_loopback;
+  int token = needed || framing->authorization != NULL
+                  ? mo_tokens_check(&http->tokens, framing->authorization)
+                  : -1;
   if (token == 1 || (token == -1 && !needed))
     return true;
   atomic_fetch_add(&http->metrics.unauthorized, 1);
   mo_reply_problem(request, 401, NULL,
-                   framing->authorization == NULL ? "A bearer token is needed: Authorization: Bearer <token>."
-                                                  : "The Authorization field has no valid bearer token.");
+                   framing->authorization == NULL
+                       ? "A bearer token is needed: Authorization: Bearer <token>."
+                       : "The Authorization field has no valid bearer token.");
   return false;
 }
 
-/* The header is complete: everything that can be decided from it. A refusal is in request->reply. */
-static void begin(struct mo_request *request, struct MHD_Connection *mhd, const char *method, const char *version)
+/* The header is complete: everything that can be decided from it. A refusal is in request->reply.
+ */
+static void begin(struct mo_request *request, struct MHD_Connection *mhd, const char *method,
+                  const char *version)
 {
   struct mo_refusal refusal;
   struct header_list *list = malloc(sizeof(*list));
   size_t n = 0;
   for (; method[n] != '\0' && n < sizeof(request->method_text) - 1; n++)
-    request->method_text[n] = (unsigned char)method[n] > 0x20 && (unsigned char)method[n] < 0x7F ? method[n] : '?';
+    request->method_text[n] =
+        (unsigned char)method[n] > 0x20 && (unsigned char)method[n] < 0x7F ? method[n] : '?';
   request->method = mo_method_of(method);
   if (list == NULL || request->raw_target == NULL) {
     free(list);
@@ -145,19 +160,22 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   }
   list->n = 0;
   MHD_get_connection_values_n(mhd, MHD_HEADER_KIND, collect, list);
-  bool good = mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0, &request->framing, &refusal) &&
+  bool good = mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0,
+                               &request->framing, &refusal) &&
               mo_guard_target(request->raw_target, &request->target, &refusal);
   free(list);
   if (!good) {
     refuse(request, &refusal);
     return;
   }
-  request->route = mo_route_find(request->target.path, request->target.path_size, request->parameters);
+  request->route =
+      mo_route_find(request->target.path, request->target.path_size, request->parameters);
   if (!admitted(request))
     return;
   bool star = request->method == MO_OPTIONS && strcmp(request->raw_target, "*") == 0;
   if (request->route == MO_ROUTE_NONE && !star) {
-    mo_reply_problem(request, 404, NULL, "There is nothing at this path; /openapi.json lists what there is.");
+    mo_reply_problem(request, 404, NULL,
+                     "There is nothing at this path; /openapi.json lists what there is.");
     return;
   }
   unsigned allowed = mo_routes[request->route].methods;
@@ -168,7 +186,8 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
     return;
   }
   if (!(allowed & (unsigned)(request->method == MO_HEAD ? MO_GET : request->method))) {
-    mo_reply_problem(request, 405, NULL, "The method %s is not for this path.", request->method_text);
+    mo_reply_problem(request, 405, NULL, "The method %s is not for this path.",
+                     request->method_text);
     mo_route_allow(request->route, request->reply.allow);
     return;
   }
@@ -176,11 +195,13 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   bool takes_body = request->method == MO_POST || request->method == MO_PUT;
   if (takes_body && request->body_limit > DEFAULT_BODY_BYTES && !request->framing.has_length &&
       !request->framing.chunked)
-    mo_reply_problem(request, 411, NULL,
-                     "The length of the body is missing: Content-Length or chunked coding is expected.");
+    mo_reply_problem(
+        request, 411, NULL,
+        "The length of the body is missing: Content-Length or chunked coding is expected.");
   else if (request->framing.has_length && request->framing.length > request->body_limit)
     mo_reply_problem(request, 413, NULL, "The body has %llu bytes; this path takes at most %llu.",
-                     (unsigned long long)request->framing.length, (unsigned long long)request->body_limit);
+                     (unsigned long long)request->framing.length,
+                     (unsigned long long)request->body_limit);
 }
 
 /* ---- the body ---- */
@@ -197,8 +218,9 @@ static int reserve_body(struct mo_request *request, size_t n)
     capacity = (size_t)request->body_limit + 1;
   struct mo_http *http = request->http;
   uint64_t more = capacity - request->body_capacity;
-  struct mo_client *client = mo_client_hold(&http->clients, request->connection->client_key, request->body_held, more,
-                                            http->config.max_body_memory / 2);
+  struct mo_client *client =
+      mo_client_hold(&http->clients, request->connection->client_key, request->body_held, more,
+                     http->config.max_body_memory / 2);
   if (client == NULL)
     return MO_ERR_LIMIT;
   request->body_client = client;
@@ -206,7 +228,8 @@ static int reserve_body(struct mo_request *request, size_t n)
   uint64_t total = atomic_fetch_add(&http->body_memory, more) + more;
   char *body = total <= http->config.max_body_memory ? realloc(request->body, capacity) : NULL;
   if (body == NULL) {
-    atomic_fetch_sub(&http->body_memory, more); /* the client's share is given back with the request */
+    atomic_fetch_sub(&http->body_memory,
+                     more); /* the client's share is given back with the request */
     return MO_ERR_NO_MEMORY;
   }
   request->body_reserved += more;
@@ -220,14 +243,17 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
   request->body_seen += n;
   atomic_fetch_add(&request->http->metrics.body_in, n);
   if (request->reply.status == 0) {
-    int error = request->body_size + n > request->body_limit ? MO_ERR_RANGE : reserve_body(request, n);
+    int error =
+        request->body_size + n > request->body_limit ? MO_ERR_RANGE : reserve_body(request, n);
     if (error == MO_ERR_RANGE) {
-      mo_reply_problem(request, 413, NULL, "The body has more bytes than this path takes, which is %llu.",
+      mo_reply_problem(request, 413, NULL,
+                       "The body has more bytes than this path takes, which is %llu.",
                        (unsigned long long)request->body_limit);
     } else if (error == MO_ERR_LIMIT) {
-      mo_reply_problem(request, 429, NULL,
-                       "The bodies of this client's requests that are under way take half of the memory for all "
-                       "clients, which is as much as is allowed.");
+      mo_reply_problem(
+          request, 429, NULL,
+          "The bodies of this client's requests that are under way take half of the memory for all "
+          "clients, which is as much as is allowed.");
       request->reply.retry_after_s = 1;
     } else if (error != MO_OK) {
       mo_reply_error(request, error, "request");
@@ -255,11 +281,12 @@ static enum MHD_Result dispatch(struct mo_request *request)
     mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
     return mo_reply_send(request);
   }
-  request->client =
-      mo_client_enter(&http->clients, request->connection->client_key, http->config.max_in_flight, &refused);
+  request->client = mo_client_enter(&http->clients, request->connection->client_key,
+                                    http->config.max_in_flight, &refused);
   if (request->client == NULL) {
     if (refused)
-      mo_reply_problem(request, 429, NULL, "This client has %u requests under way, which is as many as are allowed.",
+      mo_reply_problem(request, 429, NULL,
+                       "This client has %u requests under way, which is as many as are allowed.",
                        http->config.max_in_flight);
     else
       mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
@@ -268,7 +295,8 @@ static enum MHD_Result dispatch(struct mo_request *request)
   }
   bool champions = request->method == MO_POST && request->route == MO_ROUTE_CAMPAIGN_CHAMPIONS;
   if ((submits(request) || champions) &&
-      !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s, mo_http_clock_us())) {
+      !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s,
+                       mo_http_clock_us())) {
     mo_reply_problem(request, 429, NULL, "This client has submitted more than %u jobs in a second.",
                      http->config.client_rate_per_s);
     request->reply.retry_after_s = 1;
@@ -280,8 +308,9 @@ static enum MHD_Result dispatch(struct mo_request *request)
   return mo_reply_send(request);
 }
 
-static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, const char *url, const char *method,
-                                  const char *version, const char *bytes, size_t *size, void **state)
+static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, const char *url,
+                                  const char *method, const char *version, const char *bytes,
+                                  size_t *size, void **state)
 {
   (void)context;
   (void)url;
@@ -296,8 +325,10 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
     begin(request, mhd, method, version);
     request->stage = MO_STAGE_BODY;
     if (request->reply.status != 0) {
-      /* Answer before the body only where it may not be read, will not come, or is too long to be read for nothing. */
-      if (request->reply.close || request->framing.expects_continue || request->framing.length > DRAIN_BYTES) {
+      /* Answer before the body only where it may not be read, will not come, or is too long to be
+       * read for nothing. */
+      if (request->reply.close || request->framing.expects_continue ||
+          request->framing.length > DRAIN_BYTES) {
         request->reply.close = true;
         request->stage = MO_STAGE_REPLY;
         return mo_reply_send(request);
@@ -331,7 +362,8 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
 
 /* ---- a request's end ---- */
 
-static void on_completed(void *context, struct MHD_Connection *mhd, void **state, enum MHD_RequestTerminationCode why)
+static void on_completed(void *context, struct MHD_Connection *mhd, void **state,
+                         enum MHD_RequestTerminationCode why)
 {
   (void)mhd;
   struct mo_http *http = context;
@@ -344,7 +376,8 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
     mo_stream_free(request);
   mo_download_free(request);
   int64_t now_us = mo_http_clock_us();
-  bool replied = request->reply.status != 0 && (why == MHD_REQUEST_TERMINATED_COMPLETED_OK || stream);
+  bool replied =
+      request->reply.status != 0 && (why == MHD_REQUEST_TERMINATED_COMPLETED_OK || stream);
   unsigned status = replied ? request->reply.status : 0;
   mo_metrics_request(&http->metrics, request->route, status, now_us - request->started_us, stream);
   atomic_fetch_add(&http->metrics.body_out, request->sent);
@@ -361,7 +394,8 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
     http->config.log(http->config.log_context, &entry);
   }
   if (request->connection != NULL)
-    atomic_store(&request->connection->deadline_us, now_us + (int64_t)http->config.idle_timeout_ms * 1000);
+    atomic_store(&request->connection->deadline_us,
+                 now_us + (int64_t)http->config.idle_timeout_ms * 1000);
   if (request->client != NULL)
     mo_client_leave(&http->clients, request->client, now_us);
   mo_request_drop_body(request);
@@ -376,7 +410,8 @@ static void on_connection(void *context, struct MHD_Connection *mhd, void **sock
 {
   struct mo_http *http = context;
   if (what == MHD_CONNECTION_NOTIFY_STARTED) {
-    const union MHD_ConnectionInfo *info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
+    const union MHD_ConnectionInfo *info =
+        MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
     *socket_context = info != NULL ? mo_connection_find(http, info->connect_fd) : NULL;
   } else if (*socket_context != NULL) {
     mo_connection_forget(http, *socket_context); /* before the library closes the descriptor */
@@ -405,7 +440,8 @@ static size_t on_unescape(void *context, struct MHD_Connection *mhd, char *text)
 static void count_jobs(struct mo_http *http)
 {
   uint64_t counts[MO_JOB_STATES];
-  if (atomic_exchange(&http->jobs_changed, false) && mo_store_job_counts(http->services.store, counts) == MO_OK)
+  if (atomic_exchange(&http->jobs_changed, false) &&
+      mo_store_job_counts(http->services.store, counts) == MO_OK)
     for (int state = 0; state < MO_JOB_STATES; state++)
       atomic_store(&http->jobs_by_state[state], counts[state]);
 }
@@ -458,14 +494,16 @@ static void fill_defaults(struct mo_http_config *config)
     config->max_body_bytes = UINT64_C(32) << 20;
   if (config->max_controller_bytes == 0)
     config->max_controller_bytes = UINT64_C(16) << 20;
-  uint64_t larger =
-      config->max_body_bytes > config->max_controller_bytes ? config->max_body_bytes : config->max_controller_bytes;
+  uint64_t larger = config->max_body_bytes > config->max_controller_bytes
+                        ? config->max_body_bytes
+                        : config->max_controller_bytes;
   if (config->max_body_memory == 0)
     config->max_body_memory = 8 * larger;
 }
 
 /* Listening sockets: takes them over, and tells whether tokens are needed. */
-static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config, struct mo_message *message)
+static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
+                           struct mo_message *message)
 {
   http->listeners = calloc(config->n_listeners + 1, sizeof(int));
   http->listener_transports = calloc(config->n_listeners + 1, sizeof(enum mo_transport));
@@ -478,7 +516,8 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
   for (size_t i = 0; i < config->n_listeners; i++) {
     char address[128] = "";
     bool beyond = false;
-    int described = mo_http_describe(config->listeners[i], address, &beyond, code == MO_OK ? message : NULL);
+    int described =
+        mo_http_describe(config->listeners[i], address, &beyond, code == MO_OK ? message : NULL);
     if (code == MO_OK)
       code = described;
     http->beyond_loopback |= beyond;
@@ -497,15 +536,17 @@ static int start_daemon(struct mo_http *http, struct mo_message *message)
 {
   /* The library's limit on connections is out of reach: ours, in the acceptor, answers. */
   http->daemon = MHD_start_daemon(
-      MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME | MHD_USE_NO_LISTEN_SOCKET | MHD_USE_ERROR_LOG, 0, NULL,
-      NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, NULL, MHD_OPTION_THREAD_POOL_SIZE,
-      (unsigned)http->config.n_io_threads, MHD_OPTION_CONNECTION_LIMIT,
-      (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads, MHD_OPTION_CONNECTION_TIMEOUT,
-      (unsigned)(http->config.idle_timeout_ms / 1000 + 60), MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768,
-      MHD_OPTION_URI_LOG_CALLBACK, on_target, http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL,
-      MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http,
-      MHD_OPTION_END);
-  return http->daemon != NULL ? MO_OK : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
+      MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME | MHD_USE_NO_LISTEN_SOCKET |
+          MHD_USE_ERROR_LOG,
+      0, NULL, NULL, on_request, http, MHD_OPTION_EXTERNAL_LOGGER, on_log, NULL,
+      MHD_OPTION_THREAD_POOL_SIZE, (unsigned)http->config.n_io_threads, MHD_OPTION_CONNECTION_LIMIT,
+      (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads,
+      MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)(http->config.idle_timeout_ms / 1000 + 60),
+      MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768, MHD_OPTION_URI_LOG_CALLBACK, on_target,
+      http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL, MHD_OPTION_NOTIFY_COMPLETED,
+      on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http, MHD_OPTION_END);
+  return http->daemon != NULL ? MO_OK
+                              : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
 }
 
 static void destroy(struct mo_http *http)
@@ -524,7 +565,8 @@ static void destroy(struct mo_http *http)
   free(http);
 }
 
-static int prepare(struct mo_http *http, const struct mo_http_config *config, struct mo_message *message)
+static int prepare(struct mo_http *http, const struct mo_http_config *config,
+                   struct mo_message *message)
 {
   http->stop_fd = -1;
   pthread_mutex_init(&http->connections_lock, NULL);
@@ -532,7 +574,8 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config, st
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   http->config = *config;
   fill_defaults(&http->config);
-  snprintf(http->version, sizeof(http->version), "%s", config->version != NULL ? config->version : "");
+  snprintf(http->version, sizeof(http->version), "%s",
+           config->version != NULL ? config->version : "");
   struct mo_sha256 contract;
   mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);
   mo_sha256_to_hex(&contract, http->contract_tag);
@@ -544,13 +587,15 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config, st
     mo_fail(message, code, "no memory for the server");
   if (code == MO_OK)
     code = mo_connections_init(http, message);
-  if (code == MO_OK && (code = mo_names_copy(&http->names, config->allowed_hosts, config->n_allowed_hosts)) != MO_OK)
+  if (code == MO_OK &&
+      (code = mo_names_copy(&http->names, config->allowed_hosts, config->n_allowed_hosts)) != MO_OK)
     mo_fail(message, code, "no memory for the server");
   if (code == MO_OK)
     code = mo_tokens_set(&http->tokens, config->tokens, config->n_tokens, message);
-  if (code == MO_OK && config->n_tokens == 0 && (http->beyond_loopback || config->token_on_loopback))
-    code =
-        mo_fail(message, MO_ERR_INVALID, "an address beyond loopback is served: at least one bearer token is needed");
+  if (code == MO_OK && config->n_tokens == 0 &&
+      (http->beyond_loopback || config->token_on_loopback))
+    code = mo_fail(message, MO_ERR_INVALID,
+                   "an address beyond loopback is served: at least one bearer token is needed");
   if (code == MO_OK && config->n_unix_groups > 0) {
     http->unix_groups = calloc(config->n_unix_groups, sizeof(gid_t));
     if (http->unix_groups == NULL)
@@ -561,8 +606,8 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config, st
   return code;
 }
 
-int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services, struct mo_http **ret,
-                  struct mo_message *message)
+int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services,
+                  struct mo_http **ret, struct mo_message *message)
 {
   struct mo_http *http = calloc(1, sizeof(*http));
   if (http == NULL) {
@@ -579,7 +624,8 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   }
   atomic_store(&http->jobs_changed, true);
   count_jobs(http);
-  /* The pool first: the listener that mo_streams_start registers uses its lock from the first event on. */
+  /* The pool first: the listener that mo_streams_start registers uses its lock from the first event
+   * on. */
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
@@ -608,10 +654,12 @@ void mo_http_set_ready(struct mo_http *http, bool ready)
   atomic_store(&http->ready, ready);
 }
 
-int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n, struct mo_message *message)
+int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n,
+                       struct mo_message *message)
 {
   if (n == 0 && (http->beyond_loopback || http->config.token_on_loopback))
-    return mo_fail(message, MO_ERR_INVALID, "at least one bearer token is needed; the old ones stay");
+    return mo_fail(message, MO_ERR_INVALID,
+                   "at least one bearer token is needed; the old ones stay");
   return mo_tokens_set(&http->tokens, tokens, n, message);
 }
 
@@ -623,7 +671,8 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
   atomic_store(&http->stopping, true); /* replies from now on end their connections */
   mo_acceptor_stop(http);
   mo_streams_close(http);
-  mo_pool_close(http); /* no connection is suspended from here on: the library could not stop otherwise */
+  mo_pool_close(
+      http); /* no connection is suspended from here on: the library could not stop otherwise */
   int64_t until_us = mo_http_clock_us() + (int64_t)grace_ms * 1000;
   while (atomic_load(&http->n_in_flight) > 0 && mo_http_clock_us() < until_us) {
     struct timespec pause = {.tv_nsec = 5000000};

@@ -1,10 +1,11 @@
 /* stream.c: event streams (server-sent events).
  *
- * A stream is live or behind. Live: the store's listener writes each new event into the stream's buffer and wakes its
- * connection. Behind (it asked for older events, or its reader is slower than the events come): the listener leaves it
- * alone, and whenever its buffer has been read empty an API thread fills it from the store; when nothing is left there, it
- * is live again. So the memory of a stream is bounded, no event is lost or sent twice, and an idle stream costs nothing but
- * its heartbeat.
+ * A stream is live or behind. Live: the store's listener writes each new event into the stream's
+ * buffer and wakes its connection. Behind (it asked for older events, or its reader is slower than
+ * the events come): the listener leaves it alone, and whenever its buffer has been read empty an
+ * API thread fills it from the store; when nothing is left there, it is live again. So the memory
+ * of a stream is bounded, no event is lost or sent twice, and an idle stream costs nothing but its
+ * heartbeat.
  *
  * A connection that waits for events is suspended. Everything here is guarded by one lock. */
 #include <stdio.h>
@@ -67,7 +68,8 @@ static void wake(struct mo_stream *stream)
 static void put(struct mo_stream *stream, const char *bytes, size_t n, int64_t now_us)
 {
   if (stream->read > 0) {
-    memmove(stream->buffer.data, stream->buffer.data + stream->read, stream->buffer.size - stream->read);
+    memmove(stream->buffer.data, stream->buffer.data + stream->read,
+            stream->buffer.size - stream->read);
     stream->buffer.size -= stream->read;
     stream->read = 0;
   }
@@ -104,7 +106,8 @@ static void listener(void *context, const struct mo_event *events, size_t n)
       if (events[i].sequence <= stream->last)
         continue;
       if (text.failed || stream->buffer.size - stream->read + text.size > BUFFER_BYTES) {
-        stream->live = false; /* the reader comes back for the rest when it has read what is there */
+        stream->live =
+            false; /* the reader comes back for the rest when it has read what is there */
         stream->news = true;
       } else {
         put(stream, text.data, text.size, now_us);
@@ -153,7 +156,9 @@ int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
   /* What comes between this reading and the entry into the list is fetched as if it were older. */
   stream->last = after < 0 ? newest : after;
   pthread_mutex_lock(&http->streams.lock);
-  int result = http->streams.closed ? MO_ERR_BUSY : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT : MO_OK;
+  int result = http->streams.closed                          ? MO_ERR_BUSY
+               : http->streams.n >= http->config.max_streams ? MO_ERR_LIMIT
+                                                             : MO_OK;
   if (result == MO_OK) {
     request->stream = stream;
     stream->next = http->streams.first;
@@ -170,7 +175,8 @@ int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
   return result;
 }
 
-/* One page from the store; true: there may be more. The stream's connection is suspended, its buffer empty. */
+/* One page from the store; true: there may be more. The stream's connection is suspended, its
+ * buffer empty. */
 static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event *page)
 {
   pthread_mutex_lock(&http->streams.lock);
@@ -178,12 +184,15 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
   stream->news = false;
   pthread_mutex_unlock(&http->streams.lock);
   int64_t oldest = 0, newest = 0;
-  int64_t n = mo_store_events(http->services.store, after, stream->job, page, PAGE_EVENTS, &oldest, &newest);
+  int64_t n = mo_store_events(http->services.store, after, stream->job, page, PAGE_EVENTS, &oldest,
+                              &newest);
   struct mo_text text = {0};
   if (n >= 0 && (after < oldest - 1 || (!stream->greeted && after > newest))) {
-    /* The place is not known (pruned, or from another life of the store): the client must start afresh. */
+    /* The place is not known (pruned, or from another life of the store): the client must start
+     * afresh. */
     after = after > newest ? newest : oldest - 1;
-    mo_text_format(&text, "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
+    mo_text_format(&text,
+                   "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
                    (long long)after, (long long)oldest, (long long)newest);
   }
   uint64_t n_sent = 0;
@@ -192,7 +201,8 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
       frame(&text, &page[i]);
       n_sent++;
     } else if (stream->request->reason[0] == '\0') {
-      mo_request_note(stream->request, "event %lld cannot be read: %s", (long long)page[i].sequence, page[i].damage);
+      mo_request_note(stream->request, "event %lld cannot be read: %s", (long long)page[i].sequence,
+                      page[i].damage);
     }
   pthread_mutex_lock(&http->streams.lock);
   if (n < 0 || text.failed) {
@@ -205,7 +215,8 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
     atomic_fetch_add(&http->metrics.events_sent, n_sent);
     stream->live = n < PAGE_EVENTS && !stream->news;
   }
-  bool more = !stream->ended && !stream->live && stream->buffer.size - stream->read < BUFFER_BYTES / 2;
+  bool more =
+      !stream->ended && !stream->live && stream->buffer.size - stream->read < BUFFER_BYTES / 2;
   pthread_mutex_unlock(&http->streams.lock);
   mo_text_free(&text);
   return more;
@@ -264,7 +275,8 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
 
 enum MHD_Result mo_stream_send(struct mo_request *request)
 {
-  struct MHD_Response *response = MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 16 * 1024, reader, request, NULL);
+  struct MHD_Response *response =
+      MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 16 * 1024, reader, request, NULL);
   if (response == NULL)
     return MHD_NO;
   request->reply.status = 200;
@@ -307,7 +319,8 @@ void mo_streams_tick(struct mo_http *http, int64_t now_us)
     if (stream->suspended) {
       if (mo_connection_has_left(stream->request->connection))
         stream->ended = true;
-      if (!stream->ended && !unread && now_us - stream->written_us >= (int64_t)http->config.heartbeat_ms * 1000)
+      if (!stream->ended && !unread &&
+          now_us - stream->written_us >= (int64_t)http->config.heartbeat_ms * 1000)
         put(stream, beat, sizeof(beat) - 1, now_us);
       if (stream->ended || stream->buffer.size > stream->read)
         wake(stream);

@@ -24,7 +24,8 @@ bool mo_check_content(struct mo_request *request, const char *expected, const ch
   return false;
 }
 
-bool mo_submission_begin(struct mo_request *request, const char *what, struct mo_submission_key *key)
+bool mo_submission_begin(struct mo_request *request, const char *what,
+                         struct mo_submission_key *key)
 {
   const char *field = request->framing.idempotency_key;
   struct mo_query_value none;
@@ -39,7 +40,8 @@ bool mo_submission_begin(struct mo_request *request, const char *what, struct mo
   if (field != NULL && !mo_idempotency_key(field, key->key)) {
     struct mo_faults *faults = calloc(1, sizeof(*faults));
     if (faults != NULL)
-      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "1 to 255 printable ASCII characters are expected");
+      mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key",
+                    "1 to 255 printable ASCII characters are expected");
     mo_reply_problem(request, 400, faults, NULL);
     free(faults);
     return false;
@@ -50,7 +52,8 @@ bool mo_submission_begin(struct mo_request *request, const char *what, struct mo
 }
 
 bool mo_handle_submission(struct mo_request *request, const char *what,
-                          bool (*submit)(struct mo_request *request, const struct mo_submission_key *key,
+                          bool (*submit)(struct mo_request *request,
+                                         const struct mo_submission_key *key,
                                          struct mo_faults *faults))
 {
   struct mo_submission_key key;
@@ -68,7 +71,8 @@ bool mo_handle_submission(struct mo_request *request, const char *what,
   return stored;
 }
 
-const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key, const char *what, int64_t id,
+const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key *key,
+                                                  const char *what, int64_t id,
                                                   struct mo_request_key *known)
 {
   char digits[MO_SHA256_DIGITS + 1], text[MO_SHA256_DIGITS + 64];
@@ -84,10 +88,12 @@ const struct mo_request_key *mo_submission_key_of(const struct mo_submission_key
 bool mo_key_conflicts(struct mo_store *store, const struct mo_submission_key *key)
 {
   int64_t id;
-  return key->key[0] != '\0' && mo_store_replay(store, key->key, &key->body_sha256, &id) == MO_ERR_CONFLICT;
+  return key->key[0] != '\0' &&
+         mo_store_replay(store, key->key, &key->body_sha256, &id) == MO_ERR_CONFLICT;
 }
 
-void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults, const char *what)
+void mo_reply_parse_error(struct mo_request *request, int code, const struct mo_faults *faults,
+                          const char *what)
 {
   if (code == MO_ERR_FORMAT)
     mo_reply_problem(request, 400, faults, "The body is not JSON: %s.", faults->items[0].detail);
@@ -101,8 +107,9 @@ void mo_reply_key_conflict(struct mo_request *request, struct mo_faults *faults)
 {
   if (faults != NULL)
     mo_faults_add(faults, MO_FAULT_HEADER, "Idempotency-Key", "the key was used with another body");
-  mo_reply_problem(request, 422, faults,
-                   "The Idempotency-Key was used with another body; use a new key for a new request.");
+  mo_reply_problem(
+      request, 422, faults,
+      "The Idempotency-Key was used with another body; use a new key for a new request.");
 }
 
 void mo_reply_queue_full(struct mo_request *request)
@@ -117,15 +124,18 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
   struct mo_controller_record controller;
   int code = reference != NULL ? mo_store_controller(store, reference, &controller) : MO_OK;
   if (code == MO_ERR_NOT_FOUND)
-    mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected", reference);
+    mo_faults_add(
+        faults, MO_FAULT_BODY, "/controller",
+        "there is no controller \"%.80s\"; one of those in GET /v1/controllers is expected",
+        reference);
   else if (reference != NULL && code == MO_OK &&
            (controller.workspace.nx != ours.nx || controller.workspace.ny != ours.ny ||
             controller.workspace.nz != ours.nz))
     mo_faults_add(faults, MO_FAULT_BODY, "/controller",
-                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u × %u is expected",
-                  reference, controller.workspace.nx, controller.workspace.ny, controller.workspace.nz, ours.nx,
-                  ours.ny, ours.nz);
+                  "controller \"%.80s\" is for a workspace of %u × %u × %u voxels; one for %u × %u "
+                  "× %u is expected",
+                  reference, controller.workspace.nx, controller.workspace.ny,
+                  controller.workspace.nz, ours.nx, ours.ny, ours.nz);
 }
 
 bool mo_job_is_known(const struct mo_job *job, int code)
@@ -138,7 +148,8 @@ bool mo_job_is_another(const struct mo_job *job, int code, int kind)
   return mo_job_is_known(job, code) && kind >= 0 && job->kind != (enum mo_job_kind)kind;
 }
 
-static bool check_kind(struct mo_request *request, int64_t id, enum mo_job_kind kind, bool readable, const char *what)
+static bool check_kind(struct mo_request *request, int64_t id, enum mo_job_kind kind, bool readable,
+                       const char *what)
 {
   struct mo_job *job = malloc(sizeof(*job));
   int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
@@ -157,7 +168,8 @@ bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, co
   return check_kind(request, id, kind, true, what);
 }
 
-bool mo_job_is_even_unreadable(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
+bool mo_job_is_even_unreadable(struct mo_request *request, int64_t id, enum mo_job_kind kind,
+                               const char *what)
 {
   return check_kind(request, id, kind, false, what);
 }

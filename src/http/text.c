@@ -87,8 +87,12 @@ unsigned mo_utf8_sequence(const unsigned char *words, size_t n)
                                                      : 0;
   if (length == 0 || n < length)
     return 0;
-  unsigned char second_min = first == 0xE0 ? 0xA0 : first == 0xF0 ? 0x90 : 0x80; /* no overlong forms */
-  unsigned char second_max = first == 0xED ? 0x9F : first == 0xF4 ? 0x8F : 0xBF; /* no surrogates, none past U+10FFFF */
+  unsigned char second_min = first == 0xE0   ? 0xA0
+                             : first == 0xF0 ? 0x90
+                                             : 0x80; /* no overlong forms */
+  unsigned char second_max = first == 0xED   ? 0x9F
+                             : first == 0xF4 ? 0x8F
+                                             : 0xBF; /* no surrogates, none past U+10FFFF */
   if (words[1] < second_min || words[1] > second_max)
     return 0;
   for (unsigned i = 2; i < length; i++)
@@ -128,7 +132,8 @@ void mo_text_json_stored(struct mo_text *text, const char *json)
   const size_t n = strlen(json);
   size_t whole = 0; /* start of the run that is UTF-8 */
   for (size_t i = 0; i < n;) {
-    const bool is_break = json[i] == '\n' || json[i] == '\r'; /* between values: a stream's event is one line */
+    const bool is_break =
+        json[i] == '\n' || json[i] == '\r'; /* between values: a stream's event is one line */
     unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
     if (length > 0 && !is_break) {
       i += length;
@@ -157,12 +162,13 @@ void mo_text_json_number(struct mo_text *text, double value)
   mo_text_bytes(text, digits, (size_t)n);
 }
 
-/* The same text as "%.*g" with the fewest of 6 to 9 digits that read back, for sizes that it writes without an exponent: recordings
- * hold millions of such numbers, and printf takes microseconds for each. Every product is exact: 24 bits of the value and 28 of
- * 5^12. 0: not written. */
+/* The same text as "%.*g" with the fewest of 6 to 9 digits that read back, for sizes that it writes
+ * without an exponent: recordings hold millions of such numbers, and printf takes microseconds for
+ * each. Every product is exact: 24 bits of the value and 28 of 5^12. 0: not written. */
 static int write_plain_float(float value, char digits[32])
 {
-  static const double powers[] = {1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12};
+  static const double powers[] = {1e0, 1e1, 1e2, 1e3,  1e4,  1e5, 1e6,
+                                  1e7, 1e8, 1e9, 1e10, 1e11, 1e12};
   double size = fabs((double)value), whole = 0;
   int exponent = 5, places = 0;
   if (!(size >= 1e-4 && size < 1e6))
@@ -224,8 +230,9 @@ void mo_text_json_time(struct mo_text *text, int64_t time_us)
     mo_text_add(text, "null");
     return;
   }
-  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900, parts.tm_mon + 1, parts.tm_mday,
-                 parts.tm_hour, parts.tm_min, parts.tm_sec, (int)(time_us / 1000 % 1000));
+  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900,
+                 parts.tm_mon + 1, parts.tm_mday, parts.tm_hour, parts.tm_min, parts.tm_sec,
+                 (int)(time_us / 1000 % 1000));
 }
 
 static void begin_member(struct mo_text *text, const char *name)

@@ -8,7 +8,8 @@
 #include "http/job_json.h"
 #include "http/learning_json.h"
 
-enum mo_job_state mo_training_state(const struct mo_training_status *status, const struct mo_training_live *live)
+enum mo_job_state mo_training_state(const struct mo_training_status *status,
+                                    const struct mo_training_live *live)
 {
   bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_TRAINING_WAIT;
   return waits ? MO_JOB_PAUSED : status->job.state;
@@ -34,9 +35,10 @@ static void write_name(struct mo_text *text, const struct mo_training_status *st
   mo_text_member(text, "name", status->record.name[0] != '\0' ? status->record.name : made);
 }
 
-/* Steps applied: a run that went on from a checkpoint after a crash may be behind the curve that is stored; one that is being
- * prepared does not know yet. */
-static uint32_t step_of(const struct mo_training_status *status, const struct mo_training_live *live)
+/* Steps applied: a run that went on from a checkpoint after a crash may be behind the curve that is
+ * stored; one that is being prepared does not know yet. */
+static uint32_t step_of(const struct mo_training_status *status,
+                        const struct mo_training_live *live)
 {
   if (live->phase == MO_TRAINING_IDLE)
     return status->step;
@@ -74,9 +76,11 @@ static void write_settings(struct mo_text *text, const struct mo_training_record
   mo_text_add(text, ",\"physics\":");
   mo_physics_write(text, &settings->physics);
   mo_text_format(text, ",\"validation\":{\"every_steps\":%u,\"designs\":%u,\"environments\":%u}",
-                 record->validate_every_steps, settings->held_out_designs, settings->held_out_environments);
+                 record->validate_every_steps, settings->held_out_designs,
+                 settings->held_out_environments);
   mo_text_format(text, ",\"checkpoint\":{\"every_steps\":%u,\"every_s\":%u,\"keep\":%u}}",
-                 record->checkpoint_every_steps, record->checkpoint_every_s, record->checkpoints_kept);
+                 record->checkpoint_every_steps, record->checkpoint_every_s,
+                 record->checkpoints_kept);
 }
 
 /* ---- progress ---- */
@@ -85,19 +89,23 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
                            const struct mo_training_live *live)
 {
   const struct mo_training_report *last = &status->last.report;
-  bool runs = live->phase != MO_TRAINING_IDLE, any = status->step > 0 && status->last.damage.column == NULL;
+  bool runs = live->phase != MO_TRAINING_IDLE,
+       any = status->step > 0 && status->last.damage.column == NULL;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
   mo_text_member_number(text, "mean_loss", any ? last->mean_loss : (double)NAN);
   mo_text_member_number(text, "gradient_norm", any ? last->gradient_norm : (double)NAN);
   mo_text_member_number(text, "rate", any ? last->rate : (double)NAN);
   mo_text_member_number(text, "clipped_share", any ? last->clipped_share : (double)NAN);
-  mo_text_member_number(text, "clipped_robots_share", any ? last->clipped_robots_share : (double)NAN);
+  mo_text_member_number(text, "clipped_robots_share",
+                        any ? last->clipped_robots_share : (double)NAN);
   mo_text_member_count(text, "diverged", any ? last->diverged : 0);
   mo_text_member_count(text, "zeroed", any ? last->zeroed : 0);
   mo_text_member_bool(text, "skipped", any && last->skipped);
-  mo_text_member_number(text, "bodies_per_s", runs && live->robots_per_s > 0 ? live->robots_per_s : (double)NAN);
-  mo_text_member_number(text, "seconds_left", runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
+  mo_text_member_number(text, "bodies_per_s",
+                        runs && live->robots_per_s > 0 ? live->robots_per_s : (double)NAN);
+  mo_text_member_number(text, "seconds_left",
+                        runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
   mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
   mo_text_member_count(text, "replayed", runs ? live->replayed : 0);
   mo_text_member_count(text, "replay_total", runs ? live->replay_total : 0);
@@ -121,12 +129,15 @@ static void write_code(struct mo_text *text, const struct mo_training_lineage *l
 
 static void write_links(struct mo_text *text, long long id)
 {
-  mo_text_format(text,
-                 ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"steps\":\"/v1/trainings/%lld/steps\",\"validations\":"
-                 "\"/v1/trainings/%lld/validations\",\"checkpoints\":\"/v1/trainings/%lld/checkpoints\",\"controller\":"
-                 "\"/v1/trainings/%lld/controller\",\"held_out\":\"/v1/trainings/%lld/held-out\",\"events\":"
-                 "\"/v1/events?job=%lld\"}",
-                 id, id, id, id, id, id, id);
+  mo_text_format(
+      text,
+      ",\"links\":{\"job\":\"/v1/jobs/%lld\",\"steps\":\"/v1/trainings/%lld/"
+      "steps\",\"validations\":"
+      "\"/v1/trainings/%lld/validations\",\"checkpoints\":\"/v1/trainings/%lld/"
+      "checkpoints\",\"controller\":"
+      "\"/v1/trainings/%lld/controller\",\"held_out\":\"/v1/trainings/%lld/held-out\",\"events\":"
+      "\"/v1/events?job=%lld\"}",
+      id, id, id, id, id, id, id);
 }
 
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
@@ -177,7 +188,8 @@ void mo_training_json_job(struct mo_text *text, const struct mo_training_status 
   mo_text_format(text, ",\"training\":{\"kind\":\"%s\"",
                  status->record.settings.kind == MO_TRAINING_FINETUNE ? "finetune" : "pretrain");
   write_name(text, status);
-  mo_text_format(text, ",\"step\":%u,\"steps\":%u}}", step_of(status, live), status->record.settings.n_steps);
+  mo_text_format(text, ",\"step\":%u,\"steps\":%u}}", step_of(status, live),
+                 status->record.settings.n_steps);
 }
 
 /* ---- rows ---- */

@@ -1,7 +1,8 @@
 /* training_request.c: see training_request.h.
  *
- * The defaults depend on kind and preset, and JSON has no order of members: a first pass over the text finds these, a second
- * reads everything over their defaults. What depends on several fields is checked after the last of them. */
+ * The defaults depend on kind and preset, and JSON has no order of members: a first pass over the
+ * text finds these, a second reads everything over their defaults. What depends on several fields
+ * is checked after the last of them. */
 #include "http/training_request.h"
 
 #include <stdlib.h>
@@ -76,7 +77,8 @@ static void read_population(struct mo_json *json, struct mo_parsed_training *par
   }
   if (!json->stop && jobs != 1)
     mo_json_fault_at(json, depth, "",
-                     "a population is that of exactly one job: evaluation, the id of one whose designs are learned "
+                     "a population is that of exactly one job: evaluation, the id of one whose "
+                     "designs are learned "
                      "from, or campaign, the id of one whose newest population is");
 }
 
@@ -104,7 +106,8 @@ static void read_preset(struct mo_json *json, struct given *given)
     given->preset = (enum mo_learning_preset)preset;
 }
 
-static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed, struct given *given)
+static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed,
+                        struct given *given)
 {
   given->controller = true;
   if (mo_json_peek(json) == MO_JSON_NULL) {
@@ -118,7 +121,8 @@ static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed,
 /* ---- the whole ---- */
 
 /* What depends on several fields. */
-static void check_together(struct mo_json *json, struct mo_parsed_training *parsed, const struct given *given)
+static void check_together(struct mo_json *json, struct mo_parsed_training *parsed,
+                           const struct given *given)
 {
   bool finetune = parsed->request.record.settings.kind == MO_TRAINING_FINETUNE;
   if (!given->kind)
@@ -128,39 +132,47 @@ static void check_together(struct mo_json *json, struct mo_parsed_training *pars
   if (finetune) {
     if (given->designs == given->population)
       mo_json_fault_at(json, 0, "",
-                       "%s; a finetuning learns from exactly one of designs (a list) and population (those of an "
+                       "%s; a finetuning learns from exactly one of designs (a list) and "
+                       "population (those of an "
                        "evaluation or a campaign)",
                        given->designs ? "both designs and population are given"
                                       : "neither designs nor population is given");
     if (given->no_controller)
       mo_json_fault_at(json, 0, "/controller",
-                       "null is given; a finetuning starts from a controller: its name, or sha256: and 64 hexadecimal "
+                       "null is given; a finetuning starts from a controller: its name, or sha256: "
+                       "and 64 hexadecimal "
                        "digits, is expected");
     if (given->preset == MO_LEARNING_PRESET_PHOTOTAXIS)
-      mo_json_fault_at(
-          json, 0, "/preset",
-          "\"phototaxis\" is how a controller was pretrained; \"workstation\" or \"paper\" is expected of a "
-          "finetuning");
+      mo_json_fault_at(json, 0, "/preset",
+                       "\"phototaxis\" is how a controller was pretrained; \"workstation\" or "
+                       "\"paper\" is expected of a "
+                       "finetuning");
   } else {
     if (given->designs)
-      mo_json_fault_at(json, 0, "/designs",
-                       "a pretraining draws bodies of its own; designs are expected of a finetuning alone");
+      mo_json_fault_at(
+          json, 0, "/designs",
+          "a pretraining draws bodies of its own; designs are expected of a finetuning alone");
     if (given->population)
-      mo_json_fault_at(json, 0, "/population",
-                       "a pretraining draws bodies of its own; a population is expected of a finetuning alone");
+      mo_json_fault_at(
+          json, 0, "/population",
+          "a pretraining draws bodies of its own; a population is expected of a finetuning alone");
     const struct mo_training_settings *settings = &parsed->request.record.settings;
     if ((uint64_t)settings->n_steps * settings->batch > MO_TRAINING_BODIES_MAX)
       mo_json_fault_at(json, 0, "/steps",
-                       "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected of a pretraining",
-                       settings->n_steps, settings->batch, (unsigned long long)settings->n_steps * settings->batch,
+                       "%u steps of %u bodies are %llu; at most %llu distinct bodies are expected "
+                       "of a pretraining",
+                       settings->n_steps, settings->batch,
+                       (unsigned long long)settings->n_steps * settings->batch,
                        (unsigned long long)MO_TRAINING_BODIES_MAX);
   }
   if (given->sensor && (finetune || (given->controller && !given->no_controller)))
-    mo_json_fault_at(json, 0, "/sensor",
-                     "the training starts from a controller, which has its sensor; none is expected here");
+    mo_json_fault_at(
+        json, 0, "/sensor",
+        "the training starts from a controller, which has its sensor; none is expected here");
 }
 
-static int read_request(struct mo_json *json, struct mo_parsed_training *parsed, struct given *given)
+static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
+                        struct given *given)
 {
   struct mo_training_request *request = &parsed->request;
   struct mo_training_record *record = &request->record;
@@ -225,17 +237,18 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
       if (mo_read_label(json, parsed->label))
         request->label = parsed->label;
     } else {
-      mo_read_unknown(
-          json, "kind, preset, name, controller, sensor, designs, population, steps, batch, seed, schedule, adam, "
-                "gradient_norm_limit, adjoint_bound, adjoint_rule, restart_weight, physics, validation, checkpoint, "
-                "priority, weight, device, label");
+      mo_read_unknown(json, "kind, preset, name, controller, sensor, designs, population, steps, "
+                            "batch, seed, schedule, adam, "
+                            "gradient_norm_limit, adjoint_bound, adjoint_rule, restart_weight, "
+                            "physics, validation, checkpoint, "
+                            "priority, weight, device, label");
     }
   }
   return code;
 }
 
-static int read_text(struct mo_json *json, const char *text, size_t size, struct mo_parsed_training *parsed,
-                     struct mo_faults *faults)
+static int read_text(struct mo_json *json, const char *text, size_t size,
+                     struct mo_parsed_training *parsed, struct mo_faults *faults)
 {
   struct mo_training_record *record = &parsed->request.record;
   struct given given = {0};
@@ -245,7 +258,8 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
   int code = mo_find_words(json, text, size, keys, words, 2);
   if (code != MO_OK)
     return code;
-  enum mo_training_kind kind = strcmp(words[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
+  enum mo_training_kind kind =
+      strcmp(words[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
   enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
   if (mo_learning_preset_from_name(words[1], &preset) != MO_OK)
     preset = MO_LEARNING_PRESET_WORKSTATION; /* the second pass tells it */
@@ -269,9 +283,11 @@ static int read_text(struct mo_json *json, const char *text, size_t size, struct
   return faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed, struct mo_faults *faults)
+int mo_training_parse(const char *text, size_t size, struct mo_parsed_training *parsed,
+                      struct mo_faults *faults)
 {
-  *parsed = (struct mo_parsed_training){.request = {.priority = MO_BATCH, .back_end = MO_BACK_END_AUTO, .weight = 1}};
+  *parsed = (struct mo_parsed_training){
+      .request = {.priority = MO_BATCH, .back_end = MO_BACK_END_AUTO, .weight = 1}};
   struct mo_json *json = malloc(sizeof(*json));
   if (json == NULL)
     return MO_ERR_NO_MEMORY;

@@ -14,20 +14,23 @@
 static void describe(const struct mo_job *job, char words[WORDS_BYTES])
 {
   snprintf(words, WORDS_BYTES, "%s %lld cannot be read: %s",
-           (int)job->kind < MO_JOB_KINDS ? mo_job_kind_name(job->kind) : "job", (long long)job->id, job->damage);
+           (int)job->kind < MO_JOB_KINDS ? mo_job_kind_name(job->kind) : "job", (long long)job->id,
+           job->damage);
 }
 
 static void note(struct mo_unreadable *list, const char *words)
 {
   const size_t used = strlen(list->note);
-  if (list->n_noted == list->n && used + strlen(words) + 2 + sizeof(list->more) < sizeof(list->note)) {
+  if (list->n_noted == list->n &&
+      used + strlen(words) + 2 + sizeof(list->more) < sizeof(list->note)) {
     snprintf(list->note + used, sizeof(list->note) - used, "%s%s", used > 0 ? "; " : "", words);
     list->n_noted++;
   }
   list->n++;
 }
 
-void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id, const char *damage)
+void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const char *id,
+                             const char *damage)
 {
   char words[WORDS_BYTES];
   mo_text_add(&list->items, list->n > 0 ? ",{\"id\":" : "{\"id\":");
@@ -39,8 +42,9 @@ void mo_unreadable_add_other(struct mo_unreadable *list, const char *kind, const
   note(list, words);
 }
 
-void mo_unreadable_row(struct mo_request *request, struct mo_unreadable *list, int64_t job, const char *kind,
-                       const char *id, const char *place, const struct mo_row_damage *damage)
+void mo_unreadable_row(struct mo_request *request, struct mo_unreadable *list, int64_t job,
+                       const char *kind, const char *id, const char *place,
+                       const struct mo_row_damage *damage)
 {
   char words[MO_DAMAGE_BYTES];
   snprintf(words, sizeof(words), "%s of job %" PRId64 " and %s is %s", damage->column, job, place,
@@ -54,7 +58,8 @@ void mo_unreadable_row(struct mo_request *request, struct mo_unreadable *list, i
 void mo_unreadable_add(struct mo_unreadable *list, const struct mo_job *job)
 {
   char words[WORDS_BYTES];
-  mo_text_format(&list->items, "%s{\"id\":\"%lld\",\"kind\":", list->n > 0 ? "," : "", (long long)job->id);
+  mo_text_format(&list->items, "%s{\"id\":\"%lld\",\"kind\":", list->n > 0 ? "," : "",
+                 (long long)job->id);
   if ((int)job->kind < MO_JOB_KINDS)
     mo_text_format(&list->items, "\"%s\"", mo_job_kind_name(job->kind));
   else
@@ -129,12 +134,13 @@ bool mo_reply_unreadable(struct mo_request *request)
   struct mo_store *store = request->http->services.store;
   const char *name = request->parameters[0];
   char words[WORDS_BYTES];
-  const bool found = path_begins(request, "/v1/designs/")       ? find_design(store, name, words)
-                     : path_begins(request, "/v1/controllers/") ? find_controller(store, name, words)
-                     : path_begins(request, "/v1/jobs/") || path_begins(request, "/v1/evaluations/") ||
-                             path_begins(request, "/v1/trainings/") || path_begins(request, "/v1/campaigns/")
-                         ? find_job(store, name, words)
-                         : false;
+  const bool found =
+      path_begins(request, "/v1/designs/")       ? find_design(store, name, words)
+      : path_begins(request, "/v1/controllers/") ? find_controller(store, name, words)
+      : path_begins(request, "/v1/jobs/") || path_begins(request, "/v1/evaluations/") ||
+              path_begins(request, "/v1/trainings/") || path_begins(request, "/v1/campaigns/")
+          ? find_job(store, name, words)
+          : false;
   if (found)
     reply(request, words);
   return found;

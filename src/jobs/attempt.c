@@ -1,7 +1,9 @@
-/* attempt.c: what every run of a job with a thread of its own does in the same way: waiting for room, failing, winding down.
+/* attempt.c: what every run of a job with a thread of its own does in the same way: waiting for
+ * room, failing, winding down.
  *
- * Want of room is waited for: a write is tried again every second (retry_ms) until it succeeds or a wish comes. A stop does not wait: the next
- * start goes on from what is saved. An error ends the attempt; the third one in a row ends the job. */
+ * Want of room is waited for: a write is tried again every second (retry_ms) until it succeeds or a
+ * wish comes. A stop does not wait: the next start goes on from what is saved. An error ends the
+ * attempt; the third one in a row ends the job. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -20,12 +22,14 @@ int mo_attempt_fail_unreadable(struct mo_attempt *attempt, int error, const stru
   return error;
 }
 
-int mo_attempt_fail_controller(struct mo_attempt *attempt, int error, const struct mo_sha256 *sha256)
+int mo_attempt_fail_controller(struct mo_attempt *attempt, int error,
+                               const struct mo_sha256 *sha256)
 {
   char digits[MO_SHA256_DIGITS + 1];
   mo_sha256_to_hex(sha256, digits);
   snprintf(attempt->text, sizeof(attempt->text),
-           "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
+           "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same "
+           "file again (PUT "
            "/v1/controllers/<name>), then resume the job",
            digits);
   return error;
@@ -45,18 +49,22 @@ static const struct mo_runner_kind *kind_of(const struct mo_attempt *attempt)
 
 /* ---- writes that wait for room ---- */
 
-/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the note of that. */
+/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the
+ * note of that. */
 static bool is_passing(const struct mo_attempt *attempt, int error)
 {
-  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY || (error == MO_ERR_NO_MEMORY && attempt->winding_down);
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ||
+         (error == MO_ERR_NO_MEMORY && attempt->winding_down);
 }
 
 static const char *passing_text(int error)
 {
   switch (error) {
-  case MO_ERR_NO_SPACE: return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
+  case MO_ERR_NO_SPACE:
+    return "no space on the disk of the state folder for %s: make room there; it goes on by itself";
   case MO_ERR_BUSY:
-    return "another program holds the database locked, %s cannot be written: end it; it goes on by itself";
+    return "another program holds the database locked, %s cannot be written: end it; it goes on by "
+           "itself";
   default: return "no memory for %s: it goes on by itself when there is some";
   }
 }
@@ -70,7 +78,8 @@ static int set_waiting(struct mo_attempt *attempt, bool waits, int phase, const 
   return runners->kind->set_phase(attempt, phase, reason);
 }
 
-int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context, const char *what)
+int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context,
+                       const char *what)
 {
   const struct mo_runner_kind *kind = kind_of(attempt);
   enum mo_runner_wish least = attempt->winding_down ? MO_WISH_STOP : MO_WISH_PAUSE;
@@ -107,7 +116,8 @@ static int write_park(void *context)
   return kind_of(attempt)->park(attempt->jobs->store, attempt->id, MO_OK, NULL, 0, NULL);
 }
 
-/* Somebody has stopped it: what it has computed is saved, and the job goes back to the queue if it is to go on. */
+/* Somebody has stopped it: what it has computed is saved, and the job goes back to the queue if it
+ * is to go on. */
 static void wind_down(struct mo_attempt *attempt, int (*save)(void *context), void *context)
 {
   int error, parked;
@@ -118,14 +128,16 @@ static void wind_down(struct mo_attempt *attempt, int (*save)(void *context), vo
   parked = mo_attempt_persist(attempt, write_park, attempt, "its place in the queue");
   if (error == MO_OK || error == MO_ERR_CANCELLED)
     error = parked != MO_OK ? parked : error;
-  if (error != MO_OK && error != MO_ERR_CONFLICT && mo_runner_wished(attempt->runner) == MO_WISH_STOP)
+  if (error != MO_OK && error != MO_ERR_CONFLICT &&
+      mo_runner_wished(attempt->runner) == MO_WISH_STOP)
     atomic_store(&attempt->runner->runners->unsaved, true);
   if (error != MO_OK && error != MO_ERR_CONFLICT && error != MO_ERR_CANCELLED)
-    mo_attempt_warn(attempt, error, "what was done since the last save could not be saved: it will be done again");
+    mo_attempt_warn(attempt, error,
+                    "what was done since the last save could not be saved: it will be done again");
 }
 
-static int note_failure(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id, int error,
-                        const char *text)
+static int note_failure(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id,
+                        int error, const char *text)
 {
   enum mo_job_state after = MO_JOB_QUEUED;
   int status = kind->park(jobs->store, id, error, text, jobs->config.max_attempts, &after);
@@ -157,13 +169,15 @@ static void halt(struct mo_attempt *attempt, int (*save)(void *context), void *c
 static void describe(struct mo_attempt *attempt, int error)
 {
   struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
-  const bool found = job != NULL && mo_store_job_damage(attempt->jobs->store, attempt->id, job) == MO_OK;
+  const bool found =
+      job != NULL && mo_store_job_damage(attempt->jobs->store, attempt->id, job) == MO_OK;
   snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s", kind_of(attempt)->noun,
            found ? job->damage : mo_error_text(error));
   free(job);
 }
 
-bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context), void *context)
+bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context),
+                       void *context)
 {
   switch (error) {
   case MO_OK:
@@ -172,7 +186,8 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
     return false;
   case MO_ERR_CANCELLED: wind_down(attempt, save, context); return false;
   case MO_ERR_DEVICE: halt(attempt, save, context); return false;
-  case MO_ERR_CONFLICT: return false; /* paused or cancelled while its end was written: the job has that state */
+  case MO_ERR_CONFLICT:
+    return false; /* paused or cancelled while its end was written: the job has that state */
   default: break;
   }
   if (attempt->text[0] == '\0')
@@ -187,7 +202,8 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
 void mo_attempt_give_up(struct mo_runner *runner, int64_t id)
 {
   for (;;) {
-    int error = note_failure(runner->jobs, runner->runners->kind, id, MO_ERR_NO_MEMORY, "out of memory");
+    int error =
+        note_failure(runner->jobs, runner->runners->kind, id, MO_ERR_NO_MEMORY, "out of memory");
     if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
         mo_runner_wished(runner) >= MO_WISH_STOP)
       return;

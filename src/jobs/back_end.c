@@ -1,34 +1,39 @@
 /* back_end.c: which jobs devices compute.
  *
- * It is chosen at submission and never changes: bits differ between devices and workers, and a training or a campaign that went on elsewhere would
- * not be a function of its settings any more. So a job whose devices are gone waits for them, paused. */
+ * It is chosen at submission and never changes: bits differ between devices and workers, and a
+ * training or a campaign that went on elsewhere would not be a function of its settings any more.
+ * So a job whose devices are gone waits for them, paused. */
 #include "jobs/internal.h"
 
 #define BLOCKS_A_DEVICE 16384 /* more than a call, at ten environments a block */
 #define BLOCKS_A_WORKER 2
 
-int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large, enum mo_back_end *back_end,
-                       struct mo_message *message)
+int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large,
+                       enum mo_back_end *back_end, struct mo_message *message)
 {
   const bool is_there = mo_compute_devices_working(jobs->compute) > 0;
   if (asked != MO_BACK_END_AUTO && asked != MO_ON_CPU && asked != MO_ON_DEVICE)
     return mo_fail(message, MO_ERR_INVALID, "no such device");
-  *back_end =
-      asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large) ? MO_ON_DEVICE : MO_ON_CPU;
+  *back_end = asked == MO_ON_DEVICE || (asked == MO_BACK_END_AUTO && is_there && suits && is_large)
+                  ? MO_ON_DEVICE
+                  : MO_ON_CPU;
   if (*back_end == MO_ON_DEVICE && !suits)
+    return mo_fail(message, MO_ERR_DEVICE,
+                   "devices compute batches in float32 that record nothing: ask for \"cpu\" or "
+                   "\"auto\", or for such a batch");
+  if (*back_end == MO_ON_DEVICE && !is_there)
     return mo_fail(
         message, MO_ERR_DEVICE,
-        "devices compute batches in float32 that record nothing: ask for \"cpu\" or \"auto\", or for such a batch");
-  if (*back_end == MO_ON_DEVICE && !is_there)
-    return mo_fail(message, MO_ERR_DEVICE,
-                   "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
-                   mo_compute_devices(jobs->compute) > 0 ? "no device works any more" : "the service has no devices");
+        "%s: ask for \"cpu\" or \"auto\", or restart the service when its devices are in order",
+        mo_compute_devices(jobs->compute) > 0 ? "no device works any more"
+                                              : "the service has no devices");
   return MO_OK;
 }
 
 int mo_back_end_check(const struct mo_jobs *jobs, enum mo_back_end back_end)
 {
-  return back_end == MO_ON_DEVICE && mo_compute_devices_working(jobs->compute) == 0 ? MO_ERR_DEVICE : MO_OK;
+  return back_end == MO_ON_DEVICE && mo_compute_devices_working(jobs->compute) == 0 ? MO_ERR_DEVICE
+                                                                                    : MO_OK;
 }
 
 int mo_back_end_error(enum mo_back_end back_end, int error)
@@ -43,17 +48,21 @@ void mo_back_end_describe_loss(struct mo_jobs *jobs, char *text, size_t size)
   uint32_t i = 0;
   if (mo_compute_devices_working(jobs->compute) > 0) {
     snprintf(text, size,
-             "there is no memory left for even the smallest part of this job: end what else uses the devices, then "
+             "there is no memory left for even the smallest part of this job: end what else uses "
+             "the devices, then "
              "resume the job");
     return;
   }
-  while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK && status.state == MO_DEVICE_WORKS)
+  while (i < n && mo_compute_device(jobs->compute, i, &status) == MO_OK &&
+         status.state == MO_DEVICE_WORKS)
     i++;
   if (i == n)
     snprintf(text, size,
-             "devices compute this job, and there are none: start the service with devices, then resume the job");
+             "devices compute this job, and there are none: start the service with devices, then "
+             "resume the job");
   else
-    snprintf(text, size, "no device works any more (%.40s: %.100s): restart the service, then resume the job",
+    snprintf(text, size,
+             "no device works any more (%.40s: %.100s): restart the service, then resume the job",
              status.name, status.error);
 }
 

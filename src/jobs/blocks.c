@@ -1,10 +1,11 @@
 /* blocks.c: from the cells of a job to blocks in the back end, and back.
  *
- * A cell that is to do is looked up in this order: among the rollouts that are being computed or wait for their commit (the cell
- * waits with them), in the store (the cell is done), else it becomes part of a new block. Only the scheduler adds and removes
- * rollouts, and removes one only after its commit, so a score is in one of the two places at any time and is never
- * computed twice, but for an interactive job that would have to wait for a device. Verify and recording jobs run every cell in blocks of
- * their own. */
+ * A cell that is to do is looked up in this order: among the rollouts that are being computed or
+ * wait for their commit (the cell waits with them), in the store (the cell is done), else it
+ * becomes part of a new block. Only the scheduler adds and removes rollouts, and removes one only
+ * after its commit, so a score is in one of the two places at any time and is never computed twice,
+ * but for an interactive job that would have to wait for a device. Verify and recording jobs run
+ * every cell in blocks of their own. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,29 +24,32 @@ static size_t bucket_of(int64_t genotype, int64_t controller, int64_t physics, i
   return (size_t)(h >> 40) % MO_ROLLOUT_BUCKETS;
 }
 
-static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_work *work, int64_t genotype,
-                                       int64_t environment)
+static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_work *work,
+                                       int64_t genotype, int64_t environment)
 {
-  struct mo_rollout *rollout = jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
-  while (rollout != NULL && (rollout->genotype != genotype || rollout->environment != environment ||
-                             rollout->controller != work->controller || rollout->physics != work->physics))
+  struct mo_rollout *rollout =
+      jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  while (rollout != NULL &&
+         (rollout->genotype != genotype || rollout->environment != environment ||
+          rollout->controller != work->controller || rollout->physics != work->physics))
     rollout = rollout->next;
   return rollout;
 }
 
-/* Who waits for an answer does not wait for a device, whose queue may be seconds long: it is computed once more, and the store keeps
- * the one that is saved first. */
+/* Who waits for an answer does not wait for a device, whose queue may be seconds long: it is
+ * computed once more, and the store keeps the one that is saved first. */
 static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active *active)
 {
   return active->priority != MO_INTERACTIVE || rollout->flight == NULL ||
          rollout->flight->block.back_end != MO_ON_DEVICE;
 }
 
-static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work, int64_t genotype,
-                                      int64_t environment)
+static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work,
+                                      int64_t genotype, int64_t environment)
 {
   struct mo_rollout *rollout = calloc(1, sizeof(*rollout));
-  struct mo_rollout **bucket = &jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  struct mo_rollout **bucket =
+      &jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
   if (rollout == NULL)
     return NULL;
   rollout->genotype = genotype;
@@ -59,8 +63,8 @@ static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work
 
 void mo_rollout_forget(struct mo_jobs *jobs, struct mo_rollout *rollout)
 {
-  struct mo_rollout **link =
-      &jobs->buckets[bucket_of(rollout->genotype, rollout->controller, rollout->physics, rollout->environment)];
+  struct mo_rollout **link = &jobs->buckets[bucket_of(rollout->genotype, rollout->controller,
+                                                      rollout->physics, rollout->environment)];
   while (*link != NULL && *link != rollout)
     link = &(*link)->next;
   if (*link == rollout)
@@ -84,8 +88,8 @@ static bool wait_at(struct mo_rollout *rollout, struct mo_active *active, size_t
 
 enum origin { COMPUTED, SHARED, STORED };
 
-static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t cell, int32_t diverged_step,
-                        enum origin origin)
+static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t cell,
+                        int32_t diverged_step, enum origin origin)
 {
   uint32_t design = (uint32_t)(cell / active->work->n_environments);
   active->cells[cell] = MO_CELL_DONE;
@@ -193,7 +197,8 @@ static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_fli
   }
 }
 
-static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job, struct mo_flight *flight)
+static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
+                             struct mo_flight *flight)
 {
   uint32_t frames = mo_recording_frames(&job->physics, job->record_stride);
   int error = mo_body_create(jobs->lattice, flight->genotype.words, &flight->body);
@@ -209,7 +214,8 @@ static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job, str
       recording->com_m = calloc((size_t)frames * 3, sizeof(double));
     if (job->record_masses)
       recording->mass_m = calloc((size_t)frames * flight->body->n_masses * 3, sizeof(float));
-    if ((job->record_com && recording->com_m == NULL) || (job->record_masses && recording->mass_m == NULL))
+    if ((job->record_com && recording->com_m == NULL) ||
+        (job->record_masses && recording->mass_m == NULL))
       return MO_ERR_NO_MEMORY;
   }
   return MO_OK;
@@ -222,7 +228,8 @@ static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32
   struct mo_flight *flight = new_flight(jobs, active, design);
   int error = flight == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   if (error == MO_OK)
-    for (uint32_t k = 0; k < work->n_environments && flight->block.n_environments < MO_BLOCK_LANES; k++) {
+    for (uint32_t k = 0; k < work->n_environments && flight->block.n_environments < MO_BLOCK_LANES;
+         k++) {
       size_t cell = (size_t)design * work->n_environments + k;
       if (active->cells[cell] != MO_CELL_TO_DO)
         continue;
@@ -267,15 +274,16 @@ static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t
   return true;
 }
 
-/* Answers what can be answered of one design and launches at most one block. 1: launched; 0: not; −1: the job failed. */
+/* Answers what can be answered of one design and launches at most one block. 1: launched; 0: not;
+ * −1: the job failed. */
 static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   struct mo_flight *flight = NULL;
   bool whole = true;
-  int error = mo_store_scores(jobs->store, work->genotype_rows[design], work->controller, work->physics,
-                              work->environment_rows, work->n_environments, scores);
+  int error = mo_store_scores(jobs->store, work->genotype_rows[design], work->controller,
+                              work->physics, work->environment_rows, work->n_environments, scores);
   if (error != MO_OK) {
     mo_active_fail(jobs, active, error, mo_error_text(error));
     return -1;
@@ -313,7 +321,8 @@ static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32
 static bool has_cell_to_do(const struct mo_active *active, uint32_t design)
 {
   const uint8_t *cells = active->cells + (size_t)design * active->work->n_environments;
-  return active->left[design] > 0 && memchr(cells, MO_CELL_TO_DO, active->work->n_environments) != NULL;
+  return active->left[design] > 0 &&
+         memchr(cells, MO_CELL_TO_DO, active->work->n_environments) != NULL;
 }
 
 int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *budget)
@@ -373,11 +382,13 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     struct mo_active *active = waiter->active;
     rollout->waiters = waiter->next;
     if (status == MO_OK) {
-      finish_cell(jobs, active, waiter->cell, rollout->diverged_step, waiter->owner ? COMPUTED : SHARED);
+      finish_cell(jobs, active, waiter->cell, rollout->diverged_step,
+                  waiter->owner ? COMPUTED : SHARED);
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
       /* A job that only waited for another's rollout computes it itself. */
-      if (status != MO_ERR_CANCELLED && (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
+      if (status != MO_ERR_CANCELLED &&
+          (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
         mo_block_describe(status, text);
         mo_active_fail(jobs, active, status, text);
       }
@@ -389,7 +400,8 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
 
 static int64_t fingerprint_of(const struct mo_jobs *jobs, const struct mo_block *block)
 {
-  return block->computed_on == MO_ON_DEVICE ? jobs->device_fingerprint : jobs->fingerprints[block->precision];
+  return block->computed_on == MO_ON_DEVICE ? jobs->device_fingerprint
+                                            : jobs->fingerprints[block->precision];
 }
 
 static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
@@ -503,7 +515,8 @@ void mo_flights_cancel(struct mo_jobs *jobs, bool all)
   for (struct mo_flight *flight = jobs->flights; flight != NULL; flight = flight->next) {
     bool wanted = flight->rollouts[0] == NULL && !flight->owner->detached;
     for (uint32_t i = 0; i < MO_BLOCK_LANES && flight->rollouts[i] != NULL; i++)
-      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL; waiter = waiter->next)
+      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL;
+           waiter = waiter->next)
         wanted = wanted || !waiter->active->detached;
     if (all || !wanted)
       __atomic_store_n(&flight->cancel, 1, __ATOMIC_RELAXED);

@@ -1,9 +1,11 @@
 /* campaign_commit.c: a generation is described and committed, while the next one is under way.
  *
- * A commit of thousands of designs takes some tenths of a second, in which a device would have nothing to do. So it is written by a thread of
- * its own, from a copy of what it says, and the campaign goes on: one commit at most is under way. Whatever else the campaign writes comes after
- * it: losses wait for it, and checkpoints, the next commit, the end and a pause wait until it is there. What a crash costs is one generation
- * that was not committed, and it gives the same again. */
+ * A commit of thousands of designs takes some tenths of a second, in which a device would have
+ * nothing to do. So it is written by a thread of its own, from a copy of what it says, and the
+ * campaign goes on: one commit at most is under way. Whatever else the campaign writes comes after
+ * it: losses wait for it, and checkpoints, the next commit, the end and a pause wait until it is
+ * there. What a crash costs is one generation that was not committed, and it gives the same again.
+ */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -62,7 +64,8 @@ static int describe_population(struct mo_campaign_run *run, struct mo_population
   int error = genotypes == NULL || scores == NULL || sizes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     const uint32_t place = run->survivors[i];
-    memcpy(genotypes + run->words * i, run->genotypes + run->words * place, run->words * sizeof(*genotypes));
+    memcpy(genotypes + run->words * i, run->genotypes + run->words * place,
+           run->words * sizeof(*genotypes));
     scores[i] = run->scores[place];
     sizes[i] = run->sizes[place];
   }
@@ -117,7 +120,8 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
                                          .born_before = run->n_designs,
                                          .n_children = run->n_children,
                                          .mean_parents = mean_of(run->scores, run->n_parents),
-                                         .mean_children = mean_of(run->scores + run->n_parents, run->n_children),
+                                         .mean_children =
+                                             mean_of(run->scores + run->n_parents, run->n_children),
                                          .variation = run->variation,
                                          .learning_steps = learns ? run->step : 0,
                                          .first_loss = learns ? run->first_loss : NAN,
@@ -138,12 +142,15 @@ static const char *number(double value, char text[32])
   return text;
 }
 
-static void tell_generation(const struct mo_campaign_run *run, const struct mo_campaign_generation *row, char text[480])
+static void tell_generation(const struct mo_campaign_run *run,
+                            const struct mo_campaign_generation *row, char text[480])
 {
-  const struct mo_campaign_live *live = &run->attempt.runner->live.campaign; /* which this thread alone changes */
+  const struct mo_campaign_live *live =
+      &run->attempt.runner->live.campaign; /* which this thread alone changes */
   char mean[32], best[32], diversity[32], turnover[32], left[32];
   snprintf(text, 480,
-           "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,\"diversity\":%s,"
+           "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,"
+           "\"diversity\":%s,"
            "\"turnover\":%s,\"seconds_left\":%s}",
            (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
            number(row->stats.mean_score, mean), number(row->stats.quantiles[0], best),
@@ -170,9 +177,9 @@ int mo_campaign_writing_create(struct mo_campaign_run *run)
   made->parent_scores = calloc(n, sizeof(*made->parent_scores));
   made->parent_numbers = calloc(n, sizeof(*made->parent_numbers));
   made->survivors = calloc(n, sizeof(*made->survivors));
-  return made->births == NULL || made->forms == NULL || made->genotypes == NULL || made->sizes == NULL ||
-                 made->child_scores == NULL || made->parent_scores == NULL || made->parent_numbers == NULL ||
-                 made->survivors == NULL
+  return made->births == NULL || made->forms == NULL || made->genotypes == NULL ||
+                 made->sizes == NULL || made->child_scores == NULL || made->parent_scores == NULL ||
+                 made->parent_numbers == NULL || made->survivors == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -231,7 +238,8 @@ static int copy_learning(const struct mo_campaign_run *run, struct mo_campaign_w
   writing->commit.steps = writing->steps;
   writing->commit.n_steps = n;
   writing->commit.checkpoint_step = run->step;
-  const int error = mo_training_encode(run->learner.training, &writing->checkpoint, &writing->commit.checkpoint_size);
+  const int error = mo_training_encode(run->learner.training, &writing->checkpoint,
+                                       &writing->commit.checkpoint_size);
   writing->commit.checkpoint = writing->checkpoint;
   return error;
 }
@@ -267,8 +275,9 @@ static int copy(struct mo_campaign_run *run, struct mo_campaign_writing *writing
   if (row->collapse) {
     char diversity[32], maximum[32];
     snprintf(writing->collapse_data, sizeof(writing->collapse_data),
-             "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}", (long long)run->id,
-             (unsigned)row->generation, number(row->stats.diversity, diversity), number(run->diversity_max, maximum));
+             "{\"id\":\"%lld\",\"generation\":%u,\"diversity\":%s,\"maximum\":%s}",
+             (long long)run->id, (unsigned)row->generation, number(row->stats.diversity, diversity),
+             number(run->diversity_max, maximum));
     writing->commit.collapse_data = writing->collapse_data;
   }
   if (is_zero_shot) {

@@ -1,9 +1,12 @@
-/* campaign_excluded.c: the bodies that a campaign's controller was pretrained on, which count as seen.
+/* campaign_excluded.c: the bodies that a campaign's controller was pretrained on, which count as
+ * seen.
  *
- * The bodies of every pretraining of the controller's lineage (campaign_lineage.c) are drawn again into one set, on as many threads as there
- * are workers, 16 at most, and with their niceness. The set is const once it is made, and campaigns with the same lineage and workspace
- * share it. It is drawn by a thread of its own, which belongs to none of them: the first one starts it, whoever comes meanwhile waits for
- * it, too, and who is paused or cancelled leaves the others to it. The last one to leave ends it. */
+ * The bodies of every pretraining of the controller's lineage (campaign_lineage.c) are drawn again
+ * into one set, on as many threads as there are workers, 16 at most, and with their niceness. The
+ * set is const once it is made, and campaigns with the same lineage and workspace share it. It is
+ * drawn by a thread of its own, which belongs to none of them: the first one starts it, whoever
+ * comes meanwhile waits for it, too, and who is paused or cancelled leaves the others to it. The
+ * last one to leave ends it. */
 #include <inttypes.h>
 #include <stdlib.h>
 
@@ -29,7 +32,8 @@ struct mo_exclusion {
   volatile uint64_t n_drawn; /* of the part under way */
   /* Under the mutex. */
   uint32_t users;
-  int64_t drawer;    /* the others say that they wait for this campaign; 0: it has left, the next to look follows it */
+  int64_t drawer;    /* the others say that they wait for this campaign; 0: it has left, the next to
+                        look follows it */
   uint64_t n_before; /* bodies of the parts that are drawn */
   enum state state;
   int error; /* FAILED */
@@ -56,8 +60,8 @@ static void draw(struct mo_exclusion *exclusion, uint32_t n_threads, const volat
   int error = mo_form_set_create(exclusion->workspace, &exclusion->forms);
   for (uint32_t i = 0; i < exclusion->lineage.n_parts && error == MO_OK; i++) {
     const struct mo_lineage_part *part = &exclusion->lineage.parts[i];
-    error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace, n_threads, cancel,
-                                 &exclusion->n_drawn, exclusion->forms);
+    error = mo_pretraining_forms(part->seed, part->n_bodies, exclusion->workspace, n_threads,
+                                 cancel, &exclusion->n_drawn, exclusion->forms);
     if (error == MO_OK)
       end_part(exclusion, part->n_bodies);
   }
@@ -74,11 +78,13 @@ static void *draw_nicely(void *context)
   mo_thread_tag = exclusion->first; /* a fault is that one's, even after it has left */
   mo_compute_get_stats(exclusion->jobs->compute, &stats);
   mo_compute_settle(exclusion->jobs->compute);
-  draw(exclusion, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX, &exclusion->cancel);
+  draw(exclusion, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX,
+       &exclusion->cancel);
   return NULL;
 }
 
-/* Without a thread alone on the campaign's own, with its niceness: when that one has to go, the others begin anew. */
+/* Without a thread alone on the campaign's own, with its niceness: when that one has to go, the
+ * others begin anew. */
 static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
   exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw_nicely, exclusion) == 0;
@@ -90,8 +96,9 @@ static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 
 static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
 {
-  if (a->state == FAILED || a->lineage.n_parts != b->lineage.n_parts || a->workspace.nx != b->workspace.nx ||
-      a->workspace.ny != b->workspace.ny || a->workspace.nz != b->workspace.nz)
+  if (a->state == FAILED || a->lineage.n_parts != b->lineage.n_parts ||
+      a->workspace.nx != b->workspace.nx || a->workspace.ny != b->workspace.ny ||
+      a->workspace.nz != b->workspace.nz)
     return false;
   for (uint32_t i = 0; i < a->lineage.n_parts; i++)
     if (a->lineage.parts[i].seed != b->lineage.parts[i].seed ||
@@ -100,8 +107,10 @@ static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
   return true;
 }
 
-/* The set of that lineage, with one user more, or a new one put into the list, which is to be begun (*is_new). NULL: no memory. */
-static struct mo_exclusion *find_or_add(struct mo_campaign_run *run, const struct mo_lineage *lineage, bool *is_new)
+/* The set of that lineage, with one user more, or a new one put into the list, which is to be begun
+ * (*is_new). NULL: no memory. */
+static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
+                                        const struct mo_lineage *lineage, bool *is_new)
 {
   struct mo_jobs *jobs = run->jobs;
   struct mo_exclusion *made = calloc(1, sizeof(*made)), *found;
@@ -166,23 +175,26 @@ void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *excl
 /* ---- waiting ---- */
 
 /* 1: it is still drawn, as far as *drawing says; MO_OK: it is ready; or why it will not be. */
-static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion, struct mo_campaign_drawing *drawing)
+static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion,
+                struct mo_campaign_drawing *drawing)
 {
   const double passed_s = (double)(mo_jobs_clock_us() - exclusion->begin_us) * 1e-6;
   int status;
   pthread_mutex_lock(&run->jobs->exclusions_mutex);
   if (exclusion->drawer == 0)
     exclusion->drawer = run->id;
-  *drawing =
-      (struct mo_campaign_drawing){.done = exclusion->n_before + __atomic_load_n(&exclusion->n_drawn, __ATOMIC_RELAXED),
-                                   .total = exclusion->n_bodies,
-                                   .seconds_left = -1,
-                                   .drawer = exclusion->drawer};
+  *drawing = (struct mo_campaign_drawing){
+      .done = exclusion->n_before + __atomic_load_n(&exclusion->n_drawn, __ATOMIC_RELAXED),
+      .total = exclusion->n_bodies,
+      .seconds_left = -1,
+      .drawer = exclusion->drawer};
   status = exclusion->state == MAKING ? 1 : exclusion->error;
   pthread_mutex_unlock(&run->jobs->exclusions_mutex);
-  /* A body takes as long as another: from a second to a minute the rate changes by some per cent. */
+  /* A body takes as long as another: from a second to a minute the rate changes by some per cent.
+   */
   if (drawing->done > 0)
-    drawing->seconds_left = passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
+    drawing->seconds_left =
+        passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
   return status;
 }
 
@@ -201,7 +213,8 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
   return status;
 }
 
-static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage, struct mo_exclusion **joined)
+static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
+                struct mo_exclusion **joined)
 {
   bool is_new;
   struct mo_exclusion *exclusion = find_or_add(run, lineage, &is_new);
@@ -231,8 +244,9 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
   while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
   mo_campaign_show_drawing(run, NULL);
   if (error == MO_ERR_EXHAUSTED) /* which would end the campaign as if no child could be found */
-    return mo_attempt_fail(&run->attempt, MO_ERR_LIMIT,
-                           "the controller's lineage names more bodies of pretraining than can be found: submit with "
-                           "exclude_pretraining false");
+    return mo_attempt_fail(
+        &run->attempt, MO_ERR_LIMIT,
+        "the controller's lineage names more bodies of pretraining than can be found: submit with "
+        "exclude_pretraining false");
   return error;
 }

@@ -1,11 +1,13 @@
 /* campaign_learn.c: how the controller of a campaign learns between generations.
  *
- * Few-shot: each generation has a training of its own, which begins with the pretrained weights, takes parent_steps on the parents, then
- * child_steps on the children. Simultaneous: one training over the whole campaign goes on with the same steps. Generation 0
- * has no parents: it takes child_steps on the initial population.
+ * Few-shot: each generation has a training of its own, which begins with the pretrained weights,
+ * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
+ * over the whole campaign goes on with the same steps. Generation 0 has no parents: it takes
+ * child_steps on the initial population.
  *
- * A checkpoint is written when it is due, at a pause or a stop, and when a generation's learning is done, so that what interrupts its
- * scoring does not cost the learning. A generation commits with the learning state that scored it. */
+ * A checkpoint is written when it is due, at a pause or a stop, and when a generation's learning is
+ * done, so that what interrupts its scoring does not cost the learning. A generation commits with
+ * the learning state that scored it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -51,8 +53,9 @@ static int write_checkpoint(void *context)
   size_t size = 0;
   int error = mo_training_encode(run->learner.training, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_campaign_checkpoint(run->jobs->store, run->id, run->generation, run->step, bytes, size,
-                                         run->steps + run->steps_saved, run->step - run->steps_saved);
+    error = mo_store_campaign_checkpoint(run->jobs->store, run->id, run->generation, run->step,
+                                         bytes, size, run->steps + run->steps_saved,
+                                         run->step - run->steps_saved);
   free(bytes);
   if (error == MO_OK) {
     run->steps_saved = run->step;
@@ -70,33 +73,37 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
   error = mo_campaign_settle(run);
   if (error != MO_OK)
     return error;
-  snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u", (unsigned)run->generation,
-           (unsigned)run->step);
+  snprintf(what, sizeof(what), "the checkpoint of generation %u, step %u",
+           (unsigned)run->generation, (unsigned)run->step);
   return mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
 }
 
-/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: it cannot be used. */
+/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: it
+ * cannot be used. */
 static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
 {
-  struct mo_message message = {.text = "it is missing, or its bytes are not those that were written"};
+  struct mo_message message = {.text =
+                                   "it is missing, or its bytes are not those that were written"};
   uint8_t *bytes = NULL;
   size_t size = 0;
-  int error = mo_store_campaign_checkpoint_of(run->jobs->store, run->id, generation, step, &bytes, &size);
+  int error =
+      mo_store_campaign_checkpoint_of(run->jobs->store, run->id, generation, step, &bytes, &size);
   if (error == MO_OK)
     error = mo_training_decode(bytes, size, &run->learner.training, &message);
   free(bytes);
-  if (error == MO_OK && mo_training_step(run->learner.training) != steps_before(run, generation) + *step) {
+  if (error == MO_OK &&
+      mo_training_step(run->learner.training) != steps_before(run, generation) + *step) {
     error = mo_fail(&message, MO_ERR_CORRUPT, "it is of another step");
     mo_training_free(run->learner.training);
     run->learner.training = NULL;
   }
   if (error != MO_ERR_CORRUPT && error != MO_ERR_IO && error != MO_ERR_FORMAT)
     return error;
-  snprintf(
-      run->attempt.text, sizeof(run->attempt.text),
-      "the checkpoint of generation %u cannot be used (%.100s): put back its file from a backup of campaigns/, then "
-      "resume the campaign, or begin another one",
-      (unsigned)generation, error == MO_ERR_IO ? "it cannot be read" : message.text);
+  snprintf(run->attempt.text, sizeof(run->attempt.text),
+           "the checkpoint of generation %u cannot be used (%.100s): put back its file from a "
+           "backup of campaigns/, then "
+           "resume the campaign, or begin another one",
+           (unsigned)generation, error == MO_ERR_IO ? "it cannot be read" : message.text);
   return MO_ERR_CORRUPT;
 }
 
@@ -104,9 +111,10 @@ int mo_campaign_load_learning(struct mo_campaign_run *run)
 {
   uint32_t step = 0;
   int error = read_checkpoint(run, run->generation - 1, &step);
-  return error == MO_ERR_NOT_FOUND ? mo_attempt_fail(&run->attempt, MO_ERR_CORRUPT,
-                                                     "the learning state that the last generation left is missing")
-                                   : error;
+  return error == MO_ERR_NOT_FOUND
+             ? mo_attempt_fail(&run->attempt, MO_ERR_CORRUPT,
+                               "the learning state that the last generation left is missing")
+             : error;
 }
 
 /* ---- where it begins ---- */
@@ -128,15 +136,16 @@ static int begin_training(struct mo_campaign_run *run)
       mo_controller_randomize(random, settings.seed);
   }
   if (error == MO_OK)
-    error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run), run->n_children,
-                               &run->learner.training, &message);
+    error = mo_training_create(&settings, random != NULL ? random : run->controller, children(run),
+                               run->n_children, &run->learner.training, &message);
   if (error != MO_OK && error != MO_ERR_NO_MEMORY)
     (void)mo_attempt_fail(&run->attempt, error, message.text);
   mo_controller_free(random);
   return error;
 }
 
-/* What an earlier process has learned in this generation. MO_ERR_NOT_FOUND: nothing, or nothing that is whole. */
+/* What an earlier process has learned in this generation. MO_ERR_NOT_FOUND: nothing, or nothing
+ * that is whole. */
 static int restore(struct mo_campaign_run *run)
 {
   int error = read_checkpoint(run, run->generation, &run->step);
@@ -144,7 +153,8 @@ static int restore(struct mo_campaign_run *run)
     run->steps_saved = run->step;
   if (error != MO_ERR_CORRUPT)
     return error;
-  mo_attempt_warn(&run->attempt, error, "a checkpoint inside a generation is damaged: the generation learns anew");
+  mo_attempt_warn(&run->attempt, error,
+                  "a checkpoint inside a generation is damaged: the generation learns anew");
   run->attempt.text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }
@@ -163,8 +173,10 @@ static int prepare_training(struct mo_campaign_run *run)
     if (error == MO_ERR_NOT_FOUND)
       error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
   }
-  if (error == MO_OK && settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
-    error = mo_training_set_steps(run->learner.training, mo_campaign_training(settings_of(run), 0).n_steps);
+  if (error == MO_OK &&
+      settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
+    error = mo_training_set_steps(run->learner.training,
+                                  mo_campaign_training(settings_of(run), 0).n_steps);
   if (error == MO_OK)
     error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   return error;
@@ -190,21 +202,26 @@ static int set_designs(struct mo_campaign_run *run)
 {
   const bool on_children = run->step >= parent_steps(run, run->generation);
   struct mo_message message = {.text = ""};
-  int error = mo_learner_set_designs(&run->learner, on_children ? children(run) : run->bits[0].words,
-                                     on_children ? run->n_children : run->n_parents, &message);
-  return error == MO_OK || error == MO_ERR_NO_MEMORY ? error : mo_attempt_fail(&run->attempt, error, message.text);
+  int error =
+      mo_learner_set_designs(&run->learner, on_children ? children(run) : run->bits[0].words,
+                             on_children ? run->n_children : run->n_parents, &message);
+  return error == MO_OK || error == MO_ERR_NO_MEMORY
+             ? error
+             : mo_attempt_fail(&run->attempt, error, message.text);
 }
 
 static int tell(struct mo_campaign_run *run)
 {
   char progress[256];
-  const char *data = mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
+  const char *data =
+      mo_campaign_progress(run, "learning", run->step, steps_of(run, run->generation), progress);
   int error;
   if (data == NULL || mo_campaign_is_writing(run))
     return MO_OK;
   error = mo_campaign_settle(run);
   if (error == MO_OK)
-    error = mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
+    error =
+        mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
   mo_campaign_told(run);
   return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ? MO_OK : error; /* only news */
 }

@@ -1,8 +1,9 @@
 /* campaign_lineage.c: what a campaign's controller says of the pretrainings behind it.
  *
- * A controller says in its metadata how it was made: a pretraining has a seed, a batch and a number of steps, and its bodies follow
- * from these; a finetuning, or a campaign, has a parent, whose own file says the same of it, as far as the store has it. What is said there and
- * cannot be read is told, field by field, as an event of the campaign; what would follow from it is left out. */
+ * A controller says in its metadata how it was made: a pretraining has a seed, a batch and a number
+ * of steps, and its bodies follow from these; a finetuning, or a campaign, has a parent, whose own
+ * file says the same of it, as far as the store has it. What is said there and cannot be read is
+ * told, field by field, as an event of the campaign; what would follow from it is left out. */
 #include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
@@ -30,14 +31,15 @@ static int write_fault(void *context)
 {
   const struct fault *fault = context;
   const struct mo_campaign_run *run = fault->reading->run;
-  return mo_store_campaign_lineage_fault(run->jobs->store, run->id, fault->reading->sha256, fault->field,
-                                         fault->detail);
+  return mo_store_campaign_lineage_fault(run->jobs->store, run->id, fault->reading->sha256,
+                                         fault->field, fault->detail);
 }
 
 static int tell(const struct reading *reading, const char *field, const char *detail)
 {
   struct fault fault = {reading, field, detail};
-  return mo_attempt_persist(&reading->run->attempt, write_fault, &fault, "a warning about the controller's lineage");
+  return mo_attempt_persist(&reading->run->attempt, write_fault, &fault,
+                            "a warning about the controller's lineage");
 }
 
 /* ---- one controller ---- */
@@ -57,16 +59,19 @@ static int read_pretraining(const struct reading *reading, struct mo_lineage_par
 {
   const struct mo_controller *controller = reading->controller;
   uint64_t steps = 0, batch = 0;
-  const int read = mo_controller_get_metadata_number(controller, "morphod.settings", "batch", &batch);
+  const int read =
+      mo_controller_get_metadata_number(controller, "morphod.settings", "batch", &batch);
   const struct {
     const char *field, *detail;
     bool is_read;
   } fields[] = {
       {"morphod.seed", "the seed of the pretraining cannot be read: its bodies are not excluded",
        read_number(mo_controller_get_metadata(controller, "morphod.seed"), &part->seed)},
-      {"morphod.step", "the number of steps cannot be read: the bodies of the pretraining are not excluded",
+      {"morphod.step",
+       "the number of steps cannot be read: the bodies of the pretraining are not excluded",
        read_number(mo_controller_get_metadata(controller, "morphod.step"), &steps)},
-      {"morphod.settings", "the batch cannot be read: the bodies of the pretraining are not excluded",
+      {"morphod.settings",
+       "the batch cannot be read: the bodies of the pretraining are not excluded",
        read == MO_OK && batch > 0},
   };
   bool is_whole = true;
@@ -76,9 +81,10 @@ static int read_pretraining(const struct reading *reading, struct mo_lineage_par
     if (!fields[i].is_read)
       error = tell(reading, fields[i].field, fields[i].detail);
   }
-  part->n_bodies = !is_whole                                                          ? 0
-                   : steps <= MO_TRAINING_STEPS_MAX && batch <= MO_TRAINING_BATCH_MAX ? steps * batch
-                                                                                      : UINT64_MAX;
+  part->n_bodies = !is_whole ? 0
+                   : steps <= MO_TRAINING_STEPS_MAX && batch <= MO_TRAINING_BATCH_MAX
+                       ? steps * batch
+                       : UINT64_MAX;
   return error;
 }
 
@@ -93,8 +99,9 @@ static int add_part(const struct reading *reading)
   if (kind != NULL && strcmp(kind, "pretrain") == 0)
     error = read_pretraining(reading, &part);
   else if (kind != NULL && strcmp(kind, "finetune") != 0)
-    error = tell(reading, "morphod.kind",
-                 "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
+    error =
+        tell(reading, "morphod.kind",
+             "the kind is neither pretrain nor finetune: what it was trained on is not excluded");
   if (error != MO_OK || part.n_bodies == 0)
     return error;
   for (uint32_t i = 0; i < lineage->n_parts; i++)
@@ -108,7 +115,8 @@ static int add_part(const struct reading *reading)
   }
   if (lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
     snprintf(text, sizeof(text),
-             "the controller's lineage names more than the %d pretrainings whose bodies can be drawn again: "
+             "the controller's lineage names more than the %d pretrainings whose bodies can be "
+             "drawn again: "
              "submit with exclude_pretraining false",
              MO_LINEAGE_PARTS_MAX);
     return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
@@ -129,22 +137,24 @@ static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
   if (mo_sha256_from_hex(parent, strlen(parent), sha256) == MO_OK)
     return MO_OK;
   error = tell(reading, "morphod.parent",
-               "the parent is neither random nor the hash of a file: what it was trained on is not excluded");
+               "the parent is neither random nor the hash of a file: what it was trained on is not "
+               "excluded");
   return error != MO_OK ? error : MO_ERR_NOT_FOUND;
 }
 
 static int tell_of_length(const struct reading *reading)
 {
   char text[128];
-  snprintf(
-      text, sizeof(text),
-      "the lineage is longer than the %d controllers that are read: what the parent was trained on is not excluded",
-      CONTROLLERS_MAX);
+  snprintf(text, sizeof(text),
+           "the lineage is longer than the %d controllers that are read: what the parent was "
+           "trained on is not excluded",
+           CONTROLLERS_MAX);
   return tell(reading, "morphod.parent", text);
 }
 
 /* An ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
-static int load_ancestor(struct mo_campaign_run *run, const struct mo_sha256 *sha256, struct mo_controller **controller)
+static int load_ancestor(struct mo_campaign_run *run, const struct mo_sha256 *sha256,
+                         struct mo_controller **controller)
 {
   uint8_t *bytes = NULL;
   size_t size = 0;

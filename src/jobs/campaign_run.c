@@ -1,9 +1,12 @@
-/* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until somebody wants something else.
+/* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until
+ * somebody wants something else.
  *
- * A generation: children, learning, scores, selection, one commit, which is written while the next generation is under way. Everything before
- * the commit can be repeated and gives the same: children follow from the population and from what was ever born, learning from its checkpoint,
- * and losses that were saved are read again. So a campaign is a function of its settings and seed, whatever interrupts it. It ends when all its
- * generations are committed, or when no child can be found any more: the generation that found none is not committed. */
+ * A generation: children, learning, scores, selection, one commit, which is written while the next
+ * generation is under way. Everything before the commit can be repeated and gives the same:
+ * children follow from the population and from what was ever born, learning from its checkpoint,
+ * and losses that were saved are read again. So a campaign is a function of its settings and seed,
+ * whatever interrupts it. It ends when all its generations are committed, or when no child can be
+ * found any more: the generation that found none is not committed. */
 #include "jobs/campaign_run.h"
 #include "base/parallel.h"
 
@@ -46,11 +49,13 @@ int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase,
   return set_phase(&run->attempt, (int)phase, "");
 }
 
-/* Of the campaign: by the rollouts that are left, where scores are all that takes time; else by the last whole generation. */
+/* Of the campaign: by the rollouts that are left, where scores are all that takes time; else by the
+ * last whole generation. */
 static double seconds_left(const struct mo_campaign_run *run, const struct mo_campaign_live *live)
 {
   const struct mo_campaign_settings *settings = settings_of(run);
-  const double after = run->generation < settings->generations ? settings->generations - run->generation : 0;
+  const double after =
+      run->generation < settings->generations ? settings->generations - run->generation : 0;
   const double passed = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
   if (settings->mode == MO_ZERO_SHOT && live->rollouts_per_s > 0 && run->generation > 0) {
     double left = after * settings->population + run->n_scored - run->n_done;
@@ -74,10 +79,12 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
 static double generations_s(const struct mo_campaign_run *run)
 {
   const uint32_t generations = settings_of(run)->generations;
-  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s : 0;
+  return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s
+                                        : 0;
 }
 
-void mo_campaign_show_drawing(struct mo_campaign_run *run, const struct mo_campaign_drawing *drawing)
+void mo_campaign_show_drawing(struct mo_campaign_run *run,
+                              const struct mo_campaign_drawing *drawing)
 {
   struct mo_runner *runner = run->attempt.runner;
   struct mo_campaign_live *live = &runner->live.campaign;
@@ -92,7 +99,8 @@ void mo_campaign_show_drawing(struct mo_campaign_run *run, const struct mo_campa
     live->seconds_left = drawing->seconds_left < 0 ? -1 : drawing->seconds_left + after_s;
   if (drawing != NULL && drawing->drawer != run->id)
     snprintf(live->reason, sizeof(live->reason),
-             "campaign %lld draws the bodies again that the controller was pretrained on: this one waits for the same",
+             "campaign %lld draws the bodies again that the controller was pretrained on: this one "
+             "waits for the same",
              (long long)drawing->drawer);
   pthread_mutex_unlock(&runner->runners->mutex);
 }
@@ -105,13 +113,15 @@ void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s)
   pthread_mutex_unlock(&runner->runners->mutex);
 }
 
-const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done, uint64_t total,
-                                 char text[256])
+const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
+                                 uint64_t total, char text[256])
 {
   if (mo_jobs_clock_us() - run->progress_us < PROGRESS_EVERY_US)
     return NULL;
-  snprintf(text, 256, "{\"id\":\"%lld\",\"generation\":%u,\"phase\":\"%s\",\"done\":%llu,\"total\":%llu}",
-           (long long)run->id, (unsigned)run->generation, phase, (unsigned long long)done, (unsigned long long)total);
+  snprintf(text, 256,
+           "{\"id\":\"%lld\",\"generation\":%u,\"phase\":\"%s\",\"done\":%llu,\"total\":%llu}",
+           (long long)run->id, (unsigned)run->generation, phase, (unsigned long long)done,
+           (unsigned long long)total);
   return text;
 }
 
@@ -153,8 +163,8 @@ static int allocate(struct mo_campaign_run *run)
   run->births = calloc(n, sizeof(*run->births));
   run->survivors = calloc(n, sizeof(*run->survivors));
   return run->genotypes == NULL || run->bits == NULL || run->forms == NULL || run->sizes == NULL ||
-                 run->scores == NULL || run->numbers == NULL || run->born == NULL || run->births == NULL ||
-                 run->survivors == NULL
+                 run->scores == NULL || run->numbers == NULL || run->born == NULL ||
+                 run->births == NULL || run->survivors == NULL
              ? MO_ERR_NO_MEMORY
              : MO_OK;
 }
@@ -164,7 +174,8 @@ static uint64_t *genotype(const struct mo_campaign_run *run, uint32_t place)
   return run->genotypes + run->words * place;
 }
 
-/* The largest diversity so far, whether its fall was told, and how long the newest generation took. */
+/* The largest diversity so far, whether its fall was told, and how long the newest generation took.
+ */
 static int read_history(struct mo_campaign_run *run)
 {
   struct mo_campaign_generation *rows = calloc(HISTORY_ROWS, sizeof(*rows));
@@ -203,8 +214,8 @@ static int read_population(struct mo_campaign_run *run)
     run->numbers[i] = state->numbers[i];
     run->born[i] = state->born[i];
     run->scores[i] = state->scores[i];
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, state->genotypes[i].words, settings_of(run)->workspace,
-                             genotype(run, i));
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, state->genotypes[i].words,
+                             settings_of(run)->workspace, genotype(run, i));
     if (error == MO_OK)
       error = mo_design_size(run->jobs->lattice, run->bits[i].words, &run->sizes[i]);
   }
@@ -227,7 +238,8 @@ static int remember(void *context, const struct mo_bits *born)
 {
   const struct remembering *remembering = context;
   struct mo_campaign_run *run = remembering->run;
-  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, settings_of(run)->workspace, remembering->moved);
+  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, settings_of(run)->workspace,
+                               remembering->moved);
   if (error == MO_OK)
     error = mo_seen_add(run->seen, remembering->moved);
   return error < 0 ? error : MO_OK;
@@ -241,7 +253,8 @@ static int read_seen(struct mo_campaign_run *run)
   if (error == MO_OK && settings_of(run)->exclude_pretraining)
     error = mo_exclusion_acquire(run, &run->exclusion);
   if (error == MO_OK)
-    error = mo_seen_create(settings_of(run)->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
+    error =
+        mo_seen_create(settings_of(run)->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
   if (error == MO_OK)
     error = mo_store_campaign_each(run->jobs->store, run->id, remember, &remembering);
   free(remembering.moved);
@@ -265,7 +278,8 @@ static int prepare(struct mo_campaign_run *run)
   if (error == MO_OK)
     error = mo_share_open(run->jobs, run->id, MO_JOB_CAMPAIGN, &run->share);
   if (error == MO_OK)
-    error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments, &run->n_environments);
+    error = mo_store_campaign_environments(run->jobs->store, run->id, &run->environments,
+                                           &run->n_environments);
   if (error == MO_OK)
     error = read_population(run);
   if (error == MO_OK && run->generation <= settings_of(run)->generations)
@@ -285,11 +299,12 @@ static int make_first(struct mo_campaign_run *run, uint32_t *n)
   if (error == MO_OK && n_given > settings->population)
     error = MO_ERR_CORRUPT;
   for (uint32_t i = 0; i < n_given && error == MO_OK; i++)
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, given[i].words, settings->workspace, genotype(run, i));
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, given[i].words, settings->workspace,
+                             genotype(run, i));
   free(given);
   if (error == MO_OK)
-    error =
-        mo_population_initial(settings, run->seen, run->genotypes, n_given, n, NULL, &run->attempt.runner->interrupt);
+    error = mo_population_initial(settings, run->seen, run->genotypes, n_given, n, NULL,
+                                  &run->attempt.runner->interrupt);
   for (uint32_t i = 0; i < *n && error == MO_OK; i++)
     run->births[i] = (struct mo_birth){.op = i >= n_given   ? MO_BORN_RANDOM
                                              : i < n_listed ? MO_BORN_LISTED
@@ -310,8 +325,8 @@ static void describe_some(void *context, size_t first, size_t end)
   struct mo_campaign_run *run = describing->run;
   for (uint32_t i = (uint32_t)first; i < end; i++) {
     const uint32_t place = run->n_parents + i;
-    int error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place), MO_DEFAULT_WORKSPACE,
-                                 run->bits[place].words);
+    int error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place),
+                                 MO_DEFAULT_WORKSPACE, run->bits[place].words);
     if (error != MO_OK) {
       atomic_store(&describing->error, error);
       return;
@@ -329,7 +344,8 @@ static void describe_some(void *context, size_t first, size_t end)
 static int describe_children(struct mo_campaign_run *run)
 {
   struct describing describing = {.run = run};
-  mo_parallel(1 + run->n_children / CHILDREN_PER_THREAD, run->n_children, describe_some, &describing);
+  mo_parallel(1 + run->n_children / CHILDREN_PER_THREAD, run->n_children, describe_some,
+              &describing);
   return atomic_load(&describing.error);
 }
 
@@ -342,9 +358,9 @@ static int vary(struct mo_campaign_run *run)
   if (run->generation == 0)
     error = make_first(run, &n);
   else
-    error =
-        mo_variation(settings_of(run), run->generation, run->genotypes, run->n_parents, run->seen,
-                     genotype(run, run->n_parents), run->births, &n, &run->variation, &run->attempt.runner->interrupt);
+    error = mo_variation(settings_of(run), run->generation, run->genotypes, run->n_parents,
+                         run->seen, genotype(run, run->n_parents), run->births, &n, &run->variation,
+                         &run->attempt.runner->interrupt);
   run->n_children = error == MO_OK ? n : 0;
   return error == MO_OK ? describe_children(run) : error;
 }
@@ -359,8 +375,8 @@ static int select_survivors(struct mo_campaign_run *run)
   for (uint32_t i = 0; i < n && error == MO_OK; i++)
     candidates[i] = (struct mo_candidate){run->scores[i], run->numbers[i], run->born[i]};
   if (error == MO_OK)
-    error =
-        mo_select(settings_of(run), run->generation, run->genotypes, candidates, n, run->survivors, &run->n_survivors);
+    error = mo_select(settings_of(run), run->generation, run->genotypes, candidates, n,
+                      run->survivors, &run->n_survivors);
   free(candidates);
   return error;
 }
@@ -444,13 +460,15 @@ static int write_end(void *context)
   else
     snprintf(name, sizeof(name), "campaign-%lld", (long long)run->id);
   if (run->learner.training != NULL)
-    error = mo_training_export(run->learner.training, record->has_controller ? digits : NULL,
-                               run->jobs->code_versions[run->status.job.back_end], NULL, &controller);
+    error =
+        mo_training_export(run->learner.training, record->has_controller ? digits : NULL,
+                           run->jobs->code_versions[run->status.job.back_end], NULL, &controller);
   if (error == MO_OK && controller != NULL)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_campaign_finish(run->jobs->store, run->id, ending->end, record->settings.generations,
-                                     controller != NULL ? name : NULL, bytes, size, controller);
+    error = mo_store_campaign_finish(run->jobs->store, run->id, ending->end,
+                                     record->settings.generations, controller != NULL ? name : NULL,
+                                     bytes, size, controller);
   free(bytes);
   mo_controller_free(controller);
   return error;
@@ -462,13 +480,16 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
   struct ending ending = {run, end};
   int error = MO_OK;
   if (settings_of(run)->mode != MO_ZERO_SHOT && run->generation > 0) {
-    /* The state of the last committed generation: this run's own, unless it committed none, or found no children since. */
+    /* The state of the last committed generation: this run's own, unless it committed none, or
+     * found no children since. */
     if (run->learner.training == NULL)
       error = mo_campaign_load_learning(run);
   } else {
     mo_campaign_free_learning(run);
   }
-  return error == MO_OK ? mo_attempt_persist(&run->attempt, write_end, &ending, "the end of the campaign") : error;
+  return error == MO_OK
+             ? mo_attempt_persist(&run->attempt, write_end, &ending, "the end of the campaign")
+             : error;
 }
 
 /* After each change the campaign is read again: generations may have been added. */
@@ -481,7 +502,8 @@ static int evolve(struct mo_campaign_run *run)
     const bool is_over = exhausted || run->generation > generations;
     if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
-    if (!is_over && run->seen == NULL) /* it was at its end when it was taken up, and extended then */
+    if (!is_over &&
+        run->seen == NULL) /* it was at its end when it was taken up, and extended then */
       error = read_seen(run);
     if (is_over && error == MO_OK) {
       (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
@@ -490,7 +512,8 @@ static int evolve(struct mo_campaign_run *run)
         return error;
     }
     if (error == MO_OK)
-      error = is_over ? finish(run, exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED) : run_generation(run);
+      error = is_over ? finish(run, exhausted ? MO_CAMPAIGN_EXHAUSTED : MO_CAMPAIGN_COMPLETED)
+                      : run_generation(run);
     if (is_over ? error != MO_ERR_CONFLICT : error != MO_OK && error != MO_ERR_EXHAUSTED)
       return error;
     exhausted = exhausted || error == MO_ERR_EXHAUSTED;
@@ -562,7 +585,8 @@ static bool run_campaign(struct mo_runner *runner, int64_t id)
 
 static void begin(struct mo_runner *runner)
 {
-  runner->live.campaign = (struct mo_campaign_live){.phase = MO_CAMPAIGN_PREPARE, .seconds_left = -1};
+  runner->live.campaign =
+      (struct mo_campaign_live){.phase = MO_CAMPAIGN_PREPARE, .seconds_left = -1};
 }
 
 const struct mo_runner_kind mo_campaign_runners = {.noun = "campaign",

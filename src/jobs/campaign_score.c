@@ -1,10 +1,12 @@
 /* campaign_score.c: the scores of a generation.
  *
- * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks per worker are kept in the back end, of devices
- * some thousands.
- * Losses of a candidate are known when all its blocks are; they are saved at once, of devices as soon as no more come, or after a second, several
- * candidates in one transaction where they come faster than the disk writes. What a crash costs is the blocks in flight and those that wait for
- * their commit. What an earlier process saved, or, in a zero-shot campaign, what `scores` holds of a body under this controller, is not computed again. */
+ * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks
+ * per worker are kept in the back end, of devices some thousands. Losses of a candidate are known
+ * when all its blocks are; they are saved at once, of devices as soon as no more come, or after a
+ * second, several candidates in one transaction where they come faster than the disk writes. What a
+ * crash costs is the blocks in flight and those that wait for their commit. What an earlier process
+ * saved, or, in a zero-shot campaign, what `scores` holds of a body under this controller, is not
+ * computed again. */
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
@@ -98,12 +100,14 @@ static int read_saved(struct mo_campaign_run *run)
   return error;
 }
 
-/* Looking up thousands of bodies takes some tens of milliseconds: on several of the store's connections at once. */
+/* Looking up thousands of bodies takes some tens of milliseconds: on several of the store's
+ * connections at once. */
 struct looking {
   struct mo_campaign_run *run;
-  const struct mo_bits *asked;    /* (n) */
-  struct mo_campaign_loss *known; /* (n) of each part, those that were found, from the part's first on */
-  uint32_t *n_known;              /* (n) at the first of each part */
+  const struct mo_bits *asked; /* (n) */
+  struct mo_campaign_loss
+      *known;        /* (n) of each part, those that were found, from the part's first on */
+  uint32_t *n_known; /* (n) at the first of each part */
   atomic_int error;
 };
 
@@ -111,9 +115,9 @@ static void look_up(void *context, size_t first, size_t end)
 {
   struct looking *looking = context;
   struct mo_campaign_run *run = looking->run;
-  const int64_t found =
-      mo_store_campaign_known(run->jobs->store, run->id, mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
-                              looking->asked + first, (uint32_t)(end - first), looking->known + first);
+  const int64_t found = mo_store_campaign_known(
+      run->jobs->store, run->id, mo_back_end_fingerprint(run->jobs, run->status.job.back_end),
+      looking->asked + first, (uint32_t)(end - first), looking->known + first);
   if (found < 0)
     atomic_store(&looking->error, (int)found);
   else
@@ -130,7 +134,8 @@ static int read_known(struct mo_campaign_run *run)
   struct mo_campaign_loss *known = calloc((size_t)run->n_scored + 1, sizeof(*known));
   uint32_t *n_known = calloc((size_t)run->n_scored + 1, sizeof(*n_known));
   struct looking looking = {.run = run, .asked = asked, .known = known, .n_known = n_known};
-  int error = asked == NULL || places == NULL || known == NULL || n_known == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  int error = asked == NULL || places == NULL || known == NULL || n_known == NULL ? MO_ERR_NO_MEMORY
+                                                                                  : MO_OK;
   for (uint32_t i = 0; i < run->n_scored && error == MO_OK; i++)
     if (run->left[i] > 0) {
       asked[n] = run->bits[run->first_scored + i];
@@ -164,8 +169,8 @@ struct save {
 static int write_losses(void *context)
 {
   const struct save *save = context;
-  return mo_store_campaign_save_losses(save->run->jobs->store, save->run->id, save->run->generation, save->losses,
-                                       save->n, save->progress);
+  return mo_store_campaign_save_losses(save->run->jobs->store, save->run->id, save->run->generation,
+                                       save->losses, save->n, save->progress);
 }
 
 int mo_campaign_save_losses(struct mo_campaign_run *run)
@@ -178,15 +183,17 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
   error = mo_campaign_settle(run);
   if (error != MO_OK)
     return error;
-  save.losses = calloc(run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE, sizeof(*save.losses));
+  save.losses =
+      calloc(run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE, sizeof(*save.losses));
   if (save.losses == NULL)
     return MO_ERR_NO_MEMORY;
   while (run->n_unsaved > 0 && error == MO_OK) {
     save.n = run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE;
     for (uint32_t i = 0; i < save.n; i++)
       save.losses[i] = run->losses[run->unsaved[i]];
-    save.progress =
-        run->attempt.winding_down ? NULL : mo_campaign_progress(run, "scoring", run->n_done, run->n_scored, progress);
+    save.progress = run->attempt.winding_down ? NULL
+                                              : mo_campaign_progress(run, "scoring", run->n_done,
+                                                                     run->n_scored, progress);
     error = mo_attempt_persist(&run->attempt, write_losses, &save, "the scores of a generation");
     if (error == MO_OK) {
       run->n_unsaved -= save.n;
@@ -301,7 +308,8 @@ static int land(struct scoring *scoring, struct flight *flight)
 static bool is_quiet(struct scoring *scoring)
 {
   const int64_t end_us = mo_jobs_clock_us() + QUIET_US;
-  const struct timespec deadline = {.tv_sec = end_us / 1000000, .tv_nsec = (end_us % 1000000) * 1000};
+  const struct timespec deadline = {.tv_sec = end_us / 1000000,
+                                    .tv_nsec = (end_us % 1000000) * 1000};
   int status = 0;
   pthread_mutex_lock(&scoring->mutex);
   while (scoring->finished == NULL && status != ETIMEDOUT)
@@ -311,8 +319,9 @@ static bool is_quiet(struct scoring *scoring)
   return quiet;
 }
 
-/* A device hands back thousands of candidates within milliseconds: those that end a generation are in its commit. Workers that compute for it what
- * it does not support hand back one after the other, and may never be quiet. */
+/* A device hands back thousands of candidates within milliseconds: those that end a generation are
+ * in its commit. Workers that compute for it what it does not support hand back one after the
+ * other, and may never be quiet. */
 static int save_what_came(struct scoring *scoring)
 {
   struct mo_campaign_run *run = scoring->run;
@@ -321,7 +330,8 @@ static int save_what_came(struct scoring *scoring)
     return MO_OK;
   if (scoring->unsaved_us == 0)
     scoring->unsaved_us = now_us;
-  if (run->status.job.back_end == MO_ON_DEVICE && now_us - scoring->unsaved_us < SAVED_AFTER_US && !is_quiet(scoring))
+  if (run->status.job.back_end == MO_ON_DEVICE && now_us - scoring->unsaved_us < SAVED_AFTER_US &&
+      !is_quiet(scoring))
     return MO_OK;
   scoring->unsaved_us = 0;
   return mo_campaign_save_losses(run);
@@ -383,7 +393,8 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
 {
   const uint32_t window = mo_back_end_window(run->jobs, run->status.job.back_end);
   const uint32_t all = blocks_per_candidate(run) * (run->n_scored > 0 ? run->n_scored : 1);
-  *scoring = (struct scoring){.run = run, .window = window < all ? window : all, .begin_us = mo_jobs_clock_us()};
+  *scoring = (struct scoring){
+      .run = run, .window = window < all ? window : all, .begin_us = mo_jobs_clock_us()};
   pthread_condattr_t monotonic;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
@@ -399,10 +410,11 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
     scoring->free = &scoring->flights[i];
   }
   if (run->learner.training != NULL)
-    return mo_compute_controller_create(run->jobs->compute, mo_training_controller(run->learner.training),
-                                        &scoring->controller);
+    return mo_compute_controller_create(
+        run->jobs->compute, mo_training_controller(run->learner.training), &scoring->controller);
   if (run->frozen == NULL) { /* as long as the campaign runs: devices have copies of it */
-    const int error = mo_compute_controller_create(run->jobs->compute, run->controller, &run->frozen);
+    const int error =
+        mo_compute_controller_create(run->jobs->compute, run->controller, &run->frozen);
     if (error != MO_OK)
       return error;
   }

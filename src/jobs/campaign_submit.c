@@ -1,4 +1,5 @@
-/* campaign_submit.c: checks, places and admits a campaign, then hands it to the store; adds generations to one. */
+/* campaign_submit.c: checks, places and admits a campaign, then hands it to the store; adds
+ * generations to one. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,15 +11,16 @@ static int check_environments(const struct mo_campaign_request *request, struct 
   const struct mo_campaign_record *record = &request->record;
   if (record->environment_set[0] != '\0')
     return MO_OK;
-  return mo_environments_check(request->environments, record->n_environments, "a campaign", message);
+  return mo_environments_check(request->environments, record->n_environments, "a campaign",
+                               message);
 }
 
 static int check_initial(const struct mo_campaign_request *request, struct mo_message *message)
 {
   const struct mo_campaign_record *record = &request->record;
   if (record->n_listed > record->settings.population)
-    return mo_fail(message, MO_ERR_RANGE, "%u designs are listed for a population of %u", (unsigned)record->n_listed,
-                   (unsigned)record->settings.population);
+    return mo_fail(message, MO_ERR_RANGE, "%u designs are listed for a population of %u",
+                   (unsigned)record->n_listed, (unsigned)record->settings.population);
   return MO_OK;
 }
 
@@ -33,21 +35,26 @@ static int check_request(const struct mo_campaign_request *request, struct mo_me
   if (error != MO_OK)
     return error;
   if (record->name[0] != '\0' && record->settings.mode == MO_ZERO_SHOT)
-    return mo_fail(message, MO_ERR_INVALID, "a zero-shot campaign makes no controller that could have a name");
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a zero-shot campaign makes no controller that could have a name");
   if (record->name[0] != '\0' && mo_controller_name_check(record->name) != MO_OK)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.64s\" is not a name of a controller", record->name);
+    return mo_fail(message, MO_ERR_INVALID, "\"%.64s\" is not a name of a controller",
+                   record->name);
   if (record->replicates > MO_REPLICATES_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u", MO_REPLICATES_MAX,
-                   (unsigned)record->replicates);
+    return mo_fail(message, MO_ERR_RANGE, "1 to %d replicates are possible, not %u",
+                   MO_REPLICATES_MAX, (unsigned)record->replicates);
   if (request->priority != MO_BATCH && request->priority != MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
   error = mo_weight_check(request->weight, message);
-  return error != MO_OK ? error : mo_submission_check_texts(request->label, request->idempotency_key, message);
+  return error != MO_OK
+             ? error
+             : mo_submission_check_texts(request->label, request->idempotency_key, message);
 }
 
 /* Listed designs fit the campaign's workspace, and no two have one form. */
 static int check_designs(const struct mo_campaign_request *request, const struct mo_bits *forms,
-                         const struct mo_bits *genotypes, uint32_t *fault, struct mo_message *message)
+                         const struct mo_bits *genotypes, uint32_t *fault,
+                         struct mo_message *message)
 {
   const struct mo_workspace workspace = request->record.settings.workspace;
   uint64_t *moved = calloc(mo_workspace_words(workspace), sizeof(*moved));
@@ -56,12 +63,15 @@ static int check_designs(const struct mo_campaign_request *request, const struct
   for (uint32_t i = 0; i < request->record.n_listed && error == MO_OK; i++) {
     int added = mo_form_set_add(seen, forms[i].words);
     *fault = i;
-    error = added < 0 ? added : mo_genotype_move(MO_DEFAULT_WORKSPACE, genotypes[i].words, workspace, moved);
+    error = added < 0
+                ? added
+                : mo_genotype_move(MO_DEFAULT_WORKSPACE, genotypes[i].words, workspace, moved);
     if (error == MO_OK && added == 0)
-      error = mo_fail(message, MO_ERR_DUPLICATE, "design %u has the form of an earlier one", (unsigned)i);
+      error = mo_fail(message, MO_ERR_DUPLICATE, "design %u has the form of an earlier one",
+                      (unsigned)i);
     else if (error == MO_ERR_RANGE)
-      error = mo_fail(message, error, "design %u does not fit a workspace of %ux%ux%u voxels", (unsigned)i,
-                      workspace.nx, workspace.ny, workspace.nz);
+      error = mo_fail(message, error, "design %u does not fit a workspace of %ux%ux%u voxels",
+                      (unsigned)i, workspace.nx, workspace.ny, workspace.nz);
   }
   mo_form_set_free(seen);
   free(moved);
@@ -69,7 +79,8 @@ static int check_designs(const struct mo_campaign_request *request, const struct
 }
 
 /* What it refers to is there. */
-static int check_references(struct mo_jobs *jobs, const struct mo_campaign_record *record, struct mo_message *message)
+static int check_references(struct mo_jobs *jobs, const struct mo_campaign_record *record,
+                            struct mo_message *message)
 {
   struct mo_campaign_status status;
   uint32_t n = 0;
@@ -77,13 +88,15 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
   if (record->environment_set[0] != '\0')
     error = mo_store_environment_set_size(jobs->store, record->environment_set, &n);
   if (error != MO_OK)
-    return mo_fail(message, error, "there is no set of environments \"%.64s\"", record->environment_set);
+    return mo_fail(message, error, "there is no set of environments \"%.64s\"",
+                   record->environment_set);
   if (record->initial_campaign != 0)
     error = mo_store_campaign(jobs->store, record->initial_campaign, &status);
   if (error == MO_ERR_NOT_FOUND)
     return mo_fail(message, error, "there is no campaign %" PRId64, record->initial_campaign);
   if (error == MO_OK && record->initial_campaign != 0 && status.generation < 0)
-    return mo_fail(message, MO_ERR_CONFLICT, "campaign %" PRId64 " has no population yet", record->initial_campaign);
+    return mo_fail(message, MO_ERR_CONFLICT, "campaign %" PRId64 " has no population yet",
+                   record->initial_campaign);
   return error;
 }
 
@@ -100,8 +113,8 @@ static int admit(struct mo_jobs *jobs, uint32_t n, struct mo_message *message)
   return MO_OK;
 }
 
-static int admit_and_store(struct mo_jobs *jobs, const struct mo_campaign_submission *submission, int64_t *id,
-                           bool *replayed, struct mo_message *message)
+static int admit_and_store(struct mo_jobs *jobs, const struct mo_campaign_submission *submission,
+                           int64_t *id, bool *replayed, struct mo_message *message)
 {
   const uint32_t n = submission->record.replicates;
   int error = admit(jobs, n, message);
@@ -119,8 +132,9 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_campaign_submis
   return MO_OK;
 }
 
-int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request, int64_t *id,
-                            bool *replayed, uint32_t *fault, struct mo_message *message)
+int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
+                            int64_t *id, bool *replayed, uint32_t *fault,
+                            struct mo_message *message)
 {
   struct mo_campaign_submission submission = {.record = request->record,
                                               .controller = request->controller,
@@ -180,26 +194,33 @@ static int explain_extension(int error, struct mo_message *message)
   switch (error) {
   case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no such campaign");
   case MO_ERR_CONFLICT:
-    return mo_fail(message, error, "the campaign has failed, was cancelled, or has found every design that there is");
-  case MO_ERR_DUPLICATE: return mo_fail(message, error, "the idempotency key was used with another request");
+    return mo_fail(
+        message, error,
+        "the campaign has failed, was cancelled, or has found every design that there is");
+  case MO_ERR_DUPLICATE:
+    return mo_fail(message, error, "the idempotency key was used with another request");
   case MO_ERR_RANGE:
     return mo_fail(message, error,
                    "a campaign has at most %d generations and %" PRIu64
-                   " designs (population × (generations + 1)), a simultaneous one at most %d steps of learning",
+                   " designs (population × (generations + 1)), a simultaneous one at most %d steps "
+                   "of learning",
                    MO_GENERATIONS_MAX, MO_CAMPAIGN_DESIGNS_MAX, MO_TRAINING_STEPS_MAX);
   case MO_ERR_UNSUPPORTED:
     return mo_fail(message, error,
-                   "its learning rate is one cosine over all generations: with more of them, those that are done would "
+                   "its learning rate is one cosine over all generations: with more of them, those "
+                   "that are done would "
                    "have been others");
   case MO_ERR_EMPTY:
-    return mo_fail(message, error, "the checkpoint of what it has learned, which it would go on from, was deleted");
+    return mo_fail(message, error,
+                   "the checkpoint of what it has learned, which it would go on from, was deleted");
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
-  default: return mo_fail(message, error, "the campaign could not be extended: %s", mo_error_text(error));
+  default:
+    return mo_fail(message, error, "the campaign could not be extended: %s", mo_error_text(error));
   }
 }
 
-int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations, const struct mo_request_key *key,
-                            struct mo_message *message)
+int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
+                            const struct mo_request_key *key, struct mo_message *message)
 {
   enum mo_job_state before = MO_JOB_RUNNING;
   int64_t known;

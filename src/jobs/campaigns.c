@@ -1,4 +1,5 @@
-/* campaigns.c: what is asked about campaigns besides their records: how they stand now, and their champions. */
+/* campaigns.c: what is asked about campaigns besides their records: how they stand now, and their
+ * champions. */
 #include "jobs/campaigns.h"
 
 #include <stdlib.h>
@@ -8,7 +9,8 @@
 
 const char *mo_campaign_phase_name(enum mo_campaign_phase phase)
 {
-  static const char *const names[] = {"idle", "preparing", "varying", "learning", "scoring", "saving", "waiting"};
+  static const char *const names[] = {"idle",    "preparing", "varying", "learning",
+                                      "scoring", "saving",    "waiting"};
   return (unsigned)phase < sizeof(names) / sizeof(names[0]) ? names[phase] : "unknown";
 }
 
@@ -29,8 +31,8 @@ int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_l
 /* ---- champions ---- */
 
 /* A whole population, best first (malloc). */
-static int read_population(struct mo_store *store, int64_t id, int64_t generation, struct mo_campaign_design **designs,
-                           uint32_t *n)
+static int read_population(struct mo_store *store, int64_t id, int64_t generation,
+                           struct mo_campaign_design **designs, uint32_t *n)
 {
   struct mo_campaign_design *rows = calloc(MO_PAGE_MAX, sizeof(*rows)), *grown;
   uint32_t read = 0;
@@ -65,18 +67,21 @@ static int read_population(struct mo_store *store, int64_t id, int64_t generatio
   return MO_OK;
 }
 
-static int choose(struct mo_workspace workspace, const struct mo_campaign_design *designs, uint32_t n, uint32_t m,
-                  struct mo_campaign_design *rows, double *distinctiveness)
+static int choose(struct mo_workspace workspace, const struct mo_campaign_design *designs,
+                  uint32_t n, uint32_t m, struct mo_campaign_design *rows, double *distinctiveness)
 {
   const size_t words = mo_workspace_words(workspace);
   uint64_t *genotypes = calloc((size_t)n * words + 1, sizeof(*genotypes));
   uint64_t *picked = calloc((size_t)m * words + 1, sizeof(*picked));
   double *scores = calloc((size_t)n + 1, sizeof(*scores));
   uint32_t *picks = calloc((size_t)m + 1, sizeof(*picks));
-  int error = genotypes == NULL || picked == NULL || scores == NULL || picks == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  int error = genotypes == NULL || picked == NULL || scores == NULL || picks == NULL
+                  ? MO_ERR_NO_MEMORY
+                  : MO_OK;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
     scores[i] = designs[i].score;
-    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, designs[i].genotype.words, workspace, genotypes + words * i);
+    error = mo_genotype_move(MO_DEFAULT_WORKSPACE, designs[i].genotype.words, workspace,
+                             genotypes + words * i);
   }
   if (error == MO_OK)
     error = mo_champions(workspace, genotypes, scores, n, m, picks);
@@ -94,7 +99,8 @@ static int choose(struct mo_workspace workspace, const struct mo_campaign_design
 }
 
 int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generation, uint32_t m,
-                               struct mo_campaign_design *rows, double *distinctiveness, uint32_t *n)
+                               struct mo_campaign_design *rows, double *distinctiveness,
+                               uint32_t *n)
 {
   struct mo_campaign_status status;
   struct mo_campaign_design *designs = NULL;
@@ -120,13 +126,14 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
 /* ---- recordings ---- */
 
 /* A name that nobody uses for another file. */
-static int free_name(struct mo_store *store, int64_t id, int64_t generation, const struct mo_sha256 *sha256,
-                     char name[MO_NAME_BYTES_MAX + 1])
+static int free_name(struct mo_store *store, int64_t id, int64_t generation,
+                     const struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1])
 {
   struct mo_controller_record record;
   int error = MO_OK;
   for (int i = 0; i < 100 && error == MO_OK; i++) {
-    snprintf(name, MO_NAME_BYTES_MAX + 1, "campaign-%lld.generation-%lld.%d", (long long)id, (long long)generation, i);
+    snprintf(name, MO_NAME_BYTES_MAX + 1, "campaign-%lld.generation-%lld.%d", (long long)id,
+             (long long)generation, i);
     error = mo_store_controller(store, name, &record);
     if (error == MO_OK && mo_sha256_equal(&record.sha256, sha256))
       return MO_OK;
@@ -134,7 +141,8 @@ static int free_name(struct mo_store *store, int64_t id, int64_t generation, con
   return error == MO_ERR_NOT_FOUND ? MO_OK : error == MO_OK ? MO_ERR_CONFLICT : error;
 }
 
-/* The controller that scored the newest generation of a campaign that learns, from its checkpoint. */
+/* The controller that scored the newest generation of a campaign that learns, from its checkpoint.
+ */
 static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                              struct mo_controller **controller)
 {
@@ -144,8 +152,8 @@ static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_stat
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t step = 0;
-  int error =
-      mo_store_campaign_checkpoint_of(jobs->store, status->job.id, (uint32_t)status->generation, &step, &bytes, &size);
+  int error = mo_store_campaign_checkpoint_of(jobs->store, status->job.id,
+                                              (uint32_t)status->generation, &step, &bytes, &size);
   if (error == MO_OK)
     error = mo_training_decode(bytes, size, &training, NULL);
   free(bytes);
@@ -157,9 +165,11 @@ static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_stat
   return error;
 }
 
-/* Stores it under a name of its own; *created: the name is to be removed when a job refers to the file. */
-static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status, struct mo_sha256 *sha256,
-                            char name[MO_NAME_BYTES_MAX + 1], bool *created)
+/* Stores it under a name of its own; *created: the name is to be removed when a job refers to the
+ * file. */
+static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
+                            struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
+                            bool *created)
 {
   struct mo_controller *controller = NULL;
   struct mo_controller_record record;
@@ -180,24 +190,24 @@ static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_statu
 }
 
 static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_status *status,
-                            const struct mo_sha256 *sha256, const struct mo_bits *genotypes, uint32_t n,
-                            uint32_t stride, const struct mo_request_key *key, int64_t *evaluation,
-                            struct mo_message *message)
+                            const struct mo_sha256 *sha256, const struct mo_bits *genotypes,
+                            uint32_t n, uint32_t stride, const struct mo_request_key *key,
+                            int64_t *evaluation, struct mo_message *message)
 {
   const struct mo_campaign_record *record = &status->record;
   struct mo_environment *environments = NULL;
   char controller[MO_SHA256_DIGITS + 8] = "sha256:";
   bool replayed = false;
-  struct mo_evaluation_request request = {.genotypes = genotypes,
-                                          .n_designs = n,
-                                          .environment_set =
-                                              record->environment_set[0] != '\0' ? record->environment_set : NULL,
-                                          .controller = controller,
-                                          .physics = record->settings.physics,
-                                          .precision = MO_FLOAT32,
-                                          .priority = -1,
-                                          .record_com = true,
-                                          .record_stride = stride};
+  struct mo_evaluation_request request = {
+      .genotypes = genotypes,
+      .n_designs = n,
+      .environment_set = record->environment_set[0] != '\0' ? record->environment_set : NULL,
+      .controller = controller,
+      .physics = record->settings.physics,
+      .precision = MO_FLOAT32,
+      .priority = -1,
+      .record_com = true,
+      .record_stride = stride};
   int error = MO_OK;
   if (key != NULL) {
     request.idempotency_key = key->text;
@@ -205,7 +215,8 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
   }
   mo_sha256_to_hex(sha256, controller + strlen(controller));
   if (request.environment_set == NULL) {
-    error = mo_store_campaign_environments(jobs->store, status->job.id, &environments, &request.n_environments);
+    error = mo_store_campaign_environments(jobs->store, status->job.id, &environments,
+                                           &request.n_environments);
     request.environments = environments;
   }
   if (error == MO_OK)
@@ -215,7 +226,8 @@ static int submit_recording(struct mo_jobs *jobs, const struct mo_campaign_statu
 }
 
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
-                                      const struct mo_request_key *key, int64_t *evaluation, struct mo_message *message)
+                                      const struct mo_request_key *key, int64_t *evaluation,
+                                      struct mo_message *message)
 {
   struct mo_campaign_status status;
   struct mo_campaign_design *rows;
@@ -227,7 +239,8 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   uint32_t n = 0;
   int error;
   if (m < 1 || m > MO_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d champions can be recorded, not %u", MO_DESIGNS_MAX, (unsigned)m);
+    return mo_fail(message, MO_ERR_RANGE, "1 to %d champions can be recorded, not %u",
+                   MO_DESIGNS_MAX, (unsigned)m);
   if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, evaluation) == MO_OK)
     return MO_OK;
   error = mo_store_campaign(jobs->store, id, &status);
@@ -238,9 +251,10 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   rows = calloc(m, sizeof(*rows));
   genotypes = calloc(m, sizeof(*genotypes));
   distinctiveness = calloc(m, sizeof(*distinctiveness));
-  error = rows == NULL || genotypes == NULL || distinctiveness == NULL
-              ? MO_ERR_NO_MEMORY
-              : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, distinctiveness, &n);
+  error =
+      rows == NULL || genotypes == NULL || distinctiveness == NULL
+          ? MO_ERR_NO_MEMORY
+          : mo_jobs_campaign_champions(jobs, id, status.generation, m, rows, distinctiveness, &n);
   for (uint32_t i = 0; i < n; i++)
     genotypes[i] = rows[i].genotype;
   sha256 = status.has_result ? status.result_sha256 : status.record.controller_sha256;
@@ -249,7 +263,8 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   if (error != MO_OK)
     (void)mo_fail(message, error, "the champions cannot be recorded: %s", mo_error_text(error));
   else
-    error = submit_recording(jobs, &status, &sha256, genotypes, n, stride, key, evaluation, message);
+    error =
+        submit_recording(jobs, &status, &sha256, genotypes, n, stride, key, evaluation, message);
   if (created) /* the evaluation refers to it by its hash */
     (void)mo_store_controller_remove(jobs->store, name);
   free(rows);

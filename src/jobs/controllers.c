@@ -1,4 +1,5 @@
-/* controllers.c: the few controllers that are kept ready for the back end; the least recently used goes. */
+/* controllers.c: the few controllers that are kept ready for the back end; the least recently used
+ * goes. */
 #include <stdlib.h>
 
 #include "jobs/internal.h"

@@ -88,7 +88,8 @@ static int recover(struct mo_jobs *jobs, const char *marker)
   int signal_number;
   int error;
   read_marker(marker, &crashed, &signal_number);
-  snprintf(text, sizeof(text), "the process was ended by signal %d (%s) while it ran this job", signal_number,
+  snprintf(text, sizeof(text), "the process was ended by signal %d (%s) while it ran this job",
+           signal_number,
            sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
   error = mo_store_requeue(jobs->store, crashed, jobs->config.max_attempts, text);
   if (error == MO_OK && marker != NULL && truncate(marker, 0) != 0 && errno != ENOENT)
@@ -136,7 +137,8 @@ static int name_code(struct mo_jobs *jobs, const char *version)
     jobs->code_versions[back_end] = malloc(size);
     if (jobs->code_versions[back_end] == NULL)
       return MO_ERR_NO_MEMORY;
-    snprintf(jobs->code_versions[back_end], size, "%s%s%s", version, version[0] != '\0' ? " " : "", fingerprint);
+    snprintf(jobs->code_versions[back_end], size, "%s%s%s", version, version[0] != '\0' ? " " : "",
+             fingerprint);
   }
   return MO_OK;
 }
@@ -147,10 +149,12 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
   if (error == MO_OK)
     error = name_code(jobs, version != NULL ? version : "");
   for (int precision = 0; precision < 2 && error == MO_OK; precision++)
-    error = mo_store_fingerprint(jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
-                                 &jobs->fingerprints[precision]);
+    error = mo_store_fingerprint(
+        jobs->store, mo_compute_fingerprint(jobs->compute, (enum mo_precision)precision),
+        &jobs->fingerprints[precision]);
   if (error == MO_OK && mo_compute_device_fingerprint(jobs->compute) != NULL)
-    error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute), &jobs->device_fingerprint);
+    error = mo_store_fingerprint(jobs->store, mo_compute_device_fingerprint(jobs->compute),
+                                 &jobs->device_fingerprint);
   if (error == MO_OK)
     error = mo_compute_share_create(jobs->compute, 1, &jobs->evaluations);
   if (error == MO_OK)
@@ -231,8 +235,9 @@ static void free_runners(struct mo_jobs *jobs)
   mo_runners_free(&jobs->campaigns);
 }
 
-int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const struct mo_jobs_config *config,
-                   struct mo_jobs **ret, struct mo_message *message)
+int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
+                   const struct mo_jobs_config *config, struct mo_jobs **ret,
+                   struct mo_message *message)
 {
   struct mo_jobs *jobs = calloc(1, sizeof(*jobs));
   struct mo_compute_stats stats;
@@ -243,15 +248,18 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute, const str
   jobs->compute = compute;
   jobs->config = *config;
   mo_compute_get_stats(compute, &stats);
-  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1, mo_back_end_window(jobs, MO_ON_DEVICE));
+  set_defaults(&jobs->config, stats.n_workers > 0 ? stats.n_workers : 1,
+               mo_back_end_window(jobs, MO_ON_DEVICE));
   init_locks(jobs);
   jobs->look = true;
   atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
   if (error == MO_OK)
-    error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners, jobs->config.max_active_trainings);
+    error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners,
+                             jobs->config.max_active_trainings);
   if (error == MO_OK)
-    error = mo_runners_start(jobs, &jobs->campaigns, &mo_campaign_runners, jobs->config.max_active_campaigns);
+    error = mo_runners_start(jobs, &jobs->campaigns, &mo_campaign_runners,
+                             jobs->config.max_active_campaigns);
   if (error == MO_OK && pthread_create(&jobs->thread, NULL, mo_scheduler_loop, jobs) != 0)
     error = MO_ERR_NO_MEMORY;
   if (error != MO_OK) {
@@ -354,7 +362,8 @@ static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
   return error;
 }
 
-/* One that cannot be read: it goes to all who may run it, for even its kind may be what cannot be read. */
+/* One that cannot be read: it goes to all who may run it, for even its kind may be what cannot be
+ * read. */
 static int cancel_unreadable(struct mo_jobs *jobs, int64_t id, struct mo_wish *wish)
 {
   int error = mo_store_change_job(jobs->store, id, MO_CHANGE_CANCEL, NULL);

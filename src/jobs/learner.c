@@ -1,8 +1,9 @@
 /* learner.c: one step of learning on the back end, for trainings and for campaigns that learn.
  *
- * A device computes the gradient of a thousand robots in the time that a processor needs to draw them. So while it does, a thread of this
- * step draws the robots of the next one and has them laid out, and the thread of the job writes what there is to write. On the workers,
- * where a gradient takes a hundred times as long, that would gain nothing. */
+ * A device computes the gradient of a thousand robots in the time that a processor needs to draw
+ * them. So while it does, a thread of this step draws the robots of the next one and has them laid
+ * out, and the thread of the job writes what there is to write. On the workers, where a gradient
+ * takes a hundred times as long, that would gain nothing. */
 #include <stdlib.h>
 
 #include "base/thread.h"
@@ -20,7 +21,8 @@ static void *draw_ahead(void *context)
   if (mo_training_draw_ahead(learner->training, learner->batch.cancel) == MO_OK)
     robots = mo_training_robots_ahead(learner->training);
   if (robots != NULL)
-    (void)mo_compute_gradient_lay_out(learner->gradients, robots, settings->batch, &settings->physics);
+    (void)mo_compute_gradient_lay_out(learner->gradients, robots, settings->batch,
+                                      &settings->physics);
   return NULL;
 }
 
@@ -41,17 +43,20 @@ int mo_learner_prepare(struct mo_jobs *jobs, enum mo_back_end back_end, struct m
   if (learner->gradients != NULL)
     mo_compute_gradient_forget(learner->gradients);
   if (back_end == MO_ON_DEVICE)
-    mo_training_set_threads(learner->training, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX);
+    mo_training_set_threads(learner->training,
+                            stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX);
   if (learner->gradients != NULL)
     return MO_OK;
-  learner->d_parameters = calloc(mo_training_controller(learner->training)->n_parameters, sizeof(double));
+  learner->d_parameters =
+      calloc(mo_training_controller(learner->training)->n_parameters, sizeof(double));
   learner->outcomes = calloc(batch, sizeof(*learner->outcomes));
   return learner->d_parameters == NULL || learner->outcomes == NULL
              ? MO_ERR_NO_MEMORY
              : mo_gradient_state_create(jobs->compute, &learner->gradients);
 }
 
-int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n, struct mo_message *message)
+int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, uint32_t n,
+                           struct mo_message *message)
 {
   mo_compute_gradient_forget(learner->gradients);
   return mo_training_set_designs(learner->training, designs, n, message);
@@ -79,27 +84,29 @@ static int wait_for_both(struct mo_learner *learner)
   return mo_back_end_error(learner->back_end, learner->status);
 }
 
-int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots, const struct mo_learner_turn *turn)
+int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robots,
+                        const struct mo_learner_turn *turn)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(learner->training);
   const bool beside = learner->back_end == MO_ON_DEVICE;
   int written = beside ? MO_OK : turn->write(turn->context), computed;
   if (written != MO_OK)
     return written;
-  learner->batch = (struct mo_gradient_batch){.controller = mo_training_controller(learner->training),
-                                              .robots = robots,
-                                              .n = settings->batch,
-                                              .physics = settings->physics,
-                                              .adjoint_bound = settings->adjoint_bound,
-                                              .adjoint_rule = settings->adjoint_rule,
-                                              .restart_weight = settings->restart_weight,
-                                              .urgency = turn->urgency,
-                                              .cancel = turn->cancel,
-                                              .tag = turn->tag,
-                                              .share = turn->share,
-                                              .back_end = learner->back_end,
-                                              .d_parameters = learner->d_parameters,
-                                              .outcomes = learner->outcomes};
+  learner->batch =
+      (struct mo_gradient_batch){.controller = mo_training_controller(learner->training),
+                                 .robots = robots,
+                                 .n = settings->batch,
+                                 .physics = settings->physics,
+                                 .adjoint_bound = settings->adjoint_bound,
+                                 .adjoint_rule = settings->adjoint_rule,
+                                 .restart_weight = settings->restart_weight,
+                                 .urgency = turn->urgency,
+                                 .cancel = turn->cancel,
+                                 .tag = turn->tag,
+                                 .share = turn->share,
+                                 .back_end = learner->back_end,
+                                 .d_parameters = learner->d_parameters,
+                                 .outcomes = learner->outcomes};
   begin(learner);
   if (beside)
     written = turn->write(turn->context);
@@ -109,8 +116,8 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
 
 int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *report, double *seconds)
 {
-  int error =
-      mo_training_apply(learner->training, learner->d_parameters, learner->outcomes, &learner->batch.counts, report);
+  int error = mo_training_apply(learner->training, learner->d_parameters, learner->outcomes,
+                                &learner->batch.counts, report);
   *seconds = (double)(mo_jobs_clock_us() - learner->start_us) * 1e-6;
   return error;
 }

@@ -1,7 +1,9 @@
-/* runners.c: the threads of jobs that have one each, trainings and campaigns: who runs which, and what people ask of it.
+/* runners.c: the threads of jobs that have one each, trainings and campaigns: who runs which, and
+ * what people ask of it.
  *
- * There are as many threads of a kind as jobs of it may run side by side. A free one takes the first queued job that no other holds.
- * A wish (pause, stop, cancel) sets a flag that every long call of a run looks at, and wakes a thread that waits for room. */
+ * There are as many threads of a kind as jobs of it may run side by side. A free one takes the
+ * first queued job that no other holds. A wish (pause, stop, cancel) sets a flag that every long
+ * call of a run looks at, and wakes a thread that waits for room. */
 #include <errno.h>
 #include <stdlib.h>
 #include <time.h>
@@ -109,7 +111,8 @@ static void release(struct mo_runner *runner)
   pthread_mutex_unlock(&runners->mutex);
 }
 
-/* Runs the first queued job. false: there is none, or it cannot be started now (*again: look again in a while). */
+/* Runs the first queued job. false: there is none, or it cannot be started now (*again: look again
+ * in a while). */
 static bool run_next(struct mo_runner *runner, bool *again)
 {
   const struct mo_runner_kind *kind = runner->runners->kind;
@@ -129,7 +132,8 @@ static bool run_next(struct mo_runner *runner, bool *again)
     mo_thread_tag = -1;
   }
   release(runner);
-  *again = error != MO_OK && error != MO_ERR_CONFLICT; /* no room for its start, or the store is closing */
+  *again = error != MO_OK &&
+           error != MO_ERR_CONFLICT; /* no room for its start, or the store is closing */
   if (failed)
     mo_runner_sleep(runner, runner->jobs->config.retry_ms, MO_WISH_STOP);
   return !*again;
@@ -177,7 +181,8 @@ void mo_runners_destroy(struct mo_runners *runners)
   pthread_cond_destroy(&runners->news);
 }
 
-int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners, const struct mo_runner_kind *kind, uint32_t n)
+int mo_runners_start(struct mo_jobs *jobs, struct mo_runners *runners,
+                     const struct mo_runner_kind *kind, uint32_t n)
 {
   struct mo_runner *made = calloc(n, sizeof(*made));
   if (made == NULL)

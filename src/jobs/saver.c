@@ -1,9 +1,10 @@
 /* saver.c: what came in since the last save, and the one save that is under way.
  *
- * Losses wait at most save_interval_ms, those of interactive jobs not at all. A save holds the losses of that time, the counts of
- * the jobs that they belong to, and the ends of jobs whose last loss is among them: one transaction. When the disk is
- * full the save is kept and tried again every second; nothing new is computed meanwhile, nor while the store is so slow that what
- * waits for it would fill the memory. */
+ * Losses wait at most save_interval_ms, those of interactive jobs not at all. A save holds the
+ * losses of that time, the counts of the jobs that they belong to, and the ends of jobs whose last
+ * loss is among them: one transaction. When the disk is full the save is kept and tried again every
+ * second; nothing new is computed meanwhile, nor while the store is so slow that what waits for it
+ * would fill the memory. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -71,20 +72,21 @@ int mo_pending_trajectory(struct mo_jobs *jobs, const struct mo_saved_trajectory
 {
   struct mo_pending *pending = &jobs->pending;
   void *array = pending->save.trajectories;
-  bool grown = grow(&array, pending->save.n_trajectories, &pending->trajectories_room, sizeof(*trajectory));
+  bool grown =
+      grow(&array, pending->save.n_trajectories, &pending->trajectories_room, sizeof(*trajectory));
   pending->save.trajectories = array;
   if (!grown)
     return MO_ERR_NO_MEMORY;
   pending->save.trajectories[pending->save.n_trajectories++] = *trajectory;
   pending->recorded_bytes +=
-      (uint64_t)trajectory->frames *
-      ((trajectory->com_m != NULL ? 24 : 0) + (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
+      (uint64_t)trajectory->frames * ((trajectory->com_m != NULL ? 24 : 0) +
+                                      (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
   mo_pending_touch(jobs);
   return MO_OK;
 }
 
-int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_job_step step, int error,
-                      const char *text)
+int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_job_step step,
+                      int error, const char *text)
 {
   struct mo_pending *pending = &jobs->pending;
   size_t n = pending->save.n_updates;
@@ -123,7 +125,8 @@ static void clear(struct mo_pending *pending)
     free((void *)pending->save.trajectories[i].com_m);
     free((void *)pending->save.trajectories[i].mass_m);
   }
-  pending->save.n_scores = pending->save.n_trajectories = pending->save.n_designs = pending->save.n_updates = 0;
+  pending->save.n_scores = pending->save.n_trajectories = pending->save.n_designs =
+      pending->save.n_updates = 0;
   pending->rollouts = NULL;
   pending->recorded_bytes = 0;
   pending->since_us = 0;
@@ -151,7 +154,8 @@ bool mo_saver_is_behind(const struct mo_jobs *jobs)
   const struct mo_pending *pending = &jobs->pending;
   if (jobs->saving.since_us != 0 && !jobs->save_under_way)
     return true; /* it failed and will be tried again */
-  return pending->save.n_scores + pending->save.n_designs >= SCORES_BEHIND || pending->recorded_bytes >= BYTES_BEHIND;
+  return pending->save.n_scores + pending->save.n_designs >= SCORES_BEHIND ||
+         pending->recorded_bytes >= BYTES_BEHIND;
 }
 
 static void save_done(struct mo_save *save, int status)
@@ -184,7 +188,8 @@ static void add_counts(struct mo_jobs *jobs)
     int error;
     if (active->finishing || !(active->changed || ended))
       continue;
-    error = mo_pending_update(jobs, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
+    error =
+        mo_pending_update(jobs, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
     if (error != MO_OK)
       continue; /* comes with the next save */
     active->changed = false;
@@ -201,7 +206,8 @@ static void add_counts(struct mo_jobs *jobs)
 static bool interactive_ended(const struct mo_jobs *jobs)
 {
   for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
-    if (!active->detached && !active->finishing && active->priority == MO_INTERACTIVE && active->done == active->total)
+    if (!active->detached && !active->finishing && active->priority == MO_INTERACTIVE &&
+        active->done == active->total)
       return true;
   return false;
 }
@@ -222,8 +228,8 @@ int64_t mo_saver_run(struct mo_jobs *jobs, bool at_once)
   if (jobs->pending.since_us == 0)
     return INT64_MAX;
   due = jobs->pending.since_us + (int64_t)jobs->config.save_interval_ms * 1000;
-  if (!at_once && now < due && !jobs->pending.urgent && jobs->pending.save.n_scores < SCORES_AT_ONCE &&
-      !interactive_ended(jobs))
+  if (!at_once && now < due && !jobs->pending.urgent &&
+      jobs->pending.save.n_scores < SCORES_AT_ONCE && !interactive_ended(jobs))
     return due;
   add_counts(jobs);
   swap = jobs->saving;
@@ -240,11 +246,13 @@ static void delay(struct mo_jobs *jobs, int64_t id)
   if (jobs->n_delayed == MO_DELAYED_MAX)
     return; /* tried again at once */
   jobs->delayed[jobs->n_delayed].id = id;
-  jobs->delayed[jobs->n_delayed].until_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
+  jobs->delayed[jobs->n_delayed].until_us =
+      mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
   jobs->n_delayed++;
 }
 
-static void settle_update(struct mo_jobs *jobs, struct mo_active *active, const struct mo_job_update *update)
+static void settle_update(struct mo_jobs *jobs, struct mo_active *active,
+                          const struct mo_job_update *update)
 {
   switch (update->step) {
   case MO_STEP_START:
@@ -292,9 +300,12 @@ static void settle(struct mo_jobs *jobs, int status)
     struct mo_active *active = saving->owners[i];
     if (status == MO_OK) {
       settle_update(jobs, active, &saving->save.updates[i]);
-    } else if (saving->save.updates[i].step == MO_STEP_RETRY || saving->save.updates[i].step == MO_STEP_HALT) {
-      const struct mo_job_update *lost = &saving->save.updates[i]; /* again, without what could not be saved */
-      active->failing = mo_pending_update(jobs, active, lost->step, lost->error, lost->error_text) == MO_OK;
+    } else if (saving->save.updates[i].step == MO_STEP_RETRY ||
+               saving->save.updates[i].step == MO_STEP_HALT) {
+      const struct mo_job_update *lost =
+          &saving->save.updates[i]; /* again, without what could not be saved */
+      active->failing =
+          mo_pending_update(jobs, active, lost->step, lost->error, lost->error_text) == MO_OK;
     }
     mo_active_release(jobs, active);
   }
@@ -309,7 +320,9 @@ void mo_saver_finished(struct mo_jobs *jobs, int status)
   switch (status) {
   case MO_ERR_NO_SPACE:
   case MO_ERR_BUSY:
-  case MO_ERR_NO_MEMORY: jobs->retry_save_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000; break;
+  case MO_ERR_NO_MEMORY:
+    jobs->retry_save_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
+    break;
   case MO_ERR_IO:
   case MO_ERR_CANCELLED: jobs->broken = true; break;
   default: settle(jobs, status); break;

@@ -1,10 +1,12 @@
 /* scheduler.c: the thread that decides what is computed next.
  *
- * Each round: take in finished blocks, wishes and the result of a save; claim queued jobs while there are places; fill the back
- * end's window, interactive jobs first; start a save when one is due; sleep until news or the next due time. Among jobs
- * of one priority the one with the least virtual time goes next: a block advances its job's time by rollouts × steps over its
- * weight, and a job that comes new starts at the time of those that run, so that none waits for the others to end. What all of them
- * together get beside trainings and campaigns is the back end's business: their share there weighs as much as they do. */
+ * Each round: take in finished blocks, wishes and the result of a save; claim queued jobs while
+ * there are places; fill the back end's window, interactive jobs first; start a save when one is
+ * due; sleep until news or the next due time. Among jobs of one priority the one with the least
+ * virtual time goes next: a block advances its job's time by rollouts × steps over its weight, and
+ * a job that comes new starts at the time of those that run, so that none waits for the others to
+ * end. What all of them together get beside trainings and campaigns is the back end's business:
+ * their share there weighs as much as they do. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -74,8 +76,8 @@ void mo_actives_free_all(struct mo_jobs *jobs)
   }
 }
 
-/* Frees the detached jobs that nothing refers to and whose counts are saved. Returns whether there was one: the same job may
- * be claimed again. */
+/* Frees the detached jobs that nothing refers to and whose counts are saved. Returns whether there
+ * was one: the same job may be claimed again. */
 static bool sweep(struct mo_jobs *jobs)
 {
   struct mo_active **link = &jobs->actives;
@@ -106,13 +108,16 @@ void mo_active_fail(struct mo_jobs *jobs, struct mo_active *active, int error, c
   if (jobs->config.warn != NULL)
     jobs->config.warn(jobs->config.warn_context, active->id, error, text);
   active->failing =
-      mo_pending_update(jobs, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error, text) == MO_OK;
+      mo_pending_update(jobs, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error,
+                        text) == MO_OK;
   mo_flights_cancel(jobs, false);
 }
 
 enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end)
 {
-  return back_end == MO_ON_DEVICE ? MO_LANE_DEVICE : priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE : MO_LANE_BATCH;
+  return back_end == MO_ON_DEVICE     ? MO_LANE_DEVICE
+         : priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE
+                                      : MO_LANE_BATCH;
 }
 
 static enum mo_lane lane_of(const struct mo_active *active)
@@ -128,8 +133,8 @@ static uint32_t count_active(const struct mo_jobs *jobs, enum mo_urgency priorit
   return n;
 }
 
-/* A job that was paused and resumed is claimed again when the blocks that it had in flight are back and saved: earlier, they would
- * be computed twice and counted as somebody else's. */
+/* A job that was paused and resumed is claimed again when the blocks that it had in flight are back
+ * and saved: earlier, they would be computed twice and counted as somebody else's. */
 static bool is_held(const struct mo_jobs *jobs, int64_t id)
 {
   for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
@@ -176,7 +181,8 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
   int error = mo_store_load_work(jobs->store, active->id, &active->work);
   struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
   const bool found = job != NULL && mo_store_job_damage(jobs->store, active->id, job) == MO_OK;
-  snprintf(text, 256, "the job could not be prepared: %s", found ? job->damage : mo_error_text(error));
+  snprintf(text, 256, "the job could not be prepared: %s",
+           found ? job->damage : mo_error_text(error));
   free(job);
   if (error != MO_OK)
     return error;
@@ -193,7 +199,8 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
   if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT) {
     mo_sha256_to_hex(&active->work->job.controller_sha256, digits);
     snprintf(text, 256,
-             "the file controllers/%s.safetensors is missing, damaged or unreadable: store the same file again (PUT "
+             "the file controllers/%s.safetensors is missing, damaged or unreadable: store the "
+             "same file again (PUT "
              "/v1/controllers/<name>), then submit again",
              digits);
   } else {
@@ -325,8 +332,9 @@ static void take_inbox(struct mo_jobs *jobs, int64_t until_us, struct inbox *inb
   pthread_mutex_unlock(&jobs->mutex);
 }
 
-/* A wish to pause may come after the job was resumed, by somebody else or before its start was written: then it runs by the
- * database, and nobody runs it. So it is parked, which changes nothing for one that is paused or cancelled. */
+/* A wish to pause may come after the job was resumed, by somebody else or before its start was
+ * written: then it runs by the database, and nobody runs it. So it is parked, which changes nothing
+ * for one that is paused or cancelled. */
 static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
 {
   struct mo_active *active = mo_active_find(jobs, wish->id);
@@ -412,7 +420,8 @@ static bool wind_down(struct mo_jobs *jobs, bool abandon, bool *parked)
         (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
     *parked = true;
   }
-  return mo_saver_idle(jobs) || (!jobs->save_under_way && (abandon || jobs->broken || atomic_load(&jobs->no_space)));
+  return mo_saver_idle(jobs) ||
+         (!jobs->save_under_way && (abandon || jobs->broken || atomic_load(&jobs->no_space)));
 }
 
 static void publish(struct mo_jobs *jobs)

@@ -1,7 +1,9 @@
-/* shares.c: who has which part of the back end: one share for each running training and campaign, one for all evaluations.
+/* shares.c: who has which part of the back end: one share for each running training and campaign,
+ * one for all evaluations.
  *
- * The store says what a job weighs. A share that is opened takes its weight from there after it can be found here, and a new weight
- * is written there before the share is looked for: whichever comes first, the share ends up with the newest. */
+ * The store says what a job weighs. A share that is opened takes its weight from there after it can
+ * be found here, and a new weight is written there before the share is looked for: whichever comes
+ * first, the share ends up with the newest. */
 #include <stdlib.h>
 
 #include "jobs/internal.h"
@@ -46,10 +48,12 @@ static int take_weight(struct mo_jobs *jobs, int64_t id)
   return error;
 }
 
-int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind, struct mo_compute_share **share)
+int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
+                  struct mo_compute_share **share)
 {
   struct mo_job_share *entry = calloc(1, sizeof(*entry));
-  int error = entry == NULL ? MO_ERR_NO_MEMORY : mo_compute_share_create(jobs->compute, 1, &entry->share);
+  int error =
+      entry == NULL ? MO_ERR_NO_MEMORY : mo_compute_share_create(jobs->compute, 1, &entry->share);
   if (error != MO_OK) {
     free(entry);
     return error;
@@ -85,7 +89,8 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
 
 void mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
 {
-  (void)take_weight(jobs, id); /* a store that cannot be read now: the weight counts from the next start */
+  (void)take_weight(
+      jobs, id); /* a store that cannot be read now: the weight counts from the next start */
 }
 
 double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
@@ -100,7 +105,8 @@ double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)
   return seconds;
 }
 
-void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS], double device_s[MO_JOB_KINDS])
+void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
+                       double device_s[MO_JOB_KINDS])
 {
   pthread_mutex_lock(&jobs->shares_mutex);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {

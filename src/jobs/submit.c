@@ -7,12 +7,15 @@
 
 #define INTERACTIVE_ROLLOUTS 64
 
-int mo_submission_check_texts(const char *label, const char *idempotency_key, struct mo_message *message)
+int mo_submission_check_texts(const char *label, const char *idempotency_key,
+                              struct mo_message *message)
 {
   if (label != NULL && strlen(label) > MO_LABEL_BYTES_MAX)
     return mo_fail(message, MO_ERR_RANGE, "the label is longer than %d bytes", MO_LABEL_BYTES_MAX);
-  if (idempotency_key != NULL && (idempotency_key[0] == '\0' || strlen(idempotency_key) > MO_IDEMPOTENCY_BYTES_MAX))
-    return mo_fail(message, MO_ERR_RANGE, "an idempotency key has 1 to %d bytes", MO_IDEMPOTENCY_BYTES_MAX);
+  if (idempotency_key != NULL &&
+      (idempotency_key[0] == '\0' || strlen(idempotency_key) > MO_IDEMPOTENCY_BYTES_MAX))
+    return mo_fail(message, MO_ERR_RANGE, "an idempotency key has 1 to %d bytes",
+                   MO_IDEMPOTENCY_BYTES_MAX);
   return MO_OK;
 }
 
@@ -28,14 +31,14 @@ int mo_environments_check(const struct mo_environment *environments, uint32_t n,
                           struct mo_message *message)
 {
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "%s has 1 to %d environments, not %u", whose, MO_ENVIRONMENTS_MAX,
-                   (unsigned)n);
+    return mo_fail(message, MO_ERR_RANGE, "%s has 1 to %d environments, not %u", whose,
+                   MO_ENVIRONMENTS_MAX, (unsigned)n);
   for (uint32_t k = 0; k < n; k++) {
     uint32_t where = 0;
     int error = mo_environment_check(&environments[k], &where);
     if (error != MO_OK)
-      return mo_fail(message, error, "environment %u: value %u is not finite or out of range", (unsigned)k,
-                     (unsigned)where);
+      return mo_fail(message, error, "environment %u: value %u is not finite or out of range",
+                     (unsigned)k, (unsigned)where);
   }
   return MO_OK;
 }
@@ -44,10 +47,11 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
 {
   int error;
   if (request->n_designs < 1 || request->n_designs > MO_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not %u", MO_DESIGNS_MAX,
-                   (unsigned)request->n_designs);
+    return mo_fail(message, MO_ERR_RANGE, "an evaluation has 1 to %d designs, not %u",
+                   MO_DESIGNS_MAX, (unsigned)request->n_designs);
   if (request->environment_set == NULL) {
-    error = mo_environments_check(request->environments, request->n_environments, "an evaluation", message);
+    error = mo_environments_check(request->environments, request->n_environments, "an evaluation",
+                                  message);
     if (error != MO_OK)
       return error;
   }
@@ -65,13 +69,14 @@ static int check_request(const struct mo_evaluation_request *request, struct mo_
     return error;
   if ((request->record_com || request->record_masses) &&
       (request->record_stride < 1 || request->record_stride > request->physics.n_steps))
-    return mo_fail(message, MO_ERR_RANGE, "the stride of a recording is 1 to the number of steps (%u), not %u",
+    return mo_fail(message, MO_ERR_RANGE,
+                   "the stride of a recording is 1 to the number of steps (%u), not %u",
                    (unsigned)request->physics.n_steps, (unsigned)request->record_stride);
   return MO_OK;
 }
 
-int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms, struct mo_bits *genotypes,
-                     struct mo_message *message)
+int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *forms,
+                     struct mo_bits *genotypes, struct mo_message *message)
 {
   for (uint32_t i = 0; i < n; i++) {
     int contiguous;
@@ -90,7 +95,8 @@ int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *fo
 }
 
 /* The bytes that the recordings of an evaluation will take. */
-static int check_recording(struct mo_jobs *jobs, const struct mo_submission *submission, struct mo_message *message)
+static int check_recording(struct mo_jobs *jobs, const struct mo_submission *submission,
+                           struct mo_message *message)
 {
   uint64_t frames = mo_recording_frames(&submission->physics, submission->record_stride);
   uint64_t bytes = 0;
@@ -110,7 +116,8 @@ static int check_recording(struct mo_jobs *jobs, const struct mo_submission *sub
   }
   if (bytes > jobs->config.max_recorded_bytes)
     return mo_fail(message, MO_ERR_LIMIT,
-                   "the recordings would take %llu bytes, the limit is %llu: record less, or with a larger stride",
+                   "the recordings would take %llu bytes, the limit is %llu: record less, or with "
+                   "a larger stride",
                    (unsigned long long)bytes, (unsigned long long)jobs->config.max_recorded_bytes);
   return MO_OK;
 }
@@ -120,10 +127,12 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *me
   int error = MO_OK;
   pthread_mutex_lock(&jobs->admission_mutex);
   if (jobs->open_jobs >= jobs->config.max_open_jobs)
-    error =
-        mo_fail(message, MO_ERR_BUSY, "%llu jobs are open, which is the limit", (unsigned long long)jobs->open_jobs);
-  else if (jobs->open_rollouts > 0 && jobs->open_rollouts + rollouts > jobs->config.max_open_rollouts)
-    error = mo_fail(message, MO_ERR_BUSY, "%llu rollouts are waiting; %llu more would pass the limit of %llu",
+    error = mo_fail(message, MO_ERR_BUSY, "%llu jobs are open, which is the limit",
+                    (unsigned long long)jobs->open_jobs);
+  else if (jobs->open_rollouts > 0 &&
+           jobs->open_rollouts + rollouts > jobs->config.max_open_rollouts)
+    error = mo_fail(message, MO_ERR_BUSY,
+                    "%llu rollouts are waiting; %llu more would pass the limit of %llu",
                     (unsigned long long)jobs->open_rollouts, (unsigned long long)rollouts,
                     (unsigned long long)jobs->config.max_open_rollouts);
   if (error == MO_OK) {
@@ -137,16 +146,19 @@ int mo_jobs_admit(struct mo_jobs *jobs, uint64_t rollouts, struct mo_message *me
 int mo_submission_explain(int error, const char *controller, struct mo_message *message)
 {
   switch (error) {
-  case MO_ERR_NOT_FOUND: return mo_fail(message, error, "there is no controller \"%.80s\"", controller);
-  case MO_ERR_CONFLICT: return mo_fail(message, error, "the idempotency key was used with another request");
-  case MO_ERR_UNSUPPORTED: return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
+  case MO_ERR_NOT_FOUND:
+    return mo_fail(message, error, "there is no controller \"%.80s\"", controller);
+  case MO_ERR_CONFLICT:
+    return mo_fail(message, error, "the idempotency key was used with another request");
+  case MO_ERR_UNSUPPORTED:
+    return mo_fail(message, error, "controller \"%.80s\" is for another workspace", controller);
   case MO_ERR_NO_SPACE: return mo_fail(message, error, "the disk of the state folder is full");
   default: return mo_fail(message, error, "the job could not be stored: %s", mo_error_text(error));
   }
 }
 
-static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *submission, int64_t *id, bool *replayed,
-                           struct mo_message *message)
+static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *submission,
+                           int64_t *id, bool *replayed, struct mo_message *message)
 {
   uint64_t rollouts = (uint64_t)submission->n_designs * submission->n_environments;
   int error = mo_jobs_admit(jobs, rollouts, message);
@@ -175,17 +187,19 @@ static int choose(const struct mo_jobs *jobs, const struct mo_evaluation_request
   return mo_back_end_choose(jobs, request->back_end,
                             submission->priority == MO_BATCH && request->precision == MO_FLOAT32 &&
                                 !request->record_com && !request->record_masses,
-                            n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end, message);
+                            n >= MO_DEVICE_ROLLOUTS_MIN && !request->verify, &submission->back_end,
+                            message);
 }
 
-int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request, int64_t *id,
-                              bool *replayed, struct mo_message *message)
+int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
+                              int64_t *id, bool *replayed, struct mo_message *message)
 {
   struct mo_submission submission = {.n_designs = request->n_designs,
                                      .environment_set = request->environment_set,
                                      .environments = request->environments,
                                      .n_environments = request->n_environments,
-                                     .controller = request->controller != NULL ? request->controller : "default",
+                                     .controller = request->controller != NULL ? request->controller
+                                                                               : "default",
                                      .physics = request->physics,
                                      .precision = request->precision,
                                      .weight = request->weight,
@@ -211,9 +225,11 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
       return error == MO_OK ? MO_OK : mo_submission_explain(error, submission.controller, message);
   }
   if (request->environment_set != NULL) {
-    error = mo_store_environment_set_size(jobs->store, request->environment_set, &submission.n_environments);
+    error = mo_store_environment_set_size(jobs->store, request->environment_set,
+                                          &submission.n_environments);
     if (error != MO_OK)
-      return mo_fail(message, error, "there is no set of environments \"%.64s\"", request->environment_set);
+      return mo_fail(message, error, "there is no set of environments \"%.64s\"",
+                     request->environment_set);
   }
   if (request->record_com || request->record_masses)
     submission.record_stride = request->record_stride;

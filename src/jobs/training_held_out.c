@@ -1,7 +1,8 @@
 /* training_held_out.c: what a training is validated on, and its score.
  *
- * The score of a design is its mean loss over the environments, as everywhere; the mean over designs leaves out those of which a
- * rollout diverged, and counts them. Sums run in the order of designs and environments: the same bits for any number of workers. */
+ * The score of a design is its mean loss over the environments, as everywhere; the mean over
+ * designs leaves out those of which a rollout diverged, and counts them. Sums run in the order of
+ * designs and environments: the same bits for any number of workers. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,7 +21,8 @@ void mo_held_out_free(struct mo_held_out *held_out)
   memset(held_out, 0, sizeof(*held_out));
 }
 
-int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status, struct mo_held_out *held_out)
+int mo_held_out_load(struct mo_store *store, const struct mo_training_status *status,
+                     struct mo_held_out *held_out)
 {
   const struct mo_training_settings *settings = &status->record.settings;
   uint32_t n = 0;
@@ -34,12 +36,13 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
       held_out->n_designs = n;
   } else {
     held_out->genotypes = calloc((size_t)held_out->n_designs + 1, sizeof(*held_out->genotypes));
-    error = held_out->genotypes == NULL
-                ? MO_ERR_NO_MEMORY
-                : mo_held_out_designs(settings->seed, held_out->n_designs, held_out->genotypes[0].words);
+    error = held_out->genotypes == NULL ? MO_ERR_NO_MEMORY
+                                        : mo_held_out_designs(settings->seed, held_out->n_designs,
+                                                              held_out->genotypes[0].words);
   }
   if (error == MO_OK) {
-    held_out->environments = calloc((size_t)held_out->n_environments + 1, sizeof(*held_out->environments));
+    held_out->environments =
+        calloc((size_t)held_out->n_environments + 1, sizeof(*held_out->environments));
     if (held_out->environments == NULL)
       error = MO_ERR_NO_MEMORY;
     else
@@ -80,7 +83,8 @@ static void end_design(struct tally *tally, uint32_t n_environments)
   tally->diverged = false;
 }
 
-static void take(struct tally *tally, const struct mo_block *block, struct mo_training_validation_row *row)
+static void take(struct tally *tally, const struct mo_block *block,
+                 struct mo_training_validation_row *row)
 {
   for (uint32_t i = 0; i < block->n_environments; i++) {
     bool diverged = block->outcomes[i].diverged_step != 0 || !isfinite(block->outcomes[i].loss);
@@ -91,10 +95,10 @@ static void take(struct tally *tally, const struct mo_block *block, struct mo_tr
   }
 }
 
-int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, const struct mo_controller *controller,
-                      const struct mo_physics *physics, enum mo_back_end back_end, int64_t tag,
-                      struct mo_compute_share *share, const volatile int *cancel,
-                      struct mo_training_validation_row *row)
+int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out,
+                      const struct mo_controller *controller, const struct mo_physics *physics,
+                      enum mo_back_end back_end, int64_t tag, struct mo_compute_share *share,
+                      const volatile int *cancel, struct mo_training_validation_row *row)
 {
   uint32_t per_design = (held_out->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   size_t total = (size_t)per_design * held_out->n_designs;
@@ -102,7 +106,8 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out, 
   struct mo_compute_controller *ready = NULL;
   struct mo_block *blocks = calloc(at_once, sizeof(*blocks));
   struct tally tally = {0};
-  int error = blocks == NULL ? MO_ERR_NO_MEMORY : mo_compute_controller_create(jobs->compute, controller, &ready);
+  int error = blocks == NULL ? MO_ERR_NO_MEMORY
+                             : mo_compute_controller_create(jobs->compute, controller, &ready);
   row->rollouts = row->diverged = 0;
   for (size_t first = 0; first < total && error == MO_OK; first += at_once) {
     size_t n = total - first < at_once ? total - first : at_once;

@@ -1,12 +1,14 @@
-/* training_run.c: one training, from where it stands to its end or until somebody wants something else.
+/* training_run.c: one training, from where it stands to its end or until somebody wants something
+ * else.
  *
- * A step: draw its robots, wait for their gradient, apply it. Rows of steps are written about once a second and before every
- * checkpoint. A checkpoint is written when it is due, at a pause, at a stop, and at the end, before the controller; on devices while
- * the next gradient is computed. What a crash costs is the time since the last checkpoint: the steps from there are run again and give the
- * same numbers.
+ * A step: draw its robots, wait for their gradient, apply it. Rows of steps are written about once
+ * a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at a
+ * stop, and at the end, before the controller; on devices while the next gradient is computed. What
+ * a crash costs is the time since the last checkpoint: the steps from there are run again and give
+ * the same numbers.
  *
- * Want of room is waited for: the run tries again every second until it succeeds or a wish comes. A stop does not wait: the next
- * start goes on from the last checkpoint. */
+ * Want of room is waited for: the run tries again every second until it succeeds or a wish comes. A
+ * stop does not wait: the next start goes on from the last checkpoint. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -71,15 +73,18 @@ static int write_rows(void *context)
 {
   struct run *run = context;
   const struct mo_training_report *report = &run->rows[run->n_rows - 1].report;
-  const struct mo_training_live *live = &run->attempt.runner->live.training; /* which this thread alone changes */
+  const struct mo_training_live *live =
+      &run->attempt.runner->live.training; /* which this thread alone changes */
   char data[480], loss[32], norm[32], rate[32], clipped[32], speed[32], left[32];
   int error;
-  snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"step\":%u,\"steps\":%u,\"mean_loss\":%s,\"gradient_norm\":%s,\"rate\":%s,"
-           "\"clipped_share\":%s,\"bodies_per_s\":%s,\"seconds_left\":%s}",
-           (long long)run->id, (unsigned)report->step, (unsigned)run->status.record.settings.n_steps,
-           number(report->mean_loss, loss), number(report->gradient_norm, norm), number(report->rate, rate),
-           number(report->clipped_share, clipped), number(live->robots_per_s, speed), number(live->seconds_left, left));
+  snprintf(
+      data, sizeof(data),
+      "{\"id\":\"%lld\",\"step\":%u,\"steps\":%u,\"mean_loss\":%s,\"gradient_norm\":%s,\"rate\":%s,"
+      "\"clipped_share\":%s,\"bodies_per_s\":%s,\"seconds_left\":%s}",
+      (long long)run->id, (unsigned)report->step, (unsigned)run->status.record.settings.n_steps,
+      number(report->mean_loss, loss), number(report->gradient_norm, norm),
+      number(report->rate, rate), number(report->clipped_share, clipped),
+      number(live->robots_per_s, speed), number(live->seconds_left, left));
   error = mo_store_training_progress(run->jobs->store, run->id, run->rows, run->n_rows, NULL, data);
   if (error == MO_OK) {
     run->n_rows = 0;
@@ -90,7 +95,8 @@ static int write_rows(void *context)
 
 static int flush(struct run *run)
 {
-  return run->n_rows > 0 ? mo_attempt_persist(&run->attempt, write_rows, run, "the learning curve") : MO_OK;
+  return run->n_rows > 0 ? mo_attempt_persist(&run->attempt, write_rows, run, "the learning curve")
+                         : MO_OK;
 }
 
 static int write_checkpoint(void *context)
@@ -101,8 +107,8 @@ static int write_checkpoint(void *context)
   uint32_t step = mo_training_step(run->learner.training);
   int error = mo_training_encode(run->learner.training, &bytes, &size);
   if (error == MO_OK)
-    error =
-        mo_store_training_checkpoint(run->jobs->store, run->id, step, bytes, size, run->status.record.checkpoints_kept);
+    error = mo_store_training_checkpoint(run->jobs->store, run->id, step, bytes, size,
+                                         run->status.record.checkpoints_kept);
   free(bytes);
   if (error == MO_OK) {
     run->checkpoint_step = step;
@@ -120,7 +126,8 @@ static int save(struct run *run)
   if (error != MO_OK || mo_training_step(run->learner.training) == run->checkpoint_step)
     return error;
   phase = enter(run, MO_TRAINING_SAVE);
-  snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)mo_training_step(run->learner.training));
+  snprintf(what, sizeof(what), "the checkpoint of step %u",
+           (unsigned)mo_training_step(run->learner.training));
   error = mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
   (void)set_phase(&run->attempt, phase, "");
   return error;
@@ -132,7 +139,8 @@ static int save(struct run *run)
 static int load_checkpoint(struct run *run)
 {
   struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
-  int64_t n = mo_store_training_checkpoints(run->jobs->store, run->id, rows, MO_CHECKPOINTS_KEPT_MAX);
+  int64_t n =
+      mo_store_training_checkpoints(run->jobs->store, run->id, rows, MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0)
     return (int)n;
   for (int64_t i = 0; i < n; i++) {
@@ -140,7 +148,8 @@ static int load_checkpoint(struct run *run)
     uint8_t *bytes = NULL;
     size_t size = 0;
     char text[256];
-    int error = mo_store_training_checkpoint_bytes(run->jobs->store, run->id, rows[i].step, &bytes, &size);
+    int error =
+        mo_store_training_checkpoint_bytes(run->jobs->store, run->id, rows[i].step, &bytes, &size);
     if (error == MO_OK)
       error = mo_training_decode(bytes, size, &run->learner.training, &message);
     free(bytes);
@@ -148,8 +157,8 @@ static int load_checkpoint(struct run *run)
       run->checkpoint_step = mo_training_step(run->learner.training);
     if (error != MO_ERR_CORRUPT && error != MO_ERR_FORMAT && error != MO_ERR_IO)
       return error;
-    snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s", (unsigned)rows[i].step,
-             error == MO_ERR_IO ? "it cannot be read" : message.text,
+    snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
+             (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
              i + 1 < n ? "the one before it is taken" : "the training begins anew");
     mo_attempt_warn(&run->attempt, error, text);
   }
@@ -177,10 +186,12 @@ static int begin_anew(struct run *run)
   if (error == MO_OK && record->n_designs > 0)
     error = mo_store_training_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
-    error = mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL, n,
-                               &run->learner.training, &message);
+    error =
+        mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL,
+                           n, &run->learner.training, &message);
   if (error != MO_OK && run->attempt.text[0] == '\0' && message.text[0] != '\0')
-    snprintf(run->attempt.text, sizeof(run->attempt.text), "the training cannot be prepared: %.200s", message.text);
+    snprintf(run->attempt.text, sizeof(run->attempt.text),
+             "the training cannot be prepared: %.200s", message.text);
   free(genotypes);
   mo_controller_free(parent);
   return error;
@@ -228,7 +239,8 @@ static void note_speed(struct run *run, double seconds)
   }
   pthread_mutex_lock(&run->attempt.runner->runners->mutex);
   run->attempt.runner->live.training.step = mo_training_step(run->learner.training);
-  run->attempt.runner->live.training.robots_per_s = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
+  run->attempt.runner->live.training.robots_per_s =
+      sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* With what lies between steps: validations, checkpoints. */
   run->attempt.runner->live.training.seconds_left =
       left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
@@ -238,8 +250,8 @@ static void note_speed(struct run *run, double seconds)
 static int draw(struct run *run, const struct mo_robot **robots)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
-  bool replays =
-      settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && mo_training_step(run->learner.training) > 0;
+  bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 &&
+                 mo_training_step(run->learner.training) > 0;
   int error;
   if (replays) {
     pthread_mutex_lock(&run->attempt.runner->runners->mutex);
@@ -248,13 +260,14 @@ static int draw(struct run *run, const struct mo_robot **robots)
     pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
     (void)enter(run, MO_TRAINING_REPLAY);
   }
-  error =
-      mo_training_draw(run->learner.training, &run->attempt.runner->interrupt, &run->attempt.runner->replayed, robots);
+  error = mo_training_draw(run->learner.training, &run->attempt.runner->interrupt,
+                           &run->attempt.runner->replayed, robots);
   if (replays)
     (void)enter(run, MO_TRAINING_LEARN);
   if (error == MO_ERR_CORRUPT)
-    return mo_attempt_fail(&run->attempt, error,
-                           "its bodies were drawn by another version of the program: they cannot be drawn again");
+    return mo_attempt_fail(
+        &run->attempt, error,
+        "its bodies were drawn by another version of the program: they cannot be drawn again");
   if (error == MO_ERR_EXHAUSTED)
     return mo_attempt_fail(&run->attempt, error, "no new bodies are left to learn from");
   return error;
@@ -267,12 +280,12 @@ static int write_code(void *context)
   const char *fingerprint = run->learner.batch.computed_on == MO_ON_DEVICE
                                 ? mo_compute_device_gradient_fingerprint(compute)
                                 : mo_compute_gradient_fingerprint(compute);
-  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training), fingerprint,
-                                &run->status.code);
+  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training),
+                                fingerprint, &run->status.code);
 }
 
-/* Other code gives other bits: it goes on, but says so, before the step is applied. Also when workers compute what a device does not
- * support. */
+/* Other code gives other bits: it goes on, but says so, before the step is applied. Also when
+ * workers compute what a device does not support. */
 static int note_code(struct run *run)
 {
   int error;
@@ -340,23 +353,27 @@ static int step(struct run *run)
 static int write_validation(void *context)
 {
   struct run *run = context;
-  return mo_store_training_progress(run->jobs->store, run->id, NULL, 0, &run->status.validation, NULL);
+  return mo_store_training_progress(run->jobs->store, run->id, NULL, 0, &run->status.validation,
+                                    NULL);
 }
 
 static int validate(struct run *run)
 {
-  uint32_t every = run->status.record.validate_every_steps, here = mo_training_step(run->learner.training);
+  uint32_t every = run->status.record.validate_every_steps,
+           here = mo_training_step(run->learner.training);
   int error;
-  if (every == 0 || (here % every != 0 && here != run->status.record.settings.n_steps) || here <= run->validated)
+  if (every == 0 || (here % every != 0 && here != run->status.record.settings.n_steps) ||
+      here <= run->validated)
     return MO_OK;
   error = flush(run);
   if (error != MO_OK)
     return error;
   (void)enter(run, MO_TRAINING_VALIDATE);
   run->status.validation.step = here;
-  error = mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->learner.training),
-                            &run->status.record.settings.physics, run->status.job.back_end, run->id, run->share,
-                            &run->attempt.runner->interrupt, &run->status.validation);
+  error =
+      mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->learner.training),
+                        &run->status.record.settings.physics, run->status.job.back_end, run->id,
+                        run->share, &run->attempt.runner->interrupt, &run->status.validation);
   if (error == MO_OK)
     error = mo_attempt_persist(&run->attempt, write_validation, run, "a validation");
   (void)enter(run, MO_TRAINING_LEARN);
@@ -384,7 +401,8 @@ static int write_result(void *context)
   else
     snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
   error = mo_training_export(run->learner.training, record->has_parent ? digits : NULL,
-                             run->jobs->code_versions[run->status.job.back_end], &run->status.code, &controller);
+                             run->jobs->code_versions[run->status.job.back_end], &run->status.code,
+                             &controller);
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)
@@ -402,7 +420,8 @@ static int learn(struct run *run)
     if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
     error = validate(run);
-    if (error != MO_OK || mo_training_step(run->learner.training) == run->status.record.settings.n_steps)
+    if (error != MO_OK ||
+        mo_training_step(run->learner.training) == run->status.record.settings.n_steps)
       break;
     error = step(run);
   }

@@ -15,9 +15,10 @@ static int check_kind(const struct mo_training_request *request, struct mo_messa
   }
   if (request->population != 0 && record->n_designs > 0)
     return mo_fail(message, MO_ERR_INVALID, "a finetuning takes designs or a population, not both");
-  if (request->population == 0 && (record->n_designs < 1 || record->n_designs > MO_TRAINING_DESIGNS_MAX))
-    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u", MO_TRAINING_DESIGNS_MAX,
-                   (unsigned)record->n_designs);
+  if (request->population == 0 &&
+      (record->n_designs < 1 || record->n_designs > MO_TRAINING_DESIGNS_MAX))
+    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u",
+                   MO_TRAINING_DESIGNS_MAX, (unsigned)record->n_designs);
   return MO_OK;
 }
 
@@ -30,23 +31,28 @@ static int check_request(const struct mo_training_request *request, struct mo_me
   if (error != MO_OK)
     return error;
   if (record->name[0] != '\0' && mo_controller_name_check(record->name) != MO_OK)
-    return mo_fail(message, MO_ERR_INVALID, "\"%.64s\" is not a name of a controller", record->name);
+    return mo_fail(message, MO_ERR_INVALID, "\"%.64s\" is not a name of a controller",
+                   record->name);
   if (record->checkpoints_kept < 1 || record->checkpoints_kept > MO_CHECKPOINTS_KEPT_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "1 to %d checkpoints can be kept, not %u", MO_CHECKPOINTS_KEPT_MAX,
-                   (unsigned)record->checkpoints_kept);
+    return mo_fail(message, MO_ERR_RANGE, "1 to %d checkpoints can be kept, not %u",
+                   MO_CHECKPOINTS_KEPT_MAX, (unsigned)record->checkpoints_kept);
   if (record->validate_every_steps > 0 &&
       (record->settings.held_out_designs == 0 || record->settings.held_out_environments == 0))
-    return mo_fail(message, MO_ERR_INVALID, "a validation needs at least one design and one environment");
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a validation needs at least one design and one environment");
   if (request->priority != MO_BATCH && request->priority != MO_INTERACTIVE)
     return mo_fail(message, MO_ERR_INVALID, "no such priority");
   error = mo_weight_check(request->weight, message);
-  return error != MO_OK ? error : mo_submission_check_texts(request->label, request->idempotency_key, message);
+  return error != MO_OK
+             ? error
+             : mo_submission_check_texts(request->label, request->idempotency_key, message);
 }
 
-static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request, struct mo_bits **genotypes,
-                           uint32_t *n, struct mo_message *message)
+static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request,
+                           struct mo_bits **genotypes, uint32_t *n, struct mo_message *message)
 {
-  int error = mo_store_population(jobs->store, request->population, request->population_best, genotypes, n);
+  int error =
+      mo_store_population(jobs->store, request->population, request->population_best, genotypes, n);
   switch (error) {
   case MO_OK:
     if (*n > 0)
@@ -56,17 +62,19 @@ static int load_population(struct mo_jobs *jobs, const struct mo_training_reques
     return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld has diverged",
                    (long long)request->population);
   case MO_ERR_NOT_FOUND:
-    return mo_fail(message, error, "there is no population %lld: an evaluation or a campaign is expected",
+    return mo_fail(message, error,
+                   "there is no population %lld: an evaluation or a campaign is expected",
                    (long long)request->population);
   case MO_ERR_CONFLICT:
     return mo_fail(message, error, "population %lld has not succeeded, or has no generation yet",
                    (long long)request->population);
-  default: return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
+  default:
+    return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
   }
 }
 
-static int admit_and_store(struct mo_jobs *jobs, const struct mo_training_submission *submission, int64_t *id,
-                           bool *replayed, struct mo_message *message)
+static int admit_and_store(struct mo_jobs *jobs, const struct mo_training_submission *submission,
+                           int64_t *id, bool *replayed, struct mo_message *message)
 {
   int error = mo_jobs_admit(jobs, 0, message);
   if (error != MO_OK)
@@ -83,8 +91,8 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_training_submis
   return MO_OK;
 }
 
-int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request, int64_t *id,
-                            bool *replayed, struct mo_message *message)
+int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
+                            int64_t *id, bool *replayed, struct mo_message *message)
 {
   struct mo_training_submission submission = {.record = request->record,
                                               .parent = request->parent,
@@ -121,7 +129,8 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   }
   if (n > MO_TRAINING_DESIGNS_MAX) { /* a campaign's */
     free(population);
-    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
+    return mo_fail(message, MO_ERR_RANGE,
+                   "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
                    MO_TRAINING_DESIGNS_MAX, (unsigned)n);
   }
   submission.record.n_designs = n;
@@ -131,7 +140,8 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   if (forms == NULL || genotypes == NULL)
     error = mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
   else
-    error = mo_designs_place(population != NULL ? population : request->genotypes, n, forms, genotypes, message);
+    error = mo_designs_place(population != NULL ? population : request->genotypes, n, forms,
+                             genotypes, message);
   submission.forms = forms;
   submission.genotypes = genotypes;
   if (error == MO_OK)

@@ -5,7 +5,8 @@
 
 const char *mo_training_phase_name(enum mo_training_phase phase)
 {
-  static const char *const names[] = {"idle", "replaying", "learning", "validating", "saving", "waiting"};
+  static const char *const names[] = {"idle",       "replaying", "learning",
+                                      "validating", "saving",    "waiting"};
   return (unsigned)phase < sizeof(names) / sizeof(names[0]) ? names[phase] : "unknown";
 }
 

@@ -1,9 +1,11 @@
 /* adam.c: Adam (Kingma & Ba, ICLR 2015) with float64 moments and float32 weights.
  *
- *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²,  w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t)) + ε)
+ *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²,  w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t))
+ * + ε)
  *
- * Only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, or summed in the order of the elements: equal bits on
- * every machine, on any number of threads. An update is computed twice, first to see that all of it is finite, so that it happens whole or not at all. */
+ * Only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, or summed in the
+ * order of the elements: equal bits on every machine, on any number of threads. An update is
+ * computed twice, first to see that all of it is finite, so that it happens whole or not at all. */
 #include "learning/internal.h"
 
 #include "base/parallel.h"
@@ -12,7 +14,8 @@
 #include <stdatomic.h>
 #include <string.h>
 
-void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings, uint32_t updates)
+void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings,
+                   uint32_t updates)
 {
   adam->beta1_power = 1.0;
   adam->beta2_power = 1.0;
@@ -67,14 +70,15 @@ struct element {
   double first, second, weight;
 };
 
-static inline struct element updated(const struct constants *c, double first, double second, double weight,
-                                     double gradient)
+static inline struct element updated(const struct constants *c, double first, double second,
+                                     double weight, double gradient)
 {
   const double g = gradient * c->scale;
   struct element e;
   e.first = c->beta1 * first + (1.0 - c->beta1) * g;
   e.second = c->beta2 * second + (1.0 - c->beta2) * (g * g);
-  e.weight = weight - c->rate * (e.first / c->correct1) / (sqrt(e.second / c->correct2) + c->epsilon);
+  e.weight =
+      weight - c->rate * (e.first / c->correct1) / (sqrt(e.second / c->correct2) + c->epsilon);
   return e;
 }
 
@@ -84,7 +88,8 @@ static void look(void *context, size_t from, size_t end)
   const struct constants c = u->c;
   bool finite = true;
   for (size_t i = from; i < end; i++) {
-    const struct element e = updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
+    const struct element e =
+        updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
     finite &= isfinite(e.first) && isfinite(e.second) && isfinite(e.weight);
   }
   if (!finite)
@@ -97,7 +102,8 @@ static void move(void *context, size_t from, size_t end)
   const struct constants c = u->c;
   unsigned bounded = 0;
   for (size_t i = from; i < end; i++) {
-    struct element e = updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
+    struct element e =
+        updated(&c, u->adam->first[i], u->adam->second[i], u->weights[i], u->gradient[i]);
     if (fabs(e.weight) > (double)MO_WEIGHT_LIMIT) {
       e.weight = copysign((double)MO_WEIGHT_LIMIT, e.weight);
       bounded++;
@@ -109,16 +115,17 @@ static void move(void *context, size_t from, size_t end)
   atomic_fetch_add(&u->bounded, bounded);
 }
 
-bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
-                    const double *gradient, float *weights, size_t n, uint32_t n_threads, uint32_t *bounded)
+bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate,
+                    double scale, const double *gradient, float *weights, size_t n,
+                    uint32_t n_threads, uint32_t *bounded)
 {
   const double power1 = adam->beta1_power * settings->beta1;
   const double power2 = adam->beta2_power * settings->beta2;
-  struct update update = {
-      .adam = adam,
-      .gradient = gradient,
-      .weights = weights,
-      .c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate, 1.0 - power1, 1.0 - power2}};
+  struct update update = {.adam = adam,
+                          .gradient = gradient,
+                          .weights = weights,
+                          .c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate,
+                                1.0 - power1, 1.0 - power2}};
   mo_parallel(n_threads, n, look, &update);
   if (atomic_load(&update.is_infinite))
     return false;

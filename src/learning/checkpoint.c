@@ -1,11 +1,12 @@
 /* checkpoint.c: a training as bytes.
  *
- * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the order of header() below, then
- * designs (24 bytes each), weights (float32), first and second moments (float64 each), and a CRC-64 of everything before it. The
- * same list of fields is written and read by one function. Version 1, which is still read, has neither rule of the adjoint
- * nor weight of what begins anew: it clips, with the usual weight.
- * Nothing is trusted when it is read: sizes must agree to the byte, settings pass the checks of a new training, and numbers are
- * finite. */
+ * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the
+ * order of header() below, then designs (24 bytes each), weights (float32), first and second
+ * moments (float64 each), and a CRC-64 of everything before it. The same list of fields is written
+ * and read by one function. Version 1, which is still read, has neither rule of the adjoint nor
+ * weight of what begins anew: it clips, with the usual weight. Nothing is trusted when it is read:
+ * sizes must agree to the byte, settings pass the checks of a new training, and numbers are finite.
+ */
 #include "learning/internal.h"
 
 #include "base/file.h"
@@ -95,7 +96,8 @@ static void physics_fields(struct codec *codec, struct mo_physics *physics)
   field_u32(codec, &physics->bisections);
 }
 
-static void header(struct codec *codec, struct mo_training_settings *settings, struct counters *counters)
+static void header(struct codec *codec, struct mo_training_settings *settings,
+                   struct counters *counters)
 {
   field_u32(codec, &counters->version);
   settings->kind = (enum mo_training_kind)field_kind(codec, (int)settings->kind);
@@ -125,7 +127,8 @@ static void header(struct codec *codec, struct mo_training_settings *settings, s
 
 static size_t body_bytes(uint64_t n_designs, uint64_t n_parameters)
 {
-  return n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) + n_parameters * (sizeof(float) + 2 * sizeof(double));
+  return n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) +
+         n_parameters * (sizeof(float) + 2 * sizeof(double));
 }
 
 /* The arrays that follow the header, to be read or written in this order. */
@@ -133,7 +136,8 @@ static void body(struct codec *codec, struct mo_training *training)
 {
   const size_t n = training->controller->n_parameters;
   if (training->n_designs > 0)
-    field(codec, training->designs, (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t));
+    field(codec, training->designs,
+          (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t));
   field(codec, training->controller->parameters, n * sizeof(float));
   field(codec, training->adam.first, n * sizeof(double));
   field(codec, training->adam.second, n * sizeof(double));
@@ -152,7 +156,8 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
                              .draws = training->draws};
   struct counters counters = {VERSION,        copy.step,  copy.skipped,
                               copy.n_designs, copy.draws, copy.controller->n_parameters};
-  const size_t all = sizeof(magic) + HEADER_BYTES + body_bytes(counters.n_designs, counters.n_parameters) + SUM_BYTES;
+  const size_t all = sizeof(magic) + HEADER_BYTES +
+                     body_bytes(counters.n_designs, counters.n_parameters) + SUM_BYTES;
   struct codec codec = {.to = malloc(all)};
   if (codec.to == NULL)
     return MO_ERR_NO_MEMORY;
@@ -172,12 +177,13 @@ static int damaged(struct mo_message *message, const char *what)
   return mo_fail(message, MO_ERR_FORMAT, "the checkpoint is damaged: %s", what);
 }
 
-static int check_header(const struct mo_training_settings *settings, const struct counters *counters,
-                        struct mo_message *message)
+static int check_header(const struct mo_training_settings *settings,
+                        const struct counters *counters, struct mo_message *message)
 {
   struct mo_message why = {""};
   if (mo_training_settings_check(settings, &why) != MO_OK)
-    return mo_fail(message, MO_ERR_FORMAT, "the checkpoint's settings are not acceptable: %.180s", why.text);
+    return mo_fail(message, MO_ERR_FORMAT, "the checkpoint's settings are not acceptable: %.180s",
+                   why.text);
   if (counters->step > settings->n_steps || counters->skipped > counters->step)
     return damaged(message, "it has more steps than its training");
   const bool finetune = settings->kind == MO_TRAINING_FINETUNE;
@@ -194,7 +200,8 @@ static int check_values(const struct mo_training *training, struct mo_message *m
   for (size_t i = 0; i < training->controller->n_parameters; i++) {
     if (!(fabsf(training->controller->parameters[i]) <= MO_WEIGHT_LIMIT))
       return damaged(message, "a weight is not finite or beyond its limit");
-    if (!isfinite(training->adam.first[i]) || !isfinite(training->adam.second[i]) || training->adam.second[i] < 0.0)
+    if (!isfinite(training->adam.first[i]) || !isfinite(training->adam.second[i]) ||
+        training->adam.second[i] < 0.0)
       return damaged(message, "a moment is not finite, or a second moment is negative");
   }
   struct mo_message why = {""};
@@ -233,7 +240,8 @@ static int read_arrays(struct codec *codec, const struct mo_training_settings *s
   return MO_OK;
 }
 
-int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training, struct mo_message *message)
+int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
+                       struct mo_message *message)
 {
   if (size < sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training");
@@ -243,7 +251,8 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   memcpy(&version, bytes + sizeof(magic), sizeof(version));
   if (version < 1 || version > VERSION)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the checkpoint is of version %" PRIu32 "; this program reads versions 1 to %d", version, VERSION);
+                   "the checkpoint is of version %" PRIu32 "; this program reads versions 1 to %d",
+                   version, VERSION);
   if (version == VERSION && size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
     return damaged(message, "it is too short");
   uint64_t sum;
@@ -251,14 +260,16 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP, .restart_weight = MO_RESTART_WEIGHT};
+  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP,
+                                          .restart_weight = MO_RESTART_WEIGHT};
   struct counters counters = {0};
   header(&codec, &settings, &counters);
   const int r = check_header(&settings, &counters, message);
   return r == MO_OK ? read_arrays(&codec, &settings, &counters, size, training, message) : r;
 }
 
-int mo_training_write(const struct mo_training *training, const char *path, struct mo_message *message)
+int mo_training_write(const struct mo_training *training, const char *path,
+                      struct mo_message *message)
 {
   uint8_t *bytes = NULL;
   size_t size = 0;
@@ -271,10 +282,12 @@ int mo_training_write(const struct mo_training *training, const char *path, stru
   return r;
 }
 
-static int read_open(int fd, uint64_t size, struct mo_training **training, struct mo_message *message)
+static int read_open(int fd, uint64_t size, struct mo_training **training,
+                     struct mo_message *message)
 {
   if (size > MO_CHECKPOINT_BYTES_MAX)
-    return mo_fail(message, MO_ERR_FORMAT, "the file has %" PRIu64 " bytes, more than any checkpoint", size);
+    return mo_fail(message, MO_ERR_FORMAT,
+                   "the file has %" PRIu64 " bytes, more than any checkpoint", size);
   uint8_t *bytes = malloc(size + 1);
   if (bytes == NULL)
     return mo_fail(message, MO_ERR_NO_MEMORY, "the checkpoint does not fit in memory");

@@ -1,4 +1,5 @@
-/* checksum.c: CRC-64 with the polynomial of ECMA-182, reflected, as in the XZ format; eight bytes at a time. */
+/* checksum.c: CRC-64 with the polynomial of ECMA-182, reflected, as in the XZ format; eight bytes
+ * at a time. */
 #include "learning/internal.h"
 
 #include <string.h>

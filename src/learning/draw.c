@@ -1,11 +1,13 @@
 /* draw.c: the robots of a step.
  *
- * Pretraining: the next bodies of the stream of the seed that are not held out. The set of bodies seen is not saved: a restored
- * training draws its earlier bodies again, about 3.5 µs each, and must arrive at the same number of draws. Finetuning: the designs
- * in turn, which go on from one step to the next. Whatever stops a draw, the next call goes on where it stopped.
+ * Pretraining: the next bodies of the stream of the seed that are not held out. The set of bodies
+ * seen is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and
+ * must arrive at the same number of draws. Finetuning: the designs in turn, which go on from one
+ * step to the next. Whatever stops a draw, the next call goes on where it stopped.
  *
- * Two hands hold robots: the current step's and, drawn ahead while that one's gradient is computed, the next one's. Bodies come out of
- * the stream one after the other; all else about a robot depends on its number alone, and is made on several threads. */
+ * Two hands hold robots: the current step's and, drawn ahead while that one's gradient is computed,
+ * the next one's. Bodies come out of the stream one after the other; all else about a robot depends
+ * on its number alone, and is made on several threads. */
 #include "learning/internal.h"
 
 #include "base/parallel.h"
@@ -32,11 +34,14 @@ static int take(struct mo_training *training, uint64_t *body)
 
 static bool is_cancelled(const struct mo_training *training, const volatile int *cancel)
 {
-  return cancel != NULL && training->taken % ASK_EVERY == 0 && __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
+  return cancel != NULL && training->taken % ASK_EVERY == 0 &&
+         __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
 }
 
-/* Draws that failed have left the stream beyond the step's beginning: what it must arrive at is checked once. */
-static int replay(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed)
+/* Draws that failed have left the stream beyond the step's beginning: what it must arrive at is
+ * checked once. */
+static int replay(struct mo_training *training, const volatile int *cancel,
+                  volatile uint64_t *replayed)
 {
   const uint64_t before = (uint64_t)training->step * training->settings.batch;
   if (training->replayed)
@@ -55,12 +60,14 @@ static int replay(struct mo_training *training, const volatile int *cancel, vola
   return MO_OK;
 }
 
-static int draw_bodies(struct mo_training *training, struct mo_hand *hand, const volatile int *cancel)
+static int draw_bodies(struct mo_training *training, struct mo_hand *hand,
+                       const volatile int *cancel)
 {
   int r = MO_OK;
   while (r == MO_OK && hand->n_drawn < training->settings.batch) {
-    r = is_cancelled(training, cancel) ? MO_ERR_CANCELLED
-                                       : take(training, hand->drawn + (size_t)MO_DEFAULT_WORDS * hand->n_drawn);
+    r = is_cancelled(training, cancel)
+            ? MO_ERR_CANCELLED
+            : take(training, hand->drawn + (size_t)MO_DEFAULT_WORDS * hand->n_drawn);
     hand->n_drawn += r == MO_OK;
   }
   hand->draws = mo_body_stream_draws(training->stream);
@@ -77,7 +84,8 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
   if (r == MO_OK && pretrain && training->stream == NULL) {
     r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, training->settings.seed, &training->stream);
     if (r == MO_OK)
-      (void)mo_body_stream_set_threads(training->stream, training->n_threads); /* slower, if it cannot */
+      (void)mo_body_stream_set_threads(training->stream,
+                                       training->n_threads); /* slower, if it cannot */
   }
   if (r < 0)
     return r;
@@ -114,8 +122,8 @@ static void make_bodies(void *context, size_t first, size_t end)
   for (size_t i = first; i < end; i++) {
     if (making->bodies[i] != NULL)
       continue;
-    const int r =
-        mo_body_create(making->training->lattice, making->genotypes + MO_DEFAULT_WORDS * i, &making->bodies[i]);
+    const int r = mo_body_create(making->training->lattice,
+                                 making->genotypes + MO_DEFAULT_WORDS * i, &making->bodies[i]);
     if (r < 0)
       atomic_store(&making->error, r);
   }
@@ -125,7 +133,8 @@ static void make_environments(void *context, size_t first, size_t end)
 {
   const struct making *making = context;
   for (size_t i = first; i < end; i++)
-    mo_environment_training(making->training->settings.seed, making->hand->step, i, &making->hand->environments[i]);
+    mo_environment_training(making->training->settings.seed, making->hand->step, i,
+                            &making->hand->environments[i]);
 }
 
 static int make_robots(struct mo_training *training, struct mo_hand *hand)
@@ -144,7 +153,8 @@ static int make_robots(struct mo_training *training, struct mo_hand *hand)
   mo_parallel(training->n_threads, settings->batch, make_environments, &making);
   const uint64_t first = (uint64_t)hand->step * settings->batch;
   for (uint32_t i = 0; i < settings->batch; i++)
-    hand->robots[i] = (struct mo_robot){making.bodies[pretrain ? i : (first + i) % n_bodies], &hand->environments[i]};
+    hand->robots[i] = (struct mo_robot){making.bodies[pretrain ? i : (first + i) % n_bodies],
+                                        &hand->environments[i]};
   hand->ready = true;
   return MO_OK;
 }
@@ -164,7 +174,8 @@ static void forget(const struct mo_training *training, struct mo_hand *hand)
   free_bodies(hand->bodies, training->settings.batch);
 }
 
-static int fill(struct mo_training *training, uint32_t step, const volatile int *cancel, volatile uint64_t *replayed)
+static int fill(struct mo_training *training, uint32_t step, const volatile int *cancel,
+                volatile uint64_t *replayed)
 {
   const bool pretrain = training->settings.kind == MO_TRAINING_PRETRAIN;
   struct mo_hand *hand = &training->hands[step % 2];
@@ -181,8 +192,8 @@ static int fill(struct mo_training *training, uint32_t step, const volatile int 
   return r == MO_OK ? make_robots(training, hand) : r;
 }
 
-int mo_training_draw(struct mo_training *training, const volatile int *cancel, volatile uint64_t *replayed,
-                     const struct mo_robot **robots)
+int mo_training_draw(struct mo_training *training, const volatile int *cancel,
+                     volatile uint64_t *replayed, const struct mo_robot **robots)
 {
   if (training->step >= training->settings.n_steps)
     return MO_ERR_CONFLICT;
@@ -196,7 +207,9 @@ int mo_training_draw_ahead(struct mo_training *training, const volatile int *can
 {
   if (mo_training_hand(training, training->step) == NULL)
     return MO_ERR_CONFLICT;
-  return training->settings.n_steps - training->step > 1 ? fill(training, training->step + 1, cancel, NULL) : MO_OK;
+  return training->settings.n_steps - training->step > 1
+             ? fill(training, training->step + 1, cancel, NULL)
+             : MO_OK;
 }
 
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step)
@@ -218,7 +231,8 @@ const struct mo_robot *mo_training_robots_ahead(struct mo_training *training)
   return hand != NULL ? hand->robots : NULL;
 }
 
-/* To free the bodies of thousands of robots takes milliseconds: where the next ones are there already, a draw ahead does it, while nobody waits. */
+/* To free the bodies of thousands of robots takes milliseconds: where the next ones are there
+ * already, a draw ahead does it, while nobody waits. */
 void mo_training_forget_robots(struct mo_training *training)
 {
   struct mo_hand *hand = &training->hands[training->step % 2];
@@ -244,7 +258,8 @@ static size_t bodies_bytes(struct mo_body *const *bodies, uint32_t n)
   for (uint32_t i = 0; bodies != NULL && i < n; i++) {
     const struct mo_body *body = bodies[i];
     bytes += sizeof(struct mo_body *);
-    if (body != NULL) /* per mass: lattice index and three coordinates; per spring: index, two ends, kind */
+    if (body !=
+        NULL) /* per mass: lattice index and three coordinates; per spring: index, two ends, kind */
       bytes += sizeof(*body) + body->n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
                body->n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
   }

@@ -1,4 +1,5 @@
-/* export.c: the controller of a training with its lineage, all of it a function of the training's state. */
+/* export.c: the controller of a training with its lineage, all of it a function of the training's
+ * state. */
 #include "learning/internal.h"
 
 #include <inttypes.h>
@@ -21,24 +22,33 @@ static void spell_settings(const struct mo_training *training, char text[SETTING
     snprintf(impact, sizeof(impact), "bisection%" PRIu32, p->bisections);
   snprintf(
       text, SETTINGS_BYTES,
-      "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32 ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
-      "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32 ",\"warmup_steps\":%" PRIu32 "},"
-      "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_bound\":%s,"
-      "\"adjoint_rule\":\"%s\",\"restart_weight\":%s,\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32 ","
-      "\"stiffness_n_per_m\":%s,\"mass_kg\":%s,\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,\"actuation\":%s,"
-      "\"friction\":%s,\"friction_cap\":%s,\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":%" PRIu32 "}",
+      "{\"steps\":%" PRIu32 ",\"batch\":%" PRIu32
+      ",\"schedule\":{\"kind\":\"%s\",\"peak\":%s,\"floor\":%s,"
+      "\"decay\":%s,\"cycle_steps\":%" PRIu32 ",\"cycle_growth\":%" PRIu32
+      ",\"warmup_steps\":%" PRIu32 "},"
+      "\"adam\":{\"beta1\":%s,\"beta2\":%s,\"epsilon\":%s},\"gradient_norm_limit\":%s,\"adjoint_"
+      "bound\":%s,"
+      "\"adjoint_rule\":\"%s\",\"restart_weight\":%s,\"physics\":{\"dt_s\":%s,\"n_steps\":%" PRIu32
+      ","
+      "\"stiffness_n_per_m\":%s,\"mass_kg\":%s,\"drag_per_s\":%s,\"gravity_m_per_s2\":%s,"
+      "\"actuation\":%s,"
+      "\"friction\":%s,\"friction_cap\":%s,\"drop_height_m\":%s,\"impact\":\"%s\"},\"designs\":"
+      "%" PRIu32 "}",
       s->n_steps, s->batch, mo_schedule_name(rate->kind), mo_number_text(rate->peak, n[0]),
-      mo_number_text(rate->floor, n[1]), mo_number_text(rate->decay, n[2]), rate->cycle_steps, rate->cycle_growth,
-      rate->warmup_steps, mo_number_text(s->beta1, n[3]), mo_number_text(s->beta2, n[4]),
-      mo_number_text(s->epsilon, n[5]), mo_number_text(s->norm_limit, n[6]), mo_number_text(s->adjoint_bound, n[7]),
-      mo_adjoint_rule_name(s->adjoint_rule), mo_number_text(s->restart_weight, n[16]), mo_number_text(p->dt_s, n[8]),
-      p->n_steps, mo_number_text(p->stiffness_n_per_m, n[9]), mo_number_text(p->mass_kg, n[10]),
-      mo_number_text(p->drag_per_s, n[11]), mo_number_text(p->gravity_m_per_s2, n[12]),
-      mo_number_text(p->actuation, n[13]), mo_number_text(p->friction, n[14]), mo_number_text(p->friction_cap, n[15]),
+      mo_number_text(rate->floor, n[1]), mo_number_text(rate->decay, n[2]), rate->cycle_steps,
+      rate->cycle_growth, rate->warmup_steps, mo_number_text(s->beta1, n[3]),
+      mo_number_text(s->beta2, n[4]), mo_number_text(s->epsilon, n[5]),
+      mo_number_text(s->norm_limit, n[6]), mo_number_text(s->adjoint_bound, n[7]),
+      mo_adjoint_rule_name(s->adjoint_rule), mo_number_text(s->restart_weight, n[16]),
+      mo_number_text(p->dt_s, n[8]), p->n_steps, mo_number_text(p->stiffness_n_per_m, n[9]),
+      mo_number_text(p->mass_kg, n[10]), mo_number_text(p->drag_per_s, n[11]),
+      mo_number_text(p->gravity_m_per_s2, n[12]), mo_number_text(p->actuation, n[13]),
+      mo_number_text(p->friction, n[14]), mo_number_text(p->friction_cap, n[15]),
       mo_number_text(p->drop_height_m, n[17]), impact, training->n_designs);
 }
 
-/* The entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON cannot hold as it is. */
+/* The entries below the training's step. MO_ERR_INVALID: a fingerprint that JSON cannot hold as it
+ * is. */
 static int spell_code(const struct mo_training *training, const struct mo_training_lineage *lineage,
                       char text[CODE_BYTES])
 {
@@ -52,7 +62,8 @@ static int spell_code(const struct mo_training *training, const struct mo_traini
     if (code->from_step >= training->step)
       break;
     const char *quote = code->fingerprint[0] != '\0' ? "\"" : "";
-    size += (size_t)snprintf(text + size, CODE_BYTES - size, "%s{\"from_step\":%" PRIu32 ",\"fingerprint\":%s%.*s%s}",
+    size += (size_t)snprintf(text + size, CODE_BYTES - size,
+                             "%s{\"from_step\":%" PRIu32 ",\"fingerprint\":%s%.*s%s}",
                              i > 0 ? "," : "", code->from_step, quote, MO_FINGERPRINT_BYTES - 1,
                              quote[0] != '\0' ? code->fingerprint : "null", quote);
   }
@@ -60,8 +71,9 @@ static int spell_code(const struct mo_training *training, const struct mo_traini
   return MO_OK;
 }
 
-int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex, const char *code_version,
-                       const struct mo_training_lineage *lineage, struct mo_controller **controller)
+int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
+                       const char *code_version, const struct mo_training_lineage *lineage,
+                       struct mo_controller **controller)
 {
   struct mo_controller *made = NULL;
   int r = mo_controller_create(MO_DEFAULT_WORKSPACE, training->settings.sensor, &made);

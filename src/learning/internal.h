@@ -15,7 +15,8 @@ struct mo_training {
   uint32_t skipped; /* of these, the ones that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
   uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */
-  uint64_t draws;    /* pretrain: of the stream, up to the current step; what a replay must arrive at */
+  uint64_t
+      draws; /* pretrain: of the stream, up to the current step; what a replay must arrive at */
 
   /* Made at the first draw; not part of a checkpoint. */
   uint32_t n_threads; /* that draw, and apply a gradient */
@@ -27,18 +28,19 @@ struct mo_training {
   struct mo_body **bodies; /* finetune: (n_bodies) of the designs, NULL where not made yet */
   struct mo_hand {
     uint32_t step;
-    uint64_t *drawn;                     /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step … */
-    uint32_t n_drawn;                    /* … so far */
-    struct mo_body **bodies;             /* pretrain: (batch), NULL where not made yet */
+    uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step … */
+    uint32_t n_drawn;        /* … so far */
+    struct mo_body **bodies; /* pretrain: (batch), NULL where not made yet */
     struct mo_environment *environments; /* (batch) */
     struct mo_robot *robots;             /* (batch) */
     uint64_t draws;                      /* pretrain: of the stream, up to the step's end */
     bool ready;                          /* robots holds the step's */
     bool stale;                          /* it has bodies that nobody needs any more */
-  } hands[2];                            /* of the current step, by its lowest bit, and of the one after it */
+  } hands[2]; /* of the current step, by its lowest bit, and of the one after it */
 };
 
-/* training.c: everything that a checkpoint holds is allocated, nothing is filled in but the settings. */
+/* training.c: everything that a checkpoint holds is allocated, nothing is filled in but the
+ * settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
 /* Placed, contiguous, not empty; where they are not, message names the design. */
@@ -47,21 +49,26 @@ int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_messa
 /* draw.c */
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
 void mo_training_forget_robots(
-    struct mo_training
-        *training); /* the current step is over: its bodies are not needed any more, and go with the next draw */
-void mo_training_forget_designs(struct mo_training *training); /* finetune: the bodies are of other designs now */
+    struct mo_training *training); /* the current step is over: its bodies are not needed any more,
+                                      and go with the next draw */
+void mo_training_forget_designs(
+    struct mo_training *training); /* finetune: the bodies are of other designs now */
 size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);
 
 /* adam.c */
-void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings, uint32_t updates); /* β^updates */
+void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings,
+                   uint32_t updates); /* β^updates */
 /* Global L2 norm, without overflow or underflow on the way; infinite or NaN if the gradient is. */
 double mo_gradient_norm(const double *gradient, size_t n);
-/* One update with gradient · scale. Returns false, and changes nothing, if any new moment or weight were not finite. */
-bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate, double scale,
-                    const double *gradient, float *weights, size_t n, uint32_t n_threads, uint32_t *bounded);
+/* One update with gradient · scale. Returns false, and changes nothing, if any new moment or weight
+ * were not finite. */
+bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate,
+                    double scale, const double *gradient, float *weights, size_t n,
+                    uint32_t n_threads, uint32_t *bounded);
 
-/* checksum.c: CRC-64/XZ: finds every error within 64 bits in a row, and others but for 1 in 2^64. */
+/* checksum.c: CRC-64/XZ: finds every error within 64 bits in a row, and others but for 1 in 2^64.
+ */
 uint64_t mo_checksum(const uint8_t *bytes, size_t n);
 
 #endif

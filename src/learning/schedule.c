@@ -1,9 +1,9 @@
-/* schedule.c: learning rates. Cosine annealing with warm restarts (Loshchilov & Hutter, ICLR 2017), of which one cosine over the
- * whole training is the case of one cycle; before it a linear warm-up.
+/* schedule.c: learning rates. Cosine annealing with warm restarts (Loshchilov & Hutter, ICLR 2017),
+ * of which one cosine over the whole training is the case of one cycle; before it a linear warm-up.
  *
- * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first is the peak, the floor
- * would be reached by the step after the last. The cosine is our own, of correctly rounded operations only, so that a rate has
- * the same bits on every machine. */
+ * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first is
+ * the peak, the floor would be reached by the step after the last. The cosine is our own, of
+ * correctly rounded operations only, so that a rate has the same bits on every machine. */
 #include <morpho/learning.h>
 
 #include <string.h>
@@ -34,8 +34,12 @@ int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind)
 
 struct mo_schedule mo_schedule_paper_pretrain(void)
 {
-  return (struct mo_schedule){
-      .kind = MO_SCHEDULE_RESTARTS, .peak = 1e-3, .floor = 1e-5, .decay = 0.7, .cycle_steps = 10, .cycle_growth = 2};
+  return (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,
+                              .peak = 1e-3,
+                              .floor = 1e-5,
+                              .decay = 0.7,
+                              .cycle_steps = 10,
+                              .cycle_growth = 2};
 }
 
 struct mo_schedule mo_schedule_paper_finetune(void)
@@ -68,8 +72,12 @@ struct mo_schedule mo_schedule_one_cosine(void)
 
 struct mo_schedule mo_schedule_finetune(void)
 {
-  return (struct mo_schedule){
-      .kind = MO_SCHEDULE_COSINE, .peak = 3e-4, .floor = 1e-6, .decay = 1.0, .cycle_steps = 100, .cycle_growth = 1};
+  return (struct mo_schedule){.kind = MO_SCHEDULE_COSINE,
+                              .peak = 3e-4,
+                              .floor = 1e-6,
+                              .decay = 1.0,
+                              .cycle_steps = 100,
+                              .cycle_growth = 1};
 }
 
 /* cos(π s/n), 0 ≤ s ≤ n, n > 0. */
@@ -110,14 +118,16 @@ double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint3
   switch (schedule->kind) {
   case MO_SCHEDULE_RESTARTS: return restarted(schedule, s);
   case MO_SCHEDULE_COSINE:
-    return step < n_steps ? annealed(schedule->peak, schedule->floor, s, (uint64_t)n_steps - schedule->warmup_steps)
+    return step < n_steps ? annealed(schedule->peak, schedule->floor, s,
+                                     (uint64_t)n_steps - schedule->warmup_steps)
                           : schedule->floor;
   case MO_SCHEDULE_CONSTANT: break;
   }
   return schedule->peak;
 }
 
-static int check_count(const char *name, uint32_t value, uint32_t low, uint32_t high, struct mo_message *message)
+static int check_count(const char *name, uint32_t value, uint32_t low, uint32_t high,
+                       struct mo_message *message)
 {
   if (value >= low && value <= high)
     return MO_OK;
@@ -127,7 +137,8 @@ static int check_count(const char *name, uint32_t value, uint32_t low, uint32_t 
 int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *message)
 {
   if ((unsigned)schedule->kind >= SCHEDULE_KIND)
-    return mo_fail(message, MO_ERR_INVALID, "schedule kind is %d; it must be 0 (restarts), 1 (cosine) or 2 (constant)",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "schedule kind is %d; it must be 0 (restarts), 1 (cosine) or 2 (constant)",
                    (int)schedule->kind);
   const struct mo_bounded rates[] = {{"peak", schedule->peak, 0.0, 1.0, true, false},
                                      {"floor", schedule->floor, 0.0, 1.0, true, false},
@@ -136,7 +147,8 @@ int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *mes
   if (r != MO_OK)
     return r;
   if (schedule->floor > schedule->peak)
-    return mo_fail(message, MO_ERR_RANGE, "floor is %s, above the peak of %s; lower the floor or raise the peak",
+    return mo_fail(message, MO_ERR_RANGE,
+                   "floor is %s, above the peak of %s; lower the floor or raise the peak",
                    MO_NUMBER(schedule->floor), MO_NUMBER(schedule->peak));
   r = check_count("cycle_steps", schedule->cycle_steps, 1, MO_TRAINING_STEPS_MAX, message);
   if (r == MO_OK)

@@ -78,7 +78,8 @@ static void set_paper(struct mo_training_settings *settings)
   settings->adjoint_bound = 0.0;
 }
 
-struct mo_training_settings mo_training_preset(enum mo_training_kind kind, enum mo_learning_preset preset)
+struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
+                                               enum mo_learning_preset preset)
 {
   struct mo_training_settings settings = mo_training_defaults(kind);
   if (preset == MO_LEARNING_PRESET_PHOTOTAXIS && kind == MO_TRAINING_PRETRAIN)
@@ -116,8 +117,8 @@ static int check_counts(const struct mo_training_settings *settings, struct mo_m
   };
   for (size_t i = 0; i < sizeof(counts) / sizeof(counts[0]); i++)
     if (counts[i].value < counts[i].low || counts[i].value > counts[i].high)
-      return mo_fail(message, MO_ERR_RANGE, "%s: %u; it must be %u to %u", counts[i].name, counts[i].value,
-                     counts[i].low, counts[i].high);
+      return mo_fail(message, MO_ERR_RANGE, "%s: %u; it must be %u to %u", counts[i].name,
+                     counts[i].value, counts[i].low, counts[i].high);
   const uint64_t bodies = (uint64_t)settings->n_steps * settings->batch;
   if (settings->kind == MO_TRAINING_PRETRAIN && bodies > MO_TRAINING_BODIES_MAX)
     return mo_fail(message, MO_ERR_RANGE,
@@ -127,16 +128,21 @@ static int check_counts(const struct mo_training_settings *settings, struct mo_m
   return MO_OK;
 }
 
-int mo_training_settings_check(const struct mo_training_settings *settings, struct mo_message *message)
+int mo_training_settings_check(const struct mo_training_settings *settings,
+                               struct mo_message *message)
 {
   if (settings->kind != MO_TRAINING_PRETRAIN && settings->kind != MO_TRAINING_FINETUNE)
-    return mo_fail(message, MO_ERR_INVALID, "kind of training is %d; it must be %d (pretrain) or %d (finetune)",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "kind of training is %d; it must be %d (pretrain) or %d (finetune)",
                    (int)settings->kind, (int)MO_TRAINING_PRETRAIN, (int)MO_TRAINING_FINETUNE);
   if (settings->sensor != MO_SENSOR_INVERSE_SQRT && settings->sensor != MO_SENSOR_INVERSE_SQUARE)
-    return mo_fail(message, MO_ERR_INVALID, "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
-                   (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT, (int)MO_SENSOR_INVERSE_SQUARE);
+    return mo_fail(message, MO_ERR_INVALID,
+                   "sensor is %d; it must be %d (inverse_sqrt) or %d (inverse_square)",
+                   (int)settings->sensor, (int)MO_SENSOR_INVERSE_SQRT,
+                   (int)MO_SENSOR_INVERSE_SQUARE);
   if (mo_adjoint_rule_name(settings->adjoint_rule)[0] == '?')
-    return mo_fail(message, MO_ERR_INVALID, "adjoint_rule is %d; it must be %d (clip) or %d (restart)",
+    return mo_fail(message, MO_ERR_INVALID,
+                   "adjoint_rule is %d; it must be %d (clip) or %d (restart)",
                    (int)settings->adjoint_rule, (int)MO_ADJOINT_CLIP, (int)MO_ADJOINT_RESTART);
   int r = check_counts(settings, message);
   if (r == MO_OK)

@@ -22,21 +22,25 @@ int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_messa
       return mo_fail(message, MO_ERR_INVALID, "design %zu is empty or not in one piece", i);
     mo_genotype_place(MO_DEFAULT_WORKSPACE, placed);
     if (memcmp(placed, design, sizeof(placed)) != 0)
-      return mo_fail(message, MO_ERR_INVALID, "design %zu is not placed in the middle of the workspace", i);
+      return mo_fail(message, MO_ERR_INVALID,
+                     "design %zu is not placed in the middle of the workspace", i);
   }
   return MO_OK;
 }
 
 static int check_parent(const struct mo_controller *parent, struct mo_message *message)
 {
-  if (parent->workspace.nx != MO_DEFAULT_WORKSPACE.nx || parent->workspace.ny != MO_DEFAULT_WORKSPACE.ny ||
+  if (parent->workspace.nx != MO_DEFAULT_WORKSPACE.nx ||
+      parent->workspace.ny != MO_DEFAULT_WORKSPACE.ny ||
       parent->workspace.nz != MO_DEFAULT_WORKSPACE.nz)
-    return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "the controller is for a workspace of %ux%ux%u voxels; trainings need one for 6x6x4",
-                   parent->workspace.nx, parent->workspace.ny, parent->workspace.nz);
+    return mo_fail(
+        message, MO_ERR_UNSUPPORTED,
+        "the controller is for a workspace of %ux%ux%u voxels; trainings need one for 6x6x4",
+        parent->workspace.nx, parent->workspace.ny, parent->workspace.nz);
   for (size_t i = 0; i < parent->n_parameters; i++)
     if (!(fabsf(parent->parameters[i]) <= MO_WEIGHT_LIMIT))
-      return mo_fail(message, MO_ERR_INVALID, "parameter %zu of the controller is not finite or beyond ±%s", i,
+      return mo_fail(message, MO_ERR_INVALID,
+                     "parameter %zu of the controller is not finite or beyond ±%s", i,
                      MO_NUMBER((double)MO_WEIGHT_LIMIT));
   return MO_OK;
 }
@@ -45,14 +49,17 @@ static int check_parent(const struct mo_controller *parent, struct mo_message *m
 static int check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
 {
   if (designs == NULL || n == 0)
-    return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on", MO_TRAINING_DESIGNS_MAX);
+    return mo_fail(message, MO_ERR_INVALID, "a finetuning needs 1 to %d designs to learn on",
+                   MO_TRAINING_DESIGNS_MAX);
   if (n > MO_TRAINING_DESIGNS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n, MO_TRAINING_DESIGNS_MAX);
+    return mo_fail(message, MO_ERR_RANGE, "%zu designs; a finetuning takes 1 to %d", n,
+                   MO_TRAINING_DESIGNS_MAX);
   return mo_training_check_designs(designs, n, message);
 }
 
-static int check_request(const struct mo_training_settings *settings, const struct mo_controller *parent,
-                         const uint64_t *designs, size_t n_designs, struct mo_message *message)
+static int check_request(const struct mo_training_settings *settings,
+                         const struct mo_controller *parent, const uint64_t *designs,
+                         size_t n_designs, struct mo_message *message)
 {
   int r = mo_training_settings_check(settings, message);
   if (r < 0)
@@ -62,15 +69,17 @@ static int check_request(const struct mo_training_settings *settings, const stru
       return mo_fail(message, MO_ERR_INVALID, "a finetuning needs a controller to start from");
     r = check_designs(designs, n_designs, message);
   } else if (designs != NULL || n_designs != 0) {
-    return mo_fail(message, MO_ERR_INVALID,
-                   "a pretraining draws its own bodies; designs are for a finetuning: leave them out");
+    return mo_fail(
+        message, MO_ERR_INVALID,
+        "a pretraining draws its own bodies; designs are for a finetuning: leave them out");
   }
   if (r == MO_OK && parent != NULL)
     r = check_parent(parent, message);
   return r;
 }
 
-int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs, struct mo_training **training)
+int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
+                         struct mo_training **training)
 {
   struct mo_training *made = calloc(1, sizeof(*made));
   if (made == NULL)
@@ -84,7 +93,8 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
     made->adam.second = calloc(made->controller->n_parameters, sizeof(double));
     if (n_designs > 0)
       made->designs = calloc(n_designs, MO_DEFAULT_WORDS * sizeof(uint64_t));
-    if (made->adam.first == NULL || made->adam.second == NULL || (n_designs > 0 && made->designs == NULL))
+    if (made->adam.first == NULL || made->adam.second == NULL ||
+        (n_designs > 0 && made->designs == NULL))
       r = MO_ERR_NO_MEMORY;
   }
   if (r < 0) {
@@ -96,9 +106,9 @@ int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n
   return MO_OK;
 }
 
-int mo_training_create(const struct mo_training_settings *settings, const struct mo_controller *parent,
-                       const uint64_t *designs, size_t n_designs, struct mo_training **training,
-                       struct mo_message *message)
+int mo_training_create(const struct mo_training_settings *settings,
+                       const struct mo_controller *parent, const uint64_t *designs,
+                       size_t n_designs, struct mo_training **training, struct mo_message *message)
 {
   int r = check_request(settings, parent, designs, n_designs, message);
   if (r < 0)
@@ -120,10 +130,12 @@ int mo_training_create(const struct mo_training_settings *settings, const struct
   return MO_OK;
 }
 
-int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n, struct mo_message *message)
+int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n,
+                            struct mo_message *message)
 {
   if (training->settings.kind != MO_TRAINING_FINETUNE)
-    return mo_fail(message, MO_ERR_CONFLICT, "a pretraining draws its own bodies; designs are for a finetuning");
+    return mo_fail(message, MO_ERR_CONFLICT,
+                   "a pretraining draws its own bodies; designs are for a finetuning");
   int r = check_designs(designs, n, message);
   if (r < 0)
     return r;
@@ -142,7 +154,8 @@ int mo_training_set_steps(struct mo_training *training, uint32_t n_steps)
 {
   const struct mo_training_settings *settings = &training->settings;
   if (n_steps < 1 || n_steps < training->step || n_steps > MO_TRAINING_STEPS_MAX ||
-      (settings->kind == MO_TRAINING_PRETRAIN && (uint64_t)n_steps * settings->batch > MO_TRAINING_BODIES_MAX))
+      (settings->kind == MO_TRAINING_PRETRAIN &&
+       (uint64_t)n_steps * settings->batch > MO_TRAINING_BODIES_MAX))
     return MO_ERR_RANGE;
   if (settings->schedule.kind == MO_SCHEDULE_COSINE && n_steps != settings->n_steps)
     return MO_ERR_UNSUPPORTED;
@@ -184,8 +197,10 @@ const struct mo_controller *mo_training_controller(const struct mo_training *tra
 
 size_t mo_training_bytes(const struct mo_training *training)
 {
-  return sizeof(*training) + training->controller->n_parameters * (sizeof(float) + 2 * sizeof(double)) +
-         (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) + mo_training_draw_bytes(training);
+  return sizeof(*training) +
+         training->controller->n_parameters * (sizeof(float) + 2 * sizeof(double)) +
+         (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) +
+         mo_training_draw_bytes(training);
 }
 
 static double share(uint64_t part, uint64_t whole)
@@ -193,7 +208,8 @@ static double share(uint64_t part, uint64_t whole)
   return whole > 0 ? (double)part / (double)whole : 0.0;
 }
 
-static struct mo_training_report report_of(const struct mo_training *training, const struct mo_outcome *outcomes,
+static struct mo_training_report report_of(const struct mo_training *training,
+                                           const struct mo_outcome *outcomes,
                                            const struct mo_gradient_counts *counts)
 {
   const struct mo_training_settings *settings = &training->settings;
@@ -215,8 +231,9 @@ static struct mo_training_report report_of(const struct mo_training *training, c
   return report;
 }
 
-int mo_training_apply(struct mo_training *training, const double *d_parameters, const struct mo_outcome *outcomes,
-                      const struct mo_gradient_counts *counts, struct mo_training_report *report)
+int mo_training_apply(struct mo_training *training, const double *d_parameters,
+                      const struct mo_outcome *outcomes, const struct mo_gradient_counts *counts,
+                      struct mo_training_report *report)
 {
   const struct mo_training_settings *settings = &training->settings;
   const struct mo_hand *hand = mo_training_hand(training, training->step);
@@ -228,8 +245,9 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters, 
   const double limit = settings->norm_limit;
   const double scale = limit > 0.0 && norm > limit ? limit / norm : 1.0;
   made.skipped = !isfinite(norm) || (uint64_t)made.diverged + made.zeroed >= settings->batch ||
-                 !mo_adam_update(&training->adam, settings, made.rate, scale, d_parameters, controller->parameters,
-                                 controller->n_parameters, training->n_threads, &made.bounded);
+                 !mo_adam_update(&training->adam, settings, made.rate, scale, d_parameters,
+                                 controller->parameters, controller->n_parameters,
+                                 training->n_threads, &made.bounded);
   made.gradient_norm = made.skipped ? 0.0 : norm;
   training->skipped += made.skipped;
   training->draws = hand->draws;

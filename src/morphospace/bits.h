@@ -1,4 +1,5 @@
-/* bits.h: bit arrays of 64-bit words, and scratch ones that live on the stack while they are small. */
+/* bits.h: bit arrays of 64-bit words, and scratch ones that live on the stack while they are small.
+ */
 #ifndef MORPHO_MORPHOSPACE_BITS_H
 #define MORPHO_MORPHOSPACE_BITS_H
 

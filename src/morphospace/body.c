@@ -1,7 +1,8 @@
 /* body.c: the masses and springs that one genotype expresses.
  *
- * Voxels mark their masses and springs in two bit arrays over the lattice; reading the marks in order gives both lists
- * ascending and without duplicates, and counting marks below a mass gives its position. One allocation holds the body. */
+ * Voxels mark their masses and springs in two bit arrays over the lattice; reading the marks in
+ * order gives both lists ascending and without duplicates, and counting marks below a mass gives
+ * its position. One allocation holds the body. */
 #include <morpho/morphospace.h>
 
 #include "base/memory.h"
@@ -52,7 +53,8 @@ struct arrays {
 
 static struct mo_body *allocate(uint32_t n_masses, uint32_t n_springs, struct arrays *arrays)
 {
-  const size_t header = (sizeof(struct mo_body) + MO_CACHE_LINE_BYTES - 1) / MO_CACHE_LINE_BYTES * MO_CACHE_LINE_BYTES;
+  const size_t header = (sizeof(struct mo_body) + MO_CACHE_LINE_BYTES - 1) / MO_CACHE_LINE_BYTES *
+                        MO_CACHE_LINE_BYTES;
   size_t bytes = header + n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
                  n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
   char *memory = mo_alloc_aligned(bytes, 1);
@@ -111,9 +113,10 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
   if (n_voxels == 0) {
     return MO_ERR_EMPTY;
   }
-  struct marks marks = {.mass_words = (lattice->n_masses + 63) / 64, .spring_words = (lattice->n_springs + 63) / 64};
-  size_t bytes =
-      ((size_t)marks.mass_words + marks.spring_words) * sizeof(uint64_t) + marks.mass_words * sizeof(uint32_t);
+  struct marks marks = {.mass_words = (lattice->n_masses + 63) / 64,
+                        .spring_words = (lattice->n_springs + 63) / 64};
+  size_t bytes = ((size_t)marks.mass_words + marks.spring_words) * sizeof(uint64_t) +
+                 marks.mass_words * sizeof(uint32_t);
   uint64_t local[256];
   uint64_t *memory = local;
   if (bytes > sizeof(local)) {
@@ -131,8 +134,8 @@ int mo_body_create(const struct mo_lattice *lattice, const uint64_t *bits, struc
 
   int code = MO_ERR_NO_MEMORY;
   struct arrays arrays;
-  struct mo_body *made =
-      allocate(mo_bits_count(marks.mass, marks.mass_words), mo_bits_count(marks.spring, marks.spring_words), &arrays);
+  struct mo_body *made = allocate(mo_bits_count(marks.mass, marks.mass_words),
+                                  mo_bits_count(marks.spring, marks.spring_words), &arrays);
   if (made != NULL) {
     made->workspace = lattice->workspace;
     made->n_voxels = n_voxels;

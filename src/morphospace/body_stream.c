@@ -1,8 +1,8 @@
 /* body_stream.c: random bodies without repetition.
  *
- * Draws and their canonical forms depend on their numbers alone, so they are made some hundred ahead, on as many threads as are
- * allowed; which of them are new is decided one after the other, in the order of their numbers. With one thread nothing is made
- * ahead. */
+ * Draws and their canonical forms depend on their numbers alone, so they are made some hundred
+ * ahead, on as many threads as are allowed; which of them are new is decided one after the other,
+ * in the order of their numbers. With one thread nothing is made ahead. */
 #include <morpho/morphospace.h>
 
 #include "base/parallel.h"
@@ -44,7 +44,8 @@ static int make_room(struct mo_body_stream *stream, size_t room)
   return MO_OK;
 }
 
-int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct mo_body_stream **stream)
+int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
+                          struct mo_body_stream **stream)
 {
   struct mo_form_set *seen = NULL;
   int code = mo_form_set_create(workspace, &seen);
@@ -56,8 +57,11 @@ int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed, struct m
     mo_form_set_free(seen);
     return MO_ERR_NO_MEMORY;
   }
-  *made = (struct mo_body_stream){
-      .workspace = workspace, .words = mo_workspace_words(workspace), .seed = seed, .seen = seen, .n_threads = 1};
+  *made = (struct mo_body_stream){.workspace = workspace,
+                                  .words = mo_workspace_words(workspace),
+                                  .seed = seed,
+                                  .seen = seen,
+                                  .n_threads = 1};
   code = make_room(made, 1);
   if (code != MO_OK) {
     mo_body_stream_free(made);
@@ -80,7 +84,9 @@ void mo_body_stream_free(struct mo_body_stream *stream)
 
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads)
 {
-  n_threads = n_threads < 1 ? 1 : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads : MO_PARALLEL_THREADS_MAX;
+  n_threads = n_threads < 1                         ? 1
+              : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
+                                                    : MO_PARALLEL_THREADS_MAX;
   if (n_threads == stream->n_threads) { /* what was made ahead stays */
     return MO_OK;
   }

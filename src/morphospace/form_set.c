@@ -1,13 +1,14 @@
 /* form_set.c: an exact set of canonical forms, made for tens of millions of them.
  *
- * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default workspace); a slot of
- * zeros is free, because no form is empty. The hash's top bits choose one of SEGMENTS tables, its other bits the slot. Each
- * table grows by a quarter on its own when it is 4/5 full, so that a growing set never holds two copies of itself: the peak is
- * the set plus one table, and forms take between 1.25 and 1.57 times their own size.
+ * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default
+ * workspace); a slot of zeros is free, because no form is empty. The hash's top bits choose one of
+ * SEGMENTS tables, its other bits the slot. Each table grows by a quarter on its own when it is 4/5
+ * full, so that a growing set never holds two copies of itself: the peak is the set plus one table,
+ * and forms take between 1.25 and 1.57 times their own size.
  *
- * Threads that add many forms share out the tables: each takes the forms of its own ones, in their order, so that no two touch one
- * table and every table comes out as it would alone. A form's slot is fetched some forms ahead: in a set of millions it is
- * in no cache. */
+ * Threads that add many forms share out the tables: each takes the forms of its own ones, in their
+ * order, so that no two touch one table and every table comes out as it would alone. A form's slot
+ * is fetched some forms ahead: in a set of millions it is in no cache. */
 #include "morphospace/form_set.h"
 
 #include "base/parallel.h"
@@ -62,7 +63,8 @@ void mo_form_set_free(struct mo_form_set *set)
   free(set);
 }
 
-_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "a form's first bytes are the low bytes of its first word");
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__,
+               "a form's first bytes are the low bytes of its first word");
 
 static inline uint64_t load(const uint8_t *bytes, size_t n)
 {
@@ -100,7 +102,8 @@ static inline __attribute__((always_inline)) int is_free(const uint8_t *slot, si
   return (any | load(slot + i, n - i)) == 0;
 }
 
-static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, const uint8_t *b, size_t n)
+static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, const uint8_t *b,
+                                                          size_t n)
 {
   uint64_t difference = 0;
   size_t i = 0;
@@ -111,8 +114,8 @@ static inline __attribute__((always_inline)) int is_equal(const uint8_t *a, cons
 }
 
 /* Inlined with a constant n for the default workspace. */
-static inline __attribute__((always_inline)) uint64_t probe(const struct segment *segment, const uint8_t *form,
-                                                            size_t n, uint64_t slot, int *found)
+static inline __attribute__((always_inline)) uint64_t
+probe(const struct segment *segment, const uint8_t *form, size_t n, uint64_t slot, int *found)
 {
   for (;;) {
     const uint8_t *there = segment->slots + slot * n;
@@ -134,7 +137,8 @@ static uint64_t first_slot(const struct segment *segment, uint64_t hashed)
 }
 
 /* Where the form is, or the free slot where it would be. The table has a free slot. */
-static uint64_t find(const struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed, int *found)
+static uint64_t find(const struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed,
+                     int *found)
 {
   const uint64_t slot = first_slot(segment, hashed);
   return n == 18 ? probe(segment, form, 18, slot, found) : probe(segment, form, n, slot, found);
@@ -143,7 +147,8 @@ static uint64_t find(const struct segment *segment, const uint8_t *form, size_t 
 static int grow(struct segment *segment, size_t n)
 {
   struct segment larger = {.used = segment->used};
-  larger.capacity = segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4;
+  larger.capacity =
+      segment->capacity == 0 ? SEGMENT_FIRST : segment->capacity + segment->capacity / 4;
   if (larger.capacity > SLOTS_MAX || larger.capacity > SIZE_MAX / n) {
     return MO_ERR_NO_MEMORY;
   }
@@ -222,9 +227,9 @@ struct adding {
 
 static int add_one(struct adding *adding, size_t i)
 {
-  const int code =
-      add(&adding->set->segments[adding->hashes[i] >> 56], (const uint8_t *)(adding->forms + adding->words * i),
-          adding->set->form_bytes, adding->hashes[i]);
+  const int code = add(&adding->set->segments[adding->hashes[i] >> 56],
+                       (const uint8_t *)(adding->forms + adding->words * i),
+                       adding->set->form_bytes, adding->hashes[i]);
   if (code == 1) {
     adding->marks[i] = MO_FORM_NEW;
   }
@@ -260,8 +265,8 @@ static void add_to_segments(void *context, size_t first, size_t end)
   }
 }
 
-int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const uint64_t *hashes, size_t n,
-                         uint32_t n_threads, uint8_t *marks)
+int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const uint64_t *hashes,
+                         size_t n, uint32_t n_threads, uint8_t *marks)
 {
   struct adding adding = {.set = set,
                           .forms = forms,
@@ -270,7 +275,8 @@ int mo_form_set_add_many(struct mo_form_set *set, const uint64_t *forms, const u
                           .n = n,
                           .marks = marks};
   const size_t enough = 1 + n / WORTH_A_THREAD;
-  mo_parallel(n_threads < enough ? n_threads : (uint32_t)enough, SEGMENTS, add_to_segments, &adding);
+  mo_parallel(n_threads < enough ? n_threads : (uint32_t)enough, SEGMENTS, add_to_segments,
+              &adding);
   set->count = 0;
   set->bytes = sizeof(*set);
   for (int i = 0; i < SEGMENTS; i++) {

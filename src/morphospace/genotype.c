@@ -19,8 +19,8 @@ static void tell(struct mo_cell_fault *fault, size_t cell, size_t other, int axi
 }
 
 /* Sets the cells in `bits`; the first cell out of the workspace or seen before ends it. */
-static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n, uint64_t *bits,
-                     struct mo_cell_fault *fault)
+static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n,
+                     uint64_t *bits, struct mo_cell_fault *fault)
 {
   const int64_t side[3] = {workspace.nx, workspace.ny, workspace.nz};
   for (size_t i = 0; i < n; i++) {
@@ -44,8 +44,8 @@ static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], s
   return MO_OK;
 }
 
-int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n, uint64_t *bits,
-                           struct mo_cell_fault *fault)
+int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n,
+                           uint64_t *bits, struct mo_cell_fault *fault)
 {
   uint32_t words = mo_workspace_words(workspace);
   if (n == 0) {
@@ -95,7 +95,8 @@ static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint3
   if (mo_scratch_open(&reached, words) != MO_OK) {
     return MO_ERR_NO_MEMORY;
   }
-  int code = mo_shape_component(workspace, bits, first * 64 + (uint32_t)__builtin_ctzll(bits[first]), reached.bits);
+  int code = mo_shape_component(workspace, bits,
+                                first * 64 + (uint32_t)__builtin_ctzll(bits[first]), reached.bits);
   for (uint32_t w = 0; code == MO_OK && w < words; w++) {
     uint64_t rest = bits[w] & ~reached.bits[w];
     if (rest != 0) {
@@ -114,8 +115,8 @@ int mo_genotype_is_contiguous(struct mo_workspace workspace, const uint64_t *bit
   return code == MO_OK ? 1 : code == MO_ERR_NO_MEMORY ? code : 0;
 }
 
-int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length, uint64_t *bits,
-                          struct mo_cell_fault *fault)
+int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_t length,
+                          uint64_t *bits, struct mo_cell_fault *fault)
 {
   uint32_t voxels = mo_workspace_voxels(workspace);
   uint32_t words = mo_workspace_words(workspace);
@@ -228,7 +229,8 @@ static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits
     if (value < 0) {
       return MO_ERR_FORMAT;
     }
-    uint64_t nibble = (uint64_t)((value & 1) << 3 | (value & 2) << 1 | (value & 4) >> 1 | (value & 8) >> 3);
+    uint64_t nibble =
+        (uint64_t)((value & 1) << 3 | (value & 2) << 1 | (value & 4) >> 1 | (value & 8) >> 3);
     if (i + 1 == n && voxels % 4 != 0 && nibble >> voxels % 4 != 0) {
       return MO_ERR_FORMAT;
     }
@@ -237,7 +239,8 @@ static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits
   return MO_OK;
 }
 
-int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length, uint64_t *form)
+int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
+                        uint64_t *form)
 {
   uint32_t voxels = mo_workspace_voxels(workspace);
   uint32_t words = mo_workspace_words(workspace);

@@ -13,8 +13,9 @@ struct queue {
 
 static int queue_open(struct queue *queue, uint32_t voxels)
 {
-  queue->voxels =
-      voxels <= sizeof(queue->local) / sizeof(queue->local[0]) ? queue->local : malloc(voxels * sizeof(uint32_t));
+  queue->voxels = voxels <= sizeof(queue->local) / sizeof(queue->local[0])
+                      ? queue->local
+                      : malloc(voxels * sizeof(uint32_t));
   return queue->voxels != NULL ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
@@ -26,8 +27,8 @@ static void queue_close(struct queue *queue)
 }
 
 /* Breadth first; returns how many voxels were reached. Every voxel enters the queue once. */
-static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint32_t start, uint64_t *reached,
-                      uint32_t *queue)
+static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
+                      uint64_t *reached, uint32_t *queue)
 {
   const uint32_t stride_y = workspace.nz;
   const uint32_t stride_x = stride_y * workspace.ny;
@@ -70,7 +71,8 @@ static uint32_t flood(struct mo_workspace workspace, const uint64_t *bits, uint3
   return tail;
 }
 
-int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start, uint64_t *reached)
+int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
+                      uint64_t *reached)
 {
   struct queue queue;
   if (queue_open(&queue, mo_workspace_voxels(workspace)) != MO_OK) {
@@ -132,7 +134,8 @@ static struct extent measure(struct mo_workspace workspace, const uint64_t *bits
   for (uint32_t w = 0; w < words; w++) {
     for (uint64_t rest = bits[w]; rest != 0; rest &= rest - 1) {
       uint32_t v = w * 64 + (uint32_t)__builtin_ctzll(rest);
-      const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny, v % workspace.nz};
+      const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny,
+                              v % workspace.nz};
       extent.n++;
       for (int axis = 0; axis < 3; axis++) {
         extent.sum[axis] += at[axis];
@@ -144,7 +147,8 @@ static struct extent measure(struct mo_workspace workspace, const uint64_t *bits
   return extent;
 }
 
-/* Moves every bit by `shift` places towards higher indices (negative: lower); bits that would leave the array are 0. */
+/* Moves every bit by `shift` places towards higher indices (negative: lower); bits that would leave
+ * the array are 0. */
 static void shift_bits(uint64_t *bits, uint32_t words, int64_t shift)
 {
   if (shift > 0) {
@@ -181,7 +185,8 @@ void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
 
 /* ---- another workspace ---- */
 
-int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to, uint64_t *moved)
+int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                     uint64_t *moved)
 {
   const struct extent extent = measure(from, bits);
   const uint32_t words = mo_workspace_words(from);
@@ -211,7 +216,8 @@ int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_w
 
 /* ---- images ---- */
 
-int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, struct mo_grid_view *view)
+int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
+                       struct mo_grid_view *view)
 {
   struct extent extent = measure(workspace, bits);
   struct mo_grid_view found = {.k = k};
@@ -230,8 +236,8 @@ int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsi
   return MO_OK;
 }
 
-static int get_at(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *view,
-                  const uint32_t at[3])
+static int get_at(struct mo_workspace workspace, const uint64_t *bits,
+                  const struct mo_grid_view *view, const uint32_t at[3])
 {
   uint32_t x = view->k & 1 ? view->side[0] - 1 - at[0] : at[0];
   uint32_t y = view->k & 2 ? view->side[1] - 1 - at[1] : at[1];
@@ -244,9 +250,11 @@ static int get_at(struct mo_workspace workspace, const uint64_t *bits, const str
   return mo_bits_get(bits, column * workspace.nz + view->low[2] + at[2]);
 }
 
-int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *view, uint32_t v)
+int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
+                     const struct mo_grid_view *view, uint32_t v)
 {
-  const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny, v % workspace.nz};
+  const uint32_t at[3] = {v / workspace.nz / workspace.ny, v / workspace.nz % workspace.ny,
+                          v % workspace.nz};
   for (int axis = 0; axis < 3; axis++) {
     if (at[axis] >= view->side[axis]) {
       return 0;
@@ -256,8 +264,8 @@ int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits, const 
 }
 
 /* Negative, 0, positive as view a shows a smaller, an equal, a larger genotype than b. */
-static int compare(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *a,
-                   const struct mo_grid_view *b)
+static int compare(struct mo_workspace workspace, const uint64_t *bits,
+                   const struct mo_grid_view *a, const struct mo_grid_view *b)
 {
   for (int axis = 0; axis < 3; axis++) {
     if (a->side[axis] != b->side[axis]) {
@@ -278,7 +286,8 @@ static int compare(struct mo_workspace workspace, const uint64_t *bits, const st
   return 0;
 }
 
-void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits, struct mo_grid_view *view)
+void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
+                            struct mo_grid_view *view)
 {
   struct mo_grid_view best = {.k = 0};
   mo_grid_view_image(workspace, bits, 0, &best); /* image 0 always fits */
@@ -298,8 +307,8 @@ void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
   *view = best;
 }
 
-void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *view,
-                        uint64_t *image)
+void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits,
+                        const struct mo_grid_view *view, uint64_t *image)
 {
   memset(image, 0, mo_workspace_words(workspace) * sizeof(uint64_t));
   uint32_t at[3];

@@ -1,17 +1,20 @@
-/* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel ones of slabs.h must agree with
- * them; shape.c chooses. */
+/* grid.h: operations on genotypes of any workspace, one voxel at a time. The word-parallel ones of
+ * slabs.h must agree with them; shape.c chooses. */
 #ifndef MORPHO_MORPHOSPACE_GRID_H
 #define MORPHO_MORPHOSPACE_GRID_H
 
 #include <morpho/morphospace.h>
 
-/* Sets in `reached` (zeroed by the caller) the component of `bits` that holds voxel `start`, which must be set. */
-int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start, uint64_t *reached);
+/* Sets in `reached` (zeroed by the caller) the component of `bits` that holds voxel `start`, which
+ * must be set. */
+int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
+                      uint64_t *reached);
 int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 void mo_grid_place(struct mo_workspace workspace, uint64_t *bits);
 
-/* One of the 8 images of a genotype, as a way of looking at it: voxel (x, y, z) of the image, aligned to the origin, is a
- * voxel of the genotype. Bits of k: 1 mirrors the image in x, 2 mirrors it in y, 4 (first) swaps x and y. */
+/* One of the 8 images of a genotype, as a way of looking at it: voxel (x, y, z) of the image,
+ * aligned to the origin, is a voxel of the genotype. Bits of k: 1 mirrors the image in x, 2 mirrors
+ * it in y, 4 (first) swaps x and y. */
 struct mo_grid_view {
   unsigned k;
   uint32_t low[3];  /* lower corner of the genotype's bounding box */
@@ -19,13 +22,16 @@ struct mo_grid_view {
 };
 
 /* MO_ERR_RANGE if the image does not fit the workspace. */
-int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, struct mo_grid_view *view);
+int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
+                       struct mo_grid_view *view);
 /* The view of the canonical form. */
-void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits, struct mo_grid_view *view);
+void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
+                            struct mo_grid_view *view);
 /* Voxel v of the workspace as the view shows it. */
-int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *view, uint32_t v);
+int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
+                     const struct mo_grid_view *view, uint32_t v);
 /* Writes the view as a genotype; `image` and `bits` do not overlap. */
-void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits, const struct mo_grid_view *view,
-                        uint64_t *image);
+void mo_grid_view_write(struct mo_workspace workspace, const uint64_t *bits,
+                        const struct mo_grid_view *view, uint64_t *image);
 
 #endif

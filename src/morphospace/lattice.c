@@ -1,8 +1,9 @@
 /* lattice.c: all masses and springs of a workspace, and which of them each voxel expresses.
  *
- * From a mass, springs lead to at most nine masses of higher index: three edges and six face diagonals, `steps` below, in
- * the order of the far end. A spring's index is therefore first[a] + the number of earlier steps that exist at a, where
- * first[a] counts the springs of all lower masses. */
+ * From a mass, springs lead to at most nine masses of higher index: three edges and six face
+ * diagonals, `steps` below, in the order of the far end. A spring's index is therefore first[a] +
+ * the number of earlier steps that exist at a, where first[a] counts the springs of all lower
+ * masses. */
 #include <morpho/morphospace.h>
 
 #include "base/memory.h"
@@ -31,7 +32,8 @@ static unsigned steps_at(struct mo_workspace workspace, int32_t x, int32_t y, in
     int32_t far_x = x + steps[i].x;
     int32_t far_y = y + steps[i].y;
     int32_t far_z = z + steps[i].z;
-    if (far_x <= workspace.nx && far_y >= 0 && far_y <= workspace.ny && far_z >= 0 && far_z <= workspace.nz) {
+    if (far_x <= workspace.nx && far_y >= 0 && far_y <= workspace.ny && far_z >= 0 &&
+        far_z <= workspace.nz) {
       mask |= 1U << i;
     }
   }
@@ -40,10 +42,12 @@ static unsigned steps_at(struct mo_workspace workspace, int32_t x, int32_t y, in
 
 static uint32_t mass_at(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z)
 {
-  return ((uint32_t)x * (workspace.ny + UINT32_C(1)) + (uint32_t)y) * (workspace.nz + UINT32_C(1)) + (uint32_t)z;
+  return ((uint32_t)x * (workspace.ny + UINT32_C(1)) + (uint32_t)y) * (workspace.nz + UINT32_C(1)) +
+         (uint32_t)z;
 }
 
-static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b, uint8_t *diagonal, uint32_t *first)
+static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b, uint8_t *diagonal,
+                         uint32_t *first)
 {
   uint32_t spring = 0;
   uint32_t mass = 0;
@@ -66,9 +70,10 @@ static void fill_springs(struct mo_workspace workspace, uint32_t *a, uint32_t *b
   }
 }
 
-/* Corners in ascending order of mass, steps in ascending order of the far end: both lists come out ascending. */
-static void fill_voxel(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z, const uint32_t *first,
-                       uint32_t masses[8], uint32_t springs[24])
+/* Corners in ascending order of mass, steps in ascending order of the far end: both lists come out
+ * ascending. */
+static void fill_voxel(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z,
+                       const uint32_t *first, uint32_t masses[8], uint32_t springs[24])
 {
   int n = 0;
   for (int corner = 0; corner < 8; corner++) {
@@ -115,8 +120,8 @@ int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice
   made->spring_diagonal = diagonal;
   made->voxel_mass = voxel_mass;
   made->voxel_spring = voxel_spring;
-  if (spring_a == NULL || spring_b == NULL || diagonal == NULL || voxel_mass == NULL || voxel_spring == NULL ||
-      first == NULL) {
+  if (spring_a == NULL || spring_b == NULL || diagonal == NULL || voxel_mass == NULL ||
+      voxel_spring == NULL || first == NULL) {
     free(first);
     mo_lattice_free(made);
     return MO_ERR_NO_MEMORY;

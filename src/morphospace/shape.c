@@ -1,4 +1,5 @@
-/* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.h) and single voxels (grid.h). */
+/* shape.c: components, placement, canonical forms. Chooses between words of voxels (slabs.h) and
+ * single voxels (grid.h). */
 #include "morphospace/shape.h"
 
 #include "morphospace/bits.h"
@@ -11,19 +12,20 @@ static int is_default(struct mo_workspace workspace)
 }
 
 /* Runs STATEMENTS with `s` as the slab shape, as a constant if the workspace is the default one. */
-#define WITH_SLABS(workspace, statements)                                                                              \
-  do {                                                                                                                 \
-    uint64_t slab[MO_SLABS_MAX];                                                                                       \
-    if (is_default(workspace)) {                                                                                       \
-      const struct mo_slab_shape s = MO_SLAB_SHAPE_DEFAULT;                                                            \
-      statements                                                                                                       \
-    } else {                                                                                                           \
-      const struct mo_slab_shape s = mo_slabs_shape(workspace);                                                        \
-      statements                                                                                                       \
-    }                                                                                                                  \
+#define WITH_SLABS(workspace, statements)                                                          \
+  do {                                                                                             \
+    uint64_t slab[MO_SLABS_MAX];                                                                   \
+    if (is_default(workspace)) {                                                                   \
+      const struct mo_slab_shape s = MO_SLAB_SHAPE_DEFAULT;                                        \
+      statements                                                                                   \
+    } else {                                                                                       \
+      const struct mo_slab_shape s = mo_slabs_shape(workspace);                                    \
+      statements                                                                                   \
+    }                                                                                              \
   } while (0)
 
-int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start, uint64_t *reached)
+int mo_shape_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
+                       uint64_t *reached)
 {
   if (!mo_slabs_fit(workspace)) {
     return mo_grid_component(workspace, bits, start, reached);
@@ -52,12 +54,13 @@ int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits)
   return MO_OK;
 }
 
-/* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is least at one shift or at
- * two neighbouring ones, and monotone on either side of them. */
+/* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is
+ * least at one shift or at two neighbouring ones, and monotone on either side of them. */
 int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum)
 {
   int64_t count = (int64_t)n;
-  int64_t lacking = count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
+  int64_t lacking =
+      count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
   /* ceil(lacking / 2n − ½): the nearest integer, the lower one in the middle between two. */
   int64_t above = lacking - count;
   int64_t shift = above >= 0 ? (above + 2 * count - 1) / (2 * count) : -(-above / (2 * count));
@@ -99,7 +102,8 @@ void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, 
   });
 }
 
-int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k, uint64_t *image)
+int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
+                      uint64_t *image)
 {
   if (k > 7) {
     return MO_ERR_RANGE;
@@ -112,7 +116,8 @@ int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsig
   return code;
 }
 
-/* Small forms are made in words; others are read off the view voxel by voxel, so that no memory is needed. */
+/* Small forms are made in words; others are read off the view voxel by voxel, so that no memory is
+ * needed. */
 void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
 {
   static const char digits[] = "0123456789abcdef";

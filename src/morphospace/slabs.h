@@ -1,10 +1,11 @@
 /* slabs.h: operations on genotypes of small workspaces, many voxels at a time.
  *
- * A genotype is held as one 64-bit word per x, its slab: bit y·nz + z, the order of the genotype's own bits. A step along z
- * is a shift by 1, along y by nz, along x the next slab. For workspaces with nx ≤ 64, ny·nz ≤ 64 and nz ≤ 63.
+ * A genotype is held as one 64-bit word per x, its slab: bit y·nz + z, the order of the genotype's
+ * own bits. A step along z is a shift by 1, along y by nz, along x the next slab. For workspaces
+ * with nx ≤ 64, ny·nz ≤ 64 and nz ≤ 63.
  *
- * Everything is inlined into shape.c, once with the default workspace as constants (the compiler then unrolls it) and once
- * with run-time sizes. */
+ * Everything is inlined into shape.c, once with the default workspace as constants (the compiler
+ * then unrolls it) and once with run-time sizes. */
 #ifndef MORPHO_MORPHOSPACE_SLABS_H
 #define MORPHO_MORPHOSPACE_SLABS_H
 
@@ -20,7 +21,8 @@ struct mo_slab_shape {
   uint64_t all;    /* the bits of a slab */
 };
 
-#define MO_SLAB_SHAPE_DEFAULT ((struct mo_slab_shape){6, 6, 4, UINT64_C(0x111111), UINT64_C(0xffffff)})
+#define MO_SLAB_SHAPE_DEFAULT                                                                      \
+  ((struct mo_slab_shape){6, 6, 4, UINT64_C(0x111111), UINT64_C(0xffffff)})
 
 MO_SLABS_INLINE int mo_slabs_fit(struct mo_workspace w)
 {
@@ -66,14 +68,15 @@ MO_SLABS_INLINE void mo_slabs_store(struct mo_slab_shape s, const uint64_t *slab
   }
 }
 
-/* Arrays below have MO_SLABS_MAX words, of which the first nx are used and written before they are read. The analyzer does
- * not follow that through loops over a run-time nx, and zeroing 512 bytes would double the cost of these operations; the
- * address sanitizer, the fuzz target and the comparison with grid.c watch over it instead.
- * NOLINTBEGIN(clang-analyzer-core.*) */
+/* Arrays below have MO_SLABS_MAX words, of which the first nx are used and written before they are
+ * read. The analyzer does not follow that through loops over a run-time nx, and zeroing 512 bytes
+ * would double the cost of these operations; the address sanitizer, the fuzz target and the
+ * comparison with grid.c watch over it instead. NOLINTBEGIN(clang-analyzer-core.*) */
 
 /* ---- components ---- */
 
-/* The voxels of `body` within its slab that touch `seed` through faces, directly or by way of others. */
+/* The voxels of `body` within its slab that touch `seed` through faces, directly or by way of
+ * others. */
 MO_SLABS_INLINE uint64_t mo_slabs_spread(struct mo_slab_shape s, uint64_t body, uint64_t seed)
 {
   const uint64_t not_bottom = ~s.bottom;
@@ -89,7 +92,8 @@ MO_SLABS_INLINE uint64_t mo_slabs_spread(struct mo_slab_shape s, uint64_t body, 
   }
 }
 
-/* Grows `part`, a non-empty part of `body`, to its whole component: sweeps up and down until nothing changes. */
+/* Grows `part`, a non-empty part of `body`, to its whole component: sweeps up and down until
+ * nothing changes. */
 MO_SLABS_INLINE void mo_slabs_flood(struct mo_slab_shape s, const uint64_t *body, uint64_t *part)
 {
   uint64_t changed;
@@ -189,8 +193,8 @@ MO_SLABS_INLINE struct mo_slab_extent mo_slabs_extent(struct mo_slab_shape s, co
 }
 
 /* Moves a genotype, of the extent `e`, by (dx, dy, −low z). */
-MO_SLABS_INLINE void mo_slabs_move(struct mo_slab_shape s, struct mo_slab_extent e, int32_t dx, int32_t dy,
-                                   uint64_t *slab)
+MO_SLABS_INLINE void mo_slabs_move(struct mo_slab_shape s, struct mo_slab_extent e, int32_t dx,
+                                   int32_t dy, uint64_t *slab)
 {
   uint64_t moved[MO_SLABS_MAX] = {0};
   int32_t shift = dy * (int32_t)s.nz - (int32_t)e.low[2];
@@ -237,7 +241,8 @@ struct mo_slab_image {
   uint32_t dx, dy;
 };
 
-MO_SLABS_INLINE void mo_slabs_align(struct mo_slab_shape s, const uint64_t *slab, struct mo_slab_image *image)
+MO_SLABS_INLINE void mo_slabs_align(struct mo_slab_shape s, const uint64_t *slab,
+                                    struct mo_slab_image *image)
 {
   struct mo_slab_extent e = mo_slabs_extent(s, slab);
   uint32_t shift = e.low[1] * s.nz + e.low[2];
@@ -249,7 +254,8 @@ MO_SLABS_INLINE void mo_slabs_align(struct mo_slab_shape s, const uint64_t *slab
 }
 
 /* Mirrored in y. */
-MO_SLABS_INLINE void mo_slabs_mirror(struct mo_slab_shape s, const struct mo_slab_image *from, struct mo_slab_image *to)
+MO_SLABS_INLINE void mo_slabs_mirror(struct mo_slab_shape s, const struct mo_slab_image *from,
+                                     struct mo_slab_image *to)
 {
   const uint64_t column = UINT64_MAX >> (64 - s.nz);
   to->dx = from->dx;
@@ -266,7 +272,8 @@ MO_SLABS_INLINE void mo_slabs_mirror(struct mo_slab_shape s, const struct mo_sla
 }
 
 /* x and y swapped; it fits only if dx ≤ ny and dy ≤ nx. */
-MO_SLABS_INLINE void mo_slabs_swap(struct mo_slab_shape s, const struct mo_slab_image *from, struct mo_slab_image *to)
+MO_SLABS_INLINE void mo_slabs_swap(struct mo_slab_shape s, const struct mo_slab_image *from,
+                                   struct mo_slab_image *to)
 {
   const uint64_t column = UINT64_MAX >> (64 - s.nz);
   to->dx = from->dy;
@@ -282,9 +289,10 @@ MO_SLABS_INLINE void mo_slabs_swap(struct mo_slab_shape s, const struct mo_slab_
   }
 }
 
-/* Puts `candidate` (with its slabs in reverse order if `reverse`) into `best` if it is smaller: at the first difference in
- * voxel order, the lowest differing bit, the smaller one has 0. */
-MO_SLABS_INLINE void mo_slabs_take_smaller(struct mo_slab_shape s, const struct mo_slab_image *candidate, int reverse,
+/* Puts `candidate` (with its slabs in reverse order if `reverse`) into `best` if it is smaller: at
+ * the first difference in voxel order, the lowest differing bit, the smaller one has 0. */
+MO_SLABS_INLINE void mo_slabs_take_smaller(struct mo_slab_shape s,
+                                           const struct mo_slab_image *candidate, int reverse,
                                            uint64_t *best)
 {
   const uint32_t last = candidate->dx - 1;

@@ -1,9 +1,10 @@
 /* variation.c: random bodies, mutation, crossover.
  *
- * The numbers taken from a stream, and their order, are part of what a seed means: never change them.
- *   random body: one below(volumes), one below(boxes of that volume), one normal, then one 32-bit number per voxel of
- *     the box in voxel order; all of it again while no voxel is active. A voxel is active if its number is below p · 2³².
- *   mutation: one 32-bit number per voxel of the workspace in voxel order; a voxel flips if it is below rate · 2³². */
+ * The numbers taken from a stream, and their order, are part of what a seed means: never change
+ * them. random body: one below(volumes), one below(boxes of that volume), one normal, then one
+ * 32-bit number per voxel of the box in voxel order; all of it again while no voxel is active. A
+ * voxel is active if its number is below p · 2³². mutation: one 32-bit number per voxel of the
+ * workspace in voxel order; a voxel flips if it is below rate · 2³². */
 #include <morpho/morphospace.h>
 
 #include "morphospace/bits.h"
@@ -26,7 +27,8 @@ struct box {
   uint32_t x, y, z;
 };
 
-/* Sets a bit for every volume that a box inside the workspace can have. `volumes` is a zeroed bit array of voxels + 1 bits. */
+/* Sets a bit for every volume that a box inside the workspace can have. `volumes` is a zeroed bit
+ * array of voxels + 1 bits. */
 static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
 {
   if (workspace.nx == 6 && workspace.ny == 6 &&
@@ -46,9 +48,10 @@ static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
   }
 }
 
-/* Draws a volume from the set of those that boxes inside the workspace can have, then one of the boxes that have it, in
- * lexicographic order. */
-static struct box draw_box(struct mo_workspace workspace, struct mo_random *random, const uint64_t *volumes)
+/* Draws a volume from the set of those that boxes inside the workspace can have, then one of the
+ * boxes that have it, in lexicographic order. */
+static struct box draw_box(struct mo_workspace workspace, struct mo_random *random,
+                           const uint64_t *volumes)
 {
   uint32_t words = mo_workspace_voxels(workspace) / 64 + 1;
   uint32_t left = mo_random_below(random, mo_bits_count(volumes, words));
@@ -81,9 +84,10 @@ static struct box draw_box(struct mo_workspace workspace, struct mo_random *rand
   return (struct box){1, 1, 1}; /* not reached: 1 ≤ boxes */
 }
 
-/* Activates each voxel of a box at the origin with the probability that the limit stands for; returns how many. */
-static uint32_t activate(struct mo_workspace workspace, struct box box, uint64_t limit, struct mo_random *random,
-                         uint64_t *bits)
+/* Activates each voxel of a box at the origin with the probability that the limit stands for;
+ * returns how many. */
+static uint32_t activate(struct mo_workspace workspace, struct box box, uint64_t limit,
+                         struct mo_random *random, uint64_t *bits)
 {
   uint32_t numbers[CHUNK];
   uint32_t left = box.x * box.y * box.z;
@@ -155,8 +159,8 @@ static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *child
   return code;
 }
 
-int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate, struct mo_random *random,
-                       uint64_t *child)
+int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
+                       struct mo_random *random, uint64_t *child)
 {
   if (!(rate >= 0.0 && rate <= 1.0)) {
     return MO_ERR_RANGE;
@@ -184,7 +188,8 @@ int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, do
   return code;
 }
 
-int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b, uint64_t *child)
+int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b,
+                          uint64_t *child)
 {
   struct mo_scratch made;
   if (mo_scratch_open(&made, mo_workspace_words(workspace)) != MO_OK) {

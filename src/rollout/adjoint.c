@@ -1,5 +1,5 @@
-/* adjoint.c: the derivative of reference.c, one step at a time. Each function quotes the forward lines that it differentiates;
- * dx is ∂loss/∂x, and contributions are added, never assigned. */
+/* adjoint.c: the derivative of reference.c, one step at a time. Each function quotes the forward
+ * lines that it differentiates; dx is ∂loss/∂x, and contributions are added, never assigned. */
 #include "rollout/adjoint.h"
 
 #include "rollout/contact.h"
@@ -8,7 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-/* The factor f of ∂light/∂p = f · (p − light): (dI/dd)/d. 0 at the light itself, where inverse_sqrt has no derivative. */
+/* The factor f of ∂light/∂p = f · (p − light): (dI/dd)/d. 0 at the light itself, where inverse_sqrt
+ * has no derivative. */
 static double sense_slope(enum mo_sensor sensor, double distance_m)
 {
   if (sensor == MO_SENSOR_INVERSE_SQUARE) { /* 1 / (d² + 1e-4) */
@@ -17,12 +18,14 @@ static double sense_slope(enum mo_sensor sensor, double distance_m)
   }
   if (!(distance_m > 0))
     return 0;
-  const double root = sqrt(distance_m + 1e-8), light = 1.0 / (root + 1e-8); /* 1 / (sqrt(d + 1e-8) + 1e-8) */
+  const double root = sqrt(distance_m + 1e-8),
+               light = 1.0 / (root + 1e-8); /* 1 / (sqrt(d + 1e-8) + 1e-8) */
   return -light * light / (2.0 * root * distance_m);
 }
 
 /* input[lattice place of mass i] = light(i) − mean */
-static void sense_light_adjoint(const struct mo_reference *r, const double *position_m, struct mo_adjoint *adjoint)
+static void sense_light_adjoint(const struct mo_reference *r, const double *position_m,
+                                struct mo_adjoint *adjoint)
 {
   const struct mo_body *body = r->body;
   double mean = 0;
@@ -33,7 +36,8 @@ static void sense_light_adjoint(const struct mo_reference *r, const double *posi
     const double *p = position_m + 3 * (size_t)i;
     double *dp = adjoint->d_position + 3 * (size_t)i;
     const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
-    const double slope = sense_slope(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
+    const double slope =
+        sense_slope(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
     const double d_light = adjoint->d_input[body->mass_lattice[i]] - mean;
     for (int axis = 0; axis < 3; axis++)
       dp[axis] += d_light * slope * d[axis];
@@ -82,8 +86,9 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
   memset(adjoint->d_impulse, 0, (size_t)r->body->n_masses * 3 * sizeof(double));
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const size_t at = 3 * (size_t)i;
-    mo_contact_move_adjoint(physics, r->environment->terrain_heights_m, r->highest_m, tape->position_m + at,
-                            tape->velocity_m_per_s + at, adjoint->d_position + at, adjoint->d_velocity + at);
+    mo_contact_move_adjoint(physics, r->environment->terrain_heights_m, r->highest_m,
+                            tape->position_m + at, tape->velocity_m_per_s + at,
+                            adjoint->d_position + at, adjoint->d_velocity + at);
     /* v = keep · v + impulse / mass,   v[2] −= gravity · dt */
     for (int axis = 0; axis < 3; axis++) {
       adjoint->d_impulse[at + axis] += adjoint->d_velocity[at + axis] / physics->mass_kg;
@@ -92,25 +97,27 @@ static void move_masses_adjoint(const struct mo_reference *r, const struct mo_st
   }
 }
 
-void mo_adjoint_step(const struct mo_reference *r, struct mo_step_tape *tape, struct mo_adjoint *adjoint)
+void mo_adjoint_step(const struct mo_reference *r, struct mo_step_tape *tape,
+                     struct mo_adjoint *adjoint)
 {
   move_masses_adjoint(r, tape, adjoint);
   pull_springs_adjoint(r, tape, adjoint);
   memset(adjoint->d_input, 0, r->controller->n_inputs * sizeof(double));
-  mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs, adjoint->d_activation,
-                         &tape->control, adjoint->d_input);
+  mo_controller_backward(r->controller, r->body->spring_lattice, r->body->n_springs,
+                         adjoint->d_activation, &tape->control, adjoint->d_input);
   sense_light_adjoint(r, tape->position_m, adjoint);
 }
 
-void mo_adjoint_start(const struct mo_reference *r, const double *com_m, double scale_m, double weight,
-                      struct mo_adjoint *adjoint)
+void mo_adjoint_start(const struct mo_reference *r, const double *com_m, double scale_m,
+                      double weight, struct mo_adjoint *adjoint)
 {
   const size_t n = r->body->n_masses;
   memset(adjoint->d_position, 0, n * 3 * sizeof(double));
   memset(adjoint->d_velocity, 0, n * 3 * sizeof(double));
   const double *light = r->environment->light_xy_m;
   const double far = mo_scene_distance(com_m[0] - light[0], com_m[1] - light[1]);
-  /* loss = mo_scene_distance(com − light) / scale,   com = sum of positions / n; at the light itself the derivative is taken as 0 */
+  /* loss = mo_scene_distance(com − light) / scale,   com = sum of positions / n; at the light
+   * itself the derivative is taken as 0 */
   for (int axis = 0; axis < 2 && far > 0; axis++) {
     const double d_com = weight * (com_m[axis] - light[axis]) / far / scale_m;
     for (size_t i = 0; i < n; i++)

@@ -1,4 +1,5 @@
-/* adjoint.h: one step of the reference rollout backwards, and the gradient with a window into it for tests. */
+/* adjoint.h: one step of the reference rollout backwards, and the gradient with a window into it
+ * for tests. */
 #ifndef MORPHO_ROLLOUT_ADJOINT_H
 #define MORPHO_ROLLOUT_ADJOINT_H
 
@@ -15,15 +16,18 @@ struct mo_adjoint {
   double *d_input;      /* (n_inputs) */
 };
 
-/* From ∂loss/∂ the state after the step on the tape to ∂loss/∂ the state before it. Leaves in the tape what
- * mo_controller_accumulate needs. */
-void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape, struct mo_adjoint *adjoint);
+/* From ∂loss/∂ the state after the step on the tape to ∂loss/∂ the state before it. Leaves in the
+ * tape what mo_controller_accumulate needs. */
+void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape,
+                     struct mo_adjoint *adjoint);
 
-/* ∂loss/∂ the final state, with its centre of mass there, times `weight`. scale_m: what the loss divides the distance by. */
-void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m, double weight,
-                      struct mo_adjoint *adjoint);
+/* ∂loss/∂ the final state, with its centre of mass there, times `weight`. scale_m: what the loss
+ * divides the distance by. */
+void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m,
+                      double weight, struct mo_adjoint *adjoint);
 
-/* Called with the adjoint of the state after `step` steps, before it is measured and after it was clipped; nullable. */
+/* Called with the adjoint of the state after `step` steps, before it is measured and after it was
+ * clipped; nullable. */
 struct mo_gradient_probe {
   void (*before)(void *context, uint32_t step, double *d_position, double *d_velocity);
   void (*after)(void *context, uint32_t step, double *d_position, double *d_velocity);
@@ -31,7 +35,8 @@ struct mo_gradient_probe {
 };
 int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *controller,
                        const struct mo_environment *environment, const struct mo_physics *physics,
-                       const struct mo_gradient_options *options, const struct mo_gradient_probe *probe,
-                       struct mo_outcome *outcome, double *d_parameters, struct mo_gradient_counts *counts);
+                       const struct mo_gradient_options *options,
+                       const struct mo_gradient_probe *probe, struct mo_outcome *outcome,
+                       double *d_parameters, struct mo_gradient_counts *counts);
 
 #endif

@@ -1,6 +1,7 @@
 /* block.c: one worker's scratch, and the way from mo_rollout_block into the kernels.
  *
- * The scratch is one allocation that grows to the largest body seen; a block of a body that fits allocates nothing. */
+ * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
+ * allocates nothing. */
 #include "base/clock.h"
 #include "rollout/fast.h"
 
@@ -43,12 +44,14 @@ static void *carve(char *base, size_t *used, size_t n, size_t size)
   return piece;
 }
 
-/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns the bytes they need. */
+/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns the bytes they
+ * need. */
 static size_t lay_out(struct mo_fast_run *run, char *base)
 {
   const struct mo_pack *pack = run->pack;
   const size_t real = pack->real_bytes, panel = pack->panel, n_masses = run->body->n_masses;
-  const size_t n_springs = run->body->n_springs, springs_padded = (n_springs + panel - 1) / panel * panel;
+  const size_t n_springs = run->body->n_springs,
+               springs_padded = (n_springs + panel - 1) / panel * panel;
   size_t used = 0;
   for (int i = 0; i < 2; i++)
     run->position[i] = carve(base, &used, n_masses * 3 * MO_LANES, real);
@@ -81,7 +84,8 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
+/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how
+ * long one is. */
 static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
 {
   struct mo_rollout_profile *total = run->profile, block = {0};
@@ -99,16 +103,17 @@ static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
   return status;
 }
 
-int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack, const struct mo_body *body,
-                     const struct mo_environment *const *environments, uint32_t n_environments,
-                     const struct mo_physics *physics, const struct mo_recording *recordings,
-                     const struct mo_pause_point *pause, struct mo_rollout_profile *profile,
-                     struct mo_outcome *outcomes)
+int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
+                     const struct mo_body *body, const struct mo_environment *const *environments,
+                     uint32_t n_environments, const struct mo_physics *physics,
+                     const struct mo_recording *recordings, const struct mo_pause_point *pause,
+                     struct mo_rollout_profile *profile, struct mo_outcome *outcomes)
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
-  if (!pack->passive && (pack->workspace.nx != body->workspace.nx || pack->workspace.ny != body->workspace.ny ||
-                         pack->workspace.nz != body->workspace.nz))
+  if (!pack->passive &&
+      (pack->workspace.nx != body->workspace.nx || pack->workspace.ny != body->workspace.ny ||
+       pack->workspace.nz != body->workspace.nz))
     return MO_ERR_INVALID;
   struct mo_fast_run run = {.pack = pack,
                             .body = body,

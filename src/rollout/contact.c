@@ -1,12 +1,13 @@
 /* contact.c: one mass against the terrain.
  *
- * A mass moves on a straight segment p + τ v, 0 ≤ τ ≤ dt. Its gap is g(τ) = z(τ) − h(x(τ), y(τ)). Within one terrain cell
- *   h = h00 + a u + b w + c u w,   a = h10 − h00,  b = h01 − h00,  c = h11 − h10 − h01 + h00,
- * with u, w the fractions of the cell, linear in τ; so g is a quadratic A τ² + B τ + C. Its first root from ≥ 0 to < 0 is
- *   B < 0:  2C / (−B + sqrt(B² − 4AC))        (no cancellation; also right for A = 0)
- *   B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can come down again).
- * A segment that leaves its cell is cut where it crosses a border, and the pieces are tried in order. Beyond the map's edge the
- * height is constant along that axis: two more rows of "cells" with a slope of 0. */
+ * A mass moves on a straight segment p + τ v, 0 ≤ τ ≤ dt. Its gap is g(τ) = z(τ) − h(x(τ), y(τ)).
+ * Within one terrain cell h = h00 + a u + b w + c u w,   a = h10 − h00,  b = h01 − h00,  c = h11 −
+ * h10 − h01 + h00, with u, w the fractions of the cell, linear in τ; so g is a quadratic A τ² + B τ
+ * + C. Its first root from ≥ 0 to < 0 is B < 0:  2C / (−B + sqrt(B² − 4AC))        (no
+ * cancellation; also right for A = 0) B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can
+ * come down again). A segment that leaves its cell is cut where it crosses a border, and the pieces
+ * are tried in order. Beyond the map's edge the height is constant along that axis: two more rows
+ * of "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
 #include <math.h>
@@ -15,7 +16,8 @@
 #define CELLS       (MO_TERRAIN_SIDE - 1)
 #define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
 
-/* One horizontal axis of a segment, in units of cells. `cell`: −1 before the map, 0 … CELLS − 1 in it, CELLS beyond it. */
+/* One horizontal axis of a segment, in units of cells. `cell`: −1 before the map, 0 … CELLS − 1 in
+ * it, CELLS beyond it. */
 struct axis {
   double start, speed;
   int cell;
@@ -66,7 +68,8 @@ static double first_descent(double a, double b, double c)
   const double discriminant = b * b - 4 * a * c;
   if (b < 0)
     return discriminant < 0 ? INFINITY : 2 * c / (-b + sqrt(discriminant));
-  return a < 0 ? (-b - sqrt(discriminant)) / (2 * a) : INFINITY; /* A < 0, C ≥ 0: the discriminant is ≥ 0 */
+  return a < 0 ? (-b - sqrt(discriminant)) / (2 * a)
+               : INFINITY; /* A < 0, C ≥ 0: the discriminant is ≥ 0 */
 }
 
 double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
@@ -84,9 +87,11 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
       const double *h = heights_m + j * MO_TERRAIN_SIDE + i;
       const double a = h[1] - h[0], b = h[MO_TERRAIN_SIDE] - h[0];
       const double c = h[MO_TERRAIN_SIDE + 1] - h[1] - h[MO_TERRAIN_SIDE] + h[0];
-      const double gap = position_m[2] + velocity_m_per_s[2] * from - (h[0] + a * u + b * w + c * u * w);
+      const double gap =
+          position_m[2] + velocity_m_per_s[2] * from - (h[0] + a * u + b * w + c * u * w);
       const double descent =
-          first_descent(-c * du * dw, velocity_m_per_s[2] - a * du - b * dw - c * (u * dw + w * du), fmax(gap, 0));
+          first_descent(-c * du * dw, velocity_m_per_s[2] - a * du - b * dw - c * (u * dw + w * du),
+                        fmax(gap, 0));
       if (from + descent <= to)
         return from + descent;
       from = to;
@@ -117,7 +122,8 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
   return low;
 }
 
-/* Drops the part of the velocity along the terrain's normal and slows the tangential part by friction. */
+/* Drops the part of the velocity along the terrain's normal and slows the tangential part by
+ * friction. */
 static void strike(const struct mo_physics *physics, const double gradient[2], double v[3])
 {
   const double length = sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1] + 1.0);
@@ -132,8 +138,8 @@ static void strike(const struct mo_physics *physics, const double gradient[2], d
     v[axis] *= scale;
 }
 
-void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
-                     double position_m[3], double velocity_m_per_s[3])
+void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+                     double highest_m, double position_m[3], double velocity_m_per_s[3])
 {
   const double dt = physics->dt_s;
   double *p = position_m, *v = velocity_m_per_s;
@@ -160,7 +166,8 @@ void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
 
 /* ---- the way back: dx is ∂loss/∂x; every contribution is added ---- */
 
-/* Second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other two vanish: the patch is bilinear. */
+/* Second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other two vanish:
+ * the patch is bilinear. */
 static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m)
 {
   if (!(x_m >= 0 && x_m <= MO_TERRAIN_SIZE_M && y_m >= 0 && y_m <= MO_TERRAIN_SIZE_M))
@@ -172,8 +179,8 @@ static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, doub
 }
 
 /* strike() from velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain gradient's dg. */
-static void strike_adjoint(const struct mo_physics *physics, const double g[2], const double v[3], const double dw[3],
-                           double dv[3], double dg[2])
+static void strike_adjoint(const struct mo_physics *physics, const double g[2], const double v[3],
+                           const double dw[3], double dv[3], double dg[2])
 {
   const double length = sqrt(g[0] * g[0] + g[1] * g[1] + 1.0);
   const double normal[3] = {-g[0] / length, -g[1] / length, 1.0 / length};
@@ -214,14 +221,14 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
     dg[k] -= (dn[k] - along * normal[k]) / length;
 }
 
-/* The time of impact solves p[2] + τ v[2] = h(p + τ v). By the implicit function theorem, with g the terrain's gradient there and
- * rate = v[2] − g · v the speed at which the gap opens,
- *   dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate.
- * τ = 0 and τ = dt are where it is clamped: constant. A mass that lies on the ground has no gap to begin with, wherever it lies: in place
- * of dp[2] stands ground · dp, with `ground` the gradient there. That mass strikes only where the ground rises to meet it, at a rate that
- * may be next to 0, and so is g − ground. */
-static void impact_adjoint(double impact, double dt, const double *ground, const double g[2], const double v[3],
-                           double d_impact, double dp[3], double dv[3])
+/* The time of impact solves p[2] + τ v[2] = h(p + τ v). By the implicit function theorem, with g
+ * the terrain's gradient there and rate = v[2] − g · v the speed at which the gap opens, dτ = (g ·
+ * dp − dp[2] + τ (g · dv − dv[2])) / rate. τ = 0 and τ = dt are where it is clamped: constant. A
+ * mass that lies on the ground has no gap to begin with, wherever it lies: in place of dp[2] stands
+ * ground · dp, with `ground` the gradient there. That mass strikes only where the ground rises to
+ * meet it, at a rate that may be next to 0, and so is g − ground. */
+static void impact_adjoint(double impact, double dt, const double *ground, const double g[2],
+                           const double v[3], double d_impact, double dp[3], double dv[3])
 {
   if (!(impact > 0 && impact < dt))
     return;
@@ -233,8 +240,9 @@ static void impact_adjoint(double impact, double dt, const double *ground, const
     dp[k] += ground == NULL ? along[k] : k < 2 ? push * (g[k] - ground[k]) : 0;
 }
 
-void mo_contact_move_adjoint(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
-                             double highest_m, const double position_m[3], const double velocity_m_per_s[3],
+void mo_contact_move_adjoint(const struct mo_physics *physics,
+                             const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                             const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3])
 {
   const double dt = physics->dt_s;
@@ -252,7 +260,8 @@ void mo_contact_move_adjoint(const struct mo_physics *physics, const double heig
                             ? mo_impact_exact(heights_m, p, v, dt)
                             : mo_impact_bisection(heights_m, p, v, dt, physics->bisections);
   const double rest = dt - impact;
-  double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]}, g[2], end[3];
+  double hit[3] = {p[0] + impact * v[0], p[1] + impact * v[1], 0}, slid[3] = {v[0], v[1], v[2]},
+         g[2], end[3];
   hit[2] = mo_terrain_height(heights_m, hit[0], hit[1]);
   mo_terrain_gradient(heights_m, hit[0], hit[1], g);
   strike(physics, g, slid);

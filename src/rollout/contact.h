@@ -4,21 +4,23 @@
 
 #include <morpho/rollout.h>
 
-/* When a mass that leaves `position` with `velocity` first comes below the terrain, given that it is below it after dt.
- * In [0, dt]. */
+/* When a mass that leaves `position` with `velocity` first comes below the terrain, given that it
+ * is below it after dt. In [0, dt]. */
 double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s);
 double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
                            const double velocity_m_per_s[3], double dt_s, uint32_t bisections);
 
 /* Moves a mass for one step; `highest_m` is the terrain's largest height. */
-void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
-                     double position_m[3], double velocity_m_per_s[3]);
+void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
+                     double highest_m, double position_m[3], double velocity_m_per_s[3]);
 
-/* The derivative of mo_contact_move at the position and velocity that it was given. d_position, d_velocity: ∂loss/∂ of what it
- * made of them; replaced by ∂loss/∂ of what it was given. With MO_IMPACT_BISECTION the time of impact counts as constant. */
-void mo_contact_move_adjoint(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
-                             double highest_m, const double position_m[3], const double velocity_m_per_s[3],
+/* The derivative of mo_contact_move at the position and velocity that it was given. d_position,
+ * d_velocity: ∂loss/∂ of what it made of them; replaced by ∂loss/∂ of what it was given. With
+ * MO_IMPACT_BISECTION the time of impact counts as constant. */
+void mo_contact_move_adjoint(const struct mo_physics *physics,
+                             const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
+                             const double position_m[3], const double velocity_m_per_s[3],
                              double d_position[3], double d_velocity[3]);
 
 #endif

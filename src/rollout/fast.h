@@ -1,9 +1,10 @@
 /* fast.h: what block.c prepares and kernel.inc runs. Internal to this room.
  *
- * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments: MO_BLOCK_LANES values side
- * by side, so that a spring or a mass is one vector operation for all environments and needs no gather. The controller's
- * matrices are cut into panels of `panel` outputs, (k, panel) row-major, so that its products run with outputs side by side
- * and every environment is one row. */
+ * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments:
+ * MO_BLOCK_LANES values side by side, so that a spring or a mass is one vector operation for all
+ * environments and needs no gather. The controller's matrices are cut into panels of `panel`
+ * outputs, (k, panel) row-major, so that its products run with outputs side by side and every
+ * environment is one row. */
 #ifndef MORPHO_ROLLOUT_FAST_H
 #define MORPHO_ROLLOUT_FAST_H
 
@@ -15,8 +16,9 @@
 
 #define MO_LANES MO_BLOCK_LANES
 
-/* The terrain as polynomials: 7 × 7 cells and a rim of cells beyond the map, where the clamped coordinate has no effect.
- * Cell (i, j), −1 ≤ i, j ≤ 7, at (j + 1)·9 + (i + 1): h + u·a + w·b + u·w·c with u, w measured from the cell's corner. */
+/* The terrain as polynomials: 7 × 7 cells and a rim of cells beyond the map, where the clamped
+ * coordinate has no effect. Cell (i, j), −1 ≤ i, j ≤ 7, at (j + 1)·9 + (i + 1): h + u·a + w·b +
+ * u·w·c with u, w measured from the cell's corner. */
 #define MO_CELLS_SIDE 9
 #define MO_CELLS      (MO_CELLS_SIDE * MO_CELLS_SIDE)
 
@@ -50,7 +52,8 @@ struct mo_fast_run {
   struct mo_outcome *outcomes;
   /* Scratch, carved by block.c. */
   void *input_weight;    /* (256 / panel, n_masses, panel) of the body's masses */
-  void *output_weight;   /* (n_panels, 256, panel); the last panel is one vector wide if that holds the rest */
+  void *output_weight;   /* (n_panels, 256, panel); the last panel is one vector wide if that holds
+                            the rest */
   void *output_bias;     /* (n_panels · panel) */
   uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
   void *spring_rest;     /* (n_springs) rest lengths */
@@ -68,8 +71,9 @@ mo_fast_function mo_fast_baseline_float, mo_fast_baseline_double;
 mo_fast_function mo_fast_avx2_float, mo_fast_avx2_double;
 mo_fast_function mo_fast_avx512_float, mo_fast_avx512_double;
 
-/* tanh over n values in place and the plain product c = init + x·w, for tests: the kernels' own code. n: a multiple of the
- * vector; x (rows, k); w one panel (k, panel); init (panel); c (rows, panel). */
+/* tanh over n values in place and the plain product c = init + x·w, for tests: the kernels' own
+ * code. n: a multiple of the vector; x (rows, k); w one panel (k, panel); init (panel); c (rows,
+ * panel). */
 struct mo_fast_probe {
   void *tanh_values;
   size_t n_tanh;
@@ -87,8 +91,9 @@ mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
 mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision precision);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
-/* sin and exp from IEEE operations alone, so that the bits do not depend on the C library's choice for the processor. Within
- * 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤ x ≤ 0 respectively. */
+/* sin and exp from IEEE operations alone, so that the bits do not depend on the C library's choice
+ * for the processor. Within 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤ x ≤ 0 respectively.
+ */
 double mo_fast_sin(double x);
 double mo_fast_exp(double x);
 

@@ -1,8 +1,9 @@
 /* gradient.c: backpropagation through a whole reference rollout in bounded memory.
  *
- * Forward, only the state at the start of every segment of about sqrt(n_steps) steps is stored. Backward, segment by segment
- * from the last, the segment is run again on a tape and then walked in reverse; the parameters' gradient is taken once per
- * segment. A robot's gradient is summed in a buffer of its own and handed over only when all of it is finite. */
+ * Forward, only the state at the start of every segment of about sqrt(n_steps) steps is stored.
+ * Backward, segment by segment from the last, the segment is run again on a tape and then walked in
+ * reverse; the parameters' gradient is taken once per segment. A robot's gradient is summed in a
+ * buffer of its own and handed over only when all of it is finite. */
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
@@ -10,7 +11,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const char *const rule_names[] = {[MO_ADJOINT_CLIP] = "clip", [MO_ADJOINT_RESTART] = "restart"};
+static const char *const rule_names[] = {
+    [MO_ADJOINT_CLIP] = "clip", [MO_ADJOINT_RESTART] = "restart"};
 enum { RULES = sizeof(rule_names) / sizeof(rule_names[0]) };
 
 const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule)
@@ -38,10 +40,11 @@ struct mo_gradient_options mo_default_gradient_options(void)
 
 int mo_gradient_options_check(const struct mo_gradient_options *options)
 {
-  if (!isfinite(options->adjoint_bound) || !isfinite(options->weight) || !isfinite(options->restart_weight) ||
-      (unsigned)options->adjoint_rule >= RULES)
+  if (!isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
+      !isfinite(options->restart_weight) || (unsigned)options->adjoint_rule >= RULES)
     return MO_ERR_INVALID;
-  return options->adjoint_bound < 0 || options->restart_weight < 0 || options->restart_weight > MO_RESTART_WEIGHT_MAX
+  return options->adjoint_bound < 0 || options->restart_weight < 0 ||
+                 options->restart_weight > MO_RESTART_WEIGHT_MAX
              ? MO_ERR_RANGE
              : MO_OK;
 }
@@ -50,12 +53,13 @@ struct gradient {
   struct mo_reference reference;
   const struct mo_gradient_options *options;
   const struct mo_gradient_probe *probe;
-  uint32_t segment;                   /* steps per segment; the last one may be shorter */
-  size_t n_state;                     /* doubles of a stored state: positions and velocities */
-  double *states;                     /* (segments, n_state) at the start of each segment */
-  double *kept;                       /* memory of the tapes */
-  struct mo_step_tape *steps;         /* (segment) */
-  struct mo_controller_tape *control; /* (segment) copies of the tapes' network parts, in order of time */
+  uint32_t segment;           /* steps per segment; the last one may be shorter */
+  size_t n_state;             /* doubles of a stored state: positions and velocities */
+  double *states;             /* (segments, n_state) at the start of each segment */
+  double *kept;               /* memory of the tapes */
+  struct mo_step_tape *steps; /* (segment) */
+  struct mo_controller_tape
+      *control; /* (segment) copies of the tapes' network parts, in order of time */
   struct mo_adjoint adjoint;
   double *d_parameters; /* (n_parameters) of this robot */
   double scale_m;       /* d0 */
@@ -96,8 +100,8 @@ static int allocate(struct gradient *g)
   g->control = calloc(g->segment, sizeof(*g->control));
   g->adjoint.d_position = calloc(3 * n + body->n_springs + controller->n_inputs, sizeof(double));
   g->d_parameters = calloc(controller->n_parameters, sizeof(double));
-  if (g->states == NULL || g->kept == NULL || g->steps == NULL || g->control == NULL || g->adjoint.d_position == NULL ||
-      g->d_parameters == NULL)
+  if (g->states == NULL || g->kept == NULL || g->steps == NULL || g->control == NULL ||
+      g->adjoint.d_position == NULL || g->d_parameters == NULL)
     return MO_ERR_NO_MEMORY;
   g->adjoint.d_velocity = g->adjoint.d_position + n;
   g->adjoint.d_impulse = g->adjoint.d_velocity + n;
@@ -128,9 +132,10 @@ static void run_forward(struct gradient *g, struct mo_outcome *outcome)
       outcome->diverged_step = (int32_t)step + 1;
   }
   mo_scene_com(r->position_m, r->body->n_masses, outcome->com_end_m);
-  outcome->loss = outcome->diverged_step != 0
-                      ? (double)INFINITY
-                      : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->environment->light_xy_m);
+  outcome->loss =
+      outcome->diverged_step != 0
+          ? (double)INFINITY
+          : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->environment->light_xy_m);
 }
 
 /* Steps first … first + n − 1 again, onto the tapes. */
@@ -172,7 +177,8 @@ static void take_back(struct gradient *g, double m, const double *before_m)
   }
 }
 
-/* Measures the adjoint of the state after `step` steps and takes it back into the bound. False: it is not finite. */
+/* Measures the adjoint of the state after `step` steps and takes it back into the bound. False: it
+ * is not finite. */
 static bool limit(struct gradient *g, uint32_t step, const double *before_m, bool *clipped)
 {
   const size_t n = g->n_state / 2;
@@ -202,7 +208,8 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
   mo_adjoint_start(r, outcome->com_end_m, g->scale_m, 1.0, &g->adjoint);
   for (uint32_t k = segments(g); k-- > 0;) {
     const uint32_t first = k * g->segment;
-    const uint32_t n = r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
+    const uint32_t n =
+        r->physics->n_steps - first < g->segment ? r->physics->n_steps - first : g->segment;
     replay(g, first, n);
     for (uint32_t s = n; s-- > 0;) {
       g->counts.steps++;
@@ -212,8 +219,8 @@ static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
       }
       mo_adjoint_step(r, &g->steps[s], &g->adjoint);
     }
-    mo_controller_accumulate(r->controller, r->body->spring_lattice, r->body->n_springs, g->control, n,
-                             g->d_parameters);
+    mo_controller_accumulate(r->controller, r->body->spring_lattice, r->body->n_springs, g->control,
+                             n, g->d_parameters);
   }
   g->counts.clipped_robots += clipped;
   for (size_t i = 0; i < r->controller->n_parameters; i++)
@@ -235,8 +242,9 @@ void mo_gradient_counts_add(struct mo_gradient_counts *sum, const struct mo_grad
 
 int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *controller,
                        const struct mo_environment *environment, const struct mo_physics *physics,
-                       const struct mo_gradient_options *options, const struct mo_gradient_probe *probe,
-                       struct mo_outcome *outcome, double *d_parameters, struct mo_gradient_counts *counts)
+                       const struct mo_gradient_options *options,
+                       const struct mo_gradient_probe *probe, struct mo_outcome *outcome,
+                       double *d_parameters, struct mo_gradient_counts *counts)
 {
   if (controller == NULL)
     return MO_ERR_INVALID;
@@ -268,9 +276,11 @@ int mo_gradient_probed(const struct mo_body *body, const struct mo_controller *c
 }
 
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
-                          const struct mo_environment *environment, const struct mo_physics *physics,
-                          const struct mo_gradient_options *options, struct mo_outcome *outcome, double *d_parameters,
-                          struct mo_gradient_counts *counts)
+                          const struct mo_environment *environment,
+                          const struct mo_physics *physics,
+                          const struct mo_gradient_options *options, struct mo_outcome *outcome,
+                          double *d_parameters, struct mo_gradient_counts *counts)
 {
-  return mo_gradient_probed(body, controller, environment, physics, options, NULL, outcome, d_parameters, counts);
+  return mo_gradient_probed(body, controller, environment, physics, options, NULL, outcome,
+                            d_parameters, counts);
 }

@@ -1,4 +1,5 @@
-/* gradient_block.c: packs, one worker's scratch, and the way from mo_gradient_block into the kernels. */
+/* gradient_block.c: packs, one worker's scratch, and the way from mo_gradient_block into the
+ * kernels. */
 #include "base/clock.h"
 #include "rollout/fast.h"
 #include "rollout/gradient_fast.h"
@@ -41,7 +42,8 @@ static size_t lay_out(struct mo_gradient_pack *pack, char *base)
   return used;
 }
 
-/* (256 outputs, n inputs) row-major, inputs on the way in, to panels of outputs: (256 / panel, n, panel). */
+/* (256 outputs, n inputs) row-major, inputs on the way in, to panels of outputs: (256 / panel, n,
+ * panel). */
 static void pack_panels(const float *weight, size_t row, size_t n, size_t panel, float *panels)
 {
   for (size_t o = 0; o < MO_HIDDEN; o++)
@@ -57,7 +59,8 @@ static void pack_transposed(const float *weight, size_t panel, float *panels)
       panels[((k / panel) * MO_HIDDEN + o) * panel + k % panel] = weight[o * MO_HIDDEN + k];
 }
 
-/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen (kernel_tiles.inc). */
+/* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen (kernel_tiles.inc).
+ */
 static void pack_plain(const float *values, size_t n, float *to)
 {
   for (size_t i = 0; i < n; i++)
@@ -66,7 +69,8 @@ static void pack_plain(const float *values, size_t n, float *to)
 
 static void fill(struct mo_gradient_pack *pack, const struct mo_controller *controller)
 {
-  const size_t n_inputs = controller->n_inputs, n_masses = controller->n_masses, panel = pack->panel;
+  const size_t n_inputs = controller->n_inputs, n_masses = controller->n_masses,
+               panel = pack->panel;
   pack_panels(controller->weight[0], n_inputs, n_masses, panel, pack->input_weight);
   for (size_t i = 0; i < MO_CPG_INPUTS; i++)
     for (size_t o = 0; o < MO_HIDDEN; o++)
@@ -90,7 +94,8 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
   return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
 }
 
-int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa, struct mo_gradient_pack **ret)
+int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa,
+                            struct mo_gradient_pack **ret)
 {
   if ((unsigned)isa >= MO_ISA_COUNT || isa > mo_isa_best())
     return MO_ERR_UNSUPPORTED;
@@ -153,7 +158,8 @@ static void release(struct mo_gradient_buffer *buffer)
   *buffer = (struct mo_gradient_buffer){0};
 }
 
-/* A tape is long: huge pages, and when it grows, the pages that it has move along and need not be cleared again. */
+/* A tape is long: huge pages, and when it grows, the pages that it has move along and need not be
+ * cleared again. */
 static int reserve_pages(struct mo_gradient_buffer *buffer, size_t bytes)
 {
   const size_t size = (bytes + HUGE_PAGE - 1) / HUGE_PAGE * HUGE_PAGE;
@@ -207,12 +213,13 @@ size_t mo_gradient_memory_bytes(const struct mo_gradient_memory *memory)
 
 mo_gradient_function *mo_gradient_find(enum mo_isa isa)
 {
-  static mo_gradient_function *const functions[MO_ISA_COUNT] = {mo_gradient_baseline, mo_gradient_avx2,
-                                                                mo_gradient_avx512};
+  static mo_gradient_function *const functions[MO_ISA_COUNT] = {
+      mo_gradient_baseline, mo_gradient_avx2, mo_gradient_avx512};
   return functions[isa];
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how long one is. */
+/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how
+ * long one is. */
 static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
 {
   struct mo_gradient_profile *total = run->profile, block = {0};
@@ -236,8 +243,8 @@ static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *funct
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes, float *d_parameters,
-                      struct mo_gradient_counts *counts)
+                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes,
+                      float *d_parameters, struct mo_gradient_counts *counts)
 {
   if (n < 1 || n > MO_GRADIENT_ROBOTS || mo_gradient_options_check(options) != MO_OK)
     return MO_ERR_INVALID;
@@ -278,9 +285,10 @@ static int by_size(const void *a, const void *b)
   return x->robot < y->robot ? -1 : 1;
 }
 
-/* Bodies of one size: small ones meet in the few springs that all of them have, instead of adding springs that they have alone to the
- * blocks of the large ones. Measured on 256 random bodies: 108 tiles to a block instead of 172. To look for pairs that overlap most gains
- * next to nothing more. The largest come first, so that no worker is left alone with one at the end. */
+/* Bodies of one size: small ones meet in the few springs that all of them have, instead of adding
+ * springs that they have alone to the blocks of the large ones. Measured on 256 random bodies: 108
+ * tiles to a block instead of 172. To look for pairs that overlap most gains next to nothing more.
+ * The largest come first, so that no worker is left alone with one at the end. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
 {
   struct place *places = malloc((n > 0 ? n : 1) * sizeof(*places));

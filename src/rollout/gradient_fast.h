@@ -1,4 +1,5 @@
-/* gradient_fast.h: what gradient_block.c prepares and gradient_kernel.inc runs. Internal to this room. */
+/* gradient_fast.h: what gradient_block.c prepares and gradient_kernel.inc runs. Internal to this
+ * room. */
 #ifndef MORPHO_ROLLOUT_GRADIENT_FAST_H
 #define MORPHO_ROLLOUT_GRADIENT_FAST_H
 

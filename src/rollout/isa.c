@@ -1,4 +1,5 @@
-/* isa.c: which of the compiled kernels this processor runs; sin and exp that do not depend on it. */
+/* isa.c: which of the compiled kernels this processor runs; sin and exp that do not depend on it.
+ */
 #include "rollout/fast.h"
 
 #include <cpuid.h>
@@ -8,8 +9,8 @@
 
 static const char *const names[MO_ISA_COUNT] = {"x86-64", "avx2", "avx512"};
 
-/* Three features of x86-64-v3 that not every compiler's builtin knows by name: MOVBE, F16C, LZCNT. None of them has registers
- * of its own, so the processor's word is enough. */
+/* Three features of x86-64-v3 that not every compiler's builtin knows by name: MOVBE, F16C, LZCNT.
+ * None of them has registers of its own, so the processor's word is enough. */
 static bool has_small_features(void)
 {
   unsigned a, b, basic, d, extended;
@@ -17,16 +18,17 @@ static bool has_small_features(void)
          (basic & bit_MOVBE) != 0 && (basic & bit_F16C) != 0 && (extended & bit_LZCNT) != 0;
 }
 
-/* The compiler's builtins ask the processor and, for the wide registers, the operating system. The lists are what
- * meson.build compiles for: x86-64-v3 and x86-64-v4. */
+/* The compiler's builtins ask the processor and, for the wide registers, the operating system. The
+ * lists are what meson.build compiles for: x86-64-v3 and x86-64-v4. */
 enum mo_isa mo_isa_best(void)
 {
   __builtin_cpu_init();
-  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") || !__builtin_cpu_supports("bmi") ||
-      !__builtin_cpu_supports("bmi2") || !has_small_features())
+  if (!__builtin_cpu_supports("avx2") || !__builtin_cpu_supports("fma") ||
+      !__builtin_cpu_supports("bmi") || !__builtin_cpu_supports("bmi2") || !has_small_features())
     return MO_ISA_BASELINE;
   if (!__builtin_cpu_supports("avx512f") || !__builtin_cpu_supports("avx512bw") ||
-      !__builtin_cpu_supports("avx512cd") || !__builtin_cpu_supports("avx512dq") || !__builtin_cpu_supports("avx512vl"))
+      !__builtin_cpu_supports("avx512cd") || !__builtin_cpu_supports("avx512dq") ||
+      !__builtin_cpu_supports("avx512vl"))
     return MO_ISA_AVX2;
   return MO_ISA_AVX512;
 }
@@ -73,7 +75,8 @@ mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision pr
 
 double mo_fast_sin(double x)
 {
-  /* x = n π/2 + r, π/2 in two parts of which the first has trailing zeros: n · high is exact for |n| < 2^20. */
+  /* x = n π/2 + r, π/2 in two parts of which the first has trailing zeros: n · high is exact for
+   * |n| < 2^20. */
   const double n = nearbyint(x * 0.63661977236758134308);
   const double r = (x - n * 0x1.921fb544p+0) - n * 0x1.0b4611a626331p-34;
   const double s = r * r;

@@ -1,4 +1,5 @@
-/* kernel_double.c: the fast path in double; MO_FAST_ISA names the instruction set it is compiled for. */
+/* kernel_double.c: the fast path in double; MO_FAST_ISA names the instruction set it is compiled
+ * for. */
 #define MO_FAST_DOUBLE    1
 #define MO_JOIN3(a, b, c) a##b##c
 #define MO_JOIN(a, b, c)  MO_JOIN3(a, b, c)

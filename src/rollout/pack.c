@@ -1,7 +1,8 @@
 /* pack.c: a controller laid out for one instruction set and precision.
  *
- * Hidden layers become panels for the kernels' products. The first and the last layer are kept as float32 in an order from
- * which a body's own columns and rows are quickly packed when its block starts: only they are multiplied. */
+ * Hidden layers become panels for the kernels' products. The first and the last layer are kept as
+ * float32 in an order from which a body's own columns and rows are quickly packed when its block
+ * starts: only they are multiplied. */
 #include "rollout/fast.h"
 
 #include <stdlib.h>
@@ -44,7 +45,8 @@ static void lay_out(struct mo_pack *pack, struct carver *carver)
 
 static void put(const struct mo_pack *pack, void *array, size_t i, float value)
 {
-  /* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen (kernel_network.inc). */
+  /* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen
+   * (kernel_network.inc). */
   if (pack->precision == MO_FLOAT64)
     ((double *)array)[i] = (double)value + 0.0;
   else
@@ -76,11 +78,12 @@ static void fill(struct mo_pack *pack, const struct mo_controller *controller)
     }
   memcpy(pack->output_weight, controller->weight[MO_HIDDEN_LAYERS],
          (size_t)controller->n_springs * MO_HIDDEN * sizeof(float));
-  memcpy(pack->output_bias, controller->bias[MO_HIDDEN_LAYERS], controller->n_springs * sizeof(float));
+  memcpy(pack->output_bias, controller->bias[MO_HIDDEN_LAYERS],
+         controller->n_springs * sizeof(float));
 }
 
-int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa, enum mo_precision precision,
-                   struct mo_pack **ret)
+int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
+                   enum mo_precision precision, struct mo_pack **ret)
 {
   if ((unsigned)isa >= MO_ISA_COUNT || (precision != MO_FLOAT32 && precision != MO_FLOAT64))
     return MO_ERR_INVALID;

@@ -38,12 +38,14 @@ int mo_physics_check(const struct mo_physics *physics, struct mo_message *messag
   if (r != MO_OK)
     return r;
   if (physics->n_steps < 1 || physics->n_steps > MO_STEPS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "n_steps is %u; it must be 1 to %d", physics->n_steps, MO_STEPS_MAX);
+    return mo_fail(message, MO_ERR_RANGE, "n_steps is %u; it must be 1 to %d", physics->n_steps,
+                   MO_STEPS_MAX);
   if (physics->impact != MO_IMPACT_EXACT && physics->impact != MO_IMPACT_BISECTION)
     return mo_fail(message, MO_ERR_INVALID, "impact is %d; it must be %d (exact) or %d (bisection)",
                    (int)physics->impact, (int)MO_IMPACT_EXACT, (int)MO_IMPACT_BISECTION);
   if (physics->bisections < 1 || physics->bisections > 52)
-    return mo_fail(message, MO_ERR_RANGE, "bisections is %u; it must be 1 to 52", physics->bisections);
+    return mo_fail(message, MO_ERR_RANGE, "bisections is %u; it must be 1 to 52",
+                   physics->bisections);
   return MO_OK;
 }
 

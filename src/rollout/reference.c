@@ -1,5 +1,6 @@
-/* reference.c: the rollout in plain float64 C, step by step as docs/model.md writes it down. It is the yardstick for every
- * faster path, so it trades speed for being readable; all sums run in index order. */
+/* reference.c: the rollout in plain float64 C, step by step as docs/model.md writes it down. It is
+ * the yardstick for every faster path, so it trades speed for being readable; all sums run in index
+ * order. */
 #include "rollout/reference.h"
 
 #include "rollout/contact.h"
@@ -24,7 +25,8 @@ static void sense_light(struct mo_reference *r)
   for (uint32_t i = 0; i < body->n_masses; i++) {
     const double *p = r->position_m + 3 * (size_t)i;
     const double d[3] = {p[0] - r->light_m[0], p[1] - r->light_m[1], p[2] - r->light_m[2]};
-    const double light = sense(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
+    const double light =
+        sense(r->controller->sensor, sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]));
     r->input[body->mass_lattice[i]] = light;
     mean += light;
   }
@@ -39,13 +41,14 @@ static void control(struct mo_reference *r, uint32_t step)
   sense_light(r);
   const double t = step * r->physics->dt_s;
   for (int k = 0; k < MO_CPG_INPUTS; k++)
-    r->input[r->controller->n_masses + (uint32_t)k] = sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
+    r->input[r->controller->n_masses + (uint32_t)k] =
+        sin(MO_CPG_RAD_PER_S * t + 2.0 * M_PI * k / MO_CPG_INPUTS);
   if (r->tape != NULL)
-    mo_controller_forward_tape(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
-                               &r->tape->control);
+    mo_controller_forward_tape(r->controller, r->input, r->body->spring_lattice, r->body->n_springs,
+                               r->activation, &r->tape->control);
   else
-    mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs, r->activation,
-                          r->scratch);
+    mo_controller_forward(r->controller, r->input, r->body->spring_lattice, r->body->n_springs,
+                          r->activation, r->scratch);
 }
 
 /* Impulses of all springs over one step. */
@@ -63,7 +66,8 @@ static void pull_springs(struct mo_reference *r)
     double rest = body->spring_diagonal[s] ? MO_VOXEL_M * M_SQRT2 : MO_VOXEL_M;
     if (r->controller != NULL)
       rest *= 1.0 + physics->actuation * r->activation[s];
-    const double pull = physics->dt_s * physics->stiffness_n_per_m * (length - rest) / (length + 1e-8);
+    const double pull =
+        physics->dt_s * physics->stiffness_n_per_m * (length - rest) / (length + 1e-8);
     for (int axis = 0; axis < 3; axis++) {
       r->impulse_n_s[a + axis] -= pull * d[axis];
       r->impulse_n_s[b + axis] += pull * d[axis];
@@ -82,7 +86,8 @@ static void move_masses(struct mo_reference *r)
     v[2] -= physics->gravity_m_per_s2 * physics->dt_s;
     if (r->tape != NULL)
       memcpy(r->tape->velocity_m_per_s + 3 * (size_t)i, v, 3 * sizeof(double));
-    mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m, r->position_m + 3 * (size_t)i, v);
+    mo_contact_move(physics, r->environment->terrain_heights_m, r->highest_m,
+                    r->position_m + 3 * (size_t)i, v);
   }
 }
 
@@ -91,14 +96,16 @@ static bool is_sane(const struct mo_reference *r)
 {
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
     const double *p = r->position_m + 3 * (size_t)i, *v = r->velocity_m_per_s + 3 * (size_t)i;
-    if (!(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] <= MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S) ||
+    if (!(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] <=
+          MO_DIVERGED_SPEED_M_PER_S * MO_DIVERGED_SPEED_M_PER_S) ||
         !isfinite(p[0] + p[1] + p[2]))
       return false;
   }
   return true;
 }
 
-static void record(const struct mo_reference *r, const struct mo_recording *recording, uint32_t step)
+static void record(const struct mo_reference *r, const struct mo_recording *recording,
+                   uint32_t step)
 {
   if (recording == NULL || recording->stride == 0 || step % recording->stride != 0)
     return;
@@ -121,7 +128,8 @@ static int allocate(struct mo_reference *r)
   r->sane_m = r->position_m + 9 * n;
   if (r->controller == NULL)
     return MO_OK;
-  r->activation = calloc((size_t)r->body->n_springs + r->controller->n_inputs + 2 * (size_t)MO_HIDDEN, sizeof(double));
+  r->activation = calloc(
+      (size_t)r->body->n_springs + r->controller->n_inputs + 2 * (size_t)MO_HIDDEN, sizeof(double));
   if (r->activation == NULL) {
     free(r->position_m);
     return MO_ERR_NO_MEMORY;
@@ -153,16 +161,17 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
 }
 
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
-                      const struct mo_controller *controller, const struct mo_environment *environment,
-                      const struct mo_physics *physics)
+                      const struct mo_controller *controller,
+                      const struct mo_environment *environment, const struct mo_physics *physics)
 {
   if (controller != NULL && !same_workspace(controller->workspace, body->workspace))
     return MO_ERR_INVALID;
-  *reference = (struct mo_reference){.body = body,
-                                     .controller = controller,
-                                     .environment = environment,
-                                     .physics = physics,
-                                     .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
+  *reference =
+      (struct mo_reference){.body = body,
+                            .controller = controller,
+                            .environment = environment,
+                            .physics = physics,
+                            .highest_m = mo_terrain_highest(environment->terrain_heights_m)};
   const int r = allocate(reference);
   if (r < 0)
     return r;
@@ -195,9 +204,10 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
     record(&reference, recording, step + 1);
   }
   mo_scene_com(reference.position_m, body->n_masses, outcome->com_end_m);
-  outcome->loss = outcome->diverged_step != 0
-                      ? (double)INFINITY
-                      : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, environment->light_xy_m);
+  outcome->loss =
+      outcome->diverged_step != 0
+          ? (double)INFINITY
+          : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, environment->light_xy_m);
   mo_reference_done(&reference);
   return MO_OK;
 }

@@ -1,4 +1,5 @@
-/* reference.h: the float64 rollout one step at a time, so that tests can set and inspect a state. */
+/* reference.h: the float64 rollout one step at a time, so that tests can set and inspect a state.
+ */
 #ifndef MORPHO_ROLLOUT_REFERENCE_H
 #define MORPHO_ROLLOUT_REFERENCE_H
 
@@ -10,8 +11,8 @@
 
 /* What the derivative of one step needs. */
 struct mo_step_tape {
-  double *position_m;                /* (n_masses, 3) at the start of the step */
-  double *velocity_m_per_s;          /* (n_masses, 3) after springs, drag and gravity, before contact */
+  double *position_m;       /* (n_masses, 3) at the start of the step */
+  double *velocity_m_per_s; /* (n_masses, 3) after springs, drag and gravity, before contact */
   struct mo_controller_tape control; /* over the body's springs */
 };
 
@@ -32,10 +33,11 @@ struct mo_reference {
   struct mo_step_tape *tape; /* where the next step is kept; NULL (the default): it is not */
 };
 
-/* Borrows all arguments. MO_ERR_INVALID: the controller is for another workspace; MO_ERR_NO_MEMORY. */
+/* Borrows all arguments. MO_ERR_INVALID: the controller is for another workspace; MO_ERR_NO_MEMORY.
+ */
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
-                      const struct mo_controller *controller, const struct mo_environment *environment,
-                      const struct mo_physics *physics);
+                      const struct mo_controller *controller,
+                      const struct mo_environment *environment, const struct mo_physics *physics);
 void mo_reference_done(struct mo_reference *reference);
 
 /* Step number `step`, from 0. False: it diverged; the positions are those before the step. */

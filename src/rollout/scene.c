@@ -43,9 +43,10 @@ void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])
     com_m[axis] = sum[axis] / n;
 }
 
-/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by what rounding left: one step of Newton's method takes that
- * off. The excess is written so that its parts are small and nearly exact, one way for b near a and one for b below a/2 or so
- * (C. F. Borges, "An improved algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
+/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by what rounding left:
+ * one step of Newton's method takes that off. The excess is written so that its parts are small and
+ * nearly exact, one way for b near a and one for b below a/2 or so (C. F. Borges, "An improved
+ * algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
 double mo_scene_distance(double dx_m, double dy_m)
 {
   double a = fmax(fabs(dx_m), fabs(dy_m)), b = fmin(fabs(dx_m), fabs(dy_m));
@@ -73,9 +74,11 @@ double mo_scene_distance(double dx_m, double dy_m)
   return (e - excess / (2.0 * e)) * unit;
 }
 
-double mo_scene_loss(const double com_start_m[3], const double com_end_m[3], const double light_xy_m[2])
+double mo_scene_loss(const double com_start_m[3], const double com_end_m[3],
+                     const double light_xy_m[2])
 {
-  const double start = mo_scene_distance(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
+  const double start =
+      mo_scene_distance(com_start_m[0] - light_xy_m[0], com_start_m[1] - light_xy_m[1]);
   const double end = mo_scene_distance(com_end_m[0] - light_xy_m[0], com_end_m[1] - light_xy_m[1]);
   return end / (start + MO_LOSS_GUARD_M);
 }

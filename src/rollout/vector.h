@@ -1,13 +1,14 @@
 /* vector.h: one vector of REAL, for the instruction set that this file is compiled for.
  *
- * kernel.inc is written once on these names and compiled six times (float, double × x86-64, AVX2 + FMA, AVX-512). What C's
- * vector extension can say (+ − * /, loads, shuffles, integer bits) is left to it; only what it cannot say is named here:
- *   V        MO_VL numbers            I       as many integers of the same size
- *   M        one truth value per lane; & | ^ work on it, v_bits gives bit l for lane l
- *   v_fma    a·b + c, one rounding where the instruction set has it, two on plain x86-64
- *   v_min    x86 order: the second operand if either is not a number (or both are zeros); the same for v_max
- * Contraction is off for the whole project, so nothing is fused that does not say so: each lane sees the same operations
- * whatever the other lanes hold and however loops are unrolled. */
+ * kernel.inc is written once on these names and compiled six times (float, double × x86-64, AVX2 +
+ * FMA, AVX-512). What C's vector extension can say (+ − * /, loads, shuffles, integer bits) is left
+ * to it; only what it cannot say is named here: V        MO_VL numbers            I       as many
+ * integers of the same size M        one truth value per lane; & | ^ work on it, v_bits gives bit l
+ * for lane l v_fma    a·b + c, one rounding where the instruction set has it, two on plain x86-64
+ *   v_min    x86 order: the second operand if either is not a number (or both are zeros); the same
+ * for v_max Contraction is off for the whole project, so nothing is fused that does not say so:
+ * each lane sees the same operations whatever the other lanes hold and however loops are unrolled.
+ */
 #ifndef MORPHO_ROLLOUT_VECTOR_H
 #define MORPHO_ROLLOUT_VECTOR_H
 
@@ -52,7 +53,8 @@ MO_INLINE void v_store(REAL *p, V v)
   *(V *)p = v;
 }
 
-/* Loads into a register even what is used only twice: compilers fold it into both operations, and load it twice. */
+/* Loads into a register even what is used only twice: compilers fold it into both operations, and
+ * load it twice. */
 MO_INLINE V v_load_once(const REAL *p)
 {
   V v = *(const V *)p;
@@ -64,7 +66,8 @@ MO_INLINE V v_load_once(const REAL *p)
   return v;
 }
 
-/* For what is not read again soon: past the caches where the instruction set has such a store of the vector's width. p: aligned. */
+/* For what is not read again soon: past the caches where the instruction set has such a store of
+ * the vector's width. p: aligned. */
 MO_INLINE void v_stream(REAL *p, V v)
 {
 #if MO_VBYTES == 64 && MO_FAST_DOUBLE
@@ -188,8 +191,10 @@ MO_INLINE M v_mask(unsigned bits)
 /* ---- shuffles: (a0 b0 a1 b1 …) of the lower and of the upper halves ---- */
 
 #if MO_VBYTES == 64 && !MO_FAST_DOUBLE
-#define v_zip_low(a, b)  __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23)
-#define v_zip_high(a, b) __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)
+#define v_zip_low(a, b)                                                                            \
+  __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23)
+#define v_zip_high(a, b)                                                                           \
+  __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)
 #elif (MO_VBYTES == 64 && MO_FAST_DOUBLE) || (MO_VBYTES == 32 && !MO_FAST_DOUBLE)
 #define v_zip_low(a, b)  __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11)
 #define v_zip_high(a, b) __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15)
@@ -227,20 +232,23 @@ MO_INLINE REAL v_sum(V v)
 #if MO_VBYTES == 64
   typedef REAL Q __attribute__((vector_size(MO_VBYTES / 4)));
 #if MO_FAST_DOUBLE
-  const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+  const H half =
+      __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
   const Q q = __builtin_shufflevector(half, half, 0, 1) + __builtin_shufflevector(half, half, 2, 3);
   return q[0] + q[1];
 #else
   const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3, 4, 5, 6, 7) +
                  __builtin_shufflevector(v, v, 8, 9, 10, 11, 12, 13, 14, 15);
-  const Q q = __builtin_shufflevector(half, half, 0, 1, 2, 3) + __builtin_shufflevector(half, half, 4, 5, 6, 7);
+  const Q q = __builtin_shufflevector(half, half, 0, 1, 2, 3) +
+              __builtin_shufflevector(half, half, 4, 5, 6, 7);
   return (q[0] + q[2]) + (q[1] + q[3]);
 #endif
 #elif MO_VBYTES == 32 && MO_FAST_DOUBLE
   const H half = __builtin_shufflevector(v, v, 0, 1) + __builtin_shufflevector(v, v, 2, 3);
   return half[0] + half[1];
 #elif MO_VBYTES == 32
-  const H half = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+  const H half =
+      __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
   return (half[0] + half[2]) + (half[1] + half[3]);
 #elif MO_FAST_DOUBLE
   return v[0] + v[1];

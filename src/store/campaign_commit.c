@@ -1,8 +1,8 @@
 /* campaign_commit.c: a generation of a campaign, whole or not at all.
  *
- * Everything that a generation brought is one operation of the writer; the file of its checkpoint is there before. What the caller
- * says is checked against what is stored: a generation out of turn is a conflict, parents that are not the stored population are
- * a mistake. */
+ * Everything that a generation brought is one operation of the writer; the file of its checkpoint
+ * is there before. What the caller says is checked against what is stored: a generation out of turn
+ * is a conflict, parents that are not the stored population are a mistake. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,9 +23,11 @@ struct commit_arguments {
 
 /* ---- what is asked for ---- */
 
-static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth, int which)
+static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth,
+                              int which)
 {
-  return birth->parents[which] == MO_NO_PARENT ? MO_NO_PARENT : commit->parent_numbers[birth->parents[which]];
+  return birth->parents[which] == MO_NO_PARENT ? MO_NO_PARENT
+                                               : commit->parent_numbers[birth->parents[which]];
 }
 
 static int check_births(const struct mo_campaign_commit *commit)
@@ -62,8 +64,8 @@ static int prepare(struct commit_arguments *call)
   call->births = calloc(n_children + 1, MO_BIRTH_BYTES);
   call->population = calloc(commit->n_survivors + 1, MO_MEMBER_BYTES);
   call->scores = calloc(n_parents + 1, 8);
-  if (call->genotypes == NULL || call->lives == NULL || call->births == NULL || call->population == NULL ||
-      call->scores == NULL)
+  if (call->genotypes == NULL || call->lives == NULL || call->births == NULL ||
+      call->population == NULL || call->scores == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < n_children; i++) {
     uint8_t *at = call->births + (size_t)i * MO_BIRTH_BYTES;
@@ -77,9 +79,11 @@ static int prepare(struct commit_arguments *call)
     if (place >= n || call->lives[place])
       return MO_ERR_INVALID;
     call->lives[place] = 1;
-    mo_encode_u32(is_child ? (uint32_t)commit->row.born_before + place - n_parents : commit->parent_numbers[place],
+    mo_encode_u32(is_child ? (uint32_t)commit->row.born_before + place - n_parents
+                           : commit->parent_numbers[place],
                   call->population + (size_t)i * MO_MEMBER_BYTES);
-    mo_encode_double(is_child ? commit->child_scores[place - n_parents] : commit->parent_scores[place],
+    mo_encode_double(is_child ? commit->child_scores[place - n_parents]
+                              : commit->parent_scores[place],
                      call->population + (size_t)i * MO_MEMBER_BYTES + 4);
   }
   return MO_OK;
@@ -110,8 +114,8 @@ static int check_parents(struct mo_connection *writer, struct commit_arguments *
 
 static int check_turn(struct mo_store *store, struct commit_arguments *call)
 {
-  static const char sql[] =
-      "UPDATE jobs SET " MO_NEXT_VERSION ",attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
+  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION
+                            ",attempts=0 WHERE id=?1 AND kind=2 AND state<=2 AND epoch=?2";
   const struct mo_campaign_generation *row = &call->commit->row;
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
@@ -134,17 +138,20 @@ static int check_turn(struct mo_store *store, struct commit_arguments *call)
 
 static int write_size(const struct mo_design_size *size, int64_t *packed)
 {
-  if (size->springs > UINT16_MAX || size->masses > 1023 || size->voxels > 1023 || size->footprint > 1023)
+  if (size->springs > UINT16_MAX || size->masses > 1023 || size->voxels > 1023 ||
+      size->footprint > 1023)
     return MO_ERR_RANGE;
-  *packed = (int64_t)((uint64_t)size->springs | (uint64_t)size->masses << 16 | (uint64_t)size->voxels << 26 |
-                      (uint64_t)size->footprint << 36);
+  *packed = (int64_t)((uint64_t)size->springs | (uint64_t)size->masses << 16 |
+                      (uint64_t)size->voxels << 26 | (uint64_t)size->footprint << 36);
   return MO_OK;
 }
 
-static int insert_children(struct mo_connection *writer, struct commit_arguments *call, int64_t now_us)
+static int insert_children(struct mo_connection *writer, struct commit_arguments *call,
+                           int64_t now_us)
 {
   static const char sql[] =
-      "INSERT INTO campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,score,"
+      "INSERT INTO "
+      "campaign_designs(job,number,genotype,operator,parent,other_parent,born,died,score,"
       "size) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10)";
   const struct mo_campaign_commit *commit = call->commit;
   const int64_t first = (int64_t)commit->row.born_before;
@@ -152,7 +159,8 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   int64_t size = 0;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++)
-    error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us, &call->genotypes[i]);
+    error = mo_genotype_row(writer, &commit->forms[i], &commit->genotypes[i], now_us,
+                            &call->genotypes[i]);
   for (uint32_t i = 0; i < commit->row.n_children && error == MO_OK; i++) {
     const struct mo_birth *birth = &commit->births[i];
     uint8_t score[8];
@@ -184,7 +192,8 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
 /* Parents that died, or that were scored anew. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
-  static const char sql[] = "UPDATE campaign_designs SET died=?3,score=?4 WHERE job=?1 AND number=?2";
+  static const char sql[] =
+      "UPDATE campaign_designs SET died=?3,score=?4 WHERE job=?1 AND number=?2";
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   for (uint32_t i = 0; i < commit->n_parents && error == MO_OK; i++) {
@@ -210,35 +219,39 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
 
 /* The losses of a child, as evaluations save theirs. */
 static int insert_child_scores(struct mo_connection *writer, const struct commit_arguments *call,
-                               const struct mo_campaign_loss *loss, const int64_t *environments, int64_t now_us)
+                               const struct mo_campaign_loss *loss, const int64_t *environments,
+                               int64_t now_us)
 {
   const struct mo_campaign_head *head = &call->head;
   const int64_t genotype = call->genotypes[loss->place];
-  const struct mo_saved_design design = {genotype, head->controller, head->physics, head->environment_set};
+  const struct mo_saved_design design = {genotype, head->controller, head->physics,
+                                         head->environment_set};
   struct mo_saved_score scores[MO_ENVIRONMENTS_MAX];
   uint32_t n_new = 0;
   double sum = 0;
   int error;
   for (uint32_t k = 0; k < head->n_environments; k++) {
     const bool by_workers = loss->by_workers >> k & 1;
-    scores[k] = (struct mo_saved_score){.genotype = genotype,
-                                        .controller = head->controller,
-                                        .physics = head->physics,
-                                        .environment = environments[k],
-                                        .loss = loss->losses[k],
-                                        .diverged_step = loss->diverged_steps[k],
-                                        .fingerprint =
-                                            by_workers ? call->commit->workers_fingerprint : call->commit->fingerprint};
+    scores[k] = (struct mo_saved_score){
+        .genotype = genotype,
+        .controller = head->controller,
+        .physics = head->physics,
+        .environment = environments[k],
+        .loss = loss->losses[k],
+        .diverged_step = loss->diverged_steps[k],
+        .fingerprint = by_workers ? call->commit->workers_fingerprint : call->commit->fingerprint};
     sum += loss->losses[k];
   }
   error = mo_scores_insert(writer, scores, head->n_environments, now_us, &n_new);
   if (error != MO_OK || head->environment_set == 0)
     return error;
-  return n_new == head->n_environments ? mo_set_score_insert_mean(writer, &design, sum / head->n_environments)
-                                       : mo_set_score_insert(writer, &design);
+  return n_new == head->n_environments
+             ? mo_set_score_insert_mean(writer, &design, sum / head->n_environments)
+             : mo_set_score_insert(writer, &design);
 }
 
-static int insert_scores(struct mo_connection *writer, const struct commit_arguments *call, int64_t now_us)
+static int insert_scores(struct mo_connection *writer, const struct commit_arguments *call,
+                         int64_t now_us)
 {
   const struct mo_campaign_commit *commit = call->commit;
   const struct mo_campaign_head *head = &call->head;
@@ -258,7 +271,8 @@ static int insert_scores(struct mo_connection *writer, const struct commit_argum
 
 static int insert_blobs(struct mo_connection *writer, const struct commit_arguments *call)
 {
-  static const char sql[] = "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
+  static const char sql[] =
+      "INSERT INTO campaign_populations(job,generation,births,population) VALUES(?1,?2,?3,?4)";
   const struct mo_campaign_commit *commit = call->commit;
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
@@ -266,8 +280,10 @@ static int insert_blobs(struct mo_connection *writer, const struct commit_argume
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, commit->row.generation);
-  sqlite3_bind_blob(statement, 3, call->births, (int)(commit->row.n_children * MO_BIRTH_BYTES), SQLITE_STATIC);
-  sqlite3_bind_blob(statement, 4, call->population, (int)(commit->n_survivors * MO_MEMBER_BYTES), SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 3, call->births, (int)(commit->row.n_children * MO_BIRTH_BYTES),
+                    SQLITE_STATIC);
+  sqlite3_bind_blob(statement, 4, call->population, (int)(commit->n_survivors * MO_MEMBER_BYTES),
+                    SQLITE_STATIC);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   return error;
@@ -275,8 +291,9 @@ static int insert_blobs(struct mo_connection *writer, const struct commit_argume
 
 static int update_campaign(struct mo_connection *writer, const struct commit_arguments *call)
 {
-  static const char sql[] = "UPDATE campaigns SET generation=?2,n_designs=?3,best_score=?4,diversity_max=?5,scored=0,"
-                            "scored_generation=-1 WHERE job=?1";
+  static const char sql[] =
+      "UPDATE campaigns SET generation=?2,n_designs=?3,best_score=?4,diversity_max=?5,scored=0,"
+      "scored_generation=-1 WHERE job=?1";
   const struct mo_campaign_commit *commit = call->commit;
   double diversity = commit->row.stats.diversity, most = call->head.diversity_max;
   int error = MO_OK;
@@ -327,7 +344,8 @@ static int commit_generation(struct mo_store *store, void *arguments)
   return error;
 }
 
-int mo_store_campaign_commit(struct mo_store *store, int64_t id, const struct mo_campaign_commit *commit)
+int mo_store_campaign_commit(struct mo_store *store, int64_t id,
+                             const struct mo_campaign_commit *commit)
 {
   struct commit_arguments call = {.id = id,
                                   .commit = commit,

@@ -1,8 +1,9 @@
-/* campaign_files.c: checkpoints of a campaign's learning: files campaigns/<job>/<generation>-<step>.checkpoint and their rows.
+/* campaign_files.c: checkpoints of a campaign's learning: files
+ * campaigns/<job>/<generation>-<step>.checkpoint and their rows.
  *
- * Kept are the state after the newest committed generation and the newest one inside the generation under way: what learned last, and
- * what the last population was scored with. As for trainings, one lock is held from the write of a file to the end of those that it
- * replaces. */
+ * Kept are the state after the newest committed generation and the newest one inside the generation
+ * under way: what learned last, and what the last population was scored with. As for trainings, one
+ * lock is held from the write of a file to the end of those that it replaces. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,8 +26,8 @@ static char *path_of(const struct mo_store *store, int64_t id, uint32_t generati
   size_t size = strlen(store->campaigns_path) + 80;
   char *path = malloc(size);
   if (path != NULL)
-    snprintf(path, size, "%s/%lld/%u-%u.checkpoint", store->campaigns_path, (long long)id, (unsigned)generation,
-             (unsigned)step);
+    snprintf(path, size, "%s/%lld/%u-%u.checkpoint", store->campaigns_path, (long long)id,
+             (unsigned)generation, (unsigned)step);
   return path;
 }
 
@@ -37,8 +38,8 @@ struct found {
 };
 
 /* The newest checkpoint of generations `from` … `to`; step UINT32_MAX: of any step. */
-static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int64_t to, uint32_t step,
-                           struct found *found)
+static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int64_t to,
+                           uint32_t step, struct found *found)
 {
   static const char sql[] =
       "SELECT generation,step,sha256,size FROM campaign_checkpoints WHERE job=?1"
@@ -54,7 +55,9 @@ static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int
     sqlite3_bind_int64(statement, 3, to);
     sqlite3_bind_int64(statement, 4, step == UINT32_MAX ? -1 : (int64_t)step);
     result = mo_sql_step(reader, statement);
-    error = result > 0 ? mo_column_hash(statement, 2, &found->sha256) : result < 0 ? result : MO_ERR_NOT_FOUND;
+    error = result > 0   ? mo_column_hash(statement, 2, &found->sha256)
+            : result < 0 ? result
+                         : MO_ERR_NOT_FOUND;
     if (result > 0) {
       found->generation = (uint32_t)sqlite3_column_int64(statement, 0);
       found->step = (uint32_t)sqlite3_column_int64(statement, 1);
@@ -80,16 +83,18 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
     return MO_ERR_NO_MEMORY;
   }
   mo_sha256_of(bytes, checkpoint->size, &checkpoint->sha256);
-  error =
-      find_checkpoint(store, checkpoint->id, checkpoint->generation, checkpoint->generation, checkpoint->step, &known);
+  error = find_checkpoint(store, checkpoint->id, checkpoint->generation, checkpoint->generation,
+                          checkpoint->step, &known);
   checkpoint->was_there = error == MO_OK;
   if (error == MO_ERR_NOT_FOUND)
     error = MO_OK;
   if (error == MO_OK)
     error = mo_folder_make(store, store->campaigns_path, folder);
   /* A checkpoint inside the learning may be that of its end, too. */
-  if (error == MO_OK && checkpoint->was_there && mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
-      mo_file_read(checkpoint->path, checkpoint->size, &there) == MO_OK && memcmp(there, bytes, checkpoint->size) == 0)
+  if (error == MO_OK && checkpoint->was_there &&
+      mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
+      mo_file_read(checkpoint->path, checkpoint->size, &there) == MO_OK &&
+      memcmp(there, bytes, checkpoint->size) == 0)
     error = mo_folder_sync(store, folder);
   else if (error == MO_OK)
     error = mo_file_write(store, folder, checkpoint->path, bytes, checkpoint->size);
@@ -98,10 +103,13 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
   return error;
 }
 
-/* Deletes the rows that the statement (?1 job, ?2 generation, ?3 step) selects, and notes their files. */
-static int drop_rows(struct mo_connection *writer, const char *list_sql, struct mo_campaign_checkpoint *checkpoint)
+/* Deletes the rows that the statement (?1 job, ?2 generation, ?3 step) selects, and notes their
+ * files. */
+static int drop_rows(struct mo_connection *writer, const char *list_sql,
+                     struct mo_campaign_checkpoint *checkpoint)
 {
-  static const char delete_sql[] = "DELETE FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+  static const char delete_sql[] =
+      "DELETE FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(writer, list_sql, &error);
@@ -111,7 +119,8 @@ static int drop_rows(struct mo_connection *writer, const char *list_sql, struct 
   sqlite3_bind_int64(statement, 1, checkpoint->id);
   sqlite3_bind_int64(statement, 2, checkpoint->generation);
   sqlite3_bind_int64(statement, 3, checkpoint->step);
-  while (checkpoint->n_dropped < MO_CAMPAIGN_CHECKPOINTS_MAX && (step = mo_sql_step(writer, statement)) > 0) {
+  while (checkpoint->n_dropped < MO_CAMPAIGN_CHECKPOINTS_MAX &&
+         (step = mo_sql_step(writer, statement)) > 0) {
     checkpoint->dropped[checkpoint->n_dropped][0] = (uint32_t)sqlite3_column_int64(statement, 0);
     checkpoint->dropped[checkpoint->n_dropped++][1] = (uint32_t)sqlite3_column_int64(statement, 1);
   }
@@ -132,17 +141,21 @@ static int drop_rows(struct mo_connection *writer, const char *list_sql, struct 
 
 int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint)
 {
-  static const char sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND generation<?2 AND ?3>=0";
+  static const char sql[] =
+      "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND generation<?2 AND ?3>=0";
   return drop_rows(&store->writer, sql, checkpoint);
 }
 
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint)
 {
-  static const char sql[] = "INSERT OR REPLACE INTO campaign_checkpoints(job,generation,step,sha256,size,stored_us)"
-                            " VALUES(?1,?2,?3,?4,?5,?6)";
-  /* The state after a generation is all that the next one needs; inside one, the state before it stays. */
-  static const char committed_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
-                                      " AND NOT (generation=?2 AND step=?3)";
+  static const char sql[] =
+      "INSERT OR REPLACE INTO campaign_checkpoints(job,generation,step,sha256,size,stored_us)"
+      " VALUES(?1,?2,?3,?4,?5,?6)";
+  /* The state after a generation is all that the next one needs; inside one, the state before it
+   * stays. */
+  static const char committed_sql[] =
+      "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
+      " AND NOT (generation=?2 AND step=?3)";
   static const char inside_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
                                    " AND NOT (generation=?2 AND step=?3) AND generation<>?2-1";
   struct mo_connection *writer = &store->writer;
@@ -158,10 +171,13 @@ int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkp
   sqlite3_bind_int64(statement, 6, mo_store_now_us());
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
-  return error == MO_OK ? drop_rows(writer, checkpoint->committed ? committed_sql : inside_sql, checkpoint) : error;
+  return error == MO_OK
+             ? drop_rows(writer, checkpoint->committed ? committed_sql : inside_sql, checkpoint)
+             : error;
 }
 
-void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint, int error)
+void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint,
+                                int error)
 {
   /* After an I/O error nobody knows whether the row is there. */
   if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
@@ -172,9 +188,11 @@ void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_check
     free(folder);
   }
   for (size_t i = 0; i < checkpoint->n_dropped && error == MO_OK; i++) {
-    char *path = path_of(store, checkpoint->id, checkpoint->dropped[i][0], checkpoint->dropped[i][1]);
+    char *path =
+        path_of(store, checkpoint->id, checkpoint->dropped[i][0], checkpoint->dropped[i][1]);
     if (path != NULL)
-      (void)store->files->unlink(store->files->context, path); /* one that stays is removed at the next start */
+      (void)store->files->unlink(store->files->context,
+                                 path); /* one that stays is removed at the next start */
     free(path);
   }
   free(checkpoint->path);
@@ -202,11 +220,12 @@ static int save_inside(struct mo_store *store, void *arguments)
   return error == MO_OK ? mo_campaign_checkpoint_row(store, call->checkpoint) : error;
 }
 
-int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation, uint32_t step,
-                                 const uint8_t *bytes, size_t size, const struct mo_campaign_step *steps,
-                                 size_t n_steps)
+int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation,
+                                 uint32_t step, const uint8_t *bytes, size_t size,
+                                 const struct mo_campaign_step *steps, size_t n_steps)
 {
-  struct mo_campaign_checkpoint checkpoint = {.id = id, .generation = generation, .step = step, .size = size};
+  struct mo_campaign_checkpoint checkpoint = {
+      .id = id, .generation = generation, .step = step, .size = size};
   struct inside_arguments call = {&checkpoint, steps, n_steps};
   int error;
   pthread_mutex_lock(&store->checkpoints_mutex);
@@ -221,15 +240,18 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 /* ---- reading ---- */
 
 /* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
-static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row, uint8_t **ret)
+static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row,
+                           uint8_t **ret)
 {
   char *path = path_of(store, id, row->generation, row->step);
-  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
+  int error = path == NULL ? MO_ERR_NO_MEMORY
+                           : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
   free(path);
   return error;
 }
 
-static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to, struct found *row, uint8_t **bytes)
+static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to,
+                       struct found *row, uint8_t **bytes)
 {
   struct found again = {0};
   int error = find_checkpoint(store, id, from, to, UINT32_MAX, row);
@@ -247,8 +269,8 @@ static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t
   return error;
 }
 
-int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation, uint32_t *step,
-                                       uint8_t **bytes, size_t *size)
+int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation,
+                                       uint32_t *step, uint8_t **bytes, size_t *size)
 {
   struct found row = {0};
   uint8_t *found = NULL;
@@ -262,8 +284,8 @@ int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
   return MO_OK;
 }
 
-int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation, uint32_t *step,
-                                    uint8_t **bytes, size_t *size)
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
+                                    uint32_t *step, uint8_t **bytes, size_t *size)
 {
   struct found row = {0};
   uint8_t *found = NULL;
@@ -286,11 +308,12 @@ static int take_checkpoint(sqlite3_stmt *statement, void *any)
   return mo_column_hash(statement, 2, &row->sha256);
 }
 
-int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id, struct mo_campaign_checkpoint_row *rows,
-                                      size_t limit)
+int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id,
+                                      struct mo_campaign_checkpoint_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT generation,step,sha256,size,stored_us FROM campaign_checkpoints WHERE job=?1"
-                            " ORDER BY generation DESC,step DESC LIMIT ?2";
+  static const char sql[] =
+      "SELECT generation,step,sha256,size,stored_us FROM campaign_checkpoints WHERE job=?1"
+      " ORDER BY generation DESC,step DESC LIMIT ?2";
   return mo_read_rows(store, sql, &id, 1, limit, take_checkpoint, rows, sizeof(*rows));
 }
 
@@ -303,9 +326,11 @@ struct removal_arguments {
 
 static int remove_rows(struct mo_store *store, void *arguments)
 {
-  static const char size_sql[] = "SELECT coalesce(sum(size),0) FROM campaign_checkpoints WHERE job=?1";
-  static const char list_sql[] = "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND ?2>=0 AND ?3>=0"
-                                 " ORDER BY generation DESC,step DESC";
+  static const char size_sql[] =
+      "SELECT coalesce(sum(size),0) FROM campaign_checkpoints WHERE job=?1";
+  static const char list_sql[] =
+      "SELECT generation,step FROM campaign_checkpoints WHERE job=?1 AND ?2>=0 AND ?3>=0"
+      " ORDER BY generation DESC,step DESC";
   struct removal_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_kind kind = MO_JOB_EVALUATION;
@@ -353,7 +378,8 @@ int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
 
 static bool has_row(void *context, const char *name)
 {
-  static const char sql[] = "SELECT 1 FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
+  static const char sql[] =
+      "SELECT 1 FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
   struct mo_cleaning *cleaning = context;
   sqlite3_stmt *statement;
   int64_t found;

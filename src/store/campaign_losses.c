@@ -1,4 +1,5 @@
-/* campaign_losses.c: losses of a campaign: those of the generation under way, saved as they come, and those that are known from before. */
+/* campaign_losses.c: losses of a campaign: those of the generation under way, saved as they come,
+ * and those that are known from before. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -28,10 +29,11 @@ int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
   return mo_sql_run(writer, statement);
 }
 
-static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_campaign_loss *loss, uint32_t n,
-                     int64_t *added)
+static int save_loss(struct mo_connection *writer, int64_t id, const struct mo_campaign_loss *loss,
+                     uint32_t n, int64_t *added)
 {
-  static const char sql[] = "INSERT OR IGNORE INTO campaign_losses(job,place,losses,diverged) VALUES(?1,?2,?3,?4)";
+  static const char sql[] =
+      "INSERT OR IGNORE INTO campaign_losses(job,place,losses,diverged) VALUES(?1,?2,?3,?4)";
   uint8_t losses[8 * MO_ENVIRONMENTS_MAX], diverged[4 * MO_ENVIRONMENTS_MAX];
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
@@ -85,7 +87,8 @@ static int save_losses(struct mo_store *store, void *arguments)
 }
 
 int mo_store_campaign_save_losses(struct mo_store *store, int64_t id, uint32_t generation,
-                                  const struct mo_campaign_loss *losses, size_t n, const char *event_data)
+                                  const struct mo_campaign_loss *losses, size_t n,
+                                  const char *event_data)
 {
   struct losses_arguments call = {id, generation, losses, n, event_data};
   return mo_write(store, save_losses, &call);
@@ -108,10 +111,11 @@ static int loss_from_row(sqlite3_stmt *row, uint32_t n, struct mo_campaign_loss 
   return MO_OK;
 }
 
-static int load_losses(struct mo_connection *reader, int64_t id, uint32_t generation, struct mo_campaign_loss **losses,
-                       size_t *n)
+static int load_losses(struct mo_connection *reader, int64_t id, uint32_t generation,
+                       struct mo_campaign_loss **losses, size_t *n)
 {
-  static const char sql[] = "SELECT place,losses,diverged FROM campaign_losses WHERE job=?1 ORDER BY place";
+  static const char sql[] =
+      "SELECT place,losses,diverged FROM campaign_losses WHERE job=?1 ORDER BY place";
   struct mo_campaign_head head = {0};
   sqlite3_stmt *statement;
   int64_t most;
@@ -121,7 +125,8 @@ static int load_losses(struct mo_connection *reader, int64_t id, uint32_t genera
     error = mo_campaign_head_get(reader, id, &head);
   if (error != MO_OK)
     return error;
-  most = head.scored_generation == generation && head.generation + 1 == generation ? head.scored : 0;
+  most =
+      head.scored_generation == generation && head.generation + 1 == generation ? head.scored : 0;
   *losses = calloc((size_t)most + 1, sizeof(**losses));
   if (*losses == NULL)
     return MO_ERR_NO_MEMORY;
@@ -132,14 +137,15 @@ static int load_losses(struct mo_connection *reader, int64_t id, uint32_t genera
     return error;
   sqlite3_bind_int64(statement, 1, id);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
-    error = (int64_t)*n == most ? MO_ERR_CORRUPT : loss_from_row(statement, head.n_environments, &(*losses)[(*n)++]);
+    error = (int64_t)*n == most ? MO_ERR_CORRUPT
+                                : loss_from_row(statement, head.n_environments, &(*losses)[(*n)++]);
   if (step < 0)
     return step;
   return error == MO_OK && (int64_t)*n != most ? MO_ERR_CORRUPT : error;
 }
 
-int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation, struct mo_campaign_loss **ret,
-                             size_t *ret_n)
+int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t generation,
+                             struct mo_campaign_loss **ret, size_t *ret_n)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_campaign_loss *losses = NULL;
@@ -163,12 +169,13 @@ struct known_keys {
 };
 
 /* 1: all of its losses are known. */
-static int find_known(struct mo_connection *reader, const struct known_keys *keys, const struct mo_bits *genotype,
-                      struct mo_campaign_loss *loss)
+static int find_known(struct mo_connection *reader, const struct known_keys *keys,
+                      const struct mo_bits *genotype, struct mo_campaign_loss *loss)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
-  static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5 AND fingerprint=?6";
+  static const char sql[] =
+      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
+      " AND physics=?3 AND environment BETWEEN ?4 AND ?5 AND fingerprint=?6";
   uint8_t bits[MO_BITS_BYTES];
   uint64_t found = 0;
   int64_t row = 0;
@@ -212,7 +219,8 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys
 {
   int error = mo_campaign_head_get(reader, id, &keys->head);
   if (error == MO_OK)
-    error = mo_campaign_environment_rows(reader, keys->head.group, keys->environments, keys->head.n_environments);
+    error = mo_campaign_environment_rows(reader, keys->head.group, keys->environments,
+                                         keys->head.n_environments);
   keys->lowest = INT64_MAX;
   keys->highest = INT64_MIN;
   for (uint32_t k = 0; k < keys->head.n_environments && error == MO_OK; k++) {
@@ -225,7 +233,8 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct known_keys
 }
 
 int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fingerprint,
-                                const struct mo_bits *genotypes, uint32_t n, struct mo_campaign_loss *losses)
+                                const struct mo_bits *genotypes, uint32_t n,
+                                struct mo_campaign_loss *losses)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   struct known_keys keys = {.fingerprint = fingerprint};
@@ -233,7 +242,9 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
   int error = mo_sql_exec(reader, "BEGIN");
   if (error == MO_OK)
     error = load_keys(reader, id, &keys);
-  for (uint32_t i = 0; i < n && error == MO_OK && keys.head.mode == MO_ZERO_SHOT && keys.head.controller != 0; i++) {
+  for (uint32_t i = 0;
+       i < n && error == MO_OK && keys.head.mode == MO_ZERO_SHOT && keys.head.controller != 0;
+       i++) {
     int known = find_known(reader, &keys, &genotypes[i], &losses[n_known]);
     if (known < 0)
       error = known;

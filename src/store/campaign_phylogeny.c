@@ -1,7 +1,7 @@
 /* campaign_phylogeny.c: every design that a campaign bore, its populations, its descents.
  *
- * A page of designs is one range of campaign_designs; a population, and the births of a generation, are one blob each. A campaign of
- * a million designs has 9 MB of births. */
+ * A page of designs is one range of campaign_designs; a population, and the births of a generation,
+ * are one blob each. A campaign of a million designs has 9 MB of births. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,7 +10,8 @@
 int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
                           struct mo_campaign_blobs *blobs)
 {
-  static const char sql[] = "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
+  static const char sql[] =
+      "SELECT births,population FROM campaign_populations WHERE job=?1 AND generation=?2";
   int error = MO_OK;
   int n_births, n;
   int step;
@@ -28,8 +29,8 @@ int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t 
   n = sqlite3_column_bytes(blobs->statement, 1);
   blobs->n_births = (uint32_t)n_births / MO_BIRTH_BYTES;
   blobs->n = (uint32_t)n / MO_MEMBER_BYTES;
-  if (n_births % MO_BIRTH_BYTES == 0 && n % MO_MEMBER_BYTES == 0 && (blobs->births != NULL || n_births == 0) &&
-      (blobs->population != NULL || n == 0))
+  if (n_births % MO_BIRTH_BYTES == 0 && n % MO_MEMBER_BYTES == 0 &&
+      (blobs->births != NULL || n_births == 0) && (blobs->population != NULL || n == 0))
     return MO_OK;
   (void)sqlite3_reset(blobs->statement);
   blobs->n = 0;
@@ -38,13 +39,17 @@ int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t 
 
 /* ---- designs ---- */
 
-#define DESIGN_COLUMNS                                                                                                 \
-  "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form FROM"                 \
-  " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON x.id=g.design"
+#define DESIGN_COLUMNS                                                                             \
+  "SELECT d.number,d.operator,d.parent,d.other_parent,d.born,d.died,d.score,d.size,g.bits,x.form " \
+  "FROM"                                                                                           \
+  " campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype CROSS JOIN designs x ON "         \
+  "x.id=g.design"
 
 static uint32_t column_parent(sqlite3_stmt *row, int column)
 {
-  return sqlite3_column_type(row, column) == SQLITE_NULL ? MO_NO_PARENT : (uint32_t)sqlite3_column_int64(row, column);
+  return sqlite3_column_type(row, column) == SQLITE_NULL
+             ? MO_NO_PARENT
+             : (uint32_t)sqlite3_column_int64(row, column);
 }
 
 static int design_from_row(sqlite3_stmt *row, void *any)
@@ -53,8 +58,8 @@ static int design_from_row(sqlite3_stmt *row, void *any)
   uint64_t size = (uint64_t)sqlite3_column_int64(row, 7);
   int error;
   design->number = (uint32_t)sqlite3_column_int64(row, 0);
-  design->descent =
-      (struct mo_descent){{column_parent(row, 2), column_parent(row, 3)}, (uint8_t)sqlite3_column_int(row, 1)};
+  design->descent = (struct mo_descent){{column_parent(row, 2), column_parent(row, 3)},
+                                        (uint8_t)sqlite3_column_int(row, 1)};
   design->born = (uint32_t)sqlite3_column_int64(row, 4);
   design->died = sqlite3_column_type(row, 5) == SQLITE_NULL ? -1 : sqlite3_column_int64(row, 5);
   design->size = (struct mo_design_size){.springs = (uint32_t)(size & 0xffff),
@@ -67,15 +72,17 @@ static int design_from_row(sqlite3_stmt *row, void *any)
   return error == MO_OK ? mo_column_bits(row, 9, &design->form) : error;
 }
 
-int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after, struct mo_campaign_design *rows,
-                                  size_t limit)
+int64_t mo_store_campaign_designs(struct mo_store *store, int64_t id, int64_t after,
+                                  struct mo_campaign_design *rows, size_t limit)
 {
-  static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
+  static const char sql[] =
+      DESIGN_COLUMNS " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, design_from_row, rows, sizeof(*rows));
 }
 
-static int load_design(struct mo_connection *reader, int64_t id, uint32_t number, struct mo_campaign_design *design)
+static int load_design(struct mo_connection *reader, int64_t id, uint32_t number,
+                       struct mo_campaign_design *design)
 {
   static const char sql[] = DESIGN_COLUMNS " WHERE d.job=?1 AND d.number=?2";
   int error = MO_OK;
@@ -93,8 +100,8 @@ static int load_design(struct mo_connection *reader, int64_t id, uint32_t number
   return error;
 }
 
-int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers, size_t n,
-                                 struct mo_campaign_design *rows)
+int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint32_t *numbers,
+                                 size_t n, struct mo_campaign_design *rows)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = mo_sql_exec(reader, "BEGIN");
@@ -106,8 +113,9 @@ int mo_store_campaign_designs_of(struct mo_store *store, int64_t id, const uint3
 
 /* ---- populations ---- */
 
-static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t generation, uint32_t offset,
-                               struct mo_campaign_design *rows, size_t limit, uint32_t *n)
+static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t generation,
+                               uint32_t offset, struct mo_campaign_design *rows, size_t limit,
+                               uint32_t *n)
 {
   struct mo_campaign_blobs blobs;
   struct mo_campaign_head head = {0};
@@ -116,7 +124,8 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
   if (error == MO_OK)
     error = mo_campaign_head_get(reader, id, &head);
   if (error == MO_OK)
-    error = mo_campaign_blobs_get(reader, id, generation < 0 ? head.generation : generation, &blobs);
+    error =
+        mo_campaign_blobs_get(reader, id, generation < 0 ? head.generation : generation, &blobs);
   if (error != MO_OK)
     return error;
   *n = blobs.n;
@@ -130,8 +139,9 @@ static int64_t load_population(struct mo_connection *reader, int64_t id, int64_t
   return filled;
 }
 
-int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation, uint32_t offset,
-                                     struct mo_campaign_design *rows, size_t limit, uint32_t *n)
+int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t generation,
+                                     uint32_t offset, struct mo_campaign_design *rows, size_t limit,
+                                     uint32_t *n)
 {
   struct mo_connection *reader;
   int64_t filled;
@@ -145,10 +155,11 @@ int64_t mo_store_campaign_population(struct mo_store *store, int64_t id, int64_t
 
 /* ---- descents ---- */
 
-static int load_descents(struct mo_connection *reader, int64_t id, struct mo_descent **ret, uint32_t **ret_born,
-                         bool with_born, uint32_t *ret_n)
+static int load_descents(struct mo_connection *reader, int64_t id, struct mo_descent **ret,
+                         uint32_t **ret_born, bool with_born, uint32_t *ret_n)
 {
-  static const char sql[] = "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
+  static const char sql[] =
+      "SELECT generation,births FROM campaign_populations WHERE job=?1 ORDER BY generation";
   struct mo_campaign_head head = {0};
   struct mo_descent *descents;
   sqlite3_stmt *statement;
@@ -177,7 +188,8 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
     if (n > head.n_designs - filled)
       return MO_ERR_CORRUPT;
     for (size_t i = 0; i < n; i++, at += MO_BIRTH_BYTES)
-      descents[filled + i] = (struct mo_descent){{mo_decode_u32(at + 1), mo_decode_u32(at + 5)}, at[0]};
+      descents[filled + i] =
+          (struct mo_descent){{mo_decode_u32(at + 1), mo_decode_u32(at + 5)}, at[0]};
     for (size_t i = 0; i < n && born != NULL; i++)
       born[filled + i] = generation;
     filled += n;
@@ -186,8 +198,8 @@ static int load_descents(struct mo_connection *reader, int64_t id, struct mo_des
   return step < 0 ? step : filled == head.n_designs ? MO_OK : MO_ERR_CORRUPT;
 }
 
-int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret, uint32_t **ret_born,
-                               uint32_t *ret_n)
+int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_descent **ret,
+                               uint32_t **ret_born, uint32_t *ret_n)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_descent *descents = NULL;
@@ -208,12 +220,14 @@ int mo_store_campaign_descents(struct mo_store *store, int64_t id, struct mo_des
 
 /* ---- where a form was born ---- */
 
-int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form, int64_t after_campaign,
-                                     struct mo_campaign_place *places, size_t limit)
+int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bits *form,
+                                     int64_t after_campaign, struct mo_campaign_place *places,
+                                     size_t limit)
 {
-  static const char sql[] = "SELECT d.job,d.number FROM designs x CROSS JOIN genotypes g ON g.design=x.id CROSS JOIN"
-                            " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
-                            " ORDER BY d.job LIMIT ?3";
+  static const char sql[] =
+      "SELECT d.job,d.number FROM designs x CROSS JOIN genotypes g ON g.design=x.id CROSS JOIN"
+      " campaign_designs d ON d.genotype=g.id WHERE x.form=?1 AND d.job>?2"
+      " ORDER BY d.job LIMIT ?3";
   uint8_t bytes[MO_BITS_BYTES];
   struct mo_connection *reader;
   sqlite3_stmt *statement;
@@ -229,8 +243,8 @@ int64_t mo_store_campaigns_of_design(struct mo_store *store, const struct mo_bit
     sqlite3_bind_int64(statement, 2, after_campaign);
     sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
     while ((error = mo_sql_step(reader, statement)) > 0)
-      places[n++] =
-          (struct mo_campaign_place){sqlite3_column_int64(statement, 0), (uint32_t)sqlite3_column_int64(statement, 1)};
+      places[n++] = (struct mo_campaign_place){sqlite3_column_int64(statement, 0),
+                                               (uint32_t)sqlite3_column_int64(statement, 1)};
     (void)sqlite3_clear_bindings(statement);
   }
   mo_reader_release(store, reader);

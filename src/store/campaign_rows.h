@@ -19,11 +19,14 @@ struct mo_campaign_head {
   int64_t scored_generation, scored;
   double diversity_max;
 };
-int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo_campaign_head *head);
+int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
+                         struct mo_campaign_head *head);
 
 /* Rows of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
-int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows, uint32_t n);
-/* The blobs of a generation; they stay until the statement is reset. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT: of a wrong size. */
+int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows,
+                                 uint32_t n);
+/* The blobs of a generation; they stay until the statement is reset. MO_ERR_NOT_FOUND;
+ * MO_ERR_CORRUPT: of a wrong size. */
 struct mo_campaign_blobs {
   const uint8_t *births, *population; /* (n_births, MO_BIRTH_BYTES), (n, MO_MEMBER_BYTES) */
   uint32_t n_births, n;
@@ -32,12 +35,15 @@ struct mo_campaign_blobs {
 int mo_campaign_blobs_get(struct mo_connection *connection, int64_t id, int64_t generation,
                           struct mo_campaign_blobs *blobs);
 
-int mo_campaign_generation_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_generation *row);
-int mo_campaign_step_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_step *row);
+int mo_campaign_generation_write(struct mo_connection *writer, int64_t id,
+                                 const struct mo_campaign_generation *row);
+int mo_campaign_step_write(struct mo_connection *writer, int64_t id,
+                           const struct mo_campaign_step *row);
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
-/* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that it makes needless (row, in an
- * operation), then their files (end, always); under checkpoints_mutex. `committed`: it is the state after its generation. */
+/* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that
+ * it makes needless (row, in an operation), then their files (end, always); under
+ * checkpoints_mutex. `committed`: it is the state after its generation. */
 struct mo_campaign_checkpoint {
   int64_t id;
   uint32_t generation, step;
@@ -54,6 +60,7 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
 /* Drops rows only: those of generations before `generation`. */
 int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
-void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint, int error);
+void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint,
+                                int error);
 
 #endif

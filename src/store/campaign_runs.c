@@ -1,7 +1,9 @@
-/* campaign_runs.c: the runner's side of a campaign between its generations: start, park, end, state.
+/* campaign_runs.c: the runner's side of a campaign between its generations: start, park, end,
+ * state.
  *
- * Writes are fenced by the epoch as those of trainings: the campaign must have been started under this opening of the store and must
- * not be over. One that was paused takes losses and generations still: its thread saves what it has computed. */
+ * Writes are fenced by the epoch as those of trainings: the campaign must have been started under
+ * this opening of the store and must not be over. One that was paused takes losses and generations
+ * still: its thread saves what it has computed. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,8 +22,8 @@ int mo_store_campaign_start(struct mo_store *store, int64_t id)
   return mo_run_start(store, id, MO_JOB_CAMPAIGN);
 }
 
-int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
-                           enum mo_job_state *after)
+int mo_store_campaign_park(struct mo_store *store, int64_t id, int error, const char *error_text,
+                           uint32_t max_attempts, enum mo_job_state *after)
 {
   return mo_run_park(store, id, MO_JOB_CAMPAIGN, error, error_text, max_attempts, after);
 }
@@ -37,16 +39,20 @@ static int tell_fault(struct mo_store *store, void *arguments)
 {
   const struct fault_arguments *call = arguments;
   int error = mo_run_touch(store, call->id, MO_JOB_CAMPAIGN);
-  return error == MO_OK ? mo_writer_event(store, call->id, "campaign.lineage_unreadable", call->data) : error;
+  return error == MO_OK
+             ? mo_writer_event(store, call->id, "campaign.lineage_unreadable", call->data)
+             : error;
 }
 
-int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id, const struct mo_sha256 *sha256,
-                                    const char *field, const char *detail)
+int mo_store_campaign_lineage_fault(struct mo_store *store, int64_t id,
+                                    const struct mo_sha256 *sha256, const char *field,
+                                    const char *detail)
 {
   char data[480], digits[MO_SHA256_DIGITS + 1];
   struct fault_arguments call = {id, data};
   mo_sha256_to_hex(sha256, digits);
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"controller\":\"%s\",\"field\":\"%.40s\",\"detail\":\"%.240s\"}",
+  snprintf(data, sizeof(data),
+           "{\"id\":\"%lld\",\"controller\":\"%s\",\"field\":\"%.40s\",\"detail\":\"%.240s\"}",
            (long long)id, digits, field, detail);
   return mo_write(store, tell_fault, &call);
 }
@@ -62,9 +68,10 @@ struct finish_arguments {
 
 static int finish(struct mo_store *store, void *arguments)
 {
-  static const char job_sql[] = "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-                                " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2"
-                                " AND (SELECT generations FROM campaigns WHERE job=?1)<=?4";
+  static const char job_sql[] =
+      "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
+      " WHERE id=?1 AND kind=2 AND state=1 AND epoch=?2"
+      " AND (SELECT generations FROM campaigns WHERE job=?1)<=?4";
   static const char sql[] = "UPDATE campaigns SET ended=?2,result=nullif(?3,0) WHERE job=?1";
   const struct finish_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
@@ -89,18 +96,20 @@ static int finish(struct mo_store *store, void *arguments)
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;
-  snprintf(more, sizeof(more), ",\"end\":\"%s\"", call->end == MO_CAMPAIGN_EXHAUSTED ? "exhausted" : "completed");
+  snprintf(more, sizeof(more), ",\"end\":\"%s\"",
+           call->end == MO_CAMPAIGN_EXHAUSTED ? "exhausted" : "completed");
   if (call->put != NULL) {
     size_t length = strlen(more);
     mo_sha256_to_hex(&call->put->sha256, digits);
-    snprintf(more + length, sizeof(more) - length, ",\"controller\":\"%s\",\"sha256\":\"%s\"", call->put->name, digits);
+    snprintf(more + length, sizeof(more) - length, ",\"controller\":\"%s\",\"sha256\":\"%s\"",
+             call->put->name, digits);
   }
   return mo_run_announce(store, call->id, MO_JOB_CAMPAIGN, "job.finished", MO_JOB_SUCCEEDED, more);
 }
 
-int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end, uint32_t generations,
-                             const char *name, const uint8_t *bytes, size_t size,
-                             const struct mo_controller *controller)
+int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaign_end end,
+                             uint32_t generations, const char *name, const uint8_t *bytes,
+                             size_t size, const struct mo_controller *controller)
 {
   struct mo_controller_put put = {.name = name};
   struct finish_arguments call = {id, end, generations, controller != NULL ? &put : NULL};
@@ -129,10 +138,12 @@ void mo_campaign_state_free(struct mo_campaign_state *state)
   free(state);
 }
 
-static int load_member(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state, uint32_t i)
+static int load_member(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state,
+                       uint32_t i)
 {
-  static const char sql[] = "SELECT d.born,g.bits FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
-                            " WHERE d.job=?1 AND d.number=?2";
+  static const char sql[] =
+      "SELECT d.born,g.bits FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
+      " WHERE d.job=?1 AND d.number=?2";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -166,7 +177,8 @@ static int load_state(struct mo_connection *reader, int64_t id, struct mo_campai
   state->born = calloc(blobs.n + 1, sizeof(*state->born));
   state->genotypes = calloc(blobs.n + 1, sizeof(*state->genotypes));
   state->scores = calloc(blobs.n + 1, sizeof(*state->scores));
-  if (state->numbers == NULL || state->born == NULL || state->genotypes == NULL || state->scores == NULL)
+  if (state->numbers == NULL || state->born == NULL || state->genotypes == NULL ||
+      state->scores == NULL)
     return MO_ERR_NO_MEMORY;
   for (uint32_t i = 0; i < blobs.n && error == MO_OK; i++) {
     const uint8_t *member = blobs.population + (size_t)i * MO_MEMBER_BYTES;
@@ -197,11 +209,13 @@ int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campai
 
 #define EACH_PAGE 4096
 
-/* Designs are only ever added: a page at a time, so that no reader is held while `take` is at work. */
+/* Designs are only ever added: a page at a time, so that no reader is held while `take` is at work.
+ */
 static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *page)
 {
-  static const char sql[] = "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
-                            " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
+  static const char sql[] =
+      "SELECT d.number,g.bits FROM campaign_designs d CROSS JOIN genotypes g ON g.id=d.genotype"
+      " WHERE d.job=?1 AND d.number>?2 ORDER BY d.number LIMIT ?3";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   int64_t n = 0;
@@ -213,8 +227,9 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
     sqlite3_bind_int64(statement, 3, EACH_PAGE);
     while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
       n++;
-      error =
-          sqlite3_column_int64(statement, 0) != after + n ? MO_ERR_CORRUPT : mo_column_bits(statement, 1, &page[n - 1]);
+      error = sqlite3_column_int64(statement, 0) != after + n
+                  ? MO_ERR_CORRUPT
+                  : mo_column_bits(statement, 1, &page[n - 1]);
     }
   }
   mo_reader_release(store, reader);
@@ -222,7 +237,8 @@ static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, stru
 }
 
 int mo_store_campaign_each(struct mo_store *store, int64_t id,
-                           int (*take)(void *context, const struct mo_bits *genotype), void *context)
+                           int (*take)(void *context, const struct mo_bits *genotype),
+                           void *context)
 {
   struct mo_bits *page = calloc(EACH_PAGE, sizeof(*page));
   int64_t after = -1, n = EACH_PAGE;

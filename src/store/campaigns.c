@@ -1,4 +1,5 @@
-/* campaigns.c: campaigns as they are read: what was asked for, how far they are, their generations and learning curves. */
+/* campaigns.c: campaigns as they are read: what was asked for, how far they are, their generations
+ * and learning curves. */
 #include "store/campaigns.h"
 
 #include <float.h>
@@ -25,8 +26,8 @@ static double column_number(sqlite3_stmt *row, int column)
 }
 
 /* Notes the first that no reply can say. */
-static void read_fields(sqlite3_stmt *row, int column, const struct field *fields, size_t n, void *structure,
-                        struct mo_row_damage *damage)
+static void read_fields(sqlite3_stmt *row, int column, const struct field *fields, size_t n,
+                        void *structure, struct mo_row_damage *damage)
 {
   damage->column = NULL;
   for (size_t i = 0; i < n; i++, column++) {
@@ -61,7 +62,8 @@ static void read_fields(sqlite3_stmt *row, int column, const struct field *field
   }
 }
 
-static void bind_fields(sqlite3_stmt *statement, int index, const struct field *fields, size_t n, const void *structure)
+static void bind_fields(sqlite3_stmt *statement, int index, const struct field *fields, size_t n,
+                        const void *structure)
 {
   for (size_t i = 0; i < n; i++, index++) {
     const void *at = (const char *)structure + fields[i].offset;
@@ -77,86 +79,88 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   }
 }
 
-#define GENERATION_FIELDS(X)                                                                                           \
-  X(generation, U32, generation)                                                                                       \
-  X(born_before, U64, born_before)                                                                                     \
-  X(n_children, U32, n_children)                                                                                       \
-  X(n, U32, stats.n)                                                                                                   \
-  X(n_diverged, U32, stats.n_diverged)                                                                                 \
-  X(mean_score, REAL, stats.mean_score)                                                                                \
-  X(least_score, REAL, stats.quantiles[0])                                                                             \
-  X(score_5, REAL, stats.quantiles[1])                                                                                 \
-  X(score_25, REAL, stats.quantiles[2])                                                                                \
-  X(median_score, REAL, stats.quantiles[3])                                                                            \
-  X(score_75, REAL, stats.quantiles[4])                                                                                \
-  X(score_95, REAL, stats.quantiles[5])                                                                                \
-  X(most_score, REAL, stats.quantiles[6])                                                                              \
-  X(diversity, SHARE, stats.diversity)                                                                                 \
-  X(species, U32, stats.species)                                                                                       \
-  X(least_voxels, REAL, stats.voxels.least)                                                                            \
-  X(mean_voxels, REAL, stats.voxels.mean)                                                                              \
-  X(most_voxels, REAL, stats.voxels.most)                                                                              \
-  X(least_footprint, REAL, stats.footprint.least)                                                                      \
-  X(mean_footprint, REAL, stats.footprint.mean)                                                                        \
-  X(most_footprint, REAL, stats.footprint.most)                                                                        \
-  X(least_masses, REAL, stats.masses.least)                                                                            \
-  X(mean_masses, REAL, stats.masses.mean)                                                                              \
-  X(most_masses, REAL, stats.masses.most)                                                                              \
-  X(least_springs, REAL, stats.springs.least)                                                                          \
-  X(mean_springs, REAL, stats.springs.mean)                                                                            \
-  X(most_springs, REAL, stats.springs.most)                                                                            \
-  X(mean_parents, REAL, mean_parents)                                                                                  \
-  X(mean_children, REAL, mean_children)                                                                                \
-  X(mutation_attempts, U64, variation.mutation_attempts)                                                               \
-  X(crossover_attempts, U64, variation.crossover_attempts)                                                             \
-  X(mutants, U32, variation.mutants)                                                                                   \
-  X(recombinants, U32, variation.recombinants)                                                                         \
-  X(fallbacks, U32, variation.fallbacks)                                                                               \
-  X(exhausted, FLAG, variation.exhausted)                                                                              \
-  X(survived_mutants, U32, survived_mutants)                                                                           \
-  X(survived_recombinants, U32, survived_recombinants)                                                                 \
-  X(turnover, SHARE, turnover)                                                                                         \
-  X(rollouts, U64, rollouts)                                                                                           \
-  X(rollouts_cached, U64, rollouts_cached)                                                                             \
-  X(rollouts_diverged, U64, rollouts_diverged)                                                                         \
-  X(learning_steps, U32, learning_steps)                                                                               \
-  X(first_loss, REAL, first_loss)                                                                                      \
-  X(last_loss, REAL, last_loss)                                                                                        \
-  X(collapse, FLAG, collapse)                                                                                          \
-  X(seconds, AMOUNT, seconds)                                                                                          \
+#define GENERATION_FIELDS(X)                                                                       \
+  X(generation, U32, generation)                                                                   \
+  X(born_before, U64, born_before)                                                                 \
+  X(n_children, U32, n_children)                                                                   \
+  X(n, U32, stats.n)                                                                               \
+  X(n_diverged, U32, stats.n_diverged)                                                             \
+  X(mean_score, REAL, stats.mean_score)                                                            \
+  X(least_score, REAL, stats.quantiles[0])                                                         \
+  X(score_5, REAL, stats.quantiles[1])                                                             \
+  X(score_25, REAL, stats.quantiles[2])                                                            \
+  X(median_score, REAL, stats.quantiles[3])                                                        \
+  X(score_75, REAL, stats.quantiles[4])                                                            \
+  X(score_95, REAL, stats.quantiles[5])                                                            \
+  X(most_score, REAL, stats.quantiles[6])                                                          \
+  X(diversity, SHARE, stats.diversity)                                                             \
+  X(species, U32, stats.species)                                                                   \
+  X(least_voxels, REAL, stats.voxels.least)                                                        \
+  X(mean_voxels, REAL, stats.voxels.mean)                                                          \
+  X(most_voxels, REAL, stats.voxels.most)                                                          \
+  X(least_footprint, REAL, stats.footprint.least)                                                  \
+  X(mean_footprint, REAL, stats.footprint.mean)                                                    \
+  X(most_footprint, REAL, stats.footprint.most)                                                    \
+  X(least_masses, REAL, stats.masses.least)                                                        \
+  X(mean_masses, REAL, stats.masses.mean)                                                          \
+  X(most_masses, REAL, stats.masses.most)                                                          \
+  X(least_springs, REAL, stats.springs.least)                                                      \
+  X(mean_springs, REAL, stats.springs.mean)                                                        \
+  X(most_springs, REAL, stats.springs.most)                                                        \
+  X(mean_parents, REAL, mean_parents)                                                              \
+  X(mean_children, REAL, mean_children)                                                            \
+  X(mutation_attempts, U64, variation.mutation_attempts)                                           \
+  X(crossover_attempts, U64, variation.crossover_attempts)                                         \
+  X(mutants, U32, variation.mutants)                                                               \
+  X(recombinants, U32, variation.recombinants)                                                     \
+  X(fallbacks, U32, variation.fallbacks)                                                           \
+  X(exhausted, FLAG, variation.exhausted)                                                          \
+  X(survived_mutants, U32, survived_mutants)                                                       \
+  X(survived_recombinants, U32, survived_recombinants)                                             \
+  X(turnover, SHARE, turnover)                                                                     \
+  X(rollouts, U64, rollouts)                                                                       \
+  X(rollouts_cached, U64, rollouts_cached)                                                         \
+  X(rollouts_diverged, U64, rollouts_diverged)                                                     \
+  X(learning_steps, U32, learning_steps)                                                           \
+  X(first_loss, REAL, first_loss)                                                                  \
+  X(last_loss, REAL, last_loss)                                                                    \
+  X(collapse, FLAG, collapse)                                                                      \
+  X(seconds, AMOUNT, seconds)                                                                      \
   X(stored_us, TIME, stored_us)
 
-#define STEP_FIELDS(X)                                                                                                 \
-  X(generation, U32, generation)                                                                                       \
-  X(step, U32, step)                                                                                                   \
-  X(on_children, FLAG, on_children)                                                                                    \
-  X(training_step, U32, report.step)                                                                                   \
-  X(mean_loss, REAL, report.mean_loss)                                                                                 \
-  X(rate, AMOUNT, report.rate)                                                                                         \
-  X(gradient_norm, REAL, report.gradient_norm)                                                                         \
-  X(clipped_share, SHARE, report.clipped_share)                                                                        \
-  X(clipped_robots_share, SHARE, report.clipped_robots_share)                                                          \
-  X(diverged, U32, report.diverged)                                                                                    \
-  X(zeroed, U32, report.zeroed)                                                                                        \
-  X(skipped, FLAG, report.skipped)                                                                                     \
-  X(bounded, U32, report.bounded)                                                                                      \
+#define STEP_FIELDS(X)                                                                             \
+  X(generation, U32, generation)                                                                   \
+  X(step, U32, step)                                                                               \
+  X(on_children, FLAG, on_children)                                                                \
+  X(training_step, U32, report.step)                                                               \
+  X(mean_loss, REAL, report.mean_loss)                                                             \
+  X(rate, AMOUNT, report.rate)                                                                     \
+  X(gradient_norm, REAL, report.gradient_norm)                                                     \
+  X(clipped_share, SHARE, report.clipped_share)                                                    \
+  X(clipped_robots_share, SHARE, report.clipped_robots_share)                                      \
+  X(diverged, U32, report.diverged)                                                                \
+  X(zeroed, U32, report.zeroed)                                                                    \
+  X(skipped, FLAG, report.skipped)                                                                 \
+  X(bounded, U32, report.bounded)                                                                  \
   X(seconds, AMOUNT, seconds)
 
 #define COLUMN(column, kind, member) "," #column
 #define PLACE(column, kind, member)  ",?"
-#define GENERATION_PLACE(column, kind, member)                                                                         \
+#define GENERATION_PLACE(column, kind, member)                                                     \
   {kind, offsetof(struct mo_campaign_generation, member), "campaign_generations." #column},
-#define STEP_PLACE(column, kind, member) {kind, offsetof(struct mo_campaign_step, member), "campaign_steps." #column},
+#define STEP_PLACE(column, kind, member)                                                           \
+  {kind, offsetof(struct mo_campaign_step, member), "campaign_steps." #column},
 
 static const struct field generation_fields[] = {GENERATION_FIELDS(GENERATION_PLACE)};
 static const struct field step_fields[] = {STEP_FIELDS(STEP_PLACE)};
 #define N_GENERATION_FIELDS (sizeof(generation_fields) / sizeof(generation_fields[0]))
 #define N_STEP_FIELDS       (sizeof(step_fields) / sizeof(step_fields[0]))
 
-int mo_campaign_generation_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_generation *row)
+int mo_campaign_generation_write(struct mo_connection *writer, int64_t id,
+                                 const struct mo_campaign_generation *row)
 {
-  static const char sql[] =
-      "INSERT INTO campaign_generations(job" GENERATION_FIELDS(COLUMN) ") VALUES(?" GENERATION_FIELDS(PLACE) ")";
+  static const char sql[] = "INSERT INTO campaign_generations(job" GENERATION_FIELDS(
+      COLUMN) ") VALUES(?" GENERATION_FIELDS(PLACE) ")";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -166,10 +170,11 @@ int mo_campaign_generation_write(struct mo_connection *writer, int64_t id, const
   return mo_sql_run(writer, statement);
 }
 
-int mo_campaign_step_write(struct mo_connection *writer, int64_t id, const struct mo_campaign_step *row)
+int mo_campaign_step_write(struct mo_connection *writer, int64_t id,
+                           const struct mo_campaign_step *row)
 {
-  static const char sql[] =
-      "INSERT OR REPLACE INTO campaign_steps(job" STEP_FIELDS(COLUMN) ") VALUES(?" STEP_FIELDS(PLACE) ")";
+  static const char sql[] = "INSERT OR REPLACE INTO campaign_steps(job" STEP_FIELDS(
+      COLUMN) ") VALUES(?" STEP_FIELDS(PLACE) ")";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -181,11 +186,13 @@ int mo_campaign_step_write(struct mo_connection *writer, int64_t id, const struc
 
 /* ---- one campaign ---- */
 
-int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo_campaign_head *head)
+int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
+                         struct mo_campaign_head *head)
 {
   static const char sql[] =
       "SELECT settings,generations,n_environments,replicates_of,physics,coalesce(controller,0),"
-      "coalesce(environment_set,0),generation,n_designs,scored_generation,scored,diversity_max FROM campaigns"
+      "coalesce(environment_set,0),generation,n_designs,scored_generation,scored,diversity_max "
+      "FROM campaigns"
       " WHERE job=?1";
   struct mo_campaign_settings settings;
   int error = MO_OK;
@@ -197,7 +204,8 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id, struct mo
   step = mo_sql_step(connection, row);
   if (step <= 0)
     return step < 0 ? step : MO_ERR_NOT_FOUND;
-  error = mo_decode_campaign(sqlite3_column_blob(row, 0), (size_t)sqlite3_column_bytes(row, 0), &settings);
+  error = mo_decode_campaign(sqlite3_column_blob(row, 0), (size_t)sqlite3_column_bytes(row, 0),
+                             &settings);
   *head = (struct mo_campaign_head){.mode = settings.mode,
                                     .population = settings.population,
                                     .generations = (uint32_t)sqlite3_column_int64(row, 1),
@@ -234,18 +242,24 @@ static int check_row(sqlite3_stmt *row, struct mo_job *job)
   const char *preset = (const char *)sqlite3_column_text(row, FIRST + 1);
   enum mo_preset known;
   int error = mo_job_name(job, row, FIRST, "campaigns.name");
-  if (error == MO_OK && preset != NULL && preset[0] != '\0' && mo_preset_from_name(preset, &known) != MO_OK)
+  if (error == MO_OK && preset != NULL && preset[0] != '\0' &&
+      mo_preset_from_name(preset, &known) != MO_OK)
     error = mo_job_damaged(job, "campaigns.preset is none");
-  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) : error;
+  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0]))
+                        : error;
 }
 
 static int load_record(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
 {
   static const char sql[] =
-      "SELECT " MO_JOB_COLUMNS ",m.name,m.preset,m.controller IS NOT NULL,m.n_listed,m.initial_campaign,"
-      "m.replicates_of,m.replicate,m.replicates,m.checkpoint_every_s,m.generation,m.n_designs,m.best_score,"
-      "m.diversity_max,m.ended,CASE m.scored_generation WHEN m.generation+1 THEN m.scored ELSE 0 END,r.sha256,"
-      "m.settings" MO_JOB_TABLES "LEFT JOIN controllers r ON r.id=m.result WHERE j.id=?1 AND j.kind=2";
+      "SELECT " MO_JOB_COLUMNS
+      ",m.name,m.preset,m.controller IS NOT NULL,m.n_listed,m.initial_campaign,"
+      "m.replicates_of,m.replicate,m.replicates,m.checkpoint_every_s,m.generation,m.n_designs,m."
+      "best_score,"
+      "m.diversity_max,m.ended,CASE m.scored_generation WHEN m.generation+1 THEN m.scored ELSE 0 "
+      "END,r.sha256,"
+      "m.settings" MO_JOB_TABLES
+      "LEFT JOIN controllers r ON r.id=m.result WHERE j.id=?1 AND j.kind=2";
   struct mo_campaign_record *record = &status->record;
   int error = MO_OK;
   int step;
@@ -258,8 +272,8 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
     return step < 0 ? step : MO_ERR_NOT_FOUND;
   error = mo_job_from_row(row, &status->job);
   if (error == MO_OK)
-    error = mo_decode_campaign(sqlite3_column_blob(row, FIRST + 16), (size_t)sqlite3_column_bytes(row, FIRST + 16),
-                               &record->settings);
+    error = mo_decode_campaign(sqlite3_column_blob(row, FIRST + 16),
+                               (size_t)sqlite3_column_bytes(row, FIRST + 16), &record->settings);
   if (error == MO_OK)
     error = check_row(row, &status->job);
   record->settings.generations = status->job.steps_total;
@@ -284,7 +298,8 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   status->end = (enum mo_campaign_end)sqlite3_column_int(row, FIRST + 13);
   status->scored = (uint32_t)sqlite3_column_int64(row, FIRST + 14);
   status->has_result = sqlite3_column_type(row, FIRST + 15) != SQLITE_NULL;
-  if (error == MO_OK && status->has_result && mo_column_hash(row, FIRST + 15, &status->result_sha256) != MO_OK)
+  if (error == MO_OK && status->has_result &&
+      mo_column_hash(row, FIRST + 15, &status->result_sha256) != MO_OK)
     error = mo_job_damaged(&status->job, "controllers.sha256 of its result is no hash");
   (void)sqlite3_reset(row);
   return error;
@@ -292,8 +307,8 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
 
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
-  static const char sql[] =
-      "SELECT job" GENERATION_FIELDS(COLUMN) " FROM campaign_generations WHERE job=?1 AND generation=?2";
+  static const char sql[] = "SELECT job" GENERATION_FIELDS(
+      COLUMN) " FROM campaign_generations WHERE job=?1 AND generation=?2";
   struct mo_campaign_status *status = any;
   sqlite3_stmt *row;
   int step;
@@ -310,14 +325,16 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   step = mo_sql_step(reader, row);
   if (step <= 0)
     return step < 0 ? step
-                    : mo_job_damaged(&status->job, "campaign_generations has no generation %lld, its last",
+                    : mo_job_damaged(&status->job,
+                                     "campaign_generations has no generation %lld, its last",
                                      (long long)status->generation);
   read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last, &status->last.damage);
   (void)sqlite3_reset(row);
   return status->last.damage.column == NULL
              ? MO_OK
-             : mo_job_damaged(&status->job, "%s of generation %lld is %s", status->last.damage.column,
-                              (long long)status->generation, MO_NUMBER(status->last.damage.value));
+             : mo_job_damaged(&status->job, "%s of generation %lld is %s",
+                              status->last.damage.column, (long long)status->generation,
+                              MO_NUMBER(status->last.damage.value));
 }
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
@@ -340,32 +357,41 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
                            struct mo_campaign_status *statuses, size_t limit)
 {
-  static const char shown_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1 "
-                                  "AND (?4=0 OR m.replicates_of=?4)"
-                                  " AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY m.job DESC LIMIT ?3";
-  static const char all_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
-                                " AND (?2<0 OR j.state=?2) AND ?4=0 ORDER BY m.job DESC LIMIT ?3";
-  static const char group_sql[] = "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
-                                  " AND (?2<0 OR j.state=?2) AND m.replicates_of=?4 ORDER BY m.job DESC LIMIT ?3";
-  const struct mo_job_query shown = {
-      .before = query->before, .state = query->state, .waiting = query->waiting, .n_waiting = query->n_waiting};
-  const char *sql = mo_job_query_waits(&shown) ? shown_sql : query->group != 0 ? group_sql : all_sql;
-  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses, sizeof(*statuses));
+  static const char shown_sql[] =
+      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1 "
+      "AND (?4=0 OR m.replicates_of=?4)"
+      " AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY m.job DESC LIMIT ?3";
+  static const char all_sql[] =
+      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
+      " AND (?2<0 OR j.state=?2) AND ?4=0 ORDER BY m.job DESC LIMIT ?3";
+  static const char group_sql[] =
+      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
+      " AND (?2<0 OR j.state=?2) AND m.replicates_of=?4 ORDER BY m.job DESC LIMIT ?3";
+  const struct mo_job_query shown = {.before = query->before,
+                                     .state = query->state,
+                                     .waiting = query->waiting,
+                                     .n_waiting = query->n_waiting};
+  const char *sql = mo_job_query_waits(&shown) ? shown_sql
+                    : query->group != 0        ? group_sql
+                                               : all_sql;
+  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses,
+                      sizeof(*statuses));
 }
 
 static int take_generation(sqlite3_stmt *statement, void *row)
 {
   struct mo_campaign_generation *generation = row;
-  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, generation, &generation->damage);
+  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, generation,
+              &generation->damage);
   return MO_OK;
 }
 
 int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_campaign_generation *rows, size_t limit)
 {
-  static const char sql[] =
-      "SELECT job" GENERATION_FIELDS(COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 AND "
-                                             "generation<=4294967295 ORDER BY generation LIMIT ?3";
+  static const char sql[] = "SELECT job" GENERATION_FIELDS(
+      COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 AND "
+              "generation<=4294967295 ORDER BY generation LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, take_generation, rows, sizeof(*rows));
 }
@@ -377,11 +403,12 @@ static int take_step(sqlite3_stmt *statement, void *row)
   return MO_OK;
 }
 
-int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation, uint32_t after_step,
-                                struct mo_campaign_step *rows, size_t limit)
+int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t after_generation,
+                                uint32_t after_step, struct mo_campaign_step *rows, size_t limit)
 {
   static const char sql[] = "SELECT job" STEP_FIELDS(
-      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) AND generation<=4294967295"
+      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) AND "
+              "generation<=4294967295"
               " AND step BETWEEN 1 AND 4294967295 ORDER BY generation,step LIMIT ?4";
   const int64_t values[] = {id, after_generation, after_step};
   return mo_read_rows(store, sql, values, 3, limit, take_step, rows, sizeof(*rows));
@@ -389,9 +416,11 @@ int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t afte
 
 /* ---- environments and initial designs: of the group ---- */
 
-int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows, uint32_t n)
+int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows,
+                                 uint32_t n)
 {
-  static const char sql[] = "SELECT environment FROM campaign_environments WHERE job=?1 ORDER BY position LIMIT ?2";
+  static const char sql[] =
+      "SELECT environment FROM campaign_environments WHERE job=?1 ORDER BY position LIMIT ?2";
   uint32_t found = 0;
   int error = MO_OK;
   int step;
@@ -405,11 +434,12 @@ int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group
   return step < 0 ? step : found == n ? MO_OK : MO_ERR_CORRUPT;
 }
 
-int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo_environment **ret, uint32_t *ret_n)
+int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo_environment **ret,
+                                   uint32_t *ret_n)
 {
-  static const char sql[] =
-      "SELECT e.data,e.sha256 FROM campaign_environments x JOIN environments e ON e.id=x.environment"
-      " WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] = "SELECT e.data,e.sha256 FROM campaign_environments x JOIN environments "
+                            "e ON e.id=x.environment"
+                            " WHERE x.job=?1 ORDER BY x.position";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_environment *environments = NULL;
   struct mo_campaign_head head = {0};
@@ -428,7 +458,8 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
   if (statement != NULL) {
     sqlite3_bind_int64(statement, 1, head.group);
     while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      error = n == head.n_environments ? MO_ERR_CORRUPT : mo_column_environment(statement, 0, 1, &environments[n++]);
+      error = n == head.n_environments ? MO_ERR_CORRUPT
+                                       : mo_column_environment(statement, 0, 1, &environments[n++]);
     }
     if (step < 0)
       error = step;
@@ -445,10 +476,12 @@ int mo_store_campaign_environments(struct mo_store *store, int64_t id, struct mo
   return MO_OK;
 }
 
-int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits **ret, uint32_t *ret_n)
+int mo_store_campaign_initial(struct mo_store *store, int64_t id, struct mo_bits **ret,
+                              uint32_t *ret_n)
 {
-  static const char sql[] = "SELECT g.bits FROM campaign_initial x JOIN genotypes g ON g.id=x.genotype"
-                            " WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] =
+      "SELECT g.bits FROM campaign_initial x JOIN genotypes g ON g.id=x.genotype"
+      " WHERE x.job=?1 ORDER BY x.position";
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_bits *genotypes = NULL;
   struct mo_campaign_head head = {0};

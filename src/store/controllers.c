@@ -1,7 +1,8 @@
 /* controllers.c: weights by content, names that point to them.
  *
- * A file is written beside its place, synced, renamed, and its folder synced, before the row that speaks of it commits: a row
- * never refers to bytes that are not there. A file without a row is harmless: the next upload of the same content finds it. */
+ * A file is written beside its place, synced, renamed, and its folder synced, before the row that
+ * speaks of it commits: a row never refers to bytes that are not there. A file without a row is
+ * harmless: the next upload of the same content finds it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -31,7 +32,8 @@ static char *file_path(const struct mo_store *store, const struct mo_sha256 *sha
   return path;
 }
 
-static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes, size_t size)
+static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes,
+                      size_t size)
 {
   char *path = file_path(store, sha256);
   uint8_t *there = NULL;
@@ -48,7 +50,8 @@ static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, co
   return error;
 }
 
-/* Writes a JSON string to `to` (NULL: only counts) and returns its bytes. The text is UTF-8 already. */
+/* Writes a JSON string to `to` (NULL: only counts) and returns its bytes. The text is UTF-8
+ * already. */
 static size_t quote(const char *text, char *to)
 {
   size_t n = 0;
@@ -80,7 +83,8 @@ static char *metadata_json(const struct mo_controller *controller)
   size_t size = 3, at = 0;
   char *text;
   for (size_t i = 0; i < controller->n_metadata; i++)
-    size += quote(controller->metadata[i].key, NULL) + quote(controller->metadata[i].value, NULL) + 2;
+    size +=
+        quote(controller->metadata[i].key, NULL) + quote(controller->metadata[i].value, NULL) + 2;
   text = malloc(size);
   if (text == NULL)
     return NULL;
@@ -97,7 +101,8 @@ static char *metadata_json(const struct mo_controller *controller)
   return text;
 }
 
-static int content_row(struct mo_connection *writer, const struct mo_controller_put *call, int64_t now_us, int64_t *row)
+static int content_row(struct mo_connection *writer, const struct mo_controller_put *call,
+                       int64_t now_us, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM controllers WHERE sha256=?1";
   static const char insert_sql[] =
@@ -132,9 +137,11 @@ static int content_row(struct mo_connection *writer, const struct mo_controller_
 
 int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call)
 {
-  static const char find_sql[] = "SELECT controller,version,stored_us FROM controller_names WHERE name=?1";
-  static const char set_sql[] = "INSERT INTO controller_names(name,controller,version,stored_us) VALUES(?1,?2,?3,?4)"
-                                " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
+  static const char find_sql[] =
+      "SELECT controller,version,stored_us FROM controller_names WHERE name=?1";
+  static const char set_sql[] =
+      "INSERT INTO controller_names(name,controller,version,stored_us) VALUES(?1,?2,?3,?4)"
+      " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
   int64_t row = 0, known = 0, version = 0, now_us = mo_store_now_us();
@@ -186,8 +193,9 @@ static int put(struct mo_store *store, void *arguments)
   return mo_controller_put_row(store, arguments);
 }
 
-int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
-                            const struct mo_controller *controller, struct mo_controller_put *call)
+int mo_controller_put_begin(struct mo_store *store, const char *name, const uint8_t *bytes,
+                            size_t size, const struct mo_controller *controller,
+                            struct mo_controller_put *call)
 {
   int error = mo_controller_name_check(name);
   *call = (struct mo_controller_put){.name = name, .controller = controller, .size = size};
@@ -206,8 +214,9 @@ void mo_controller_put_end(struct mo_controller_put *call)
   call->metadata = NULL;
 }
 
-int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes, size_t size,
-                            const struct mo_controller *controller, struct mo_controller_record *record, bool *created)
+int mo_store_controller_put(struct mo_store *store, const char *name, const uint8_t *bytes,
+                            size_t size, const struct mo_controller *controller,
+                            struct mo_controller_record *record, bool *created)
 {
   struct mo_controller_put call;
   int error = mo_controller_put_begin(store, name, bytes, size, controller, &call);
@@ -301,7 +310,8 @@ static const struct mo_column_range *find_outside(sqlite3_stmt *row)
   return NULL;
 }
 
-/* Whether a row has a name that can be asked for: of a damaged one there may be any bytes, and any number of them. */
+/* Whether a row has a name that can be asked for: of a damaged one there may be any bytes, and any
+ * number of them. */
 static bool has_name(sqlite3_stmt *statement, int column)
 {
   if (sqlite3_column_type(statement, column) != SQLITE_TEXT)
@@ -317,9 +327,9 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   memset(record, 0, sizeof(*record));
   record->size = (uint64_t)sqlite3_column_int64(statement, 1);
   record->sensor = (enum mo_sensor)sqlite3_column_int(statement, 2);
-  record->workspace =
-      (struct mo_workspace){(uint16_t)sqlite3_column_int(statement, 3), (uint16_t)sqlite3_column_int(statement, 4),
-                            (uint16_t)sqlite3_column_int(statement, 5)};
+  record->workspace = (struct mo_workspace){(uint16_t)sqlite3_column_int(statement, 3),
+                                            (uint16_t)sqlite3_column_int(statement, 4),
+                                            (uint16_t)sqlite3_column_int(statement, 5)};
   record->n_parameters = (uint64_t)sqlite3_column_int64(statement, 6);
   mo_column_text(statement, 8, record->name, sizeof(record->name));
   record->version = sqlite3_column_int64(statement, 9);
@@ -330,12 +340,14 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
     snprintf(record->damage, sizeof(record->damage), "controller_names.name is no name");
   else if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
     snprintf(record->damage, sizeof(record->damage),
-             "controller_names.controller of %s is %lld, which controllers has not", record->name, row);
+             "controller_names.controller of %s is %lld, which controllers has not", record->name,
+             row);
   else if (mo_column_hash(statement, 0, &record->sha256) != MO_OK)
-    snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash", row);
+    snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash",
+             row);
   else if (outside != NULL && outside->column == 10 && record->name[0] != '\0')
-    snprintf(record->damage, sizeof(record->damage), "controller_names.stored_us of %s is %lld", record->name,
-             (long long)record->stored_us);
+    snprintf(record->damage, sizeof(record->damage), "controller_names.stored_us of %s is %lld",
+             record->name, (long long)record->stored_us);
   else if (outside != NULL)
     snprintf(record->damage, sizeof(record->damage), "%s%s of row %lld is %lld",
              outside->column == 10 ? "controllers." : "", outside->name, row,
@@ -345,10 +357,10 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   return MO_ERR_CORRUPT;
 }
 
-/* Of the names, in their order, those that are sound or those that are not, after the first passed_over of these. after_name: NULL where the
- * statement asks for none. */
-static int64_t list(struct mo_store *store, const char *sql, const char *after_name, bool sound, int64_t passed_over,
-                    struct mo_controller_record *records, size_t limit)
+/* Of the names, in their order, those that are sound or those that are not, after the first
+ * passed_over of these. after_name: NULL where the statement asks for none. */
+static int64_t list(struct mo_store *store, const char *sql, const char *after_name, bool sound,
+                    int64_t passed_over, struct mo_controller_record *records, size_t limit)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
@@ -370,29 +382,33 @@ static int64_t list(struct mo_store *store, const char *sql, const char *after_n
   return error != MO_OK ? error : (int64_t)n;
 }
 
-int64_t mo_store_controllers(struct mo_store *store, const char *after_name, struct mo_controller_record *records,
-                             size_t limit)
+int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
+                             struct mo_controller_record *records, size_t limit)
 {
   static const char sql[] =
-      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
+      "SELECT " CONTROLLER_COLUMNS
+      ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
       " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
   return list(store, sql, after_name != NULL ? after_name : "", true, 0, records, limit);
 }
 
 /* All names are gone through each time, so what is not told of such a row is not looked up. */
-int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over, struct mo_controller_record *records,
-                                      size_t limit)
+int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over,
+                                      struct mo_controller_record *records, size_t limit)
 {
-  static const char sql[] = "SELECT NULL,0,0,0,0,0,0,0,name,0,0 FROM controller_names ORDER BY name";
+  static const char sql[] =
+      "SELECT NULL,0,0,0,0,0,0,0,name,0,0 FROM controller_names ORDER BY name";
   return list(store, sql, NULL, false, passed_over, records, limit);
 }
 
-int mo_store_controller(struct mo_store *store, const char *name, struct mo_controller_record *record)
+int mo_store_controller(struct mo_store *store, const char *name,
+                        struct mo_controller_record *record)
 {
-  static const char by_name[] =
-      "SELECT " CONTROLLER_COLUMNS ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
-      " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
-  static const char by_row[] = "SELECT " CONTROLLER_COLUMNS ",c.id,NULL,1,c.stored_us FROM controllers c WHERE c.id=?1";
+  static const char by_name[] = "SELECT " CONTROLLER_COLUMNS
+                                ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
+                                " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name=?1";
+  static const char by_row[] =
+      "SELECT " CONTROLLER_COLUMNS ",c.id,NULL,1,c.stored_us FROM controllers c WHERE c.id=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   bool hashed = strncmp(name, "sha256:", 7) == 0;
   sqlite3_stmt *statement = NULL;
@@ -429,7 +445,8 @@ static int content_size(struct mo_store *store, const struct mo_sha256 *sha256, 
   return error;
 }
 
-int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256, uint8_t **ret, size_t *ret_size)
+int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sha256, uint8_t **ret,
+                              size_t *ret_size)
 {
   struct mo_sha256 found;
   uint8_t *bytes = NULL;
@@ -459,9 +476,11 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
   return error;
 }
 
-int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256, char **json)
+int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256,
+                                 char **json)
 {
-  static const char sql[] = "SELECT " MO_JSON_COLUMN("controllers", "metadata") " FROM controllers WHERE sha256=?1";
+  static const char sql[] =
+      "SELECT " MO_JSON_COLUMN("controllers", "metadata") " FROM controllers WHERE sha256=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);

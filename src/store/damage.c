@@ -1,7 +1,7 @@
 /* damage.c: which row it is that keeps something from being read.
  *
- * Whoever reads finds no more than that a row is not what it must be. The statements of schema/damage/ say which. They are asked after a
- * reading has failed, and never before. */
+ * Whoever reads finds no more than that a row is not what it must be. The statements of
+ * schema/damage/ say which. They are asked after a reading has failed, and never before. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,9 +9,10 @@
 #include "store/campaign_rows.h"
 
 /* What the statements have as numbers. */
-_Static_assert(MO_BITS_BYTES == 18 && MO_PHYSICS_BYTES == 93 && MO_ENVIRONMENT_BYTES == 528 && MO_BIRTH_BYTES == 9 &&
-                   MO_MEMBER_BYTES == 12 && MO_STEPS_MAX == 1000000 && MO_DEFAULT_MASSES == 245 &&
-                   MO_ENVIRONMENTS_MAX == 64 && MO_TIME_US_MAX == 253402300799999999,
+_Static_assert(MO_BITS_BYTES == 18 && MO_PHYSICS_BYTES == 93 && MO_ENVIRONMENT_BYTES == 528 &&
+                   MO_BIRTH_BYTES == 9 && MO_MEMBER_BYTES == 12 && MO_STEPS_MAX == 1000000 &&
+                   MO_DEFAULT_MASSES == 245 && MO_ENVIRONMENTS_MAX == 64 &&
+                   MO_TIME_US_MAX == 253402300799999999,
                "schema/damage has other limits");
 
 enum { OF_DESIGN = 0, OF_JOB = 1 }; /* of the embedded files */
@@ -30,14 +31,17 @@ static void hash_of(sqlite3_context *context, int n, sqlite3_value **values)
   sqlite3_result_blob(context, hash.bytes, sizeof(hash.bytes), SQLITE_TRANSIENT);
 }
 
-/* The first words that a file's statements give for the value that `bind` binds as their parameter. */
-static int find(struct mo_connection *reader, size_t file, void (*bind)(sqlite3_stmt *statement, const void *value),
-                const void *value, char words[MO_DAMAGE_BYTES])
+/* The first words that a file's statements give for the value that `bind` binds as their parameter.
+ */
+static int find(struct mo_connection *reader, size_t file,
+                void (*bind)(sqlite3_stmt *statement, const void *value), const void *value,
+                char words[MO_DAMAGE_BYTES])
 {
   const char *sql = (const char *)damage_files[file].bytes;
-  int error = mo_sql_error(reader->db, sqlite3_create_function(reader->db, "sha256", 1,
-                                                               SQLITE_UTF8 | SQLITE_DETERMINISTIC | SQLITE_DIRECTONLY,
-                                                               NULL, hash_of, NULL, NULL));
+  int error = mo_sql_error(
+      reader->db, sqlite3_create_function(reader->db, "sha256", 1,
+                                          SQLITE_UTF8 | SQLITE_DETERMINISTIC | SQLITE_DIRECTONLY,
+                                          NULL, hash_of, NULL, NULL));
   words[0] = '\0';
   while (error == MO_OK && words[0] == '\0' && *sql != '\0') {
     sqlite3_stmt *statement = NULL; /* asked so seldom that a connection need not keep it */
@@ -62,7 +66,8 @@ static void bind_id(sqlite3_stmt *statement, const void *id)
   sqlite3_bind_int64(statement, 1, *(const int64_t *)id);
 }
 
-/* Of its own rows, those that every reading of it needs: with words in job->damage and MO_ERR_CORRUPT. */
+/* Of its own rows, those that every reading of it needs: with words in job->damage and
+ * MO_ERR_CORRUPT. */
 static int read_status(struct mo_store *store, int64_t id, struct mo_job *job)
 {
   int error = mo_store_job(store, id, job);

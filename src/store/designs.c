@@ -34,14 +34,15 @@ static void take_time(struct mo_design_row *row, int64_t time_us)
 {
   row->first_seen_us = time_us;
   if (row->damage[0] == '\0' && (time_us < 1 || time_us > MO_TIME_US_MAX))
-    snprintf(row->damage, sizeof(row->damage), "designs.first_seen_us of row %lld is %lld", (long long)row->row,
-             (long long)time_us);
+    snprintf(row->damage, sizeof(row->damage), "designs.first_seen_us of row %lld is %lld",
+             (long long)row->row, (long long)time_us);
 }
 
 static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,
                            struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2";
+  static const char sql[] =
+      "SELECT id,form,first_seen_us FROM designs WHERE id>?1 ORDER BY id LIMIT ?2";
   int error = MO_OK;
   int64_t n = 0;
   int step = 0;
@@ -62,8 +63,10 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
-/* The row of a physics setting under a controller's sensor. MO_ERR_NOT_FOUND: nothing was ever scored so. */
-static int find_physics(struct mo_connection *reader, const struct mo_design_query *query, int64_t *row)
+/* The row of a physics setting under a controller's sensor. MO_ERR_NOT_FOUND: nothing was ever
+ * scored so. */
+static int find_physics(struct mo_connection *reader, const struct mo_design_query *query,
+                        int64_t *row)
 {
   static const char sensor_sql[] = "SELECT sensor FROM controllers WHERE sha256=?1";
   static const char physics_sql[] = "SELECT id FROM physics WHERE sha256=?1";
@@ -90,12 +93,13 @@ static int find_physics(struct mo_connection *reader, const struct mo_design_que
 static int64_t list_by_score(struct mo_connection *reader, const struct mo_design_query *query,
                              struct mo_design_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score,s.controller,"
-                            "s.environment_set FROM set_scores s"
-                            " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
-                            " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
-                            " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
-                            " AND (s.score,s.genotype)>(?4,?5) ORDER BY s.score,s.genotype LIMIT ?6";
+  static const char sql[] =
+      "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score,s.controller,"
+      "s.environment_set FROM set_scores s"
+      " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
+      " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
+      " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
+      " AND (s.score,s.genotype)>(?4,?5) ORDER BY s.score,s.genotype LIMIT ?6";
   int64_t physics = 0, n = 0;
   sqlite3_stmt *statement;
   int step = 0;
@@ -120,9 +124,10 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
     row->row = sqlite3_column_int64(statement, 3);
     if (mo_column_double(statement, 1, &row->score) != MO_OK) {
       snprintf(row->damage, sizeof(row->damage),
-               "set_scores.bits of genotype %lld, controller %lld, physics %lld and set %lld is no score",
-               (long long)row->genotype_row, (long long)sqlite3_column_int64(statement, 7), (long long)physics,
-               (long long)sqlite3_column_int64(statement, 8));
+               "set_scores.bits of genotype %lld, controller %lld, physics %lld and set %lld is no "
+               "score",
+               (long long)row->genotype_row, (long long)sqlite3_column_int64(statement, 7),
+               (long long)physics, (long long)sqlite3_column_int64(statement, 8));
       row->score = sqlite3_column_double(statement, 6);
     } else if (mo_column_bits(statement, 2, &row->genotype) != MO_OK)
       damaged(row, "genotypes.bits", row->genotype_row, "no design");
@@ -135,8 +140,8 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
-int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query, struct mo_design_row *rows,
-                         size_t limit)
+int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
+                         struct mo_design_row *rows, size_t limit)
 {
   struct mo_connection *reader;
   int64_t n;
@@ -160,7 +165,8 @@ static int add_orientation(struct mo_design *design, const struct mo_bits *genot
   if (more == NULL)
     return MO_ERR_NO_MEMORY;
   design->orientations = more;
-  design->orientations[design->n_orientations] = (struct mo_design_orientation){.genotype = *genotype};
+  design->orientations[design->n_orientations] =
+      (struct mo_design_orientation){.genotype = *genotype};
   design->n_orientations++;
   return MO_OK;
 }
@@ -177,7 +183,8 @@ static struct mo_design_score *add_score(struct mo_design_orientation *orientati
   return &more[orientation->n_scores++];
 }
 
-static int load_orientations(struct mo_connection *reader, int64_t row, struct mo_design *design, int64_t *genotypes)
+static int load_orientations(struct mo_connection *reader, int64_t row, struct mo_design *design,
+                             int64_t *genotypes)
 {
   static const char sql[] = "SELECT id,bits FROM genotypes WHERE design=?1 ORDER BY id LIMIT 8";
   int error = MO_OK;
@@ -211,8 +218,8 @@ static int start_score(sqlite3_stmt *row, struct mo_design_score *score)
     error = mo_column_hash(row, 7, &score->physics_sha256);
   if (error == MO_OK)
     error = encoding == NULL ? MO_ERR_CORRUPT
-                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 8), &physics,
-                                                 &score->precision, &score->sensor);
+                             : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 8),
+                                                 &physics, &score->precision, &score->sensor);
   if (error == MO_OK)
     error = mo_column_hash(row, 9, &score->environment_sha256);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
@@ -224,12 +231,15 @@ static int start_score(sqlite3_stmt *row, struct mo_design_score *score)
   return error;
 }
 
-static int load_scores(struct mo_connection *reader, int64_t genotype, struct mo_design_orientation *orientation,
-                       uint32_t *room)
+static int load_scores(struct mo_connection *reader, int64_t genotype,
+                       struct mo_design_orientation *orientation, uint32_t *room)
 {
   static const char sql[] =
-      "SELECT x.controller,x.physics,coalesce(m.environment_set,0),coalesce(m.position,0),coalesce(s.name,''),"
-      "coalesce(s.n,1),c.sha256,p.sha256,p.encoding,e.sha256,x.loss,x.diverged_step,x.computed_us,f.text"
+      "SELECT "
+      "x.controller,x.physics,coalesce(m.environment_set,0),coalesce(m.position,0),coalesce(s.name,"
+      "''),"
+      "coalesce(s.n,1),c.sha256,p.sha256,p.encoding,e.sha256,x.loss,x.diverged_step,x.computed_us,"
+      "f.text"
       " FROM scores x JOIN controllers c ON c.id=x.controller JOIN physics p ON p.id=x.physics"
       " JOIN environments e ON e.id=x.environment JOIN fingerprints f ON f.id=x.fingerprint"
       " LEFT JOIN environment_set_members m ON m.environment=x.environment"
@@ -253,8 +263,8 @@ static int load_scores(struct mo_connection *reader, int64_t genotype, struct mo
       break;
     }
     (*room)--;
-    if (score == NULL || here.set == 0 || here.controller != group.controller || here.physics != group.physics ||
-        here.set != group.set) {
+    if (score == NULL || here.set == 0 || here.controller != group.controller ||
+        here.physics != group.physics || here.set != group.set) {
       score = add_score(orientation);
       error = score == NULL ? MO_ERR_NO_MEMORY : start_score(statement, score);
     }
@@ -281,7 +291,8 @@ static int load_scores(struct mo_connection *reader, int64_t genotype, struct mo
   return step < 0 ? step : error;
 }
 
-static int load_design(struct mo_connection *reader, const struct mo_bits *form, struct mo_design *design)
+static int load_design(struct mo_connection *reader, const struct mo_bits *form,
+                       struct mo_design *design)
 {
   static const char sql[] = "SELECT id,first_seen_us FROM designs WHERE form=?1";
   uint8_t bytes[MO_BITS_BYTES];

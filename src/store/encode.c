@@ -65,7 +65,8 @@ void mo_decode_floats(const uint8_t *bytes, size_t n, float *values)
 }
 
 /* −0 is written as 0: environments that are equal are one, and are computed once. */
-void mo_encode_environment(const struct mo_environment *environment, uint8_t bytes[MO_ENVIRONMENT_BYTES])
+void mo_encode_environment(const struct mo_environment *environment,
+                           uint8_t bytes[MO_ENVIRONMENT_BYTES])
 {
   for (size_t i = 0; i < 2 + MO_TERRAIN_HEIGHTS; i++) {
     double value = i < 2 ? environment->light_xy_m[i] : environment->terrain_heights_m[i - 2];
@@ -73,18 +74,20 @@ void mo_encode_environment(const struct mo_environment *environment, uint8_t byt
   }
 }
 
-void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES], struct mo_environment *environment)
+void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES],
+                           struct mo_environment *environment)
 {
   mo_decode_doubles(bytes, 2, environment->light_xy_m);
   mo_decode_doubles(bytes + 16, MO_TERRAIN_HEIGHTS, environment->terrain_heights_m);
 }
 
-void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision, enum mo_sensor sensor,
-                       uint8_t bytes[MO_PHYSICS_BYTES])
+void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
+                       enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES])
 {
-  const double values[9] = {physics->dt_s,       physics->stiffness_n_per_m, physics->mass_kg,
-                            physics->drag_per_s, physics->gravity_m_per_s2,  physics->actuation,
-                            physics->friction,   physics->friction_cap,      physics->drop_height_m};
+  const double values[9] = {
+      physics->dt_s,       physics->stiffness_n_per_m, physics->mass_kg,
+      physics->drag_per_s, physics->gravity_m_per_s2,  physics->actuation,
+      physics->friction,   physics->friction_cap,      physics->drop_height_m};
   uint8_t *words = bytes + 1 + 9 * 8;
   bytes[0] = 1;
   for (size_t i = 0; i < 9; i++)
@@ -96,8 +99,8 @@ void mo_encode_physics(const struct mo_physics *physics, enum mo_precision preci
   mo_encode_u32((uint32_t)sensor, words + 16);
 }
 
-int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics, enum mo_precision *precision,
-                      enum mo_sensor *sensor)
+int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
+                      enum mo_precision *precision, enum mo_sensor *sensor)
 {
   const uint8_t *words;
   uint32_t impact, chosen_precision, chosen_sensor;
@@ -107,7 +110,8 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   impact = mo_decode_u32(words + 4);
   chosen_precision = mo_decode_u32(words + 12);
   chosen_sensor = mo_decode_u32(words + 16);
-  if (impact > MO_IMPACT_BISECTION || chosen_precision > MO_FLOAT64 || chosen_sensor > MO_SENSOR_INVERSE_SQUARE)
+  if (impact > MO_IMPACT_BISECTION || chosen_precision > MO_FLOAT64 ||
+      chosen_sensor > MO_SENSOR_INVERSE_SQUARE)
     return MO_ERR_CORRUPT;
   *physics = (struct mo_physics){
       .dt_s = mo_decode_double(bytes + 1),
@@ -128,8 +132,8 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
-/* Settings of version 2 end with the rule of the adjoint, a 32-bit word, and the weight of what begins anew, a double; those of
- * version 1 end before them: they clip, with the usual weight. */
+/* Settings of version 2 end with the rule of the adjoint, a 32-bit word, and the weight of what
+ * begins anew, a double; those of version 1 end before them: they clip, with the usual weight. */
 static void encode_rule(enum mo_adjoint_rule rule, double weight, uint8_t bytes[MO_RULE_BYTES])
 {
   mo_encode_u32((uint32_t)rule, bytes);
@@ -137,7 +141,8 @@ static void encode_rule(enum mo_adjoint_rule rule, double weight, uint8_t bytes[
 }
 
 /* `now`: the size of version 2. */
-static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule, double *weight)
+static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule,
+                       double *weight)
 {
   const bool first = size == now - MO_RULE_BYTES;
   uint32_t word = MO_ADJOINT_CLIP;
@@ -152,18 +157,22 @@ static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_ad
   return word > MO_ADJOINT_RESTART ? MO_ERR_CORRUPT : MO_OK;
 }
 
-/* Version 2: the byte 2; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth, warm-up, held-out designs,
- * held-out environments, impact's bisections; the 64-bit seed; doubles peak, floor, decay, beta1, beta2, epsilon, norm limit,
- * adjoint bound; physics with precision and sensor; the adjoint's rule and weight. */
-void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES])
+/* Version 2: the byte 2; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth,
+ * warm-up, held-out designs, held-out environments, impact's bisections; the 64-bit seed; doubles
+ * peak, floor, decay, beta1, beta2, epsilon, norm limit, adjoint bound; physics with precision and
+ * sensor; the adjoint's rule and weight. */
+void mo_encode_training(const struct mo_training_settings *settings,
+                        uint8_t bytes[MO_TRAINING_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
-  const uint32_t words[10] = {(uint32_t)settings->kind,    settings->n_steps,          settings->batch,
-                              (uint32_t)schedule->kind,    schedule->cycle_steps,      schedule->cycle_growth,
-                              schedule->warmup_steps,      settings->held_out_designs, settings->held_out_environments,
-                              settings->physics.bisections};
-  const double values[8] = {schedule->peak,  schedule->floor,   schedule->decay,      settings->beta1,
-                            settings->beta2, settings->epsilon, settings->norm_limit, settings->adjoint_bound};
+  const uint32_t words[10] = {
+      (uint32_t)settings->kind,    settings->n_steps,          settings->batch,
+      (uint32_t)schedule->kind,    schedule->cycle_steps,      schedule->cycle_growth,
+      schedule->warmup_steps,      settings->held_out_designs, settings->held_out_environments,
+      settings->physics.bisections};
+  const double values[8] = {schedule->peak,       schedule->floor,        schedule->decay,
+                            settings->beta1,      settings->beta2,        settings->epsilon,
+                            settings->norm_limit, settings->adjoint_bound};
   uint8_t *at = bytes;
   *at++ = 2;
   for (size_t i = 0; i < 10; i++, at += 4)
@@ -215,7 +224,8 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   settings->restart_weight = weight;
   settings->held_out_designs = words[7];
   settings->held_out_environments = words[8];
-  error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision, &settings->sensor);
+  error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision,
+                            &settings->sensor);
   settings->physics.bisections = words[9];
   return error;
 }
@@ -223,24 +233,32 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
 #define CAMPAIGN_WORDS  19
 #define CAMPAIGN_VALUES 13
 
-/* Version 2: the byte 2; 32-bit words mode, workspace x, y, z, population, generations, selection kind, tournament size, layers, age
- * gap, exclude pretraining, parent steps, child steps, batch, schedule kind, cycle steps, cycle growth, warm-up, impact's
- * bisections; the 64-bit seed; doubles mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1,
- * beta2, epsilon, norm limit, adjoint bound; physics with precision and sensor; the adjoint's rule and weight. */
-void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES])
+/* Version 2: the byte 2; 32-bit words mode, workspace x, y, z, population, generations, selection
+ * kind, tournament size, layers, age gap, exclude pretraining, parent steps, child steps, batch,
+ * schedule kind, cycle steps, cycle growth, warm-up, impact's bisections; the 64-bit seed; doubles
+ * mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1, beta2,
+ * epsilon, norm limit, adjoint bound; physics with precision and sensor; the adjoint's rule and
+ * weight. */
+void mo_encode_campaign(const struct mo_campaign_settings *settings,
+                        uint8_t bytes[MO_CAMPAIGN_BYTES])
 {
   const struct mo_schedule *schedule = &settings->schedule;
   const struct mo_selection *selection = &settings->selection;
-  const uint32_t words[CAMPAIGN_WORDS] = {
-      (uint32_t)settings->mode, settings->workspace.nx, settings->workspace.ny,        settings->workspace.nz,
-      settings->population,     settings->generations,  (uint32_t)selection->kind,     selection->tournament_size,
-      selection->n_layers,      selection->age_gap,     settings->exclude_pretraining, settings->parent_steps,
-      settings->child_steps,    settings->batch,        (uint32_t)schedule->kind,      schedule->cycle_steps,
-      schedule->cycle_growth,   schedule->warmup_steps, settings->physics.bisections};
+  const uint32_t words[CAMPAIGN_WORDS] = {(uint32_t)settings->mode,      settings->workspace.nx,
+                                          settings->workspace.ny,        settings->workspace.nz,
+                                          settings->population,          settings->generations,
+                                          (uint32_t)selection->kind,     selection->tournament_size,
+                                          selection->n_layers,           selection->age_gap,
+                                          settings->exclude_pretraining, settings->parent_steps,
+                                          settings->child_steps,         settings->batch,
+                                          (uint32_t)schedule->kind,      schedule->cycle_steps,
+                                          schedule->cycle_growth,        schedule->warmup_steps,
+                                          settings->physics.bisections};
   const double values[CAMPAIGN_VALUES] = {
-      settings->mutation_share, settings->mutation_rate, settings->mutation_growth, selection->novelty_weight,
-      settings->collapse_share, schedule->peak,          schedule->floor,           schedule->decay,
-      settings->beta1,          settings->beta2,         settings->epsilon,         settings->norm_limit,
+      settings->mutation_share,  settings->mutation_rate,  settings->mutation_growth,
+      selection->novelty_weight, settings->collapse_share, schedule->peak,
+      schedule->floor,           schedule->decay,          settings->beta1,
+      settings->beta2,           settings->epsilon,        settings->norm_limit,
       settings->adjoint_bound};
   uint8_t *at = bytes;
   *at++ = 2;
@@ -250,7 +268,8 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t byt
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, CAMPAIGN_VALUES, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * CAMPAIGN_VALUES);
-  encode_rule(settings->adjoint_rule, settings->restart_weight, at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
+  encode_rule(settings->adjoint_rule, settings->restart_weight,
+              at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings)
@@ -268,8 +287,9 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
   for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
     words[i] = mo_decode_u32(at);
   mo_decode_doubles(at + 8, CAMPAIGN_VALUES, values);
-  if (words[0] > MO_SIMULTANEOUS || words[6] > MO_SELECT_AGE_LAYERED || words[14] > MO_SCHEDULE_CONSTANT ||
-      words[1] > UINT16_MAX || words[2] > UINT16_MAX || words[3] > UINT16_MAX || words[4] > MO_POPULATION_MAX)
+  if (words[0] > MO_SIMULTANEOUS || words[6] > MO_SELECT_AGE_LAYERED ||
+      words[14] > MO_SCHEDULE_CONSTANT || words[1] > UINT16_MAX || words[2] > UINT16_MAX ||
+      words[3] > UINT16_MAX || words[4] > MO_POPULATION_MAX)
     return MO_ERR_CORRUPT;
   *settings = (struct mo_campaign_settings){
       .mode = (enum mo_campaign_mode)words[0],
@@ -301,8 +321,8 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
       .adjoint_rule = rule,
       .restart_weight = weight,
   };
-  error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics, &precision,
-                            &settings->sensor);
+  error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics,
+                            &precision, &settings->sensor);
   settings->physics.bisections = words[18];
   return error;
 }

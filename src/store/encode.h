@@ -1,4 +1,5 @@
-/* encode.h: numbers and records as the bytes that the database holds. Little-endian, independent of the machine. */
+/* encode.h: numbers and records as the bytes that the database holds. Little-endian, independent of
+ * the machine. */
 #ifndef MORPHO_STORE_ENCODE_H
 #define MORPHO_STORE_ENCODE_H
 
@@ -24,22 +25,28 @@ void mo_decode_doubles(const uint8_t *bytes, size_t n, double *values);
 void mo_encode_floats(const float *values, size_t n, uint8_t *bytes);
 void mo_decode_floats(const uint8_t *bytes, size_t n, float *values);
 
-void mo_encode_environment(const struct mo_environment *environment, uint8_t bytes[MO_ENVIRONMENT_BYTES]);
-void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES], struct mo_environment *environment);
+void mo_encode_environment(const struct mo_environment *environment,
+                           uint8_t bytes[MO_ENVIRONMENT_BYTES]);
+void mo_decode_environment(const uint8_t bytes[MO_ENVIRONMENT_BYTES],
+                           struct mo_environment *environment);
 
-void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision, enum mo_sensor sensor,
-                       uint8_t bytes[MO_PHYSICS_BYTES]);
+void mo_encode_physics(const struct mo_physics *physics, enum mo_precision precision,
+                       enum mo_sensor sensor, uint8_t bytes[MO_PHYSICS_BYTES]);
 /* MO_ERR_CORRUPT: not an encoding of this version. */
-int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics, enum mo_precision *precision,
-                      enum mo_sensor *sensor);
+int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
+                      enum mo_precision *precision, enum mo_sensor *sensor);
 
 /* All settings of a training, bit for bit; −0 is kept. */
-void mo_encode_training(const struct mo_training_settings *settings, uint8_t bytes[MO_TRAINING_BYTES]);
-int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
+void mo_encode_training(const struct mo_training_settings *settings,
+                        uint8_t bytes[MO_TRAINING_BYTES]);
+int mo_decode_training(const uint8_t *bytes, size_t size,
+                       struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
 
 /* All settings of a campaign, likewise. */
-void mo_encode_campaign(const struct mo_campaign_settings *settings, uint8_t bytes[MO_CAMPAIGN_BYTES]);
-int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
+void mo_encode_campaign(const struct mo_campaign_settings *settings,
+                        uint8_t bytes[MO_CAMPAIGN_BYTES]);
+int mo_decode_campaign(const uint8_t *bytes, size_t size,
+                       struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
 
 /* The stored form of genotypes, as mo_genotype_to_bytes writes it. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);

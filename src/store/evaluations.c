@@ -44,14 +44,16 @@ int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_quer
   if (query->n_waiting > MO_WAITING_MAX)
     return MO_ERR_LIMIT;
   for (size_t i = 0; i < query->n_waiting; i++)
-    size +=
-        (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "", (long long)query->waiting[i]);
+    size += (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "",
+                             (long long)query->waiting[i]);
   text[size++] = ']';
-  return sqlite3_bind_text(statement, index, text, (int)size, SQLITE_TRANSIENT) == SQLITE_OK ? MO_OK : MO_ERR_NO_MEMORY;
+  return sqlite3_bind_text(statement, index, text, (int)size, SQLITE_TRANSIENT) == SQLITE_OK
+             ? MO_OK
+             : MO_ERR_NO_MEMORY;
 }
 
-static int64_t read_ids(struct mo_connection *reader, const char *sql, const struct mo_job_query *query, int64_t group,
-                        int64_t *ids, size_t limit)
+static int64_t read_ids(struct mo_connection *reader, const char *sql,
+                        const struct mo_job_query *query, int64_t group, int64_t *ids, size_t limit)
 {
   int error = MO_OK;
   int64_t n = 0;
@@ -70,9 +72,10 @@ static int64_t read_ids(struct mo_connection *reader, const char *sql, const str
   return step < 0 ? step : n;
 }
 
-int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_job_query *query, int64_t group,
-                     size_t limit, int (*load)(struct mo_connection *reader, int64_t id, void *status), void *statuses,
-                     size_t status_size)
+int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_job_query *query,
+                     int64_t group, size_t limit,
+                     int (*load)(struct mo_connection *reader, int64_t id, void *status),
+                     void *statuses, size_t status_size)
 {
   int64_t ids[MO_PAGE_MAX] = {0};
   struct mo_connection *reader;
@@ -93,15 +96,16 @@ int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_jo
   return error != MO_OK ? error : n;
 }
 
-int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs, size_t limit)
+int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
+                      size_t limit)
 {
-  static const char all_sql[] =
-      "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
-  static const char state_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
-                                  "WHERE j.state=?4 AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
-  static const char shown_sql[] =
+  static const char all_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
+                                "WHERE j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+  static const char state_sql[] =
       "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
-      "WHERE " MO_JOB_SHOWN_IN("?4", "?5") " AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+      "WHERE j.state=?4 AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+  static const char shown_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE " MO_JOB_SHOWN_IN(
+      "?4", "?5") " AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
   struct mo_connection *reader;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -109,7 +113,11 @@ int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, 
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
   reader = mo_reader_acquire(store);
-  statement = mo_sql(reader, query->state < 0 ? all_sql : mo_job_query_waits(query) ? shown_sql : state_sql, &error);
+  statement = mo_sql(reader,
+                     query->state < 0            ? all_sql
+                     : mo_job_query_waits(query) ? shown_sql
+                                                 : state_sql,
+                     &error);
   if (statement != NULL) {
     int step = 0;
     sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
@@ -164,7 +172,8 @@ struct result_keys {
 static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
                      struct mo_evaluation_results *results)
 {
-  static const char sql[] = "SELECT controller,physics,verify,n_designs,n_environments FROM evaluations WHERE job=?1";
+  static const char sql[] =
+      "SELECT controller,physics,verify,n_designs,n_environments FROM evaluations WHERE job=?1";
   static const char environments_sql[] =
       "SELECT position,environment FROM evaluation_environments WHERE job=?1 ORDER BY position";
   int error = MO_OK;
@@ -184,7 +193,8 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   n_designs = sqlite3_column_int64(statement, 3);
   n_environments = sqlite3_column_int64(statement, 4);
   (void)sqlite3_reset(statement);
-  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 || n_environments > MO_ENVIRONMENTS_MAX)
+  if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 ||
+      n_environments > MO_ENVIRONMENTS_MAX)
     return MO_ERR_CORRUPT;
   results->n_designs = (uint32_t)n_designs;
   results->n_environments = (uint32_t)n_environments;
@@ -221,8 +231,9 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
     results->stored_losses = calloc(cells, sizeof(*results->stored_losses));
     results->agrees = calloc(n, sizeof(*results->agrees));
   }
-  if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL || results->losses == NULL ||
-      results->diverged_steps == NULL || (verify && (results->stored_losses == NULL || results->agrees == NULL)))
+  if (results->forms == NULL || results->genotypes == NULL || results->scores == NULL ||
+      results->losses == NULL || results->diverged_steps == NULL ||
+      (verify && (results->stored_losses == NULL || results->agrees == NULL)))
     return MO_ERR_NO_MEMORY;
   for (size_t i = 0; i < cells; i++) {
     results->losses[i] = NAN;
@@ -233,11 +244,12 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
 }
 
 /* The stored losses of one genotype, into row `n` of the results. */
-static int load_losses(struct mo_connection *reader, const struct result_keys *keys, int64_t genotype, size_t n,
-                       struct mo_evaluation_results *results)
+static int load_losses(struct mo_connection *reader, const struct result_keys *keys,
+                       int64_t genotype, size_t n, struct mo_evaluation_results *results)
 {
-  static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
+  static const char sql[] =
+      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
+      " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -299,10 +311,12 @@ static bool same_bits(double a, double b)
   return words[0] == words[1];
 }
 
-static int load_recomputed(struct mo_connection *reader, int64_t id, struct mo_evaluation_results *results)
+static int load_recomputed(struct mo_connection *reader, int64_t id,
+                           struct mo_evaluation_results *results)
 {
-  static const char sql[] = "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
-                            "BY position,environment";
+  static const char sql[] =
+      "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
+      "BY position,environment";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -366,9 +380,11 @@ static int read_trajectory(sqlite3_stmt *row, struct mo_trajectory *trajectory)
 {
   int64_t stride = sqlite3_column_int64(row, 0), frames = sqlite3_column_int64(row, 1);
   int64_t n_masses = sqlite3_column_int64(row, 2);
-  bool has_com = sqlite3_column_type(row, 3) != SQLITE_NULL, has_masses = sqlite3_column_type(row, 4) != SQLITE_NULL;
-  if (stride < 1 || stride > MO_STEPS_MAX || frames < 1 || frames > MO_STEPS_MAX + 1 || n_masses < 1 ||
-      n_masses > MO_DEFAULT_MASSES || (has_com && sqlite3_column_bytes(row, 3) != frames * 24) ||
+  bool has_com = sqlite3_column_type(row, 3) != SQLITE_NULL,
+       has_masses = sqlite3_column_type(row, 4) != SQLITE_NULL;
+  if (stride < 1 || stride > MO_STEPS_MAX || frames < 1 || frames > MO_STEPS_MAX + 1 ||
+      n_masses < 1 || n_masses > MO_DEFAULT_MASSES ||
+      (has_com && sqlite3_column_bytes(row, 3) != frames * 24) ||
       (has_masses && sqlite3_column_bytes(row, 4) != frames * n_masses * 12))
     return MO_ERR_CORRUPT;
   trajectory->stride = (uint32_t)stride;
@@ -391,11 +407,13 @@ static int read_trajectory(sqlite3_stmt *row, struct mo_trajectory *trajectory)
   return MO_OK;
 }
 
-int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k, struct mo_trajectory **ret)
+int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t k,
+                        struct mo_trajectory **ret)
 {
-  static const char sql[] = "SELECT t.stride,t.frames,t.n_masses,t.com,t.masses,p.encoding FROM trajectories t"
-                            " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
-                            " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
+  static const char sql[] =
+      "SELECT t.stride,t.frames,t.n_masses,t.com,t.masses,p.encoding FROM trajectories t"
+      " JOIN evaluations e ON e.job=t.job JOIN physics p ON p.id=e.physics"
+      " WHERE t.job=?1 AND t.position=?2 AND t.environment=?3";
   struct mo_trajectory *trajectory = calloc(1, sizeof(*trajectory));
   struct mo_connection *reader;
   sqlite3_stmt *statement;
@@ -416,9 +434,10 @@ int mo_store_trajectory(struct mo_store *store, int64_t id, uint32_t n, uint32_t
     error = step > 0 ? read_trajectory(statement, trajectory) : step < 0 ? step : MO_ERR_NOT_FOUND;
     if (error == MO_OK) {
       const void *encoding = sqlite3_column_blob(statement, 5);
-      error = encoding == NULL ? MO_ERR_CORRUPT
-                               : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(statement, 5), &physics,
-                                                   &precision, &sensor);
+      error = encoding == NULL
+                  ? MO_ERR_CORRUPT
+                  : mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(statement, 5),
+                                      &physics, &precision, &sensor);
       if (error == MO_OK)
         trajectory->dt_s = physics.dt_s;
     }

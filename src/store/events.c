@@ -7,7 +7,8 @@
 static int range(struct mo_connection *reader, int64_t *oldest, int64_t *newest)
 {
   static const char oldest_sql[] = "SELECT coalesce(min(sequence),0) FROM events WHERE sequence>0";
-  static const char newest_sql[] = "SELECT coalesce(max(sequence),0) FROM events WHERE sequence<=?1";
+  static const char newest_sql[] =
+      "SELECT coalesce(max(sequence),0) FROM events WHERE sequence<=?1";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, oldest_sql, &error);
   if (statement != NULL)
@@ -57,12 +58,13 @@ static void take(sqlite3_stmt *row, struct mo_event *event)
   event->job = sqlite3_column_int64(row, 2);
   event->damage[0] = '\0';
   if (type == NULL || !is_type(type, (size_t)sqlite3_column_bytes(row, 3)))
-    snprintf(event->damage, sizeof(event->damage), "events.type of row %lld is none", (long long)event->sequence);
+    snprintf(event->damage, sizeof(event->damage), "events.type of row %lld is none",
+             (long long)event->sequence);
   for (size_t i = 0; i < sizeof(ranges) / sizeof(ranges[0]); i++) {
     const int64_t value = sqlite3_column_int64(row, ranges[i].column);
     if (value < ranges[i].least || value > ranges[i].most)
-      snprintf(event->damage, sizeof(event->damage), "events.%s of row %lld is %lld", ranges[i].name,
-               (long long)event->sequence, (long long)value);
+      snprintf(event->damage, sizeof(event->damage), "events.%s of row %lld is %lld",
+               ranges[i].name, (long long)event->sequence, (long long)value);
   }
   mo_column_text(row, 3, event->type, sizeof(event->type));
   mo_column_text(row, 4, event->data, sizeof(event->data));
@@ -70,8 +72,8 @@ static void take(sqlite3_stmt *row, struct mo_event *event)
     snprintf(event->data, sizeof(event->data), "{\"unreadable\":\"events.data is too long\"}");
 }
 
-static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t job, struct mo_event *events,
-                           size_t limit)
+static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t job,
+                           struct mo_event *events, size_t limit)
 {
   static const char all_sql[] = "SELECT sequence,time_us,job,type," MO_JSON_COLUMN(
       "events", "data") " FROM events WHERE sequence>?1 ORDER BY sequence LIMIT ?2";
@@ -92,8 +94,8 @@ static int64_t read_events(struct mo_connection *reader, int64_t after, int64_t 
   return step < 0 ? step : n;
 }
 
-int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events, size_t limit,
-                        int64_t *oldest, int64_t *newest)
+int64_t mo_store_events(struct mo_store *store, int64_t after, int64_t job, struct mo_event *events,
+                        size_t limit, int64_t *oldest, int64_t *newest)
 {
   struct mo_connection *reader;
   int64_t first = 0, last = 0, n = 0;

@@ -1,6 +1,8 @@
-/* files.c: whole files, written so that a crash at any moment leaves the old file, the new one, or none.
+/* files.c: whole files, written so that a crash at any moment leaves the old file, the new one, or
+ * none.
  *
- * A file is written beside its place, synced, renamed, and its folder synced. Only then may a row speak of it. */
+ * A file is written beside its place, synced, renamed, and its folder synced. Only then may a row
+ * speak of it. */
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -54,7 +56,8 @@ int mo_file_read(const char *path, size_t size, uint8_t **ret)
   return MO_OK;
 }
 
-int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256, uint8_t **ret)
+int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *sha256,
+                         uint8_t **ret)
 {
   struct mo_sha256 found;
   int error = mo_file_read(path, size, ret);
@@ -170,7 +173,8 @@ int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder)
   return error;
 }
 
-int mo_file_write(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes, size_t size)
+int mo_file_write(struct mo_store *store, const char *folder, const char *path,
+                  const uint8_t *bytes, size_t size)
 {
   const struct mo_file_operations *files = store->files;
   size_t temporary_size = strlen(folder) + 64;
@@ -179,7 +183,8 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path, 
   int error;
   if (temporary == NULL)
     return MO_ERR_NO_MEMORY;
-  snprintf(temporary, temporary_size, "%s/.tmp-%u", folder, atomic_fetch_add(&store->file_counter, 1));
+  snprintf(temporary, temporary_size, "%s/.tmp-%u", folder,
+           atomic_fetch_add(&store->file_counter, 1));
   fd = files->open(files->context, temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC);
   if (fd < 0) {
     error = write_error();
@@ -197,7 +202,8 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path, 
   return error == MO_OK ? mo_folder_sync(store, folder) : error;
 }
 
-/* A later fsync of the folder may succeed without the name that this one lost, and the file is there for who looks. */
+/* A later fsync of the folder may succeed without the name that this one lost, and the file is
+ * there for who looks. */
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
   int error = mo_path_sync(store, path, true);
@@ -206,7 +212,8 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   return error;
 }
 
-/* Also one that is there: whoever made it may have failed to sync its name, for want of a descriptor or by being killed. */
+/* Also one that is there: whoever made it may have failed to sync its name, for want of a
+ * descriptor or by being killed. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
   if (store->files->mkdir(store->files->context, path) != 0 && errno != EEXIST)
@@ -214,8 +221,8 @@ int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
   return mo_folder_sync(store, parent);
 }
 
-int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)(void *context, const char *name),
-                    void *context)
+int mo_folder_clean(const struct mo_store *store, const char *path,
+                    bool (*keep)(void *context, const char *name), void *context)
 {
   struct dirent *entry;
   int error = MO_OK;
@@ -223,7 +230,8 @@ int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)
   if (folder == NULL)
     return MO_ERR_IO;
   while (error == MO_OK &&
-         (entry = readdir(folder)) != NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
+         (entry = readdir(folder)) !=
+             NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
     char *file = NULL;
     if (strncmp(entry->d_name, ".tmp-", 5) != 0 &&
         (keep == NULL || entry->d_name[0] == '.' || keep(context, entry->d_name)))
@@ -239,7 +247,8 @@ int mo_folder_clean(const struct mo_store *store, const char *path, bool (*keep)
 }
 
 int mo_job_folders_clean(const struct mo_store *store, const char *path,
-                         bool (*has_row)(void *cleaning, const char *name), struct mo_cleaning *cleaning)
+                         bool (*has_row)(void *cleaning, const char *name),
+                         struct mo_cleaning *cleaning)
 {
   size_t size = strlen(path) + 32;
   char *inner = malloc(size);
@@ -248,7 +257,8 @@ int mo_job_folders_clean(const struct mo_store *store, const char *path,
   if (folder == NULL || inner == NULL)
     cleaning->error = folder == NULL ? MO_ERR_IO : MO_ERR_NO_MEMORY;
   while (cleaning->error == MO_OK &&
-         (entry = readdir(folder)) != NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
+         (entry = readdir(folder)) !=
+             NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
     char *end;
     cleaning->job = strtoll(entry->d_name, &end, 10);
     if (cleaning->job <= 0 || *end != '\0')

@@ -1,8 +1,9 @@
 /* hash.c: SHA-256 of contents, and the byte encodings that are hashed.
  *
- * Physics encoding, version 1: the byte 1, then little-endian: eight doubles (dt, stiffness, mass, drag, gravity, actuation,
- * friction, friction cap), the double drop height, and the 32-bit words steps, impact, bisections (0 for exact), precision,
- * sensor. An equal value has one encoding: −0 is written as 0. */
+ * Physics encoding, version 1: the byte 1, then little-endian: eight doubles (dt, stiffness, mass,
+ * drag, gravity, actuation, friction, friction cap), the double drop height, and the 32-bit words
+ * steps, impact, bisections (0 for exact), precision, sensor. An equal value has one encoding: −0
+ * is written as 0. */
 #include "store/hash.h"
 
 #include <string.h>
@@ -69,8 +70,8 @@ void mo_environment_hash(const struct mo_environment *environment, struct mo_sha
   mo_sha256_of(bytes, sizeof(bytes), hash);
 }
 
-void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision, enum mo_sensor sensor,
-                     struct mo_sha256 *hash)
+void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
+                     enum mo_sensor sensor, struct mo_sha256 *hash)
 {
   uint8_t bytes[MO_PHYSICS_BYTES];
   mo_encode_physics(physics, precision, sensor, bytes);

@@ -15,15 +15,17 @@ struct mo_sha256 {
 };
 
 void mo_sha256_of(const void *data, size_t size, struct mo_sha256 *hash);
-void mo_sha256_to_hex(const struct mo_sha256 *hash, char digits[MO_SHA256_DIGITS + 1]); /* lower case */
-int mo_sha256_from_hex(const char *digits, size_t length, struct mo_sha256 *hash);      /* MO_ERR_FORMAT */
-int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b);              /* 1 or 0 */
+void mo_sha256_to_hex(const struct mo_sha256 *hash,
+                      char digits[MO_SHA256_DIGITS + 1]); /* lower case */
+int mo_sha256_from_hex(const char *digits, size_t length,
+                       struct mo_sha256 *hash);                            /* MO_ERR_FORMAT */
+int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b); /* 1 or 0 */
 
 /* Of the 66 doubles (light x, y, then the heights), little-endian. */
 void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash);
-/* Of all that a score depends on besides body, environment and weights: every physics value, the precision, the sensor.
- * Bisections count only when the impact mode uses them. */
-void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision, enum mo_sensor sensor,
-                     struct mo_sha256 *hash);
+/* Of all that a score depends on besides body, environment and weights: every physics value, the
+ * precision, the sensor. Bisections count only when the impact mode uses them. */
+void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
+                     enum mo_sensor sensor, struct mo_sha256 *hash);
 
 #endif

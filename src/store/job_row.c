@@ -1,4 +1,5 @@
-/* job_row.c: what the rows of a job say, each value checked: what replies cannot say is damage, and told by table and column. */
+/* job_row.c: what the rows of a job say, each value checked: what replies cannot say is damage, and
+ * told by table and column. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -21,10 +22,12 @@ int mo_job_undecodable(struct mo_job *job, const char *column_name, sqlite3_stmt
   const int size = sqlite3_column_bytes(row, column);
   if (bytes == NULL || size < 1)
     return mo_job_damaged(job, "%s is missing or empty", column_name);
-  return mo_job_damaged(job, "%s cannot be decoded: version %d, length %d", column_name, bytes[0], size);
+  return mo_job_damaged(job, "%s cannot be decoded: version %d, length %d", column_name, bytes[0],
+                        size);
 }
 
-int mo_job_ranges(struct mo_job *job, sqlite3_stmt *row, const struct mo_column_range *ranges, size_t n)
+int mo_job_ranges(struct mo_job *job, sqlite3_stmt *row, const struct mo_column_range *ranges,
+                  size_t n)
 {
   for (size_t i = 0; i < n; i++) {
     const int64_t value = sqlite3_column_int64(row, ranges[i].column);
@@ -56,7 +59,8 @@ bool mo_job_passed_over(int error, const struct mo_job *job)
   return error == MO_ERR_CORRUPT && job->damage[0] != '\0';
 }
 
-static int environments_from_row(sqlite3_stmt *row, int column, const char *column_name, struct mo_job *job)
+static int environments_from_row(sqlite3_stmt *row, int column, const char *column_name,
+                                 struct mo_job *job)
 {
   const int64_t n = sqlite3_column_int64(row, column);
   if (n < 1 || n > MO_ENVIRONMENTS_MAX)
@@ -88,8 +92,9 @@ static int evaluation_from_row(sqlite3_stmt *row, struct mo_job *job)
     error = mo_job_damaged(job, "evaluations.n_designs is %lld", (long long)n_designs);
   if (error == MO_OK)
     error = controller_from_row(row, true, job);
-  if (error == MO_OK && (encoding == NULL || mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17),
-                                                               &job->physics, &job->precision, &job->sensor) != MO_OK))
+  if (error == MO_OK && (encoding == NULL ||
+                         mo_decode_physics(encoding, (size_t)sqlite3_column_bytes(row, 17),
+                                           &job->physics, &job->precision, &job->sensor) != MO_OK))
     error = mo_job_undecodable(job, "physics.encoding", row, 17);
   if (error == MO_OK)
     error = mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0]));
@@ -117,7 +122,8 @@ static int training_from_row(sqlite3_stmt *row, struct mo_job *job)
 {
   struct mo_training_settings settings;
   const void *encoding = sqlite3_column_blob(row, 26);
-  if (encoding == NULL || mo_decode_training(encoding, (size_t)sqlite3_column_bytes(row, 26), &settings) != MO_OK)
+  if (encoding == NULL ||
+      mo_decode_training(encoding, (size_t)sqlite3_column_bytes(row, 26), &settings) != MO_OK)
     return mo_job_undecodable(job, "trainings.settings", row, 26);
   const struct mo_column_range ranges[] = {
       {25, "trainings.n_designs", settings.kind == MO_TRAINING_FINETUNE, MO_TRAINING_DESIGNS_MAX},
@@ -143,8 +149,9 @@ static int campaign_from_row(sqlite3_stmt *row, struct mo_job *job)
   int64_t generation = sqlite3_column_int64(row, 32);
   if (mo_decode_campaign(encoding, (size_t)sqlite3_column_bytes(row, 30), &settings) != MO_OK)
     return mo_job_undecodable(job, "campaigns.settings", row, 30);
-  static const struct mo_column_range ranges[] = {{31, "campaigns.generations", 0, MO_GENERATIONS_MAX},
-                                                  {32, "campaigns.generation", -1, MO_GENERATIONS_MAX}};
+  static const struct mo_column_range ranges[] = {
+      {31, "campaigns.generations", 0, MO_GENERATIONS_MAX},
+      {32, "campaigns.generation", -1, MO_GENERATIONS_MAX}};
   if (environments_from_row(row, 33, "campaigns.n_environments", job) != MO_OK ||
       controller_from_row(row, false, job) != MO_OK ||
       mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) != MO_OK ||
@@ -173,7 +180,8 @@ int mo_job_from_row(sqlite3_stmt *row, struct mo_job *job)
   memset(job, 0, sizeof(*job));
   job->id = sqlite3_column_int64(row, 0);
   job->version = sqlite3_column_int64(row, 1);
-  job->kind = kind >= 0 && kind < MO_JOB_KINDS ? (enum mo_job_kind)kind : (enum mo_job_kind)MO_JOB_KINDS;
+  job->kind =
+      kind >= 0 && kind < MO_JOB_KINDS ? (enum mo_job_kind)kind : (enum mo_job_kind)MO_JOB_KINDS;
   job->weight = sqlite3_column_double(row, 28);
   if (state >= 0 && state < MO_JOB_STATES)
     job->state = (enum mo_job_state)state;

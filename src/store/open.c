@@ -1,8 +1,9 @@
 /* open.c: opening, migrating and closing a state folder; the pool of readers.
  *
- * Order: lock, database, application id and version, quick_check after an unclean stop, migrations, epoch, readers, reserve, writer. The
- * folder's lock is a file of its own: opening and closing the database file outside SQLite would drop SQLite's locks. On a full disk the log's
- * index and the epoch get their room from the reserve, a migration does not. */
+ * Order: lock, database, application id and version, quick_check after an unclean stop, migrations,
+ * epoch, readers, reserve, writer. The folder's lock is a file of its own: opening and closing the
+ * database file outside SQLite would drop SQLite's locks. On a full disk the log's index and the
+ * epoch get their room from the reserve, a migration does not. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -34,12 +35,13 @@ static int lock_folder(struct mo_store *store, struct mo_message *message)
     return MO_ERR_NO_MEMORY;
   if (stat(store->path, &status) != 0 || !S_ISDIR(status.st_mode)) {
     free(path);
-    return mo_fail(message, MO_ERR_NOT_FOUND, "the state folder %s does not exist or is not a folder", store->path);
+    return mo_fail(message, MO_ERR_NOT_FOUND,
+                   "the state folder %s does not exist or is not a folder", store->path);
   }
   store->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
   if (store->lock_fd < 0)
-    error = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "cannot write to the state folder %s: %s",
-                    store->path, strerrordesc_np(errno));
+    error = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO,
+                    "cannot write to the state folder %s: %s", store->path, strerrordesc_np(errno));
   else if (flock(store->lock_fd, LOCK_EX | LOCK_NB) != 0)
     error = mo_fail(message, MO_ERR_BUSY, "another process uses the state folder %s", store->path);
   free(path);
@@ -64,8 +66,8 @@ static int get_pragma(struct mo_connection *connection, const char *sql, int64_t
   return statement != NULL ? mo_sql_integer(connection, statement, value) : error;
 }
 
-/* A check that cannot have a page reports that like damage, in a row, with SQLite's code at its end: memory was short, or a read
- * failed. */
+/* A check that cannot have a page reports that like damage, in a row, with SQLite's code at its
+ * end: memory was short, or a read failed. */
 static int finding_error(struct mo_connection *connection, const char *text)
 {
   static const char mark[] = "error code=";
@@ -98,8 +100,9 @@ static int run_check(struct mo_connection *connection, const char *sql, struct m
   return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
 }
 
-/* The structure of the database, and that no value is of another type than its column. Rows whose values have a wrong length can be told
- * apart from all others when they are read, and cost nobody the rest. */
+/* The structure of the database, and that no value is of another type than its column. Rows whose
+ * values have a wrong length can be told apart from all others when they are read, and cost nobody
+ * the rest. */
 static int check_structure(struct mo_connection *writer, struct mo_message *message)
 {
   int error = mo_sql_exec(writer, "PRAGMA ignore_check_constraints=ON");
@@ -117,9 +120,11 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   for (size_t i = (size_t)from; i < migration_count && error == MO_OK; i++) {
     error = mo_sql_exec(writer, (const char *)migration_files[i].bytes);
     if (error != MO_OK)
-      mo_fail(message, error, "migration %s failed: %s", migration_files[i].name, sqlite3_errmsg(writer->db));
+      mo_fail(message, error, "migration %s failed: %s", migration_files[i].name,
+              sqlite3_errmsg(writer->db));
   }
-  /* In the same transaction: a kill between this commit and the first opening's must leave a database that opens. */
+  /* In the same transaction: a kill between this commit and the first opening's must leave a
+   * database that opens. */
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
@@ -137,8 +142,10 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   return error;
 }
 
-/* SQLite answers with the mode that it keeps when it cannot use a log: without shared memory, say. */
-static int use_log(const struct mo_store *store, struct mo_connection *writer, struct mo_message *message)
+/* SQLite answers with the mode that it keeps when it cannot use a log: without shared memory, say.
+ */
+static int use_log(const struct mo_store *store, struct mo_connection *writer,
+                   struct mo_message *message)
 {
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, "PRAGMA journal_mode=WAL", &error);
@@ -155,7 +162,8 @@ static int use_log(const struct mo_store *store, struct mo_connection *writer, s
   if (strcmp(mode, "wal") == 0)
     return MO_OK;
   return mo_fail(message, MO_ERR_UNSUPPORTED,
-                 "the file system of %s cannot hold the database: SQLite's write-ahead log needs shared memory, which"
+                 "the file system of %s cannot hold the database: SQLite's write-ahead log needs "
+                 "shared memory, which"
                  " network file systems lack: use a local disk",
                  store->path);
 }
@@ -202,22 +210,26 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   while (error == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
     error = read_header(store, &header);
   if (error == MO_ERR_CORRUPT)
-    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged", store->database_path);
+    return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged",
+                   store->database_path);
   if (error != MO_OK)
-    return mo_fail(message, error, "cannot open %s: %s", store->database_path, mo_error_text(error));
+    return mo_fail(message, error, "cannot open %s: %s", store->database_path,
+                   mo_error_text(error));
   if (header.application != MO_APPLICATION_ID && (header.application != 0 || header.tables != 0))
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
   if (header.version > migration_count || header.version < 0)
-    return mo_fail(message, MO_ERR_UNSUPPORTED,
-                   "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
-                   store->database_path, (long long)header.version, migration_count);
+    return mo_fail(
+        message, MO_ERR_UNSUPPORTED,
+        "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
+        store->database_path, (long long)header.version, migration_count);
   error = use_log(store, writer, message);
   if (error == MO_OK && header.version > 0) {
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
     if (error == MO_OK && !clean)
       error = check_structure(writer, message);
     if (error == MO_ERR_NOT_FOUND)
-      error = mo_fail(message, MO_ERR_CORRUPT, "%s lacks its own description", store->database_path);
+      error =
+          mo_fail(message, MO_ERR_CORRUPT, "%s lacks its own description", store->database_path);
     if (error == MO_ERR_CORRUPT)
       return error;
   }
@@ -310,7 +322,8 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->files = config->files != NULL ? config->files : mo_file_operations_system();
   store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
   store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
-  store->idempotency_keep_us = (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
+  store->idempotency_keep_us =
+      (config->idempotency_keep_s > 0 ? config->idempotency_keep_s : 86400) * 1000000;
   store->checkpoint_frames = config->checkpoint_frames > 0 && config->checkpoint_frames <= 1000000
                                  ? (int)config->checkpoint_frames
                                  : MO_CHECKPOINT_FRAMES;
@@ -335,15 +348,17 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
   store->readers = calloc(store->n_readers, sizeof(*store->readers));
   if (store->path == NULL || store->database_path == NULL || store->controllers_path == NULL ||
-      store->trainings_path == NULL || store->campaigns_path == NULL || store->reserve_path == NULL ||
-      store->readers == NULL || (config->vfs != NULL && store->vfs == NULL)) {
+      store->trainings_path == NULL || store->campaigns_path == NULL ||
+      store->reserve_path == NULL || store->readers == NULL ||
+      (config->vfs != NULL && store->vfs == NULL)) {
     free_store(store);
     return NULL;
   }
   return store;
 }
 
-int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, struct mo_message *message)
+int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
+                  struct mo_message *message)
 {
   struct mo_store *store;
   int error;
@@ -380,7 +395,8 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret, s
   }
   if (error != MO_OK) {
     if (message != NULL && message->text[0] == '\0')
-      mo_fail(message, error, "cannot open the state folder %s: %s", store->path, mo_error_text(error));
+      mo_fail(message, error, "cannot open the state folder %s: %s", store->path,
+              mo_error_text(error));
     free_store(store);
     return error;
   }
@@ -399,7 +415,8 @@ void mo_store_close(struct mo_store *store)
     return;
   mo_writer_stop(store);
   if (atomic_load(&store->is_fatal)) {
-    /* Recovery is the next opening's: it reads what the disk has kept, not what this process believes that it has. */
+    /* Recovery is the next opening's: it reads what the disk has kept, not what this process
+     * believes that it has. */
     (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
   } else {
     /* Readers first, so that the last checkpoint can empty the log. */
@@ -407,7 +424,8 @@ void mo_store_close(struct mo_store *store)
       mo_connection_close(&store->readers[i]);
     mo_connection_close(&store->runner);
     if (mo_sql_exec(&store->writer, "UPDATE meta SET value=1 WHERE key='clean'") == MO_OK)
-      (void)sqlite3_wal_checkpoint_v2(store->writer.db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL, NULL);
+      (void)sqlite3_wal_checkpoint_v2(store->writer.db, NULL, SQLITE_CHECKPOINT_TRUNCATE, NULL,
+                                      NULL);
   }
   free_store(store);
 }
@@ -432,7 +450,8 @@ static int check_connection(struct mo_connection *connection, struct mo_message 
     char table[64];
     mo_column_text(statement, 0, table, sizeof(table));
     (void)sqlite3_reset(statement);
-    return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: a row of %s refers to nothing", table);
+    return mo_fail(message, MO_ERR_CORRUPT,
+                   "the database is damaged: a row of %s refers to nothing", table);
   }
   return step;
 }
@@ -453,7 +472,8 @@ static int copy_database(struct mo_store *store, const char *copy, struct mo_mes
   sqlite3_stmt *statement = NULL;
   int result, error;
   result = sqlite3_open_v2(store->database_path, &source.db,
-                           SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE, store->vfs);
+                           SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE,
+                           store->vfs);
   if (result == SQLITE_OK)
     result = sqlite3_prepare_v2(source.db, "VACUUM INTO ?1", -1, &statement, NULL);
   if (result == SQLITE_OK) {
@@ -497,7 +517,8 @@ int mo_store_backup(struct mo_store *store, const char *path, struct mo_message 
     error = mo_path_sync(store, copy, false);
   if (error == MO_OK && files->rename(files->context, copy, path, false) != 0)
     error = errno == EEXIST ? mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path)
-                            : mo_fail(message, MO_ERR_IO, "cannot name the copy %s: %s", path, strerrordesc_np(errno));
+                            : mo_fail(message, MO_ERR_IO, "cannot name the copy %s: %s", path,
+                                      strerrordesc_np(errno));
   if (error != MO_OK) {
     (void)files->unlink(files->context, copy);
   } else {

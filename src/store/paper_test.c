@@ -1,8 +1,10 @@
-/* paper_test.c: the paper's test set, a constant of the code with rows of its own, so that scores can refer to it.
+/* paper_test.c: the paper's test set, a constant of the code with rows of its own, so that scores
+ * can refer to it.
  *
- * Each opening compares these rows with the constant, and writes again what is not as it must be: the numbers of rows stay, because scores
- * refer to them. A set of which less than half is the constant's is one of another version of the code, and is left alone: what a folder
- * has once called by a name keeps that meaning there. */
+ * Each opening compares these rows with the constant, and writes again what is not as it must be:
+ * the numbers of rows stay, because scores refer to them. A set of which less than half is the
+ * constant's is one of another version of the code, and is left alone: what a folder has once
+ * called by a name keeps that meaning there. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -25,7 +27,8 @@ struct putting_right {
   char words[256]; /* what was written again */
 };
 
-static void tell(struct putting_right *call, const char *format, ...) __attribute__((format(printf, 2, 3)));
+static void tell(struct putting_right *call, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
 static void tell(struct putting_right *call, const char *format, ...)
 {
   size_t used = strlen(call->words);
@@ -38,8 +41,8 @@ static void tell(struct putting_right *call, const char *format, ...)
 }
 
 /* Runs a statement with these values as ?1, ?2 and ?3. *changed: rows. */
-static int change(struct mo_connection *writer, const char *sql, int64_t first, int64_t second, int64_t third,
-                  int *changed)
+static int change(struct mo_connection *writer, const char *sql, int64_t first, int64_t second,
+                  int64_t third, int *changed)
 {
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
@@ -54,12 +57,14 @@ static int change(struct mo_connection *writer, const char *sql, int64_t first, 
 
 /* ---- its members ---- */
 
-/* What the set has. *n: rows; *n_known: those with the constant's environment, by hash or by data. */
-static int read_members(struct mo_connection *writer, struct putting_right *call, int64_t set, unsigned *n,
-                        unsigned *n_known)
+/* What the set has. *n: rows; *n_known: those with the constant's environment, by hash or by data.
+ */
+static int read_members(struct mo_connection *writer, struct putting_right *call, int64_t set,
+                        unsigned *n, unsigned *n_known)
 {
-  static const char sql[] = "SELECT m.position,m.environment,e.sha256,e.data FROM environment_set_members m LEFT JOIN"
-                            " environments e ON e.id=m.environment WHERE m.environment_set=?1 ORDER BY m.position";
+  static const char sql[] =
+      "SELECT m.position,m.environment,e.sha256,e.data FROM environment_set_members m LEFT JOIN"
+      " environments e ON e.id=m.environment WHERE m.environment_set=?1 ORDER BY m.position";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
@@ -76,7 +81,8 @@ static int read_members(struct mo_connection *writer, struct putting_right *call
       continue;
     const bool hashed = mo_column_hash(statement, 2, &sha256) == MO_OK;
     const bool known_hash = hashed && mo_sha256_equal(&sha256, &call->sha256[k]);
-    const bool known_data = data != NULL && sqlite3_column_bytes(statement, 3) == MO_ENVIRONMENT_BYTES &&
+    const bool known_data = data != NULL &&
+                            sqlite3_column_bytes(statement, 3) == MO_ENVIRONMENT_BYTES &&
                             memcmp(data, call->data[k], MO_ENVIRONMENT_BYTES) == 0;
     mo_sha256_of(data, (size_t)sqlite3_column_bytes(statement, 3), &of_data);
     call->members[k].is_known = known_hash || known_data;
@@ -88,8 +94,10 @@ static int read_members(struct mo_connection *writer, struct putting_right *call
   return step;
 }
 
-/* Gives the environment at a position its hash and data. row: where it is, or the row that it had; 0: none, it is made. */
-static int put_environment(struct mo_connection *writer, struct putting_right *call, unsigned k, int64_t *row)
+/* Gives the environment at a position its hash and data. row: where it is, or the row that it had;
+ * 0: none, it is made. */
+static int put_environment(struct mo_connection *writer, struct putting_right *call, unsigned k,
+                           int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
   static const char hash_sql[] = "UPDATE environments SET sha256=?2 WHERE id=?1";
@@ -126,18 +134,21 @@ static int put_environment(struct mo_connection *writer, struct putting_right *c
   return error;
 }
 
-static int put_member(struct mo_connection *writer, struct putting_right *call, int64_t set, unsigned k)
+static int put_member(struct mo_connection *writer, struct putting_right *call, int64_t set,
+                      unsigned k)
 {
-  static const char sql[] = "INSERT INTO environment_set_members(environment_set,position,environment) VALUES(?1,?2,?3)"
-                            " ON CONFLICT DO UPDATE SET environment=excluded.environment WHERE"
-                            " environment<>excluded.environment";
+  static const char sql[] =
+      "INSERT INTO environment_set_members(environment_set,position,environment) VALUES(?1,?2,?3)"
+      " ON CONFLICT DO UPDATE SET environment=excluded.environment WHERE"
+      " environment<>excluded.environment";
   int64_t row = call->members[k].row;
   int changed = 0;
   int error = put_environment(writer, call, k, &row);
   if (error == MO_OK)
     error = change(writer, sql, set, k, row, &changed);
   if (error == MO_OK && changed > 0 && call->is_there)
-    tell(call, "environment_set_members.environment of set %lld and position %u", (long long)set, k);
+    tell(call, "environment_set_members.environment of set %lld and position %u", (long long)set,
+         k);
   return error;
 }
 
@@ -153,9 +164,11 @@ static int make_set(struct mo_connection *writer, int64_t *set)
 }
 
 /* The set whose name is damaged, if there is one: it gets its name back. MO_ERR_NOT_FOUND. */
-static int find_named_otherwise(struct mo_connection *writer, struct putting_right *call, int64_t *set)
+static int find_named_otherwise(struct mo_connection *writer, struct putting_right *call,
+                                int64_t *set)
 {
-  static const char find_sql[] = "SELECT id FROM environment_sets ORDER BY id LIMIT 1"; /* no other is ever made */
+  static const char find_sql[] =
+      "SELECT id FROM environment_sets ORDER BY id LIMIT 1"; /* no other is ever made */
   static const char name_sql[] = "UPDATE environment_sets SET name='" NAME "' WHERE id=?1";
   unsigned n = 0, n_known = 0;
   int changed = 0;
@@ -188,15 +201,19 @@ static int find_lost(struct mo_connection *writer, int64_t *set)
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
 }
 
-/* Its number, its size, and no members beyond that, nor of sets that there are not: no reply could say whose they are. */
-static int put_set(struct mo_connection *writer, struct putting_right *call, int64_t found, int64_t set)
+/* Its number, its size, and no members beyond that, nor of sets that there are not: no reply could
+ * say whose they are. */
+static int put_set(struct mo_connection *writer, struct putting_right *call, int64_t found,
+                   int64_t set)
 {
   static const char row_sql[] = "UPDATE environment_sets SET id=?2 WHERE id=?1 AND id<>?2";
   static const char n_sql[] = "UPDATE environment_sets SET n=?2 WHERE id=?1 AND n<>?2";
-  static const char others_sql[] = "DELETE FROM environment_set_members WHERE environment_set=?1 AND position NOT"
-                                   " BETWEEN 0 AND ?2-1";
-  static const char strays_sql[] = "DELETE FROM environment_set_members WHERE environment_set NOT IN (SELECT id FROM"
-                                   " environment_sets)";
+  static const char others_sql[] =
+      "DELETE FROM environment_set_members WHERE environment_set=?1 AND position NOT"
+      " BETWEEN 0 AND ?2-1";
+  static const char strays_sql[] =
+      "DELETE FROM environment_set_members WHERE environment_set NOT IN (SELECT id FROM"
+      " environment_sets)";
   int changed = 0;
   int error = change(writer, row_sql, found, set, 0, &changed);
   if (error == MO_OK && changed > 0)

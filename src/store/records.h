@@ -1,7 +1,8 @@
 /* records.h: what the store hands out: jobs, designs, controllers, events.
  *
- * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Texts are UTF-8, always terminated. The service works in the
- * default workspace, so a genotype is MO_DEFAULT_WORDS words. */
+ * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Texts are UTF-8, always
+ * terminated. The service works in the default workspace, so a genotype is MO_DEFAULT_WORDS words.
+ */
 #ifndef MORPHO_STORE_RECORDS_H
 #define MORPHO_STORE_RECORDS_H
 
@@ -42,48 +43,52 @@ enum mo_job_state {
   MO_JOB_CANCELLED = 5
 };
 #define MO_JOB_STATES 6
-const char *mo_job_state_name(enum mo_job_state state);                 /* "queued" … "cancelled" */
+const char *mo_job_state_name(enum mo_job_state state); /* "queued" … "cancelled" */
 int mo_job_state_from_name(const char *name, enum mo_job_state *state); /* MO_ERR_NOT_FOUND */
-const char *mo_job_kind_name(enum mo_job_kind kind);                    /* "evaluation", "training", "campaign" */
-int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind);    /* MO_ERR_NOT_FOUND */
+const char *mo_job_kind_name(enum mo_job_kind kind); /* "evaluation", "training", "campaign" */
+int mo_job_kind_from_name(const char *name, enum mo_job_kind *kind); /* MO_ERR_NOT_FOUND */
 static inline bool mo_job_state_is_final(enum mo_job_state state)
 {
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* A job and, for an evaluation, all of it but its results; for a training or a campaign what a list shows (the rest:
- * store/trainings.h, store/campaigns.h). Owns
- * nothing: copy freely. */
+/* A job and, for an evaluation, all of it but its results; for a training or a campaign what a list
+ * shows (the rest: store/trainings.h, store/campaigns.h). Owns nothing: copy freely. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;
-  double weight;             /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
-  enum mo_back_end back_end; /* chosen at submission, for good */
+  double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
+  enum mo_back_end back_end;          /* chosen at submission, for good */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
   bool has_label;
   int64_t created_us, started_us, finished_us;
   uint32_t attempts; /* crashes and runner errors so far */
-  int error; /* MO_OK or a code; set when failed, or by the last unsuccessful attempt; MO_ERR_DEVICE: paused for want of a device */
+  int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt;
+                        MO_ERR_DEVICE: paused for want of a device */
   char error_text[256];
-  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights), sensor, physics, n_designs. Of a
-   * campaign: controller likewise, environments, sensor, physics, n_designs: its population. */
+  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights),
+   * sensor, physics, n_designs. Of a campaign: controller likewise, environments, sensor, physics,
+   * n_designs: its population. */
   char controller_name[MO_NAME_BYTES_MAX + 8]; /* as asked for at submission; "" if asked by hash */
   struct mo_sha256 controller_sha256;
   enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "paper-test", or "" for environments of the request's own */
+  char environment_set[MO_NAME_BYTES_MAX +
+                       1]; /* "paper-test", or "" for environments of the request's own */
   uint32_t n_environments, n_designs;
   struct mo_physics physics;
   enum mo_precision precision;
   bool verify, record_com, record_masses;
   uint32_t record_stride;
-  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged; /* done includes cached; 0 in a
-                                                                                 training */
+  uint64_t rollouts_total, rollouts_done, rollouts_cached,
+      rollouts_diverged; /* done includes cached; 0 in a
+                            training */
   /* Training. Campaign: generations, and those that are committed; generation 0 is not counted. */
   uint32_t steps_total, steps_done;
-  /* "", or what of its rows cannot be read, by table and column: then nothing counts but id, kind (of no known one: MO_JOB_KINDS), and this. */
+  /* "", or what of its rows cannot be read, by table and column: then nothing counts but id, kind
+   * (of no known one: MO_JOB_KINDS), and this. */
   char damage[MO_DAMAGE_BYTES];
 };
 
@@ -96,15 +101,16 @@ struct mo_row_damage {
 struct mo_event {
   int64_t sequence; /* ≥ 1, grows by commit order, never reused */
   int64_t time_us;
-  int64_t job; /* 0: not about a job */
-  char type
-      [32]; /* "job.created", "job.started", "job.weight", "job.progress", "job.paused", "job.resumed", "job.requeued", "job.finished",
-                       "training.progress", "training.validation", "training.checkpoint", "training.code_changed", "campaign.progress",
-                       "campaign.generation", "campaign.diversity_collapse", "campaign.extended",
-                       "campaign.lineage_unreadable", "controller.stored", "controller.removed" */
+  int64_t job;    /* 0: not about a job */
+  char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
+                     "job.resumed", "job.requeued", "job.finished",  "training.progress",
+                     "training.validation", "training.checkpoint", "training.code_changed",
+                     "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
+                     "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
+                     "controller.removed" */
   char data[512]; /* a JSON object */
-  char damage
-      [MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the sequence can. "": all is well */
+  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the sequence
+                                   can. "": all is well */
 };
 
 struct mo_controller_record {
@@ -115,8 +121,9 @@ struct mo_controller_record {
   enum mo_sensor sensor;
   struct mo_workspace workspace;
   uint64_t n_parameters;
-  int64_t stored_us;            /* when this name got this content (by hash: when the content came) */
-  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row. "": all is well */
+  int64_t stored_us; /* when this name got this content (by hash: when the content came) */
+  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row. "": all is
+                                   well */
 };
 
 /* One page row of designs. */
@@ -125,13 +132,14 @@ struct mo_design_row {
   struct mo_bits form; /* canonical */
   int64_t first_seen_us;
   struct mo_bits genotype; /* sort=score: the oriented, placed genotype that has the score */
-  double score;            /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
-  int64_t genotype_row;    /* sort=score: with score, the cursor */
-  char damage
-      [MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the cursor can. "": all is well */
+  double score; /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
+  int64_t genotype_row;         /* sort=score: with score, the cursor */
+  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the cursor
+                                   can. "": all is well */
 };
 
-/* Scores of one oriented genotype under one setting: of a whole named set, or of one environment that is in none. */
+/* Scores of one oriented genotype under one setting: of a whole named set, or of one environment
+ * that is in none. */
 struct mo_design_score {
   struct mo_sha256 controller_sha256, physics_sha256;
   enum mo_precision precision;
@@ -157,7 +165,7 @@ struct mo_design {
   int64_t first_seen_us;
   uint32_t n_orientations;
   struct mo_design_orientation *orientations; /* (n_orientations) in order of first sight */
-  bool truncated;                             /* more than 1000 rollouts are stored; the first 1000 are reported */
+  bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
 void mo_design_free(struct mo_design *design); /* NULL-safe */
 
@@ -167,11 +175,13 @@ struct mo_evaluation_results {
   struct mo_bits *forms;     /* (n_designs) canonical */
   struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
   double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
-  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not there (never in a succeeded job) */
+  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not there (never in a
+                     succeeded job) */
   int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
-  /* Verify jobs only, else NULL: `losses` are those recomputed by this job, these are the store's. */
+  /* Verify jobs only, else NULL: `losses` are those recomputed by this job, these are the store's.
+   */
   double *stored_losses; /* (n_designs, n_environments); NaN: nothing was stored before this job */
-  uint8_t *agrees;       /* (n_designs): 1 when every bit that was stored equals the recomputed one */
+  uint8_t *agrees; /* (n_designs): 1 when every bit that was stored equals the recomputed one */
 };
 void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
 

@@ -1,11 +1,15 @@
-/* reserve.c: a little room that is set aside, so that people can still pause, cancel and delete when the disk is full.
+/* reserve.c: a little room that is set aside, so that people can still pause, cancel and delete
+ * when the disk is full.
  *
- * A file of 4 MiB holds the room: a change of a job's state takes some 20 KiB of the log. An urgent operation that finds none gives a slice of
- * the file back and is run again. From then on the store is short of room: only urgent operations may change anything, no file is written, and
- * the log is not copied into the database, for jobs try their writes again every second, and each of these would take what was given back. That
- * ends when the file is whole again, which comes before all that waits for room, and is not forgotten over a restart: an opening that finds no
- * room to make the file whole begins short of it. What an opening writes itself gets its room in small pieces, and never the last slice, which
- * is for people, however often the process ends and starts. On file systems that compress or share blocks it may hold less than its size. */
+ * A file of 4 MiB holds the room: a change of a job's state takes some 20 KiB of the log. An urgent
+ * operation that finds none gives a slice of the file back and is run again. From then on the store
+ * is short of room: only urgent operations may change anything, no file is written, and the log is
+ * not copied into the database, for jobs try their writes again every second, and each of these
+ * would take what was given back. That ends when the file is whole again, which comes before all
+ * that waits for room, and is not forgotten over a restart: an opening that finds no room to make
+ * the file whole begins short of it. What an opening writes itself gets its room in small pieces,
+ * and never the last slice, which is for people, however often the process ends and starts. On file
+ * systems that compress or share blocks it may hold less than its size. */
 #include <errno.h>
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -42,8 +46,9 @@ static int make_whole(const struct mo_store *store)
   int fd = open_reserve(store, O_CREAT, &size);
   if (fd < 0)
     return errno;
-  error = posix_fallocate(fd, 0, RESERVE_BYTES); /* whatever its size: in a copy of the folder it may be holes */
-  if (error != 0 || size > RESERVE_BYTES)        /* what a failure has taken is not set aside */
+  error = posix_fallocate(
+      fd, 0, RESERVE_BYTES); /* whatever its size: in a copy of the folder it may be holes */
+  if (error != 0 || size > RESERVE_BYTES) /* what a failure has taken is not set aside */
     (void)ftruncate(fd, error != 0 ? size : RESERVE_BYTES);
   close(fd);
   return error;
@@ -54,7 +59,8 @@ void mo_reserve_make(struct mo_store *store)
   const bool is_short = atomic_load(&store->is_short);
   int64_t now = mo_monotonic_us();
   int error;
-  if (store->reserve_whole || (store->reserve_us != 0 && now - store->reserve_us < (is_short ? SHORT_US : EVERY_US)))
+  if (store->reserve_whole ||
+      (store->reserve_us != 0 && now - store->reserve_us < (is_short ? SHORT_US : EVERY_US)))
     return;
   store->reserve_us = now;
   error = make_whole(store);

@@ -15,7 +15,8 @@ struct change_arguments {
   enum mo_job_state before;
 };
 
-int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state, enum mo_job_kind *kind)
+int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_state *state,
+                     enum mo_job_kind *kind)
 {
   static const char sql[] = "SELECT state,kind FROM jobs WHERE id=?1";
   int64_t found, found_kind;
@@ -31,7 +32,8 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
   found = sqlite3_column_int64(statement, 0);
   found_kind = sqlite3_column_int64(statement, 1);
   (void)sqlite3_reset(statement);
-  *kind = found_kind >= 0 && found_kind < MO_JOB_KINDS ? (enum mo_job_kind)found_kind : (enum mo_job_kind)MO_JOB_KINDS;
+  *kind = found_kind >= 0 && found_kind < MO_JOB_KINDS ? (enum mo_job_kind)found_kind
+                                                       : (enum mo_job_kind)MO_JOB_KINDS;
   if (found < 0 || found >= MO_JOB_STATES)
     return MO_ERR_CORRUPT;
   *state = (enum mo_job_state)found;
@@ -45,20 +47,24 @@ static int check_change(const struct change_arguments *call, enum mo_job_kind ki
   *is_idle = (call->change == MO_CHANGE_PAUSE && call->before == MO_JOB_PAUSED) ||
              (call->change == MO_CHANGE_RESUME && call->before != MO_JOB_PAUSED) ||
              (is_retry && call->before != MO_JOB_FAILED);
-  if (mo_job_state_is_final(call->before) && !(is_retry && call->before == MO_JOB_FAILED && kind != MO_JOB_EVALUATION))
+  if (mo_job_state_is_final(call->before) &&
+      !(is_retry && call->before == MO_JOB_FAILED && kind != MO_JOB_EVALUATION))
     return MO_ERR_CONFLICT;
   return MO_OK;
 }
 
 static int change_job(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,"
-                            "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
-                            "error_text=CASE error WHEN ?4 THEN NULL ELSE error_text END WHERE id=?1";
-  static const char retry_sql[] = "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,attempts=0,error=0,"
-                                  "error_text=NULL WHERE id=?1";
+  static const char sql[] =
+      "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,"
+      "error=CASE error WHEN ?4 THEN 0 ELSE error END,"
+      "error_text=CASE error WHEN ?4 THEN NULL ELSE error_text END WHERE id=?1";
+  static const char retry_sql[] =
+      "UPDATE jobs SET state=?2," MO_NEXT_VERSION ",finished_us=?3,attempts=0,error=0,"
+      "error_text=NULL WHERE id=?1";
   static const char *const types[] = {"job.finished", "job.paused", "job.resumed", "job.resumed"};
-  static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED, MO_JOB_QUEUED};
+  static const enum mo_job_state targets[] = {MO_JOB_CANCELLED, MO_JOB_PAUSED, MO_JOB_QUEUED,
+                                              MO_JOB_QUEUED};
   struct change_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state target = targets[call->change];
@@ -79,25 +85,29 @@ static int change_job(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, target);
   sqlite3_bind_int64(statement, 3, target == MO_JOB_CANCELLED ? mo_store_now_us() : 0);
-  if (call->change != MO_CHANGE_RETRY) /* that no device was there is said while the job waits for one */
+  if (call->change !=
+      MO_CHANGE_RETRY) /* that no device was there is said while the job waits for one */
     sqlite3_bind_int64(statement, 4, MO_ERR_DEVICE);
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;
   if ((int)kind == MO_JOB_KINDS) /* it cannot be read */
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"state\":\"%s\"}", (long long)call->id, mo_job_state_name(target));
+    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"state\":\"%s\"}", (long long)call->id,
+             mo_job_state_name(target));
   else
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}", (long long)call->id,
-             mo_job_kind_name(kind), mo_job_state_name(target));
+    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}",
+             (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(target));
   return mo_writer_event(store, call->id, types[call->change], data);
 }
 
-int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change, enum mo_job_state *before)
+int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change change,
+                        enum mo_job_state *before)
 {
   struct change_arguments call = {.id = id, .change = change};
   /* To set jobs going again helps nobody on a full disk, and could be asked for without end. */
   const bool is_urgent = change == MO_CHANGE_CANCEL || change == MO_CHANGE_PAUSE;
-  int error = is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
+  int error =
+      is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
   if (error == MO_OK && before != NULL)
     *before = call.before;
   return error;
@@ -110,7 +120,8 @@ struct weight_arguments {
 
 static int set_weight(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "UPDATE jobs SET weight=?2," MO_NEXT_VERSION " WHERE id=?1 AND weight<>?2";
+  static const char sql[] =
+      "UPDATE jobs SET weight=?2," MO_NEXT_VERSION " WHERE id=?1 AND weight<>?2";
   const struct weight_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   enum mo_job_state state = MO_JOB_QUEUED;
@@ -149,7 +160,8 @@ struct requeue_arguments {
   const char *text;
 };
 
-/* A job that brings the process down with its first block is still queued in the database: its start was not written. */
+/* A job that brings the process down with its first block is still queued in the database: its
+ * start was not written. */
 static int requeue(struct mo_store *store, void *arguments)
 {
   static const char crash_sql[] =
@@ -177,8 +189,8 @@ static int requeue(struct mo_store *store, void *arguments)
     (void)sqlite3_clear_bindings(statement);
     if (error == MO_OK && sqlite3_changes(writer->db) > 0 &&
         mo_job_state_get(writer, call->crashed, &state, &kind) == MO_OK && state == MO_JOB_FAILED) {
-      snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"failed\"}", (long long)call->crashed,
-               mo_job_kind_name(kind));
+      snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"failed\"}",
+               (long long)call->crashed, mo_job_kind_name(kind));
       error = mo_writer_event(store, call->crashed, "job.finished", data);
     }
   }
@@ -186,7 +198,8 @@ static int requeue(struct mo_store *store, void *arguments)
   return statement != NULL ? mo_sql_run(writer, statement) : error;
 }
 
-int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts, const char *text)
+int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attempts,
+                     const char *text)
 {
   struct requeue_arguments call = {crashed, max_attempts, text};
   return mo_write_opening(store, requeue, &call);
@@ -234,8 +247,9 @@ int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 
 int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollouts)
 {
-  static const char sql[] = "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
-                            " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=2";
+  static const char sql[] =
+      "SELECT count(*),coalesce(sum(e.n_designs*e.n_environments),0) FROM jobs j"
+      " LEFT JOIN evaluations e ON e.job=j.id WHERE j.state<=2";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -254,11 +268,12 @@ int mo_store_open_work(struct mo_store *store, uint64_t *jobs, uint64_t *rollout
 
 /* ---- the scheduler's reads ---- */
 
-int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after, int64_t *ids, size_t limit)
+int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_t after,
+                        int64_t *ids, size_t limit)
 {
-  static const char sql[] =
-      "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND priority=?1 AND id>?2 AND kind=0"
-      " ORDER BY id LIMIT ?3";
+  static const char sql[] = "SELECT id FROM jobs INDEXED BY jobs_queued WHERE state=0 AND "
+                            "priority=?1 AND id>?2 AND kind=0"
+                            " ORDER BY id LIMIT ?3";
   struct mo_connection *reader = &store->runner;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -280,7 +295,8 @@ int64_t mo_store_queued(struct mo_store *store, enum mo_urgency priority, int64_
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
   static const char sql[] =
-      "SELECT " MO_JOB_COLUMNS ",e.controller,e.physics,coalesce(e.environment_set,0)" MO_JOB_TABLES "WHERE j.id=?1";
+      "SELECT " MO_JOB_COLUMNS ",e.controller,e.physics,coalesce(e.environment_set,0)" MO_JOB_TABLES
+      "WHERE j.id=?1";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   int step;
@@ -304,8 +320,9 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_work *w
 
 static int load_environments(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char sql[] = "SELECT x.position,x.environment,e.data,e.sha256 FROM evaluation_environments x"
-                            " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] =
+      "SELECT x.position,x.environment,e.data,e.sha256 FROM evaluation_environments x"
+      " JOIN environments e ON e.id=x.environment WHERE x.job=?1 ORDER BY x.position";
   int error = MO_OK;
   uint32_t n = 0;
   int step;
@@ -327,8 +344,9 @@ static int load_environments(struct mo_connection *reader, int64_t id, struct mo
 
 static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char sql[] = "SELECT x.position,x.genotype,g.bits FROM evaluation_designs x"
-                            " JOIN genotypes g ON g.id=x.genotype WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] =
+      "SELECT x.position,x.genotype,g.bits FROM evaluation_designs x"
+      " JOIN genotypes g ON g.id=x.genotype WHERE x.job=?1 ORDER BY x.position";
   int error = MO_OK;
   uint32_t n = 0;
   int step = 0;
@@ -351,13 +369,15 @@ static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_wo
 /* Which rollouts a verify or recording job has behind it. */
 static int load_finished(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char verify_sql[] = "SELECT position,environment,diverged_step FROM recomputed WHERE job=?1";
+  static const char verify_sql[] =
+      "SELECT position,environment,diverged_step FROM recomputed WHERE job=?1";
   static const char record_sql[] =
       "SELECT t.position,t.environment,x.diverged_step FROM trajectories t"
       " JOIN evaluations e ON e.job=t.job"
       " JOIN evaluation_designs d ON d.job=t.job AND d.position=t.position"
       " JOIN evaluation_environments v ON v.job=t.job AND v.position=t.environment"
-      " JOIN scores x ON x.genotype=d.genotype AND x.controller=e.controller AND x.physics=e.physics"
+      " JOIN scores x ON x.genotype=d.genotype AND x.controller=e.controller AND "
+      "x.physics=e.physics"
       " AND x.environment=v.environment WHERE t.job=?1";
   int error = MO_OK;
   int step;
@@ -428,8 +448,9 @@ int mo_store_load_work(struct mo_store *store, int64_t id, struct mo_work **ret)
 int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller, int64_t physics,
                     const int64_t *environment_rows, uint32_t n, struct mo_score *scores)
 {
-  static const char sql[] = "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-                            " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
+  static const char sql[] =
+      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
+      " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
   int64_t lowest = INT64_MAX, highest = INT64_MIN;
   struct mo_connection *reader = &store->runner;
   sqlite3_stmt *statement;

@@ -1,6 +1,8 @@
-/* runs.c: what trainings and campaigns have in common as jobs that a thread of their own runs: queue, start, fence, end of an attempt.
+/* runs.c: what trainings and campaigns have in common as jobs that a thread of their own runs:
+ * queue, start, fence, end of an attempt.
  *
- * Writes are fenced by the epoch: the job must have been started under this opening of the store and must not be over. */
+ * Writes are fenced by the epoch: the job must have been started under this opening of the store
+ * and must not be over. */
 #include <stdio.h>
 
 #include "store/internal.h"
@@ -14,7 +16,8 @@ int mo_run_changed(struct mo_connection *writer, sqlite3_stmt *statement)
 
 int mo_run_touch(struct mo_store *store, int64_t id, enum mo_job_kind kind)
 {
-  static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND kind=?3 AND state<=2 AND epoch=?2";
+  static const char sql[] =
+      "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND kind=?3 AND state<=2 AND epoch=?2";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(&store->writer, sql, &error);
   if (statement == NULL)
@@ -29,8 +32,8 @@ int mo_run_announce(struct mo_store *store, int64_t id, enum mo_job_kind kind, c
                     enum mo_job_state state, const char *more)
 {
   char data[400];
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"%s}", (long long)id,
-           mo_job_kind_name(kind), mo_job_state_name(state), more);
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"%s}",
+           (long long)id, mo_job_kind_name(kind), mo_job_state_name(state), more);
   return mo_writer_event(store, id, type, data);
 }
 
@@ -42,7 +45,8 @@ static int take_id(sqlite3_stmt *statement, void *id)
 
 int64_t mo_run_queued(struct mo_store *store, enum mo_job_kind kind, int64_t *ids, size_t limit)
 {
-  static const char sql[] = "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
+  static const char sql[] =
+      "SELECT id FROM jobs WHERE state=0 AND kind=?1 ORDER BY priority DESC,id LIMIT ?2";
   const int64_t value = kind;
   return mo_read_rows(store, sql, &value, 1, limit, take_id, ids, sizeof(*ids));
 }
@@ -67,7 +71,9 @@ static int start(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 3, mo_store_now_us());
   sqlite3_bind_int64(statement, 4, call->kind);
   error = mo_run_changed(&store->writer, statement);
-  return error == MO_OK ? mo_run_announce(store, call->id, call->kind, "job.started", MO_JOB_RUNNING, "") : error;
+  return error == MO_OK
+             ? mo_run_announce(store, call->id, call->kind, "job.started", MO_JOB_RUNNING, "")
+             : error;
 }
 
 int mo_run_start(struct mo_store *store, int64_t id, enum mo_job_kind kind)
@@ -87,22 +93,27 @@ struct park_arguments {
 
 static int park(struct mo_store *store, void *arguments)
 {
-  static const char park_sql[] =
-      "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
+  static const char park_sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION
+                                 " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
   static const char retry_sql[] =
       "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT "," MO_NEXT_VERSION ",error=?4,error_text=?5,"
       "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
       "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?3 ELSE 0 END"
       " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
-  static const char halt_sql[] = "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5"
-                                 " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
+  static const char halt_sql[] =
+      "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5"
+      " WHERE id=?1 AND kind=?7 AND state=1 AND epoch=?2";
   struct park_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   const bool halts = call->error == MO_ERR_DEVICE;
   enum mo_job_kind kind;
   int error = MO_OK;
   bool applied;
-  sqlite3_stmt *statement = mo_sql(writer, call->error == MO_OK ? park_sql : halts ? halt_sql : retry_sql, &error);
+  sqlite3_stmt *statement = mo_sql(writer,
+                                   call->error == MO_OK ? park_sql
+                                   : halts              ? halt_sql
+                                                        : retry_sql,
+                                   &error);
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
@@ -130,8 +141,8 @@ static int park(struct mo_store *store, void *arguments)
                          call->after, "");
 }
 
-int mo_run_park(struct mo_store *store, int64_t id, enum mo_job_kind kind, int error, const char *error_text,
-                uint32_t max_attempts, enum mo_job_state *after)
+int mo_run_park(struct mo_store *store, int64_t id, enum mo_job_kind kind, int error,
+                const char *error_text, uint32_t max_attempts, enum mo_job_state *after)
 {
   struct park_arguments call = {id, kind, error, error_text, max_attempts, MO_JOB_QUEUED};
   int status = mo_write(store, park, &call);

@@ -1,8 +1,10 @@
-/* save.c: what the scheduler writes: losses, trajectories, and the steps of jobs, all in one transaction.
+/* save.c: what the scheduler writes: losses, trajectories, and the steps of jobs, all in one
+ * transaction.
  *
- * Updates of a job are fenced: they apply only to a job that runs under this opening of the store (its epoch), so that a job
- * which a person has cancelled or paused meanwhile keeps that state. Scores are kept all the same: they are true; so are the
- * counts of a job that is not over, or its blocks that land after a pause would look like somebody else's work. */
+ * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
+ * (its epoch), so that a job which a person has cancelled or paused meanwhile keeps that state.
+ * Scores are kept all the same: they are true; so are the counts of a job that is not over, or its
+ * blocks that land after a pause would look like somebody else's work. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,10 +12,11 @@
 
 #include "store/internal.h"
 
-static int read_stored(struct mo_connection *writer, const struct mo_saved_score *score, uint8_t stored[8], bool *known)
+static int read_stored(struct mo_connection *writer, const struct mo_saved_score *score,
+                       uint8_t stored[8], bool *known)
 {
-  static const char sql[] =
-      "SELECT loss FROM scores WHERE genotype=?1 AND controller=?2 AND physics=?3 AND environment=?4";
+  static const char sql[] = "SELECT loss FROM scores WHERE genotype=?1 AND controller=?2 AND "
+                            "physics=?3 AND environment=?4";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
@@ -36,10 +39,12 @@ static int read_stored(struct mo_connection *writer, const struct mo_saved_score
   return step < 0 ? step : error;
 }
 
-static int note_recomputed(struct mo_connection *writer, const struct mo_saved_score *score, const uint8_t loss[8])
+static int note_recomputed(struct mo_connection *writer, const struct mo_saved_score *score,
+                           const uint8_t loss[8])
 {
-  static const char sql[] = "INSERT OR IGNORE INTO recomputed(job,position,environment,loss,diverged_step,stored)"
-                            " VALUES(?1,?2,?3,?4,?5,?6)";
+  static const char sql[] =
+      "INSERT OR IGNORE INTO recomputed(job,position,environment,loss,diverged_step,stored)"
+      " VALUES(?1,?2,?3,?4,?5,?6)";
   uint8_t stored[8];
   bool known = false;
   sqlite3_stmt *statement;
@@ -61,18 +66,20 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   return error;
 }
 
-static const char score_sql[] = "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
-                                "diverged_step,fingerprint,computed_us) VALUES(?,?,?,?,?,?,?,?)";
+static const char score_sql[] =
+    "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
+    "diverged_step,fingerprint,computed_us) VALUES(?,?,?,?,?,?,?,?)";
 /* Eight rows in one go take two thirds of the time. */
 enum { TOGETHER = 8, COLUMNS = 8 };
 #define ROW "(?,?,?,?,?,?,?,?)"
 static const char scores_sql[] =
     "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
-    "diverged_step,fingerprint,computed_us) VALUES" ROW "," ROW "," ROW "," ROW "," ROW "," ROW "," ROW "," ROW;
+    "diverged_step,fingerprint,computed_us) VALUES" ROW "," ROW "," ROW "," ROW "," ROW "," ROW
+    "," ROW "," ROW;
 
 /* TOGETHER of them, or one. */
-static int insert_scores(struct mo_connection *writer, const struct mo_saved_score *scores, int n, int64_t now_us,
-                         uint32_t *n_new)
+static int insert_scores(struct mo_connection *writer, const struct mo_saved_score *scores, int n,
+                         int64_t now_us, uint32_t *n_new)
 {
   uint8_t losses[TOGETHER][8];
   int error = MO_OK;
@@ -107,8 +114,8 @@ static size_t run_of_scores(const struct mo_saved_score *scores, size_t n)
   return i == TOGETHER ? TOGETHER : 1;
 }
 
-int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *scores, size_t n, int64_t now_us,
-                     uint32_t *n_new)
+int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *scores, size_t n,
+                     int64_t now_us, uint32_t *n_new)
 {
   int error = MO_OK;
   *n_new = 0;
@@ -125,13 +132,16 @@ int mo_scores_insert(struct mo_connection *writer, const struct mo_saved_score *
   return error;
 }
 
-static int save_trajectory(struct mo_connection *writer, const struct mo_saved_trajectory *trajectory)
+static int save_trajectory(struct mo_connection *writer,
+                           const struct mo_saved_trajectory *trajectory)
 {
   static const char sql[] =
-      "INSERT OR IGNORE INTO trajectories(job,position,environment,stride,frames,n_masses,com,masses)"
+      "INSERT OR IGNORE INTO "
+      "trajectories(job,position,environment,stride,frames,n_masses,com,masses)"
       " VALUES(?1,?2,?3,?4,?5,?6,?7,?8)";
   size_t n_com = trajectory->com_m != NULL ? (size_t)trajectory->frames * 3 : 0;
-  size_t n_mass = trajectory->mass_m != NULL ? (size_t)trajectory->frames * trajectory->n_masses * 3 : 0;
+  size_t n_mass =
+      trajectory->mass_m != NULL ? (size_t)trajectory->frames * trajectory->n_masses * 3 : 0;
   uint8_t *bytes = malloc(n_com * 8 + n_mass * 4 + 1);
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -166,10 +176,12 @@ static void bind_design(sqlite3_stmt *statement, const struct mo_saved_design *d
   sqlite3_bind_int64(statement, 4, design->genotype);
 }
 
-int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design, double mean)
+int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved_design *design,
+                             double mean)
 {
-  static const char sql[] = "INSERT INTO set_scores(controller,physics,environment_set,genotype,score,bits)"
-                            " VALUES(?1,?2,?3,?4,?5,?6)";
+  static const char sql[] =
+      "INSERT INTO set_scores(controller,physics,environment_set,genotype,score,bits)"
+      " VALUES(?1,?2,?3,?4,?5,?6)";
   uint8_t bits[8];
   int error = MO_OK;
   sqlite3_stmt *statement = isnan(mean) ? NULL : mo_sql(writer, sql, &error);
@@ -184,14 +196,16 @@ int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved
   return error;
 }
 
-/* The mean over a named set, from the stored bits, in the set's order. Incomplete: nothing is written. */
+/* The mean over a named set, from the stored bits, in the set's order. Incomplete: nothing is
+ * written. */
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design)
 {
-  static const char known_sql[] =
-      "SELECT 1 FROM set_scores WHERE controller=?1 AND physics=?2 AND environment_set=?3 AND genotype=?4";
-  static const char losses_sql[] =
-      "SELECT x.loss FROM environment_set_members m LEFT JOIN scores x ON x.genotype=?4 AND x.controller=?1"
-      " AND x.physics=?2 AND x.environment=m.environment WHERE m.environment_set=?3 ORDER BY m.position";
+  static const char known_sql[] = "SELECT 1 FROM set_scores WHERE controller=?1 AND physics=?2 AND "
+                                  "environment_set=?3 AND genotype=?4";
+  static const char losses_sql[] = "SELECT x.loss FROM environment_set_members m LEFT JOIN scores "
+                                   "x ON x.genotype=?4 AND x.controller=?1"
+                                   " AND x.physics=?2 AND x.environment=m.environment WHERE "
+                                   "m.environment_set=?3 ORDER BY m.position";
   sqlite3_stmt *statement;
   double sum = 0;
   int64_t n = 0;
@@ -231,18 +245,21 @@ int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_desi
 
 /* ---- steps of jobs ---- */
 
-static const char start_sql[] =
-    "UPDATE jobs SET state=1,epoch=?2," MO_NEXT_VERSION ",started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
-    " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
-static const char progress_sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
-static const char succeed_sql[] = "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-                                  " WHERE id=?1 AND state=1 AND epoch=?2";
+static const char start_sql[] = "UPDATE jobs SET state=1,epoch=?2," MO_NEXT_VERSION
+                                ",started_us=CASE started_us WHEN 0 THEN ?3 ELSE started_us END"
+                                " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
+static const char progress_sql[] =
+    "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
+static const char succeed_sql[] =
+    "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
+    " WHERE id=?1 AND state=1 AND epoch=?2";
 static const char retry_sql[] =
     "UPDATE jobs SET attempts=" MO_NEXT_ATTEMPT "," MO_NEXT_VERSION ",error=?4,error_text=?5,"
     "state=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN 4 ELSE 0 END,"
     "finished_us=CASE WHEN " MO_NEXT_ATTEMPT ">=?6 THEN ?3 ELSE 0 END"
     " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
-static const char park_sql[] = "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
+static const char park_sql[] =
+    "UPDATE jobs SET state=0," MO_NEXT_VERSION " WHERE id=?1 AND state=1 AND epoch=?2";
 
 static const char halt_sql[] = "UPDATE jobs SET state=2," MO_NEXT_VERSION ",error=?4,error_text=?5"
                                " WHERE id=?1 AND (state=0 OR (state=1 AND epoch=?2))";
@@ -287,10 +304,12 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
                                                             : "job.requeued";
   char data[320];
   snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"%s\",\"rollouts_total\":%llu,\"rollouts_done\":%llu,"
+           "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"%s\",\"rollouts_total\":%llu,"
+           "\"rollouts_done\":%llu,"
            "\"rollouts_cached\":%llu,\"rollouts_diverged\":%llu}",
-           (long long)update->job, mo_job_state_name(update->state), (unsigned long long)update->total,
-           (unsigned long long)update->done, (unsigned long long)update->cached, (unsigned long long)update->diverged);
+           (long long)update->job, mo_job_state_name(update->state),
+           (unsigned long long)update->total, (unsigned long long)update->done,
+           (unsigned long long)update->cached, (unsigned long long)update->diverged);
   return mo_writer_event(store, update->job, type, data);
 }
 
@@ -312,7 +331,8 @@ static int apply_late_counts(struct mo_connection *writer, const struct mo_job_u
 
 static int apply_update(struct mo_store *store, struct mo_job_update *update)
 {
-  static const char *const sql[] = {start_sql, progress_sql, succeed_sql, retry_sql, park_sql, halt_sql};
+  static const char *const sql[] = {start_sql, progress_sql, succeed_sql,
+                                    retry_sql, park_sql,     halt_sql};
   struct mo_connection *writer = &store->writer;
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql[update->step], &error);
@@ -322,7 +342,8 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
   sqlite3_bind_int64(statement, 1, update->job);
   sqlite3_bind_int64(statement, 2, store->epoch);
   if (update->step == MO_STEP_START)
-    sqlite3_bind_int64(statement, 3, update->started_us != 0 ? update->started_us : mo_store_now_us());
+    sqlite3_bind_int64(statement, 3,
+                       update->started_us != 0 ? update->started_us : mo_store_now_us());
   if (update->step == MO_STEP_SUCCEED || update->step == MO_STEP_RETRY)
     sqlite3_bind_int64(statement, 3, mo_store_now_us());
   if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT) {

@@ -1,7 +1,7 @@
 /* sql.c: a thin layer over SQLite: cached statements, error codes, checked columns.
  *
- * Statements are written beside their use as string literals and found again by address, so that each is prepared once per
- * connection. */
+ * Statements are written beside their use as string literals and found again by address, so that
+ * each is prepared once per connection. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -27,7 +27,8 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_IOERR:
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
-    if (code == SQLITE_IOERR_SHMSIZE) /* of the log's index, of which nothing has to last; errno has changed since */
+    if (code == SQLITE_IOERR_SHMSIZE) /* of the log's index, of which nothing has to last; errno has
+                                         changed since */
       return MO_ERR_NO_SPACE;
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
     /* A failed fsync is never "no space": what the kernel dropped is unknown. */
@@ -41,21 +42,24 @@ int mo_sql_error(sqlite3 *db, int code)
 
 static int configure(sqlite3 *db, bool writable)
 {
-  static const char common[] = "PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON; PRAGMA mmap_size=0;"
-                               "PRAGMA temp_store=MEMORY; PRAGMA foreign_keys=ON;";
+  static const char common[] =
+      "PRAGMA trusted_schema=OFF; PRAGMA cell_size_check=ON; PRAGMA mmap_size=0;"
+      "PRAGMA temp_store=MEMORY; PRAGMA foreign_keys=ON;";
   static const char reading[] = "PRAGMA query_only=ON; PRAGMA cache_size=-8192;";
-  static const char writing[] = "PRAGMA synchronous=FULL; PRAGMA cache_size=-65536; PRAGMA wal_autocheckpoint=0;"
-                                "PRAGMA journal_size_limit=67108864;";
+  static const char writing[] =
+      "PRAGMA synchronous=FULL; PRAGMA cache_size=-65536; PRAGMA wal_autocheckpoint=0;"
+      "PRAGMA journal_size_limit=67108864;";
   int result = sqlite3_exec(db, common, NULL, NULL, NULL);
   if (result == SQLITE_OK)
     result = sqlite3_exec(db, writable ? writing : reading, NULL, NULL, NULL);
   return result;
 }
 
-int mo_connection_open(const struct mo_store *store, bool writable, struct mo_connection *connection)
+int mo_connection_open(const struct mo_store *store, bool writable,
+                       struct mo_connection *connection)
 {
-  int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) | SQLITE_OPEN_NOMUTEX |
-              SQLITE_OPEN_EXRESCODE;
+  int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) |
+              SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE;
   int result, error;
   memset(connection, 0, sizeof(*connection));
   result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
@@ -98,8 +102,10 @@ sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *err
   }
   result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
   if (result != SQLITE_OK) {
-    /* A statement that does not fit the schema means that the schema is not what its version says. */
-    *error = (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
+    /* A statement that does not fit the schema means that the schema is not what its version says.
+     */
+    *error =
+        (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
     return NULL;
   }
   connection->cache[connection->n_cached].sql = sql;
@@ -144,8 +150,9 @@ int mo_sql_integer(struct mo_connection *connection, sqlite3_stmt *statement, in
   return MO_OK;
 }
 
-int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values, size_t limit,
-                     int (*take)(sqlite3_stmt *statement, void *row), void *rows, size_t row_size)
+int64_t mo_read_rows(struct mo_store *store, const char *sql, const int64_t *values, int n_values,
+                     size_t limit, int (*take)(sqlite3_stmt *statement, void *row), void *rows,
+                     size_t row_size)
 {
   struct mo_connection *reader;
   sqlite3_stmt *statement;
@@ -188,7 +195,8 @@ int mo_column_bits(sqlite3_stmt *statement, int column, struct mo_bits *bits)
   return mo_decode_bits(blob, (size_t)sqlite3_column_bytes(statement, column), bits);
 }
 
-int mo_column_environment(sqlite3_stmt *statement, int data, int sha256, struct mo_environment *environment)
+int mo_column_environment(sqlite3_stmt *statement, int data, int sha256,
+                          struct mo_environment *environment)
 {
   const void *bytes = sqlite3_column_blob(statement, data);
   struct mo_sha256 hash, found;

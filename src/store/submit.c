@@ -7,8 +7,8 @@
 /* ---- rows by content: found, or made ---- */
 
 /* The row of a table whose rows are named by the hash of their bytes; made if there is none. */
-static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql, const uint8_t *bytes,
-                       int size, int64_t *row)
+static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql,
+                       const uint8_t *bytes, int size, int64_t *row)
 {
   struct mo_sha256 hash;
   int error = MO_OK;
@@ -31,7 +31,8 @@ static int content_row(struct mo_connection *writer, const char *find_sql, const
   return error;
 }
 
-int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment, int64_t *row)
+int mo_environment_row(struct mo_connection *writer, const struct mo_environment *environment,
+                       int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM environments WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO environments(sha256,data) VALUES(?1,?2)";
@@ -40,8 +41,8 @@ int mo_environment_row(struct mo_connection *writer, const struct mo_environment
   return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
-int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics, enum mo_precision precision,
-                   enum mo_sensor sensor, int64_t *row)
+int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physics,
+                   enum mo_precision precision, enum mo_sensor sensor, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM physics WHERE sha256=?1";
   static const char insert_sql[] = "INSERT INTO physics(sha256,encoding) VALUES(?1,?2)";
@@ -50,8 +51,8 @@ int mo_physics_row(struct mo_connection *writer, const struct mo_physics *physic
   return content_row(writer, find_sql, insert_sql, bytes, sizeof(bytes), row);
 }
 
-int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, const struct mo_bits *genotype,
-                    int64_t now_us, int64_t *row)
+int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form,
+                    const struct mo_bits *genotype, int64_t now_us, int64_t *row)
 {
   static const char find_sql[] = "SELECT id FROM genotypes WHERE bits=?1";
   static const char find_design_sql[] = "SELECT id FROM designs WHERE form=?1";
@@ -98,7 +99,8 @@ int mo_genotype_row(struct mo_connection *writer, const struct mo_bits *form, co
 
 /* ---- named sets ---- */
 
-int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row, int64_t *n)
+int mo_environment_set_find(struct mo_connection *connection, const char *name, int64_t *row,
+                            int64_t *n)
 {
   static const char sql[] = "SELECT id,n FROM environment_sets WHERE name=?1";
   int error = MO_OK;
@@ -131,7 +133,8 @@ int mo_store_environment_set_size(struct mo_store *store, const char *name, uint
 
 /* ---- submission ---- */
 
-int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body, int64_t *id)
+int mo_key_find(struct mo_connection *connection, const char *key, const struct mo_sha256 *body,
+                int64_t *id)
 {
   static const char sql[] = "SELECT job,body_sha256 FROM idempotency_keys WHERE key=?1";
   struct mo_sha256 known;
@@ -153,7 +156,8 @@ int mo_key_find(struct mo_connection *connection, const char *key, const struct 
   return error;
 }
 
-int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256, int64_t *id)
+int mo_store_replay(struct mo_store *store, const char *key, const struct mo_sha256 *body_sha256,
+                    int64_t *id)
 {
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = mo_key_find(reader, key, body_sha256, id);
@@ -187,14 +191,16 @@ int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_
   if (step <= 0)
     return step < 0 ? step : MO_ERR_CORRUPT;
   *sensor = (enum mo_sensor)sqlite3_column_int(statement, 0);
-  fits = sqlite3_column_int64(statement, 1) == workspace.nx && sqlite3_column_int64(statement, 2) == workspace.ny &&
+  fits = sqlite3_column_int64(statement, 1) == workspace.nx &&
+         sqlite3_column_int64(statement, 2) == workspace.ny &&
          sqlite3_column_int64(statement, 3) == workspace.nz;
   (void)sqlite3_reset(statement);
   return fits ? MO_OK : MO_ERR_UNSUPPORTED;
 }
 
 /* Resolves what is named, and makes rows of what is given. */
-static int resolve(struct mo_connection *writer, const struct mo_submission *submission, struct setting *setting)
+static int resolve(struct mo_connection *writer, const struct mo_submission *submission,
+                   struct setting *setting)
 {
   enum mo_sensor sensor = MO_SENSOR_INVERSE_SQRT;
   int64_t n = 0;
@@ -203,12 +209,14 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
     error = mo_controller_sensor(writer, setting->controller, &sensor);
   if (error != MO_OK)
     return error;
-  error = mo_physics_row(writer, &submission->physics, submission->precision, sensor, &setting->physics);
+  error = mo_physics_row(writer, &submission->physics, submission->precision, sensor,
+                         &setting->physics);
   setting->set = 0;
   setting->n_environments = submission->n_environments;
   if (error == MO_OK && submission->environment_set != NULL) {
     error = mo_environment_set_find(writer, submission->environment_set, &setting->set, &n);
-    if (error == MO_OK && (setting->set == 0 /* which says that there is none */ || n < 1 || n > MO_ENVIRONMENTS_MAX))
+    if (error == MO_OK &&
+        (setting->set == 0 /* which says that there is none */ || n < 1 || n > MO_ENVIRONMENTS_MAX))
       error = MO_ERR_CORRUPT;
     setting->n_environments = (uint32_t)n;
   }
@@ -216,10 +224,12 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
 }
 
 int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_urgency priority,
-                  enum mo_back_end back_end, double weight, const char *label, int64_t now_us, int64_t *id)
+                  enum mo_back_end back_end, double weight, const char *label, int64_t now_us,
+                  int64_t *id)
 {
-  static const char sql[] = "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
-                            "finished_us,error,weight,back_end) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6)";
+  static const char sql[] =
+      "INSERT INTO jobs(kind,state,priority,version,epoch,attempts,label,created_us,started_us,"
+      "finished_us,error,weight,back_end) VALUES(?1,0,?2,1,0,0,?3,?4,0,0,0,?5,?6)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -239,13 +249,16 @@ int mo_job_insert(struct mo_connection *writer, enum mo_job_kind kind, enum mo_u
 static int insert_job(struct mo_connection *writer, const struct mo_submission *submission,
                       const struct setting *setting, int64_t now_us, int64_t *id)
 {
-  static const char evaluation_sql[] =
-      "INSERT INTO evaluations(job,controller,controller_name,physics,environment_set,n_designs,n_environments,verify,"
-      "record,record_stride,done,cached,diverged) VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
-  const char *name = strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
+  static const char evaluation_sql[] = "INSERT INTO "
+                                       "evaluations(job,controller,controller_name,physics,"
+                                       "environment_set,n_designs,n_environments,verify,"
+                                       "record,record_stride,done,cached,diverged) "
+                                       "VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,0,0,0)";
+  const char *name =
+      strncmp(submission->controller, "sha256:", 7) == 0 ? "" : submission->controller;
   sqlite3_stmt *statement;
-  int error = mo_job_insert(writer, MO_JOB_EVALUATION, submission->priority, submission->back_end, submission->weight,
-                            submission->label, now_us, id);
+  int error = mo_job_insert(writer, MO_JOB_EVALUATION, submission->priority, submission->back_end,
+                            submission->weight, submission->label, now_us, id);
   statement = error == MO_OK ? mo_sql(writer, evaluation_sql, &error) : NULL;
   if (statement == NULL)
     return error;
@@ -257,15 +270,17 @@ static int insert_job(struct mo_connection *writer, const struct mo_submission *
   sqlite3_bind_int64(statement, 6, submission->n_designs);
   sqlite3_bind_int64(statement, 7, setting->n_environments);
   sqlite3_bind_int64(statement, 8, submission->verify);
-  sqlite3_bind_int64(statement, 9, (submission->record_com ? 1 : 0) + (submission->record_masses ? 2 : 0));
+  sqlite3_bind_int64(statement, 9,
+                     (submission->record_com ? 1 : 0) + (submission->record_masses ? 2 : 0));
   sqlite3_bind_int64(statement, 10, submission->record_stride);
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   return error;
 }
 
-int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql, int64_t id, int64_t set,
-                           const struct mo_environment *environments, uint32_t n)
+int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, const char *sql,
+                           int64_t id, int64_t set, const struct mo_environment *environments,
+                           uint32_t n)
 {
   sqlite3_stmt *statement;
   int64_t row = 0;
@@ -290,8 +305,9 @@ int mo_environments_insert(struct mo_connection *writer, const char *copy_sql, c
   return error;
 }
 
-int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id, const struct mo_bits *forms,
-                      const struct mo_bits *genotypes, uint32_t n, int64_t now_us)
+int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
+                      const struct mo_bits *forms, const struct mo_bits *genotypes, uint32_t n,
+                      int64_t now_us)
 {
   sqlite3_stmt *statement;
   int64_t row = 0;
@@ -308,10 +324,11 @@ int mo_designs_insert(struct mo_connection *writer, const char *sql, int64_t id,
   return error;
 }
 
-int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body, int64_t now_us,
-                  int64_t id)
+int mo_key_insert(struct mo_connection *writer, const char *key, const struct mo_sha256 *body,
+                  int64_t now_us, int64_t id)
 {
-  static const char sql[] = "INSERT INTO idempotency_keys(key,body_sha256,job,created_us) VALUES(?1,?2,?3,?4)";
+  static const char sql[] =
+      "INSERT INTO idempotency_keys(key,body_sha256,job,created_us) VALUES(?1,?2,?3,?4)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -332,7 +349,8 @@ static int submit(struct mo_store *store, void *arguments)
       " SELECT ?1,position,environment FROM environment_set_members WHERE environment_set=?2";
   static const char environments_sql[] =
       "INSERT INTO evaluation_environments(job,position,environment) VALUES(?1,?2,?3)";
-  static const char designs_sql[] = "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
+  static const char designs_sql[] =
+      "INSERT INTO evaluation_designs(job,position,genotype) VALUES(?1,?2,?3)";
   struct submit_arguments *call = arguments;
   const struct mo_submission *submission = call->submission;
   struct mo_connection *writer = &store->writer;
@@ -351,23 +369,26 @@ static int submit(struct mo_store *store, void *arguments)
   if (error == MO_OK)
     error = insert_job(writer, submission, &setting, now_us, &call->id);
   if (error == MO_OK)
-    error = mo_environments_insert(writer, copy_sql, environments_sql, call->id, setting.set, submission->environments,
-                                   submission->n_environments);
+    error = mo_environments_insert(writer, copy_sql, environments_sql, call->id, setting.set,
+                                   submission->environments, submission->n_environments);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms, submission->genotypes,
-                              submission->n_designs, now_us);
+    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms,
+                              submission->genotypes, submission->n_designs, now_us);
   if (error == MO_OK && submission->idempotency_key != NULL)
-    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
+    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us,
+                          call->id);
   if (error == MO_OK) {
-    snprintf(data, sizeof(data),
-             "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",
-             (long long)call->id, (unsigned long long)submission->n_designs * setting.n_environments);
+    snprintf(
+        data, sizeof(data),
+        "{\"id\":\"%lld\",\"kind\":\"evaluation\",\"state\":\"queued\",\"rollouts_total\":%llu}",
+        (long long)call->id, (unsigned long long)submission->n_designs * setting.n_environments);
     error = mo_writer_event(store, call->id, "job.created", data);
   }
   return error;
 }
 
-int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id, bool *replayed)
+int mo_store_submit(struct mo_store *store, const struct mo_submission *submission, int64_t *id,
+                    bool *replayed)
 {
   struct submit_arguments call = {.submission = submission};
   int error = mo_write(store, submit, &call);

@@ -1,8 +1,9 @@
 /* training_checkpoints.c: checkpoints of trainings: a row and a file each.
  *
- * A file is there before its row, and goes after it. Whatever comes between leaves files without rows, which the next opening removes.
- * One lock is held from the write of a file to the end of those that it replaces, and from the end of a row to that of its file: else a
- * file written anew under an old step would be removed for the one before it. */
+ * A file is there before its row, and goes after it. Whatever comes between leaves files without
+ * rows, which the next opening removes. One lock is held from the write of a file to the end of
+ * those that it replaces, and from the end of a row to that of its file: else a file written anew
+ * under an old step would be removed for the one before it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,7 +23,8 @@ static char *path_of(const struct mo_store *store, int64_t id, int64_t step)
   if (step < 0)
     snprintf(path, size, "%s/%lld", store->trainings_path, (long long)id);
   else
-    snprintf(path, size, "%s/%lld/%lld.checkpoint", store->trainings_path, (long long)id, (long long)step);
+    snprintf(path, size, "%s/%lld/%lld.checkpoint", store->trainings_path, (long long)id,
+             (long long)step);
   return path;
 }
 
@@ -30,7 +32,8 @@ static void remove_file(const struct mo_store *store, int64_t id, int64_t step)
 {
   char *path = path_of(store, id, step);
   if (path != NULL)
-    (void)store->files->unlink(store->files->context, path); /* one that stays is removed at the next start */
+    (void)store->files->unlink(store->files->context,
+                               path); /* one that stays is removed at the next start */
   free(path);
 }
 
@@ -43,12 +46,13 @@ struct checkpoint_arguments {
   size_t n_dropped;
 };
 
-/* The rows after this step, which it makes false (they were damaged, or the run that wrote them is not this one), and those that
- * are too many. */
+/* The rows after this step, which it makes false (they were damaged, or the run that wrote them is
+ * not this one), and those that are too many. */
 static int drop_rows(struct mo_connection *writer, struct checkpoint_arguments *call)
 {
   static const char list_sql[] =
-      "SELECT step FROM training_checkpoints WHERE job=?1 AND (step>?2 OR step NOT IN (SELECT step FROM"
+      "SELECT step FROM training_checkpoints WHERE job=?1 AND (step>?2 OR step NOT IN (SELECT step "
+      "FROM"
       " training_checkpoints WHERE job=?1 AND step<=?2 ORDER BY step DESC LIMIT ?3)) LIMIT ?4";
   static const char delete_sql[] = "DELETE FROM training_checkpoints WHERE job=?1 AND step=?2";
   int error = MO_OK;
@@ -75,12 +79,14 @@ static int drop_rows(struct mo_connection *writer, struct checkpoint_arguments *
   return error;
 }
 
-/* A checkpoint beyond all before it is progress: what went wrong on the way there is forgiven. An error that comes back at the same
- * step lets none be written, and still ends the training at the third. */
+/* A checkpoint beyond all before it is progress: what went wrong on the way there is forgiven. An
+ * error that comes back at the same step lets none be written, and still ends the training at the
+ * third. */
 static int forgive(struct mo_connection *writer, int64_t id, uint32_t step)
 {
-  static const char sql[] = "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
-                            " ?2>(SELECT coalesce(max(step),0) FROM training_checkpoints WHERE job=?1)";
+  static const char sql[] =
+      "UPDATE jobs SET attempts=0 WHERE id=?1 AND attempts>0 AND"
+      " ?2>(SELECT coalesce(max(step),0) FROM training_checkpoints WHERE job=?1)";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -92,8 +98,9 @@ static int forgive(struct mo_connection *writer, int64_t id, uint32_t step)
 
 static int checkpoint(struct mo_store *store, void *arguments)
 {
-  static const char sql[] = "INSERT OR REPLACE INTO training_checkpoints(job,step,sha256,size,stored_us)"
-                            " VALUES(?1,?2,?3,?4,?5)";
+  static const char sql[] =
+      "INSERT OR REPLACE INTO training_checkpoints(job,step,sha256,size,stored_us)"
+      " VALUES(?1,?2,?3,?4,?5)";
   struct checkpoint_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
   char data[256], digits[MO_SHA256_DIGITS + 1];
@@ -116,16 +123,18 @@ static int checkpoint(struct mo_store *store, void *arguments)
   if (error != MO_OK)
     return error;
   mo_sha256_to_hex(&call->sha256, digits);
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"step\":%u,\"sha256\":\"%s\",\"size\":%llu}", (long long)call->id,
-           (unsigned)call->step, digits, (unsigned long long)call->size);
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"step\":%u,\"sha256\":\"%s\",\"size\":%llu}",
+           (long long)call->id, (unsigned)call->step, digits, (unsigned long long)call->size);
   return mo_writer_event(store, call->id, "training.checkpoint", data);
 }
 
 /* Hash and size of a checkpoint; step 0: the newest, whose step is filled in. */
-static int find_checkpoint(struct mo_store *store, int64_t id, struct mo_training_checkpoint_row *row)
+static int find_checkpoint(struct mo_store *store, int64_t id,
+                           struct mo_training_checkpoint_row *row)
 {
-  static const char sql[] = "SELECT step,sha256,size FROM training_checkpoints WHERE job=?1 AND (?2=0 OR step=?2)"
-                            " ORDER BY step DESC LIMIT 1";
+  static const char sql[] =
+      "SELECT step,sha256,size FROM training_checkpoints WHERE job=?1 AND (?2=0 OR step=?2)"
+      " ORDER BY step DESC LIMIT 1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -134,7 +143,9 @@ static int find_checkpoint(struct mo_store *store, int64_t id, struct mo_trainin
     sqlite3_bind_int64(statement, 1, id);
     sqlite3_bind_int64(statement, 2, row->step);
     step = mo_sql_step(reader, statement);
-    error = step > 0 ? mo_column_hash(statement, 1, &row->sha256) : step < 0 ? step : MO_ERR_NOT_FOUND;
+    error = step > 0   ? mo_column_hash(statement, 1, &row->sha256)
+            : step < 0 ? step
+                       : MO_ERR_NOT_FOUND;
     if (step > 0) {
       row->step = (uint32_t)sqlite3_column_int64(statement, 0);
       row->size = (uint64_t)sqlite3_column_int64(statement, 2);
@@ -144,8 +155,8 @@ static int find_checkpoint(struct mo_store *store, int64_t id, struct mo_trainin
   return error;
 }
 
-static int write_checkpoint(struct mo_store *store, const char *folder, const char *path, const uint8_t *bytes,
-                            bool is_known, struct checkpoint_arguments *call)
+static int write_checkpoint(struct mo_store *store, const char *folder, const char *path,
+                            const uint8_t *bytes, bool is_known, struct checkpoint_arguments *call)
 {
   int error = mo_folder_make(store, store->trainings_path, folder);
   if (error == MO_OK)
@@ -162,10 +173,11 @@ static int write_checkpoint(struct mo_store *store, const char *folder, const ch
   return error;
 }
 
-int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step, const uint8_t *bytes, size_t size,
-                                 uint32_t keep)
+int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t step,
+                                 const uint8_t *bytes, size_t size, uint32_t keep)
 {
-  struct checkpoint_arguments call = {.id = id, .step = step, .keep = keep > 0 ? keep : 1, .size = size};
+  struct checkpoint_arguments call = {
+      .id = id, .step = step, .keep = keep > 0 ? keep : 1, .size = size};
   struct mo_training_checkpoint_row known = {.step = step};
   char *folder = path_of(store, id, -1), *path = path_of(store, id, step);
   bool is_known = false;
@@ -191,17 +203,18 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
 }
 
 /* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
-static int read_checkpoint(const struct mo_store *store, int64_t id, const struct mo_training_checkpoint_row *row,
-                           uint8_t **ret)
+static int read_checkpoint(const struct mo_store *store, int64_t id,
+                           const struct mo_training_checkpoint_row *row, uint8_t **ret)
 {
   char *path = path_of(store, id, row->step);
-  int error = path == NULL ? MO_ERR_NO_MEMORY : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
+  int error = path == NULL ? MO_ERR_NO_MEMORY
+                           : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
   free(path);
   return error;
 }
 
-int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step, uint8_t **ret,
-                                       size_t *ret_size)
+int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t step,
+                                       uint8_t **ret, size_t *ret_size)
 {
   struct mo_training_checkpoint_row row = {.step = step}, again = {.step = 0};
   uint8_t *bytes = NULL;
@@ -235,7 +248,8 @@ struct removal_arguments {
 /* Which of its rows are meant. MO_ERR_CONFLICT: the training goes on from one of them. */
 static int choose(struct mo_connection *writer, struct removal_arguments *call, bool has_ended)
 {
-  static const char sql[] = "SELECT step,size FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT ?2";
+  static const char sql[] =
+      "SELECT step,size FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT ?2";
   bool newest = true, needed = false;
   int error = MO_OK;
   int step;
@@ -273,7 +287,8 @@ static int remove_rows(struct mo_store *store, void *arguments)
   int error = mo_job_state_get(writer, call->id, &state, &kind);
   memset(&call->removed, 0, sizeof(call->removed));
   if (error == MO_OK)
-    error = kind == MO_JOB_TRAINING ? choose(writer, call, mo_job_state_is_final(state)) : MO_ERR_NOT_FOUND;
+    error = kind == MO_JOB_TRAINING ? choose(writer, call, mo_job_state_is_final(state))
+                                    : MO_ERR_NOT_FOUND;
   for (size_t i = 0; i < call->removed.n && error == MO_OK; i++) {
     statement = mo_sql(writer, delete_sql, &error);
     if (statement == NULL)

@@ -1,8 +1,9 @@
 /* training_code.c: which code computed the steps of a training.
  *
- * One row for each change: from this step on, this fingerprint. A run names its code before its first step, from where it stands; what
- * was noted from there on is of steps that it computes anew. So the rows below a step are always those of the weights
- * at that step, whatever was killed, and a run that computes no step leaves no row. */
+ * One row for each change: from this step on, this fingerprint. A run names its code before its
+ * first step, from where it stands; what was noted from there on is of steps that it computes anew.
+ * So the rows below a step are always those of the weights at that step, whatever was killed, and a
+ * run that computes no step leaves no row. */
 #include <stdio.h>
 #include <string.h>
 
@@ -11,10 +12,12 @@
 
 #define VARIOUS "various"
 
-int mo_training_code_load(struct mo_connection *connection, int64_t id, struct mo_training_lineage *lineage)
+int mo_training_code_load(struct mo_connection *connection, int64_t id,
+                          struct mo_training_lineage *lineage)
 {
-  static const char sql[] = "SELECT c.from_step,f.text FROM training_code c LEFT JOIN fingerprints f ON"
-                            " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
+  static const char sql[] =
+      "SELECT c.from_step,f.text FROM training_code c LEFT JOIN fingerprints f ON"
+      " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(connection, sql, &error);
@@ -45,7 +48,8 @@ static int forget_from(struct mo_connection *writer, int64_t id, uint32_t step)
 
 static int insert(struct mo_connection *writer, int64_t id, uint32_t step, const char *fingerprint)
 {
-  static const char sql[] = "INSERT OR REPLACE INTO training_code(job,from_step,fingerprint) VALUES(?1,?2,?3)";
+  static const char sql[] =
+      "INSERT OR REPLACE INTO training_code(job,from_step,fingerprint) VALUES(?1,?2,?3)";
   int64_t row = 0;
   int error = mo_fingerprint_row(writer, fingerprint, &row);
   sqlite3_stmt *statement = error == MO_OK ? mo_sql(writer, sql, &error) : NULL;
@@ -69,7 +73,8 @@ static int announce(struct mo_store *store, const struct code_arguments *call, c
   char data[320], quoted[MO_FINGERPRINT_BYTES + 2] = "null";
   if (before[0] != '\0')
     snprintf(quoted, sizeof(quoted), "\"%s\"", before);
-  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"from_step\":%u,\"before\":%s,\"fingerprint\":\"%s\"}",
+  snprintf(data, sizeof(data),
+           "{\"id\":\"%lld\",\"from_step\":%u,\"before\":%s,\"fingerprint\":\"%s\"}",
            (long long)call->id, (unsigned)call->step, quoted, call->fingerprint);
   return mo_writer_event(store, call->id, "training.code_changed", data);
 }
@@ -100,15 +105,16 @@ static int note(struct mo_store *store, void *arguments)
   return error == MO_OK && n > 0 ? announce(store, call, before) : error;
 }
 
-int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step, const char *fingerprint,
-                           struct mo_training_lineage *lineage)
+int mo_store_training_code(struct mo_store *store, int64_t id, uint32_t step,
+                           const char *fingerprint, struct mo_training_lineage *lineage)
 {
   struct code_arguments call = {id, step, fingerprint, lineage};
   size_t size = strlen(fingerprint);
   if (size == 0 || size >= MO_FINGERPRINT_BYTES)
     return MO_ERR_RANGE;
   for (size_t i = 0; i < size; i++)
-    if (fingerprint[i] < ' ' || fingerprint[i] > '~' || fingerprint[i] == '"' || fingerprint[i] == '\\')
+    if (fingerprint[i] < ' ' || fingerprint[i] > '~' || fingerprint[i] == '"' ||
+        fingerprint[i] == '\\')
       return MO_ERR_INVALID;
   return mo_write(store, note, &call);
 }

@@ -1,7 +1,9 @@
-/* training_runs.c: what the runner of a training writes: its steps and its end; its checkpoints are in training_checkpoints.c.
+/* training_runs.c: what the runner of a training writes: its steps and its end; its checkpoints are
+ * in training_checkpoints.c.
  *
- * Writes are fenced by the epoch: the training must have been started under this opening of the store and must not be over. One
- * that was paused, or resumed at once, takes rows and checkpoints still: its thread saves what it has applied. */
+ * Writes are fenced by the epoch: the training must have been started under this opening of the
+ * store and must not be over. One that was paused, or resumed at once, takes rows and checkpoints
+ * still: its thread saves what it has applied. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -29,8 +31,8 @@ int mo_store_training_start(struct mo_store *store, int64_t id)
   return mo_run_start(store, id, MO_JOB_TRAINING);
 }
 
-int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text, uint32_t max_attempts,
-                           enum mo_job_state *after)
+int mo_store_training_park(struct mo_store *store, int64_t id, int error, const char *error_text,
+                           uint32_t max_attempts, enum mo_job_state *after)
 {
   return mo_run_park(store, id, MO_JOB_TRAINING, error, error_text, max_attempts, after);
 }
@@ -45,10 +47,12 @@ struct progress_arguments {
   const char *event_data;
 };
 
-static int write_step(struct mo_connection *writer, int64_t id, const struct mo_training_step_row *row)
+static int write_step(struct mo_connection *writer, int64_t id,
+                      const struct mo_training_step_row *row)
 {
   static const char sql[] =
-      "INSERT OR REPLACE INTO training_steps(job,step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,"
+      "INSERT OR REPLACE INTO "
+      "training_steps(job,step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,"
       "diverged,zeroed,skipped,bounded,seconds) VALUES(?1,?2,?3,?4,?5,?6,?7,?8,?9,?10,?11,?12)";
   const struct mo_training_report *report = &row->report;
   int error = MO_OK;
@@ -70,10 +74,12 @@ static int write_step(struct mo_connection *writer, int64_t id, const struct mo_
   return mo_sql_run(writer, statement);
 }
 
-static int write_validation(struct mo_store *store, int64_t id, const struct mo_training_validation_row *row)
+static int write_validation(struct mo_store *store, int64_t id,
+                            const struct mo_training_validation_row *row)
 {
-  static const char sql[] = "INSERT OR REPLACE INTO training_validations(job,step,rollouts,diverged,mean_score,"
-                            "standard_error) VALUES(?1,?2,?3,?4,?5,?6)";
+  static const char sql[] =
+      "INSERT OR REPLACE INTO training_validations(job,step,rollouts,diverged,mean_score,"
+      "standard_error) VALUES(?1,?2,?3,?4,?5,?6)";
   struct mo_connection *writer = &store->writer;
   char data[256], mean[32], deviation[32];
   int error = MO_OK;
@@ -90,9 +96,11 @@ static int write_validation(struct mo_store *store, int64_t id, const struct mo_
   if (error != MO_OK)
     return error;
   snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"step\":%u,\"mean_score\":%s,\"standard_error\":%s,\"rollouts\":%u,\"diverged\":%u}",
-           (long long)id, (unsigned)row->step, number(row->mean_score, mean), number(row->standard_error, deviation),
-           (unsigned)row->rollouts, (unsigned)row->diverged);
+           "{\"id\":\"%lld\",\"step\":%u,\"mean_score\":%s,\"standard_error\":%s,\"rollouts\":%u,"
+           "\"diverged\":%u}",
+           (long long)id, (unsigned)row->step, number(row->mean_score, mean),
+           number(row->standard_error, deviation), (unsigned)row->rollouts,
+           (unsigned)row->diverged);
   return mo_writer_event(store, id, "training.validation", data);
 }
 
@@ -117,8 +125,9 @@ static int progress(struct mo_store *store, void *arguments)
   return error;
 }
 
-int mo_store_training_progress(struct mo_store *store, int64_t id, const struct mo_training_step_row *steps,
-                               size_t n_steps, const struct mo_training_validation_row *validation,
+int mo_store_training_progress(struct mo_store *store, int64_t id,
+                               const struct mo_training_step_row *steps, size_t n_steps,
+                               const struct mo_training_validation_row *validation,
                                const char *event_data)
 {
   struct progress_arguments call = {id, steps, n_steps, validation, event_data};
@@ -134,8 +143,9 @@ struct finish_arguments {
 
 static int finish(struct mo_store *store, void *arguments)
 {
-  static const char job_sql[] = "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
-                                " WHERE id=?1 AND kind=1 AND state=1 AND epoch=?2";
+  static const char job_sql[] =
+      "UPDATE jobs SET state=3," MO_NEXT_VERSION ",finished_us=?3,error=0,error_text=NULL"
+      " WHERE id=?1 AND kind=1 AND state=1 AND epoch=?2";
   static const char sql[] = "UPDATE trainings SET result=?2 WHERE job=?1";
   struct finish_arguments *call = arguments;
   struct mo_connection *writer = &store->writer;
@@ -163,7 +173,8 @@ static int finish(struct mo_store *store, void *arguments)
   return mo_run_announce(store, call->id, MO_JOB_TRAINING, "job.finished", MO_JOB_SUCCEEDED, more);
 }
 
-int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name, const uint8_t *bytes, size_t size,
+int mo_store_training_finish(struct mo_store *store, int64_t id, const char *name,
+                             const uint8_t *bytes, size_t size,
                              const struct mo_controller *controller)
 {
   struct finish_arguments call = {.id = id};

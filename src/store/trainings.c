@@ -1,4 +1,5 @@
-/* trainings.c: trainings as they are asked for and read: settings, curve, checkpoints, the designs of populations. */
+/* trainings.c: trainings as they are asked for and read: settings, curve, checkpoints, the designs
+ * of populations. */
 #include "store/trainings.h"
 
 #include <float.h>
@@ -19,11 +20,13 @@ struct submit_arguments {
   bool replayed;
 };
 
-static int insert_training(struct mo_connection *writer, const struct mo_training_submission *submission,
-                           int64_t parent, const struct mo_training_settings *settings, int64_t id)
+static int insert_training(struct mo_connection *writer,
+                           const struct mo_training_submission *submission, int64_t parent,
+                           const struct mo_training_settings *settings, int64_t id)
 {
   static const char sql[] =
-      "INSERT INTO trainings(job,kind,settings,name,parent,parent_name,n_designs,population,n_steps,"
+      "INSERT INTO "
+      "trainings(job,kind,settings,name,parent,parent_name,n_designs,population,n_steps,"
       "validate_every_steps,checkpoint_every_steps,checkpoint_every_s,checkpoints_kept,step)"
       " VALUES(?1,?2,?3,?4,nullif(?5,0),?6,?7,?8,?9,?10,?11,?12,?13,0)";
   const struct mo_training_record *record = &submission->record;
@@ -54,7 +57,8 @@ static int insert_training(struct mo_connection *writer, const struct mo_trainin
 
 static int submit(struct mo_store *store, void *arguments)
 {
-  static const char designs_sql[] = "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
+  static const char designs_sql[] =
+      "INSERT INTO training_designs(job,position,genotype) VALUES(?1,?2,?3)";
   struct submit_arguments *call = arguments;
   const struct mo_training_submission *submission = call->submission;
   struct mo_training_settings settings = submission->record.settings;
@@ -76,24 +80,27 @@ static int submit(struct mo_store *store, void *arguments)
       error = mo_controller_sensor(writer, parent, &settings.sensor);
   }
   if (error == MO_OK)
-    error = mo_job_insert(writer, MO_JOB_TRAINING, submission->priority, submission->back_end, submission->weight,
-                          submission->label, now_us, &call->id);
+    error = mo_job_insert(writer, MO_JOB_TRAINING, submission->priority, submission->back_end,
+                          submission->weight, submission->label, now_us, &call->id);
   if (error == MO_OK)
     error = insert_training(writer, submission, parent, &settings, call->id);
   if (error == MO_OK)
-    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms, submission->genotypes,
-                              submission->record.n_designs, now_us);
+    error = mo_designs_insert(writer, designs_sql, call->id, submission->forms,
+                              submission->genotypes, submission->record.n_designs, now_us);
   if (error == MO_OK && submission->idempotency_key != NULL)
-    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us, call->id);
+    error = mo_key_insert(writer, submission->idempotency_key, &submission->body_sha256, now_us,
+                          call->id);
   if (error == MO_OK) {
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
+    snprintf(data, sizeof(data),
+             "{\"id\":\"%lld\",\"kind\":\"training\",\"state\":\"queued\",\"steps\":%u}",
              (long long)call->id, (unsigned)settings.n_steps);
     error = mo_writer_event(store, call->id, "job.created", data);
   }
   return error;
 }
 
-int mo_store_submit_training(struct mo_store *store, const struct mo_training_submission *submission, int64_t *id,
+int mo_store_submit_training(struct mo_store *store,
+                             const struct mo_training_submission *submission, int64_t *id,
                              bool *replayed)
 {
   struct submit_arguments call = {.submission = submission};
@@ -119,7 +126,8 @@ struct number_range {
 };
 
 /* Notes the first that no reply can say. */
-static void check_numbers(sqlite3_stmt *row, const struct number_range *ranges, size_t n, struct mo_row_damage *damage)
+static void check_numbers(sqlite3_stmt *row, const struct number_range *ranges, size_t n,
+                          struct mo_row_damage *damage)
 {
   for (size_t i = 0; i < n; i++) {
     const double value = column_number(row, ranges[i].column);
@@ -130,28 +138,33 @@ static void check_numbers(sqlite3_stmt *row, const struct number_range *ranges, 
   }
 }
 
-#define STEP_COLUMNS                                                                                                   \
-  "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,bounded,seconds"
+#define STEP_COLUMNS                                                                               \
+  "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,"  \
+  "bounded,seconds"
 
 static int step_from_row(sqlite3_stmt *row, void *any)
 {
-  static const struct number_range ranges[] = {
-      {0, "training_steps.step", 1, UINT32_MAX},     {2, "training_steps.rate", 0, DBL_MAX},
-      {4, "training_steps.clipped_share", 0, 1},     {5, "training_steps.clipped_robots_share", 0, 1},
-      {6, "training_steps.diverged", 0, UINT32_MAX}, {7, "training_steps.zeroed", 0, UINT32_MAX},
-      {9, "training_steps.bounded", 0, UINT32_MAX},  {10, "training_steps.seconds", 0, DBL_MAX}};
+  static const struct number_range ranges[] = {{0, "training_steps.step", 1, UINT32_MAX},
+                                               {2, "training_steps.rate", 0, DBL_MAX},
+                                               {4, "training_steps.clipped_share", 0, 1},
+                                               {5, "training_steps.clipped_robots_share", 0, 1},
+                                               {6, "training_steps.diverged", 0, UINT32_MAX},
+                                               {7, "training_steps.zeroed", 0, UINT32_MAX},
+                                               {9, "training_steps.bounded", 0, UINT32_MAX},
+                                               {10, "training_steps.seconds", 0, DBL_MAX}};
   struct mo_training_step_row *step = any;
-  *step = (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
-                                                   .mean_loss = column_number(row, 1),
-                                                   .rate = column_number(row, 2),
-                                                   .gradient_norm = column_number(row, 3),
-                                                   .clipped_share = column_number(row, 4),
-                                                   .clipped_robots_share = column_number(row, 5),
-                                                   .diverged = (uint32_t)sqlite3_column_int64(row, 6),
-                                                   .zeroed = (uint32_t)sqlite3_column_int64(row, 7),
-                                                   .skipped = sqlite3_column_int(row, 8) != 0,
-                                                   .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
-                                        .seconds = column_number(row, 10)};
+  *step =
+      (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
+                                               .mean_loss = column_number(row, 1),
+                                               .rate = column_number(row, 2),
+                                               .gradient_norm = column_number(row, 3),
+                                               .clipped_share = column_number(row, 4),
+                                               .clipped_robots_share = column_number(row, 5),
+                                               .diverged = (uint32_t)sqlite3_column_int64(row, 6),
+                                               .zeroed = (uint32_t)sqlite3_column_int64(row, 7),
+                                               .skipped = sqlite3_column_int(row, 8) != 0,
+                                               .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
+                                    .seconds = column_number(row, 10)};
   check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &step->damage);
   return MO_OK;
 }
@@ -164,11 +177,12 @@ static int validation_from_row(sqlite3_stmt *row, void *any)
                                                {1, "training_validations.rollouts", 0, UINT32_MAX},
                                                {2, "training_validations.diverged", 0, UINT32_MAX}};
   struct mo_training_validation_row *validation = any;
-  *validation = (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
-                                                    .rollouts = (uint32_t)sqlite3_column_int64(row, 1),
-                                                    .diverged = (uint32_t)sqlite3_column_int64(row, 2),
-                                                    .mean_score = column_number(row, 3),
-                                                    .standard_error = column_number(row, 4)};
+  *validation =
+      (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
+                                          .rollouts = (uint32_t)sqlite3_column_int64(row, 1),
+                                          .diverged = (uint32_t)sqlite3_column_int64(row, 2),
+                                          .mean_score = column_number(row, 3),
+                                          .standard_error = column_number(row, 4)};
   check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &validation->damage);
   return MO_OK;
 }
@@ -183,15 +197,17 @@ static int check_row(sqlite3_stmt *row, struct mo_job *job)
       {MO_JOB_N_COLUMNS + 4, "trainings.checkpoint_every_s", 0, MO_CHECKPOINT_SECONDS_MAX},
       {MO_JOB_N_COLUMNS + 5, "trainings.checkpoints_kept", 1, MO_CHECKPOINTS_KEPT_MAX}};
   int error = mo_job_name(job, row, MO_JOB_N_COLUMNS, "trainings.name");
-  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0])) : error;
+  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0]))
+                        : error;
 }
 
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
 {
-  static const char sql[] = "SELECT " MO_JOB_COLUMNS
-                            ",t.name,t.population,t.validate_every_steps,t.checkpoint_every_steps,t.checkpoint_every_s,"
-                            "t.checkpoints_kept,r.sha256,t.parent IS NOT NULL" MO_JOB_TABLES
-                            "LEFT JOIN controllers r ON r.id=t.result WHERE j.id=?1 AND j.kind=1";
+  static const char sql[] =
+      "SELECT " MO_JOB_COLUMNS
+      ",t.name,t.population,t.validate_every_steps,t.checkpoint_every_steps,t.checkpoint_every_s,"
+      "t.checkpoints_kept,r.sha256,t.parent IS NOT NULL" MO_JOB_TABLES
+      "LEFT JOIN controllers r ON r.id=t.result WHERE j.id=?1 AND j.kind=1";
   struct mo_training_record *record = &status->record;
   int error = MO_OK;
   int step;
@@ -204,7 +220,8 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
     return step < 0 ? step : MO_ERR_NOT_FOUND;
   error = mo_job_from_row(row, &status->job);
   if (error == MO_OK) /* they can be decoded: that was tried */
-    error = mo_decode_training(sqlite3_column_blob(row, 26), (size_t)sqlite3_column_bytes(row, 26), &record->settings);
+    error = mo_decode_training(sqlite3_column_blob(row, 26), (size_t)sqlite3_column_bytes(row, 26),
+                               &record->settings);
   if (error == MO_OK)
     error = check_row(row, &status->job);
   mo_column_text(row, 24, record->parent_name, sizeof(record->parent_name));
@@ -239,10 +256,13 @@ static int first_row(struct mo_connection *reader, const char *sql, int64_t id, 
 
 static int load_status(struct mo_connection *reader, int64_t id, void *any)
 {
-  static const char step_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  static const char step_sql[] =
+      "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 ORDER BY step DESC LIMIT 1";
   static const char validation_sql[] =
-      "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 ORDER BY step DESC LIMIT 1";
-  static const char checkpoint_sql[] = "SELECT step FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT 1";
+      "SELECT " VALIDATION_COLUMNS
+      " FROM training_validations WHERE job=?1 ORDER BY step DESC LIMIT 1";
+  static const char checkpoint_sql[] =
+      "SELECT step FROM training_checkpoints WHERE job=?1 ORDER BY step DESC LIMIT 1";
   struct mo_training_status *status = any;
   sqlite3_stmt *row;
   int found;
@@ -289,34 +309,39 @@ int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *qu
                            struct mo_training_status *statuses, size_t limit)
 {
   static const char shown_sql[] =
-      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1 AND " MO_JOB_SHOWN_IN(
-          "?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
-  static const char sql[] = "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1"
-                            " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
-  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit, load_status, statuses,
-                      sizeof(*statuses));
+      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1 "
+      "AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
+  static const char sql[] =
+      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1"
+      " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
+  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit,
+                      load_status, statuses, sizeof(*statuses));
 }
 
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
                                 struct mo_training_step_row *rows, size_t limit)
 {
-  static const char all_sql[] = "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
-                                " AND step<=4294967295 AND ?3<=1 ORDER BY step LIMIT ?4";
-  /* Each multiple is looked up: reading what lies between takes a third of a second in a million rows. */
+  static const char all_sql[] =
+      "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
+      " AND step<=4294967295 AND ?3<=1 ORDER BY step LIMIT ?4";
+  /* Each multiple is looked up: reading what lies between takes a third of a second in a million
+   * rows. */
   static const char some_sql[] =
       "WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL SELECT at+?3 FROM wanted"
       " WHERE at+?3<=(SELECT max(step) FROM training_steps WHERE job=?1) LIMIT ?4)"
       " SELECT " STEP_COLUMNS " FROM wanted CROSS JOIN training_steps WHERE job=?1 AND step=at"
       " ORDER BY at";
   const int64_t values[] = {id, after, stride};
-  return mo_read_rows(store, stride > 1 ? some_sql : all_sql, values, 3, limit, step_from_row, rows, sizeof(*rows));
+  return mo_read_rows(store, stride > 1 ? some_sql : all_sql, values, 3, limit, step_from_row, rows,
+                      sizeof(*rows));
 }
 
 int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_t after,
                                       struct mo_training_validation_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2"
-                            " AND step<=4294967295 ORDER BY step LIMIT ?3";
+  static const char sql[] =
+      "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2"
+      " AND step<=4294967295 ORDER BY step LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, validation_from_row, rows, sizeof(*rows));
 }
@@ -330,18 +355,21 @@ static int take_checkpoint(sqlite3_stmt *statement, void *any)
   return mo_column_hash(statement, 1, &row->sha256);
 }
 
-int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id, struct mo_training_checkpoint_row *rows,
-                                      size_t limit)
+int64_t mo_store_training_checkpoints(struct mo_store *store, int64_t id,
+                                      struct mo_training_checkpoint_row *rows, size_t limit)
 {
-  static const char sql[] = "SELECT step,sha256,size,stored_us FROM training_checkpoints WHERE job=?1"
-                            " ORDER BY step DESC LIMIT ?2";
+  static const char sql[] =
+      "SELECT step,sha256,size,stored_us FROM training_checkpoints WHERE job=?1"
+      " ORDER BY step DESC LIMIT ?2";
   return mo_read_rows(store, sql, &id, 1, limit, take_checkpoint, rows, sizeof(*rows));
 }
 
-int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **ret, uint32_t *ret_n)
+int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits **ret,
+                              uint32_t *ret_n)
 {
-  static const char sql[] = "SELECT x.position,g.bits FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
-                            " WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] =
+      "SELECT x.position,g.bits FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
+      " WHERE x.job=?1 ORDER BY x.position";
   struct mo_training_status status;
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_bits *genotypes = NULL;
@@ -352,7 +380,8 @@ int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits
   if (error == MO_OK)
     error = load_head(reader, id, memset(&status, 0, sizeof(status)));
   if (error == MO_OK) {
-    genotypes = calloc(status.record.n_designs > 0 ? status.record.n_designs : 1, sizeof(*genotypes));
+    genotypes =
+        calloc(status.record.n_designs > 0 ? status.record.n_designs : 1, sizeof(*genotypes));
     error = genotypes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   }
   if (error == MO_OK)
@@ -400,8 +429,8 @@ static int compare_ranked(const void *a, const void *b)
 }
 
 /* The newest population of a campaign: best first already, each form once. */
-static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **ret,
-                                  uint32_t *ret_n)
+static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t best,
+                                  struct mo_bits **ret, uint32_t *ret_n)
 {
   struct mo_campaign_state *state = NULL;
   uint32_t n = 0;
@@ -418,7 +447,8 @@ static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t b
   return MO_OK;
 }
 
-int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **ret, uint32_t *ret_n)
+int mo_store_population(struct mo_store *store, int64_t id, uint32_t best, struct mo_bits **ret,
+                        uint32_t *ret_n)
 {
   struct mo_evaluation_results *results = NULL;
   struct mo_bits *genotypes = NULL;

@@ -1,11 +1,13 @@
 /* writer.c: the one thread that changes the database.
  *
- * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one transaction, commits once, and then
- * releases the callers: under load one fsync serves many. An operation that fails rolls back alone. When SQLite gives up the
- * whole transaction (disk full, out of memory), or the commit itself fails for want of room, each operation is run again in a
- * transaction of its own, so that one that is too large does not take others with it; one that people need on a full disk gets
- * the room that is set aside (reserve.c). An I/O error that is not want of space is fatal at once: after a failed fsync nobody
- * knows what the disk holds, and a second one may succeed without having written, so nothing is tried again: the process must end
+ * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one
+ * transaction, commits once, and then releases the callers: under load one fsync serves many. An
+ * operation that fails rolls back alone. When SQLite gives up the whole transaction (disk full, out
+ * of memory), or the commit itself fails for want of room, each operation is run again in a
+ * transaction of its own, so that one that is too large does not take others with it; one that
+ * people need on a full disk gets the room that is set aside (reserve.c). An I/O error that is not
+ * want of space is fatal at once: after a failed fsync nobody knows what the disk holds, and a
+ * second one may succeed without having written, so nothing is tried again: the process must end
  * and recover from the log. */
 #include <errno.h>
 #include <stdlib.h>
@@ -56,7 +58,8 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   memset(event, 0, sizeof(*event));
   if (strlen(type) >= sizeof(event->type) || strlen(data) >= sizeof(event->data))
     return MO_ERR_LIMIT;
-  strcpy(event->type, type); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy): length checked above */
+  strcpy(event->type,
+         type); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy): length checked above */
   strcpy(event->data, data); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy) */
   event->time_us = mo_store_now_us();
   event->job = job;
@@ -104,7 +107,8 @@ static int run_sql(struct mo_store *store, const char *sql)
 
 static int prepare_transactions(struct mo_store *store)
 {
-  static const char *const sql[] = {begin_sql, commit_sql, rollback_sql, savepoint_sql, rollback_to_sql, release_sql};
+  static const char *const sql[] = {begin_sql,     commit_sql,      rollback_sql,
+                                    savepoint_sql, rollback_to_sql, release_sql};
   int error = MO_OK;
   for (size_t i = 0; i < sizeof(sql) / sizeof(sql[0]); i++)
     if (mo_sql(&store->writer, sql[i], &error) == NULL)
@@ -112,16 +116,20 @@ static int prepare_transactions(struct mo_store *store)
   return MO_OK;
 }
 
-/* While the store is short of room an operation that is not urgent may find that there is nothing to do, no more. To be rolled back. */
+/* While the store is short of room an operation that is not urgent may find that there is nothing
+ * to do, no more. To be rolled back. */
 static int run_operation(struct mo_store *store, struct mo_operation *operation)
 {
   const sqlite3_int64 before = sqlite3_total_changes64(store->writer.db);
   const int error = operation->run(store, operation->arguments);
   const bool is_refused = !operation->is_urgent && atomic_load(&store->is_short);
-  return error == MO_OK && is_refused && sqlite3_total_changes64(store->writer.db) != before ? MO_ERR_NO_SPACE : error;
+  return error == MO_OK && is_refused && sqlite3_total_changes64(store->writer.db) != before
+             ? MO_ERR_NO_SPACE
+             : error;
 }
 
-/* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up. */
+/* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up.
+ */
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
@@ -209,7 +217,8 @@ static int run_together(struct mo_store *store, struct mo_operation *first)
 {
   int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : run_sql(store, begin_sql);
   store->n_events = 0;
-  for (struct mo_operation *operation = first; operation != NULL && error == MO_OK; operation = operation->next)
+  for (struct mo_operation *operation = first; operation != NULL && error == MO_OK;
+       operation = operation->next)
     error = run_in_savepoint(store, operation);
   return error == MO_OK ? commit(store) : error;
 }
@@ -225,19 +234,22 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
   tell(store);
 }
 
-/* With the room that is set aside, slice by slice: others may take some of it before they see that it is not theirs. */
+/* With the room that is set aside, slice by slice: others may take some of it before they see that
+ * it is not theirs. */
 static void finish_urgent(struct mo_store *store, struct mo_operation *operation)
 {
   if (operation->is_opening)
     while (operation->status == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
       finish_alone(store, operation);
   else
-    for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store); n++)
+    for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store);
+         n++)
       finish_alone(store, operation);
 }
 
-/* One alone needs no savepoint: a large one would copy every page that it changes. While the store is short of room each runs alone: a
- * commit also writes the pages that an operation before it had changed and then rolled back. */
+/* One alone needs no savepoint: a large one would copy every page that it changes. While the store
+ * is short of room each runs alone: a commit also writes the pages that an operation before it had
+ * changed and then rolled back. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
@@ -265,14 +277,16 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   }
 }
 
-/* Deletes what is past its time, a bounded number of rows at once. Failures wait for the next round. */
+/* Deletes what is past its time, a bounded number of rows at once. Failures wait for the next
+ * round. */
 static void prune(struct mo_store *store)
 {
   static const char events_sql[] =
       "DELETE FROM events WHERE sequence IN (SELECT sequence FROM events WHERE sequence <= "
       "(SELECT max(sequence) FROM events) - ?1 ORDER BY sequence LIMIT " PRUNE_ROWS ")";
-  static const char keys_sql[] = "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys "
-                                 "WHERE created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
+  static const char keys_sql[] =
+      "DELETE FROM idempotency_keys WHERE key IN (SELECT key FROM idempotency_keys "
+      "WHERE created_us < ?1 ORDER BY created_us LIMIT " PRUNE_ROWS ")";
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *statement;
   int error = MO_OK;
@@ -309,7 +323,8 @@ static void probe_space(struct mo_store *store)
 {
   int64_t now = mo_monotonic_us();
   int error;
-  if (!atomic_load(&store->no_space) || atomic_load(&store->is_short) || now - store->last_probe_us < SPACE_PROBE_US)
+  if (!atomic_load(&store->no_space) || atomic_load(&store->is_short) ||
+      now - store->last_probe_us < SPACE_PROBE_US)
     return;
   store->last_probe_us = now;
   error = mo_sql_exec(&store->writer, "INSERT INTO meta(key,value) VALUES('space probes',1)"
@@ -322,15 +337,17 @@ static void probe_space(struct mo_store *store)
     abandon(store);
 }
 
-/* Copies the log into the database. A log starts anew only when nobody reads it, and readers that overlap may prevent that for
- * ever: one that has grown long is worth a short wait for those that read now, while new ones read the database. */
+/* Copies the log into the database. A log starts anew only when nobody reads it, and readers that
+ * overlap may prevent that for ever: one that has grown long is worth a short wait for those that
+ * read now, while new ones read the database. */
 static void checkpoint(struct mo_store *store)
 {
   sqlite3 *db = store->writer.db;
   int64_t now = mo_monotonic_us();
   int mode = SQLITE_CHECKPOINT_PASSIVE;
   int result;
-  if (store->wal_frames >= MO_WAL_LONG * store->checkpoint_frames && now - store->last_restart_us >= RESTART_US) {
+  if (store->wal_frames >= MO_WAL_LONG * store->checkpoint_frames &&
+      now - store->last_restart_us >= RESTART_US) {
     store->last_restart_us = now;
     mode = SQLITE_CHECKPOINT_RESTART;
     sqlite3_busy_timeout(db, RESTART_WAIT_MS);
@@ -355,7 +372,8 @@ static void maintain(struct mo_store *store)
     mo_reserve_make(store);
   probe_space(store);
   if (!atomic_load(&store->is_short)) {
-    if (store->events_since_prune >= PRUNE_EVERY || mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
+    if (store->events_since_prune >= PRUNE_EVERY ||
+        mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
       prune(store);
     if (store->wal_frames >= store->checkpoint_frames)
       checkpoint(store);
@@ -375,7 +393,8 @@ static int count_frames(void *context, sqlite3 *db, const char *name, int frames
   return SQLITE_OK;
 }
 
-/* Waits for operations, at most a second, and takes up to BATCH_MAX of them. NULL with *closing: the end. */
+/* Waits for operations, at most a second, and takes up to BATCH_MAX of them. NULL with *closing:
+ * the end. */
 static struct mo_operation *take(struct mo_store *store, bool *closing)
 {
   struct mo_operation *first, *last;
@@ -477,24 +496,29 @@ static int write_and_wait(struct mo_store *store, struct mo_operation operation)
   return error != MO_OK ? error : operation.status;
 }
 
-int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
+             void *arguments)
 {
   return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments});
 }
 
-int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
-{
-  return write_and_wait(store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
-}
-
-int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments)
+int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
+                    void *arguments)
 {
   return write_and_wait(
-      store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true, .is_opening = true});
+      store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
 }
 
-int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments), void *arguments,
-                   void (*done)(void *arguments, int status))
+int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
+                     void *arguments)
+{
+  return write_and_wait(
+      store, (struct mo_operation){
+                 .run = run, .arguments = arguments, .is_urgent = true, .is_opening = true});
+}
+
+int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
+                   void *arguments, void (*done)(void *arguments, int status))
 {
   struct mo_operation *operation = calloc(1, sizeof(*operation));
   int error;
@@ -509,7 +533,8 @@ int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, vo
   return error;
 }
 
-int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context, int *ret_handle)
+int mo_store_subscribe(struct mo_store *store, mo_store_listener listener, void *context,
+                       int *ret_handle)
 {
   int error = MO_OK;
   pthread_mutex_lock(&store->listeners_mutex);

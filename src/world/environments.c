@@ -1,14 +1,15 @@
 /* environments.c: random terrains, training environments, the paper test set.
  *
- * Every number comes from Philox streams and exact algebra (no sine, cosine or logarithm of the C library), so that one name
- * gives the same environment, bit for bit, on every machine.
+ * Every number comes from Philox streams and exact algebra (no sine, cosine or logarithm of the C
+ * library), so that one name gives the same environment, bit for bit, on every machine.
  *
- * Training environment (seed, step, index): the stream LIGHT gives first σ, then points of the square around the ring until
- * one lies in it; the stream TERRAIN gives the heights. Held out: the same, step 0, from the streams HELD_OUT_LIGHT and
- * HELD_OUT_TERRAIN.
+ * Training environment (seed, step, index): the stream LIGHT gives first σ, then points of the
+ * square around the ring until one lies in it; the stream TERRAIN gives the heights. Held out: the
+ * same, step 0, from the streams HELD_OUT_LIGHT and HELD_OUT_TERRAIN.
  *
- * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for the ring of 2.0 m, then for
- * that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the heights of environment i. */
+ * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for
+ * the ring of 2.0 m, then for that of 1.5 m (Fisher-Yates from the top); index 1 + i gives the
+ * heights of environment i. */
 #include <morpho/random.h>
 #include <morpho/world.h>
 
@@ -17,7 +18,8 @@
 #define LIGHT_NEAR_M 0.4
 #define LIGHT_FAR_M  2.0
 
-static void draw_terrain(struct mo_random *random, double sigma_m, double heights_m[MO_TERRAIN_HEIGHTS])
+static void draw_terrain(struct mo_random *random, double sigma_m,
+                         double heights_m[MO_TERRAIN_HEIGHTS])
 {
   double lowest = 0.0;
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
@@ -31,8 +33,8 @@ static void draw_terrain(struct mo_random *random, double sigma_m, double height
   }
 }
 
-static void random_terrain(uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index, double sigma_m,
-                           double heights_m[MO_TERRAIN_HEIGHTS])
+static void random_terrain(uint64_t seed, enum mo_purpose purpose, uint32_t step, uint64_t index,
+                           double sigma_m, double heights_m[MO_TERRAIN_HEIGHTS])
 {
   struct mo_random random;
   mo_random_init(&random, seed, purpose, step, index);
@@ -62,7 +64,8 @@ static double draw_light(struct mo_random *random, double light_xy_m[2])
   return sigma_m;
 }
 
-void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index, struct mo_environment *environment)
+void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,
+                             struct mo_environment *environment)
 {
   struct mo_random random;
   mo_random_init(&random, seed, MO_PURPOSE_LIGHT, step, index);
@@ -75,18 +78,33 @@ void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environmen
   struct mo_random random;
   mo_random_init(&random, seed, MO_PURPOSE_HELD_OUT_LIGHT, 0, index);
   double sigma_m = draw_light(&random, environment->light_xy_m);
-  random_terrain(seed, MO_PURPOSE_HELD_OUT_TERRAIN, 0, index, sigma_m, environment->terrain_heights_m);
+  random_terrain(seed, MO_PURPOSE_HELD_OUT_TERRAIN, 0, index, sigma_m,
+                 environment->terrain_heights_m);
 }
 
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT])
 {
   /* cos and sin of k · 36°, k = 0 … 9. */
-  static const double cosine[2 * RING] = {
-      1.0,  0.80901699437494742410,  0.30901699437494742410,  -0.30901699437494742410, -0.80901699437494742410,
-      -1.0, -0.80901699437494742410, -0.30901699437494742410, 0.30901699437494742410,  0.80901699437494742410};
-  static const double sine[2 * RING] = {
-      0.0, 0.58778525229247312917,  0.95105651629515357212,  0.95105651629515357212,  0.58778525229247312917,
-      0.0, -0.58778525229247312917, -0.95105651629515357212, -0.95105651629515357212, -0.58778525229247312917};
+  static const double cosine[2 * RING] = {1.0,
+                                          0.80901699437494742410,
+                                          0.30901699437494742410,
+                                          -0.30901699437494742410,
+                                          -0.80901699437494742410,
+                                          -1.0,
+                                          -0.80901699437494742410,
+                                          -0.30901699437494742410,
+                                          0.30901699437494742410,
+                                          0.80901699437494742410};
+  static const double sine[2 * RING] = {0.0,
+                                        0.58778525229247312917,
+                                        0.95105651629515357212,
+                                        0.95105651629515357212,
+                                        0.58778525229247312917,
+                                        0.0,
+                                        -0.58778525229247312917,
+                                        -0.95105651629515357212,
+                                        -0.95105651629515357212,
+                                        -0.58778525229247312917};
   static const double radius_m[2] = {2.0, 1.5};
   struct mo_random pairing;
   mo_random_init(&pairing, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, 0);
@@ -105,7 +123,8 @@ void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_
       environment->light_xy_m[0] = MO_WORLD_CENTRE_M + radius_m[ring] * cosine[angle];
       environment->light_xy_m[1] = MO_WORLD_CENTRE_M + radius_m[ring] * sine[angle];
       struct mo_random random;
-      mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0, UINT64_C(1) + (uint64_t)place);
+      mo_random_init(&random, MO_PAPER_TEST_SEED, MO_PURPOSE_TEST_SET, 0,
+                     UINT64_C(1) + (uint64_t)place);
       draw_terrain(&random, sigma_m[i], environment->terrain_heights_m);
     }
   }

@@ -10,7 +10,8 @@
 #define CELLS       (MO_TERRAIN_SIDE - 1)
 #define CELLS_PER_M (CELLS / MO_TERRAIN_SIZE_M)
 
-/* A coordinate within the map: cell, and fraction of the cell from its lower edge. Not-a-number counts as 0. */
+/* A coordinate within the map: cell, and fraction of the cell from its lower edge. Not-a-number
+ * counts as 0. */
 struct place {
   int cell;
   double fraction;
@@ -38,11 +39,13 @@ double mo_terrain_height(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m,
   struct place y = find_place(y_m);
   const double *corner = heights_m + y.cell * MO_TERRAIN_SIDE + x.cell;
   double near = corner[0] + x.fraction * (corner[1] - corner[0]);
-  double far = corner[MO_TERRAIN_SIDE] + x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
+  double far = corner[MO_TERRAIN_SIDE] +
+               x.fraction * (corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE]);
   return near + y.fraction * (far - near);
 }
 
-void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m, double gradient[2])
+void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m,
+                         double gradient[2])
 {
   struct place x = find_place(x_m);
   struct place y = find_place(y_m);
@@ -51,8 +54,10 @@ void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m,
   double along_x_far = corner[MO_TERRAIN_SIDE + 1] - corner[MO_TERRAIN_SIDE];
   double along_y_left = corner[MO_TERRAIN_SIDE] - corner[0];
   double along_y_right = corner[MO_TERRAIN_SIDE + 1] - corner[1];
-  gradient[0] = x.clamped ? 0.0 : (along_x_near + y.fraction * (along_x_far - along_x_near)) * CELLS_PER_M;
-  gradient[1] = y.clamped ? 0.0 : (along_y_left + x.fraction * (along_y_right - along_y_left)) * CELLS_PER_M;
+  gradient[0] =
+      x.clamped ? 0.0 : (along_x_near + y.fraction * (along_x_far - along_x_near)) * CELLS_PER_M;
+  gradient[1] =
+      y.clamped ? 0.0 : (along_y_left + x.fraction * (along_y_right - along_y_left)) * CELLS_PER_M;
 }
 
 double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS])

@@ -1,11 +1,12 @@
 /* accuracy.c: run time against error.
  *
- * Every combination of precision, impact mode and time step lives the same 4 seconds; the truth for a time step dt is the float64
- * `exact` life at dt/16. Errors are the distance of the centre of mass from the truth's, the largest up to a time, and the
- * difference in loss. Contact makes the lives chaotic: a difference of rounding grows by orders of magnitude per second, so
- * the error of the path is given after 0.2 s and 1 s as well: there it still tells the methods apart. The time step outweighs
- * all else; so that precision and impact mode can be seen behind it, the last columns compare with float64 `exact` at the same
- * time step. */
+ * Every combination of precision, impact mode and time step lives the same 4 seconds; the truth for
+ * a time step dt is the float64 `exact` life at dt/16. Errors are the distance of the centre of
+ * mass from the truth's, the largest up to a time, and the difference in loss. Contact makes the
+ * lives chaotic: a difference of rounding grows by orders of magnitude per second, so the error of
+ * the path is given after 0.2 s and 1 s as well: there it still tells the methods apart. The time
+ * step outweighs all else; so that precision and impact mode can be seen behind it, the last
+ * columns compare with float64 `exact` at the same time step. */
 #include "bench.h"
 
 #include <math.h>
@@ -42,7 +43,9 @@ static void lives_create(struct lives *lives, uint32_t n)
   lives->com_m = calloc(n, sizeof(*lives->com_m));
   lives->loss = calloc(n, sizeof(*lives->loss));
   lives->diverged = calloc(n, 1);
-  bench_check(lives->com_m == NULL || lives->loss == NULL || lives->diverged == NULL ? MO_ERR_NO_MEMORY : MO_OK,
+  bench_check(lives->com_m == NULL || lives->loss == NULL || lives->diverged == NULL
+                  ? MO_ERR_NO_MEMORY
+                  : MO_OK,
               "paths");
 }
 
@@ -64,14 +67,16 @@ static struct mo_physics physics_at(double dt_s, int mode)
 }
 
 static void live(struct lives *lives, const struct bench_scene *scene, struct mo_compute *compute,
-                 struct mo_compute_controller *controller, double dt_s, int mode, enum mo_precision precision)
+                 struct mo_compute_controller *controller, double dt_s, int mode,
+                 enum mo_precision precision)
 {
   const uint32_t n = scene->n_bodies;
   struct mo_block *blocks = calloc(n, sizeof(*blocks));
   struct mo_recording *recordings = calloc(n, sizeof(*recordings));
   bench_check(blocks == NULL || recordings == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
   for (uint32_t i = 0; i < n; i++) {
-    recordings[i] = (struct mo_recording){.stride = (uint32_t)lround(FRAME_S / dt_s), .com_m = lives->com_m[i][0]};
+    recordings[i] = (struct mo_recording){.stride = (uint32_t)lround(FRAME_S / dt_s),
+                                          .com_m = lives->com_m[i][0]};
     blocks[i] = (struct mo_block){.body = scene->bodies[i],
                                   .controller = controller,
                                   .environments = {scene->list[i % MO_PAPER_TEST_COUNT]},
@@ -89,7 +94,8 @@ static void live(struct lives *lives, const struct bench_scene *scene, struct mo
   free(blocks);
 }
 
-/* Milliseconds per rollout on one core, a body's whole test set at once, as evaluations run them. */
+/* Milliseconds per rollout on one core, a body's whole test set at once, as evaluations run them.
+ */
 static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double dt_s, int mode,
                       enum mo_precision precision)
 {
@@ -102,8 +108,8 @@ static double time_ms(const struct bench_scene *scene, enum mo_isa isa, double d
   bench_check(mo_workspace_memory_create(&memory), "scratch");
   const double start = bench_thread_s();
   for (uint32_t i = 0; i < n; i++)
-    bench_check(mo_rollout_block(memory, pack, scene->bodies[i], scene->list, MO_PAPER_TEST_COUNT, &physics, NULL, NULL,
-                                 NULL, outcomes),
+    bench_check(mo_rollout_block(memory, pack, scene->bodies[i], scene->list, MO_PAPER_TEST_COUNT,
+                                 &physics, NULL, NULL, NULL, outcomes),
                 "rollout");
   const double ms = 1e3 * (bench_thread_s() - start) / (n * MO_PAPER_TEST_COUNT);
   mo_workspace_memory_free(memory);
@@ -118,35 +124,40 @@ struct spread {
 
 static struct spread spread_of(double *errors, uint32_t n)
 {
-  return (struct spread){bench_median(errors, n), bench_quantile(errors, n, 0.9), bench_quantile(errors, n, 1.0)};
+  return (struct spread){bench_median(errors, n), bench_quantile(errors, n, 0.9),
+                         bench_quantile(errors, n, 1.0)};
 }
 
 struct row {
   double ms;
-  struct spread path[TIMES], loss;          /* against the truth */
-  struct spread same_dt_path, same_dt_loss; /* against float64 `exact` at the same time step; the path's first second */
+  struct spread path[TIMES], loss; /* against the truth */
+  struct spread same_dt_path,
+      same_dt_loss; /* against float64 `exact` at the same time step; the path's first second */
   uint32_t diverged;
 };
 
 /* Of the centre of mass up to frame `end`. */
-static struct spread path_error(const struct lives *lives, const struct lives *truth, uint32_t n, int end,
-                                double *errors)
+static struct spread path_error(const struct lives *lives, const struct lives *truth, uint32_t n,
+                                int end, double *errors)
 {
   for (uint32_t i = 0; i < n; i++) {
     errors[i] = lives->diverged[i] || truth->diverged[i] ? INFINITY : 0;
     for (int f = 0; f <= end; f++) {
       const double *a = lives->com_m[i][f], *b = truth->com_m[i][f];
-      errors[i] = fmax(errors[i], sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
-                                       (a[2] - b[2]) * (a[2] - b[2])));
+      errors[i] =
+          fmax(errors[i], sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
+                               (a[2] - b[2]) * (a[2] - b[2])));
     }
   }
   return spread_of(errors, n);
 }
 
-static struct spread loss_error(const struct lives *lives, const struct lives *truth, uint32_t n, double *errors)
+static struct spread loss_error(const struct lives *lives, const struct lives *truth, uint32_t n,
+                                double *errors)
 {
   for (uint32_t i = 0; i < n; i++)
-    errors[i] = lives->diverged[i] || truth->diverged[i] ? INFINITY : fabs(lives->loss[i] - truth->loss[i]);
+    errors[i] =
+        lives->diverged[i] || truth->diverged[i] ? INFINITY : fabs(lives->loss[i] - truth->loss[i]);
   return spread_of(errors, n);
 }
 
@@ -216,8 +227,8 @@ int bench_accuracy(const struct bench_options *options)
 
   static struct bench_series against_truth[2 * MODES], against_same_dt[2 * MODES];
   for (int s = 0; s < 2 * MODES; s++) {
-    snprintf(against_truth[s].name, sizeof(against_truth[s].name), "%s %s", precision_names[s / MODES],
-             modes[s % MODES].name);
+    snprintf(against_truth[s].name, sizeof(against_truth[s].name), "%s %s",
+             precision_names[s / MODES], modes[s % MODES].name);
     against_same_dt[s] = against_truth[s];
   }
   print_header(file);
@@ -249,7 +260,8 @@ int bench_accuracy(const struct bench_options *options)
   int status = 0;
   if (options->csv != NULL && fclose(file) != 0)
     status = 1;
-  if (options->svg != NULL && bench_draw(options->svg, "milliseconds per rollout of 4 s, one core", panels, 2) != 0) {
+  if (options->svg != NULL &&
+      bench_draw(options->svg, "milliseconds per rollout of 4 s, one core", panels, 2) != 0) {
     perror(options->svg);
     status = 1;
   }

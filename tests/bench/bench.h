@@ -36,11 +36,13 @@ struct bench_scene {
   struct mo_lattice *lattice;
   struct mo_controller *controller;
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
-  const struct mo_environment *list[MO_BLOCK_LANES]; /* the paper test set, then from its start again */
+  const struct mo_environment
+      *list[MO_BLOCK_LANES]; /* the paper test set, then from its start again */
   uint32_t n_bodies;
   struct mo_body **bodies; /* distinct random bodies of the seed's stream */
 };
-void bench_scene_create(struct bench_scene *scene, const struct bench_options *options, uint32_t n_bodies);
+void bench_scene_create(struct bench_scene *scene, const struct bench_options *options,
+                        uint32_t n_bodies);
 void bench_scene_free(struct bench_scene *scene);
 /* A box of nx × ny × nz voxels in the middle of the default workspace. */
 struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int nz);
@@ -49,7 +51,8 @@ struct mo_body *bench_box(const struct bench_scene *scene, int nx, int ny, int n
 struct bench_sgemm {
   float *a, *b, *c;
 };
-/* Starts the program again if OpenBLAS has taken kernels that are not for this processor. Call it before anything else. */
+/* Starts the program again if OpenBLAS has taken kernels that are not for this processor. Call it
+ * before anything else. */
 void bench_sgemm_choose(char **argv);
 void bench_sgemm_create(struct bench_sgemm *sgemm);
 void bench_sgemm_free(struct bench_sgemm *sgemm);
@@ -59,7 +62,8 @@ double bench_sgemm_best(const struct bench_sgemm *sgemm);
 double bench_controller_flop(const struct mo_body *body);
 
 double bench_now_s(void);
-double bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */
+double
+bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */
 double bench_median(double *values, size_t n);             /* sorts */
 double bench_quantile(double *values, size_t n, double q); /* sorts; nearest rank */
 void bench_check(int status, const char *what);            /* ends the program unless MO_OK */
@@ -79,6 +83,7 @@ struct bench_panel {
   size_t n_series;
 };
 /* Charts one below the other as an SVG file. 0 or −1 with errno set. */
-int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels, size_t n_panels);
+int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels,
+               size_t n_panels);
 
 #endif

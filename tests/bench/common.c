@@ -47,7 +47,8 @@ double bench_median(double *values, size_t n)
   return 0.5 * (values[(n - 1) / 2] + values[n / 2]);
 }
 
-void bench_scene_create(struct bench_scene *scene, const struct bench_options *options, uint32_t n_bodies)
+void bench_scene_create(struct bench_scene *scene, const struct bench_options *options,
+                        uint32_t n_bodies)
 {
   *scene = (struct bench_scene){.n_bodies = n_bodies};
   struct mo_message message = {"cannot be read"};

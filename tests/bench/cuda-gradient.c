@@ -1,18 +1,21 @@
-/* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run; built with the module (src/compute/cuda/meson.build).
+/* cuda-gradient.c: the device's gradient against float64, and its time. Needs a device to run;
+ * built with the module (src/compute/cuda/meson.build).
  *
- *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the processor, into FILE
- *   cuda-gradient check [WEIGHTS FILE]…              likeness to such files; bits: two runs, a shard alone, little memory, groups
- *                                                    in halves; robots that diverge or whose adjoints do, calls that are cancelled
- *   cuda-gradient alone [WORKERS]                    robots whose adjoints begin anew, each alone, against float64 under the same weight
- *                                                    and under another
- *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole groups, some in halves, and halves,
- *                                                    otherwise of 1024 and of 8192
- *   cuda-gradient short [ROBOTS STEPS]               a few steps of everything, with whole groups, with some in halves, and with
+ *   cuda-gradient reference FILE WEIGHTS [WORKERS]   the float64 gradient of 256 robots, on the
+ * processor, into FILE cuda-gradient check [WEIGHTS FILE]…              likeness to such files;
+ * bits: two runs, a shard alone, little memory, groups in halves; robots that diverge or whose
+ * adjoints do, calls that are cancelled cuda-gradient alone [WORKERS]                    robots
+ * whose adjoints begin anew, each alone, against float64 under the same weight and under another
+ *   cuda-gradient time [ROBOTS]…                     learning steps of so many robots, with whole
+ * groups, some in halves, and halves, otherwise of 1024 and of 8192 cuda-gradient short [ROBOTS
+ * STEPS]               a few steps of everything, with whole groups, with some in halves, and with
  *                                                    halves, for compute-sanitizer and profilers
  *
- * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin anew above the bound, with the usual weight
- * ("restart=2:" with 2). Robots are distinct random bodies, each in a training environment; 1000 steps, bound 2. One line per measurement; exit
- * status 1 if a bound is missed, 77 without a device. */
+ * WEIGHTS: the seed of random ones, or a controller's file; "restart:" before it: adjoints begin
+ * anew above the bound, with the usual weight
+ * ("restart=2:" with 2). Robots are distinct random bodies, each in a training environment; 1000
+ * steps, bound 2. One line per measurement; exit status 1 if a bound is missed, 77 without a
+ * device. */
 #include "compute/cuda/gradient.h"
 
 #include <math.h>
@@ -68,7 +71,8 @@ static void on_threads(uint32_t workers, void *(*work)(void *context), void *con
   pthread_t threads[WORKERS_MAX];
   workers = workers < 1 ? 1 : workers > WORKERS_MAX ? WORKERS_MAX : workers;
   for (uint32_t i = 0; i < workers; i++)
-    must(pthread_create(&threads[i], NULL, work, context) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+    must(pthread_create(&threads[i], NULL, work, context) == 0 ? MO_OK : MO_ERR_NO_MEMORY,
+         "thread");
   for (uint32_t i = 0; i < workers; i++)
     pthread_join(threads[i], NULL);
 }
@@ -139,7 +143,8 @@ static struct mo_controller *weights_of(const char *weights)
     must(mo_controller_read(name, &controller, &message), name);
     return controller;
   }
-  must(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller), "controller");
+  must(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
+       "controller");
   mo_controller_randomize(controller, seed);
   return controller;
 }
@@ -169,8 +174,9 @@ static void *reference_work(void *context)
     if (block >= BLOCKS)
       return NULL;
     for (uint32_t i = block; i < LIKE; i += BLOCKS)
-      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i], &physics, &r->options,
-                                 &r->outcomes[i], r->sums[block], &r->counts[block]),
+      must(mo_gradient_reference(r->scene.bodies[i], r->controller, &r->scene.environments[i],
+                                 &physics, &r->options, &r->outcomes[i], r->sums[block],
+                                 &r->counts[block]),
            "reference");
   }
 }
@@ -192,9 +198,10 @@ static int make_reference(const char *path, const char *weights, uint32_t worker
       r.sums[0][k] += r.sums[i][k];
   }
   FILE *file = fopen(path, "wb");
-  int written = file != NULL && fwrite(&r.counts[0], sizeof(r.counts[0]), 1, file) == 1 &&
-                fwrite(r.outcomes, sizeof(r.outcomes), 1, file) == 1 &&
-                fwrite(r.sums[0], sizeof(double), controller->n_parameters, file) == controller->n_parameters;
+  int written =
+      file != NULL && fwrite(&r.counts[0], sizeof(r.counts[0]), 1, file) == 1 &&
+      fwrite(r.outcomes, sizeof(r.outcomes), 1, file) == 1 &&
+      fwrite(r.sums[0], sizeof(double), controller->n_parameters, file) == controller->n_parameters;
   written = file != NULL && fclose(file) == 0 && written;
   for (int i = 0; i < BLOCKS; i++)
     free(r.sums[i]);
@@ -210,35 +217,39 @@ struct result {
   double total_s;
 };
 
-static void run_with(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
-                     uint32_t n, const struct mo_physics *physics, const struct mo_gradient_options *options,
+static void run_with(struct result *r, const struct mo_controller *controller,
+                     const struct scene *s, uint32_t first, uint32_t n,
+                     const struct mo_physics *physics, const struct mo_gradient_options *options,
                      uint64_t memory_bytes)
 {
   const uint32_t shards = (n + MO_DEVICE_SHARD - 1) / MO_DEVICE_SHARD;
-  *r = (struct result){.call = {.controller = controller,
-                                .robots = s->robots + first,
-                                .n = n,
-                                .physics = *physics,
-                                .adjoint_bound = options->adjoint_bound,
-                                .adjoint_rule = options->adjoint_rule,
-                                .restart_weight = options->restart_weight,
-                                .weight = 1.0 / n,
-                                .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
-                                .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
-  memset(r->call.d_parameters, 0, shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
+  *r = (struct result){
+      .call = {.controller = controller,
+               .robots = s->robots + first,
+               .n = n,
+               .physics = *physics,
+               .adjoint_bound = options->adjoint_bound,
+               .adjoint_rule = options->adjoint_rule,
+               .restart_weight = options->restart_weight,
+               .weight = 1.0 / n,
+               .d_parameters = must_have(malloc(shards * controller->n_parameters * sizeof(float))),
+               .outcomes = must_have(calloc(n, sizeof(struct mo_outcome)))}};
+  memset(r->call.d_parameters, 0,
+         shards * controller->n_parameters * sizeof(float)); /* as a caller's, which lasts */
   const double start = now_s();
   must(mo_cuda_gradient_run(state, &r->call, memory_bytes), "gradient");
   r->total_s = now_s() - start;
   const struct mo_cuda_gradient_profile *p = mo_cuda_gradient_times(state);
-  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums %.4f), host %.3f "
+  printf("%u robots, %u steps: %.3f s, device %.4f (forward %.4f, back %.4f, products %.4f, sums "
+         "%.4f), host %.3f "
          "(layout %.3f, upload %.3f); %.1f GB, %u groups, %u in halves, %u passes, %u ways back\n",
-         n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s, p->collect_s,
-         r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9, p->groups, p->halved, p->passes,
-         p->walks);
+         n, physics->n_steps, r->total_s, r->call.device_s, p->forward_s, p->back_s, p->products_s,
+         p->collect_s, r->call.host_s, p->plan_s, p->upload_s, (double)p->device_bytes * 1e-9,
+         p->groups, p->halved, p->passes, p->walks);
 }
 
-static void run(struct result *r, const struct mo_controller *controller, const struct scene *s, uint32_t first,
-                uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
+static void run(struct result *r, const struct mo_controller *controller, const struct scene *s,
+                uint32_t first, uint32_t n, uint32_t n_steps, uint64_t memory_bytes)
 {
   struct mo_physics physics = mo_default_physics();
   const struct mo_gradient_options options = mo_default_gradient_options();
@@ -254,9 +265,11 @@ static void drop(struct result *r)
 
 static void print_counts(const char *name, const struct mo_gradient_counts *c)
 {
-  printf("  %s: %llu steps, clipped %llu in %llu robots, zeroed %llu, diverged %llu, largest m %.3g\n", name,
-         (unsigned long long)c->steps, (unsigned long long)c->clipped_steps, (unsigned long long)c->clipped_robots,
-         (unsigned long long)c->zeroed_robots, (unsigned long long)c->diverged_robots, c->largest);
+  printf(
+      "  %s: %llu steps, clipped %llu in %llu robots, zeroed %llu, diverged %llu, largest m %.3g\n",
+      name, (unsigned long long)c->steps, (unsigned long long)c->clipped_steps,
+      (unsigned long long)c->clipped_robots, (unsigned long long)c->zeroed_robots,
+      (unsigned long long)c->diverged_robots, c->largest);
 }
 
 struct likeness {
@@ -273,7 +286,8 @@ static struct likeness likeness_of(const float *device, const double *reference,
     other += y * y;
     apart += (x - y) * (x - y);
   }
-  return (struct likeness){product / sqrt(own * other), sqrt(apart / other), sqrt(own), sqrt(other)};
+  return (struct likeness){product / sqrt(own * other), sqrt(apart / other), sqrt(own),
+                           sqrt(other)};
 }
 
 static void check_likeness(const char *weights, const char *path, const struct scene *s)
@@ -283,9 +297,10 @@ static void check_likeness(const char *weights, const char *path, const struct s
   double *reference = must_have(malloc(controller->n_parameters * sizeof(double))), differ[LIKE];
   struct mo_gradient_counts counts;
   FILE *file = fopen(path, "rb");
-  const int read = file != NULL && fread(&counts, sizeof(counts), 1, file) == 1 &&
-                   fread(outcomes, sizeof(outcomes), 1, file) == 1 &&
-                   fread(reference, sizeof(double), controller->n_parameters, file) == controller->n_parameters;
+  const int read =
+      file != NULL && fread(&counts, sizeof(counts), 1, file) == 1 &&
+      fread(outcomes, sizeof(outcomes), 1, file) == 1 &&
+      fread(reference, sizeof(double), controller->n_parameters, file) == controller->n_parameters;
   must(read ? MO_OK : MO_ERR_FORMAT, path);
   fclose(file);
   struct result r;
@@ -295,17 +310,20 @@ static void check_likeness(const char *weights, const char *path, const struct s
   for (int i = 0; i < LIKE; i++)
     differ[i] = fabs(r.call.outcomes[i].loss - outcomes[i].loss);
   qsort(differ, LIKE, sizeof(*differ), ascending);
-  const struct likeness like = likeness_of(r.call.d_parameters, reference, controller->n_parameters);
-  printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| median %.1e, p90 "
+  const struct likeness like =
+      likeness_of(r.call.d_parameters, reference, controller->n_parameters);
+  printf("weights %s: cosine %.6f, relative error %.3g, norms %.6g and %.6g; |difference in loss| "
+         "median %.1e, p90 "
          "%.1e, most %.1e\n",
-         weights, like.cosine, like.error, like.norm, like.norm_reference, differ[LIKE / 2], differ[LIKE * 9 / 10],
-         differ[LIKE - 1]);
+         weights, like.cosine, like.error, like.norm, like.norm_reference, differ[LIKE / 2],
+         differ[LIKE * 9 / 10], differ[LIKE - 1]);
   print_counts("device", &r.call.counts);
   print_counts("float64", &counts);
   char *end;
   (void)strtoull(after_rule(weights), &end, 10);
-  /* What a trained controller makes of 1000 steps is chaos for part of the robots; and beginning anew is a jump, which other rounding does at
-   * another step: with a large weight those few robots are most of the batch. docs/numerics.md; check_alone looks at them one by one. */
+  /* What a trained controller makes of 1000 steps is chaos for part of the robots; and beginning
+   * anew is a jump, which other rounding does at another step: with a large weight those few robots
+   * are most of the batch. docs/numerics.md; check_alone looks at them one by one. */
   if (*end == 0 && (options.adjoint_rule == MO_ADJOINT_CLIP || options.restart_weight <= 1))
     expect(like.cosine >= COSINE_BOUND, "cosine for random weights at least 0.99");
   drop(&r);
@@ -315,8 +333,9 @@ static void check_likeness(const char *weights, const char *path, const struct s
 
 /* ---- robots alone ---- */
 
-/* Of a batch whose adjoints begin anew, a few robots decide, and theirs are the lives that float16 makes another of. So each of them alone: its
- * gradient by the device, begun anew with one weight, against float64's with that weight and with another. */
+/* Of a batch whose adjoints begin anew, a few robots decide, and theirs are the lives that float16
+ * makes another of. So each of them alone: its gradient by the device, begun anew with one weight,
+ * against float64's with that weight and with another. */
 struct alone {
   const struct scene *scene;
   const struct mo_controller *controller;
@@ -344,8 +363,8 @@ static void *alone_work(void *context)
       struct mo_outcome outcome;
       options.restart_weight = alone_weights[w];
       a->gradients[i][w] = must_have(calloc(a->controller->n_parameters, sizeof(double)));
-      must(mo_gradient_reference(a->scene->bodies[i], a->controller, &a->scene->environments[i], &physics, &options,
-                                 &outcome, a->gradients[i][w], &counts),
+      must(mo_gradient_reference(a->scene->bodies[i], a->controller, &a->scene->environments[i],
+                                 &physics, &options, &outcome, a->gradients[i][w], &counts),
            "reference");
       a->clipped[i] = counts.clipped_steps;
       if (counts.clipped_steps == 0) {
@@ -378,16 +397,17 @@ static void check_alone(const struct scene *s, uint32_t workers)
       like[w] = likeness_of(r.call.d_parameters, a.gradients[i][w], controller->n_parameters);
       free(a.gradients[i][w]);
     }
-    printf(
-        "  robot %u: begins anew %llu times, in float64 %llu; cosine %.6f, error %.3g; against weight %g %.6f, %.3g\n",
-        i, (unsigned long long)r.call.counts.clipped_steps, (unsigned long long)a.clipped[i], like[0].cosine,
-        like[0].error, alone_weights[1], like[1].cosine, like[1].error);
+    printf("  robot %u: begins anew %llu times, in float64 %llu; cosine %.6f, error %.3g; against "
+           "weight %g %.6f, %.3g\n",
+           i, (unsigned long long)r.call.counts.clipped_steps, (unsigned long long)a.clipped[i],
+           like[0].cosine, like[0].error, alone_weights[1], like[1].cosine, like[1].error);
     differ[n++] = like[0].error;
     nearer += like[0].error < like[1].error;
     drop(&r);
   }
   qsort(differ, n, sizeof(*differ), ascending);
-  printf("%u robots begin anew: relative error of each alone, median %.3g, p90 %.3g; %u of them nearer to float64 with "
+  printf("%u robots begin anew: relative error of each alone, median %.3g, p90 %.3g; %u of them "
+         "nearer to float64 with "
          "their weight than with another\n",
          n, n > 0 ? differ[n / 2] : 0, n > 0 ? differ[n * 9 / 10] : 0, nearer);
   expect(n > 0 && nearer * 4 >= n * 3, "at least three in four are nearer to what they should be");
@@ -417,7 +437,8 @@ static void check_bits(const struct scene *s, uint32_t n_steps)
   drop(&b);
   mo_cuda_gradient_trim(state);
   run(&b, controller, s, 0, all, n_steps, UINT64_C(3) << 30);
-  expect(mo_cuda_gradient_times(state)->passes == 2 && memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0,
+  expect(mo_cuda_gradient_times(state)->passes == 2 &&
+             memcmp(a.call.d_parameters, b.call.d_parameters, 2 * bytes) == 0,
          "with memory for one shard, one after the other, the same bits");
   drop(&b);
   drop(&a);
@@ -431,8 +452,9 @@ static int same_result(const struct result *a, const struct result *b, size_t n_
          memcmp(&a->call.counts, &b->call.counts, sizeof(a->call.counts)) == 0;
 }
 
-/* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a group's 32 rows are empty, where adjoints begin
- * anew, where some diverge, and where some are left out. */
+/* Groups by one block, by two, and some by each, where robots end in a group of 16, where some of a
+ * group's 32 rows are empty, where adjoints begin anew, where some diverge, and where some are left
+ * out. */
 static void check_halves(const struct scene *s)
 {
   const struct {
@@ -486,7 +508,8 @@ static int is_finite(const struct result *r, size_t n)
   return 1;
 }
 
-/* Bodies of springs too stiff for the step diverge; without a bound, and with large weights, adjoints leave float32's range. */
+/* Bodies of springs too stiff for the step diverge; without a bound, and with large weights,
+ * adjoints leave float32's range. */
 static void check_rare(const struct scene *s)
 {
   enum { FEW = 200 };
@@ -502,7 +525,8 @@ static void check_rare(const struct scene *s)
   expect(a.call.counts.diverged_robots > 0 && a.call.counts.diverged_robots < FEW &&
              is_finite(&a, controller->n_parameters),
          "some diverge, the others' gradient is finite");
-  expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0,
+  expect(memcmp(a.call.d_parameters, b.call.d_parameters,
+                controller->n_parameters * sizeof(float)) == 0,
          "twice the same");
   drop(&a);
   drop(&b);
@@ -520,7 +544,8 @@ static void check_rare(const struct scene *s)
            "the gradient is finite, and taken again where a robot is left out");
     if (zeroed > 0) {
       run_with(&b, controller, s, 0, FEW, &physics, &options, 0);
-      expect(memcmp(a.call.d_parameters, b.call.d_parameters, controller->n_parameters * sizeof(float)) == 0 &&
+      expect(memcmp(a.call.d_parameters, b.call.d_parameters,
+                    controller->n_parameters * sizeof(float)) == 0 &&
                  memcmp(a.call.outcomes, b.call.outcomes, FEW * sizeof(*a.call.outcomes)) == 0,
              "twice the same");
       drop(&b);
@@ -559,7 +584,8 @@ static void check_cancel(const struct scene *s)
   expect(status == MO_ERR_CANCELLED && now_s() - start < 0.1, "a cancelled call ends");
   pthread_join(thread, NULL);
   run(&after, controller, s, 0, n, 1000, 0);
-  expect(memcmp(before.call.d_parameters, after.call.d_parameters, controller->n_parameters * sizeof(float)) == 0,
+  expect(memcmp(before.call.d_parameters, after.call.d_parameters,
+                controller->n_parameters * sizeof(float)) == 0,
          "the call after it gives what the one before gave");
   free(call.d_parameters);
   free(call.outcomes);
@@ -568,10 +594,11 @@ static void check_cancel(const struct scene *s)
   mo_controller_free(controller);
 }
 
-static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves halves, double bound_s)
+static void time_steps(const struct scene *s, uint32_t n, enum mo_cuda_halves halves,
+                       double bound_s)
 {
-  static const char *const names[] = {"", " as whole groups", " as groups some of which are in halves",
-                                      " as groups in halves"};
+  static const char *const names[] = {
+      "", " as whole groups", " as groups some of which are in halves", " as groups in halves"};
   struct mo_controller *controller = weights_of("1");
   double total[REPEATS], device[REPEATS];
   mo_cuda_gradient_set_halves(state, halves);
@@ -623,7 +650,8 @@ int main(int argc, char **argv)
     make_scene(&s, LIKE);
     check_alone(&s, argc > 2 ? (uint32_t)atoi(argv[2]) : 1);
   } else if (strcmp(what, "short") == 0) {
-    const uint32_t n = argc > 2 ? (uint32_t)atoi(argv[2]) : 40, n_steps = argc > 3 ? (uint32_t)atoi(argv[3]) : 2;
+    const uint32_t n = argc > 2 ? (uint32_t)atoi(argv[2]) : 40,
+                   n_steps = argc > 3 ? (uint32_t)atoi(argv[3]) : 2;
     make_scene(&s, n);
     struct mo_controller *controller = weights_of("1");
     for (int halves = MO_CUDA_HALVES_NEVER; halves <= MO_CUDA_HALVES_ALWAYS; halves++) {

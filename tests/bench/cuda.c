@@ -1,11 +1,13 @@
 /* cuda.c: the rollouts of a module that computes on GPUs, against float64, and their times.
  *
- *   cuda-bench MODULE check [references]   agreement, bits, divergence, cancelling; references: a file to keep the float64 losses in
- *   cuda-bench MODULE time                 8192 bodies × 10 environments, evolved bodies, smaller batches
- *   cuda-bench MODULE spread               8192 bodies × 10 environments over all devices, and in parts on one
- *   cuda-bench MODULE short                a few steps of everything, for compute-sanitizer
+ *   cuda-bench MODULE check [references]   agreement, bits, divergence, cancelling; references: a
+ * file to keep the float64 losses in cuda-bench MODULE time                 8192 bodies × 10
+ * environments, evolved bodies, smaller batches cuda-bench MODULE spread               8192 bodies
+ * × 10 environments over all devices, and in parts on one cuda-bench MODULE short                a
+ * few steps of everything, for compute-sanitizer
  *
- * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. To be run from the top of the source tree. */
+ * Prints one line per measurement; exit status 1 if a bound is missed, 77 without a device. To be
+ * run from the top of the source tree. */
 #include "../unit/rollout/golden.h"
 
 #include "compute/device.h"
@@ -67,7 +69,9 @@ static struct mo_body **random_bodies(uint32_t n, uint64_t seed)
 {
   struct mo_body_stream *stream = NULL;
   struct mo_body **bodies = calloc(n, sizeof(*bodies));
-  must(bodies == NULL ? MO_ERR_NO_MEMORY : mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream), "bodies");
+  must(bodies == NULL ? MO_ERR_NO_MEMORY
+                      : mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream),
+       "bodies");
   for (uint32_t i = 0; i < n; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
     must(mo_body_stream_next(stream, bits), "stream");
@@ -108,9 +112,10 @@ static void free_bodies(struct mo_body **bodies, uint32_t n)
   free(bodies);
 }
 
-static struct mo_device_score run(struct mo_device_controller *controller, const struct mo_robot *robots, uint32_t n,
-                                  const struct mo_physics *physics, enum mo_device_precision precision,
-                                  struct mo_outcome *outcomes)
+static struct mo_device_score run(struct mo_device_controller *controller,
+                                  const struct mo_robot *robots, uint32_t n,
+                                  const struct mo_physics *physics,
+                                  enum mo_device_precision precision, struct mo_outcome *outcomes)
 {
   struct mo_device_score score = {.controller = controller,
                                   .robots = robots,
@@ -126,7 +131,8 @@ static struct mo_device_score run(struct mo_device_controller *controller, const
 static const char *const precision_names[] = {"exact", "fast"};
 
 /* |Δloss| and Δloss of rows whose truth is finite. */
-static void compare(const char *name, int bounded, const struct mo_outcome *outcomes, const double *truth, uint32_t n)
+static void compare(const char *name, int bounded, const struct mo_outcome *outcomes,
+                    const double *truth, uint32_t n)
 {
   double *error = malloc(n * sizeof(*error)), mean = 0;
   uint32_t used = 0, apart = 0;
@@ -142,8 +148,9 @@ static void compare(const char *name, int bounded, const struct mo_outcome *outc
   qsort(error, used, sizeof(*error), ascending);
   mean /= used;
   const double median = 0.5 * (error[(used - 1) / 2] + error[used / 2]);
-  printf("%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged apart %u\n", name, used,
-         median, error[used * 9 / 10], error[used - 1], mean, apart);
+  printf("%s: %u rollouts, |d loss| median %.2e, 90 %% %.2e, max %.2e, mean d %+.2e, diverged "
+         "apart %u\n",
+         name, used, median, error[used * 9 / 10], error[used - 1], mean, apart);
   if (bounded)
     expect(median <= 1e-3 && fabs(mean) <= 0.003 && apart == 0, name);
   free(error);
@@ -192,8 +199,8 @@ static void *compute_references(void *context)
     if (i >= RANDOM)
       return NULL;
     struct mo_outcome outcome;
-    must(mo_rollout_reference(references->robots[i].body, golden.controller, references->robots[i].environment,
-                              &physics, NULL, &outcome),
+    must(mo_rollout_reference(references->robots[i].body, golden.controller,
+                              references->robots[i].environment, &physics, NULL, &outcome),
          "reference");
     references->loss[i] = outcome.loss;
   }
@@ -213,7 +220,9 @@ static void load_references(const char *path, const struct mo_robot *robots, dou
   const long processors = sysconf(_SC_NPROCESSORS_ONLN);
   const int n = processors > THREADS_MAX ? THREADS_MAX : (int)processors;
   for (int t = 0; t < n; t++)
-    must(pthread_create(threads + t, NULL, compute_references, &references) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+    must(pthread_create(threads + t, NULL, compute_references, &references) == 0 ? MO_OK
+                                                                                 : MO_ERR_NO_MEMORY,
+         "thread");
   for (int t = 0; t < n; t++)
     pthread_join(threads[t], NULL);
   file = path != NULL ? fopen(path, "wb") : NULL;
@@ -230,7 +239,9 @@ static void check_random(struct mo_device_controller *controller, const char *pa
   struct mo_robot *robots = calloc(RANDOM, sizeof(*robots));
   struct mo_outcome *outcomes = calloc(RANDOM, sizeof(*outcomes));
   double *truth = calloc(RANDOM, sizeof(*truth));
-  must(environments == NULL || robots == NULL || outcomes == NULL || truth == NULL ? MO_ERR_NO_MEMORY : MO_OK,
+  must(environments == NULL || robots == NULL || outcomes == NULL || truth == NULL
+           ? MO_ERR_NO_MEMORY
+           : MO_OK,
        "random rollouts");
   for (uint32_t i = 0; i < RANDOM; i++) {
     mo_environment_held_out(20251101, i, environments + i);
@@ -264,7 +275,8 @@ static struct mo_body *box(int nx, int ny, int nz)
         cells[n][2] = z;
       }
   uint64_t bits[MO_DEFAULT_WORDS];
-  must(mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, NULL), "box");
+  must(mo_genotype_from_cells(MO_DEFAULT_WORKSPACE, (const int64_t(*)[3])cells, n, bits, NULL),
+       "box");
   mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
   return body_of(bits);
 }
@@ -272,7 +284,8 @@ static struct mo_body *box(int nx, int ny, int nz)
 /* Short lives of bodies of all sizes against float64: there the paths have not parted yet. */
 static void check_sizes(uint32_t n_steps, int with_passive)
 {
-  static const int sizes[][3] = {{1, 1, 1}, {2, 1, 1}, {3, 2, 1}, {3, 3, 3}, {6, 6, 1}, {6, 6, 2}, {6, 6, 4}};
+  static const int sizes[][3] = {{1, 1, 1}, {2, 1, 1}, {3, 2, 1}, {3, 3, 3},
+                                 {6, 6, 1}, {6, 6, 2}, {6, 6, 4}};
   enum { SIZES = sizeof(sizes) / sizeof(sizes[0]), PLACES = 3 };
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   struct mo_body *bodies[SIZES];
@@ -297,10 +310,11 @@ static void check_sizes(uint32_t n_steps, int with_passive)
       must(module->controller_create(device, golden.controller, &controller), "controller");
     for (int precision = 0; precision < 2; precision++) {
       double worst = 0, start = 0;
-      run(controller, robots, SIZES * PLACES, &physics, (enum mo_device_precision)precision, outcomes);
+      run(controller, robots, SIZES * PLACES, &physics, (enum mo_device_precision)precision,
+          outcomes);
       for (int r = 0; r < SIZES * PLACES; r++) {
-        must(mo_rollout_reference(robots[r].body, kind < 3 ? golden.controller : NULL, robots[r].environment, &physics,
-                                  NULL, &truth),
+        must(mo_rollout_reference(robots[r].body, kind < 3 ? golden.controller : NULL,
+                                  robots[r].environment, &physics, NULL, &truth),
              "reference");
         for (int axis = 0; axis < 3; axis++) {
           worst = fmax(worst, fabs(outcomes[r].com_end_m[axis] - truth.com_end_m[axis]));
@@ -308,10 +322,12 @@ static void check_sizes(uint32_t n_steps, int with_passive)
         }
       }
       char name[128];
-      snprintf(name, sizeof(name), "1 to 144 voxels, %u steps, %s, %s, %s: centre of mass within %.1e m, start %.1e",
+      snprintf(name, sizeof(name),
+               "1 to 144 voxels, %u steps, %s, %s, %s: centre of mass within %.1e m, start %.1e",
                n_steps, kind == 3 ? "passive" : mo_sensor_name(golden.controller->sensor),
                kind == 1 ? "bisection8" : "exact impact", precision_names[precision], worst, start);
-      expect(worst <= (precision == MO_DEVICE_EXACT || kind == 3 ? 2e-5 : 2e-3) && start == 0, name);
+      expect(worst <= (precision == MO_DEVICE_EXACT || kind == 3 ? 2e-5 : 2e-3) && start == 0,
+             name);
     }
     module->controller_free(device, controller);
   }
@@ -378,21 +394,24 @@ static void check_divergence(struct mo_device_controller *controller)
   int diverged = 0, agree = 1;
   double apart = 0;
   for (uint32_t i = 0; i < N; i++) {
-    must(mo_rollout_reference(bodies[i], golden.controller, robots[i].environment, &physics, NULL, &truth),
+    must(mo_rollout_reference(bodies[i], golden.controller, robots[i].environment, &physics, NULL,
+                              &truth),
          "reference");
     diverged += truth.diverged_step != 0;
-    agree &= (truth.diverged_step != 0) == (outcomes[i].diverged_step != 0) &&
-             abs(truth.diverged_step - outcomes[i].diverged_step) <= 2 &&
-             isinf(truth.loss) == isinf(outcomes[i].loss) &&
-             isfinite(outcomes[i].com_end_m[0] + outcomes[i].com_end_m[1] + outcomes[i].com_end_m[2]);
+    agree &=
+        (truth.diverged_step != 0) == (outcomes[i].diverged_step != 0) &&
+        abs(truth.diverged_step - outcomes[i].diverged_step) <= 2 &&
+        isinf(truth.loss) == isinf(outcomes[i].loss) &&
+        isfinite(outcomes[i].com_end_m[0] + outcomes[i].com_end_m[1] + outcomes[i].com_end_m[2]);
     if (truth.diverged_step == outcomes[i].diverged_step)
       for (int axis = 0; axis < 3; axis++)
         apart = fmax(apart, fabs(truth.com_end_m[axis] - outcomes[i].com_end_m[axis]));
   }
   char name[128];
-  snprintf(name, sizeof(name),
-           "stiffness x 4: %d of %d diverge, the same rows within 2 steps; last place within %.1e m", diverged, N,
-           apart);
+  snprintf(
+      name, sizeof(name),
+      "stiffness x 4: %d of %d diverge, the same rows within 2 steps; last place within %.1e m",
+      diverged, N, apart);
   expect(diverged > 0 && agree, name);
   free_bodies(bodies, N);
 }
@@ -412,8 +431,12 @@ static void check_cancel(struct mo_device_controller *controller)
   physics.n_steps = 100000; /* seconds */
   struct mo_robot robot = {golden.cases[0].body, &golden.cases[0].environment};
   struct mo_outcome outcome;
-  struct mo_device_score score = {
-      .controller = controller, .robots = &robot, .n = 1, .physics = physics, .cancel = &flag, .outcomes = &outcome};
+  struct mo_device_score score = {.controller = controller,
+                                  .robots = &robot,
+                                  .n = 1,
+                                  .physics = physics,
+                                  .cancel = &flag,
+                                  .outcomes = &outcome};
   pthread_t thread;
   flag = 0;
   must(pthread_create(&thread, NULL, raise_flag, NULL) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
@@ -448,8 +471,9 @@ static uint64_t hash_of(const struct mo_outcome *outcomes, uint32_t n)
   return hash;
 }
 
-static void time_rows(struct mo_device_controller *controller, const char *what, struct mo_body **bodies,
-                      uint32_t n_bodies, uint32_t n_environments, enum mo_device_precision precision, double bound_s)
+static void time_rows(struct mo_device_controller *controller, const char *what,
+                      struct mo_body **bodies, uint32_t n_bodies, uint32_t n_environments,
+                      enum mo_device_precision precision, double bound_s)
 {
   struct mo_environment environments[MO_PAPER_TEST_COUNT];
   const uint32_t n = n_bodies * n_environments;
@@ -462,7 +486,8 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
     masses += bodies[b]->n_masses;
     springs += bodies[b]->n_springs;
     for (uint32_t e = 0; e < n_environments; e++)
-      robots[b * n_environments + e] = (struct mo_robot){bodies[b], environments + (n_environments == 1 ? b % 10 : e)};
+      robots[b * n_environments + e] =
+          (struct mo_robot){bodies[b], environments + (n_environments == 1 ? b % 10 : e)};
   }
   const struct mo_physics physics = mo_default_physics();
   double wall[REPEATS], device_s[REPEATS], host_s[REPEATS];
@@ -480,11 +505,12 @@ static void time_rows(struct mo_device_controller *controller, const char *what,
   double mean = 0;
   for (uint32_t i = 0; i < n; i++)
     mean += outcomes[i].loss / n;
-  printf("%s, %u x %u, %.1f masses, %.1f springs, %s: device %.4f s (%.4f to %.4f), host %.4f s, together %.4f s; mean "
+  printf("%s, %u x %u, %.1f masses, %.1f springs, %s: device %.4f s (%.4f to %.4f), host %.4f s, "
+         "together %.4f s; mean "
          "loss %.5f, bits %016llx\n",
-         what, n_bodies, n_environments, masses / n_bodies, springs / n_bodies, precision_names[precision],
-         device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1], host_s[REPEATS / 2], wall[REPEATS / 2], mean,
-         (unsigned long long)hash_of(outcomes, n));
+         what, n_bodies, n_environments, masses / n_bodies, springs / n_bodies,
+         precision_names[precision], device_s[REPEATS / 2], device_s[0], device_s[REPEATS - 1],
+         host_s[REPEATS / 2], wall[REPEATS / 2], mean, (unsigned long long)hash_of(outcomes, n));
   if (bound_s > 0)
     expect(wall[REPEATS / 2] <= bound_s, what);
   free(outcomes);
@@ -527,8 +553,10 @@ static void *score_part(void *context)
   return NULL;
 }
 
-/* Parts on devices of their own, at once, or one after the other on the first. The longest; the best of three. */
-static double time_parts(struct mo_device *const *devices, struct mo_device_controller *const *controllers,
+/* Parts on devices of their own, at once, or one after the other on the first. The longest; the
+ * best of three. */
+static double time_parts(struct mo_device *const *devices,
+                         struct mo_device_controller *const *controllers,
                          const struct mo_robot *robots, uint32_t n, uint32_t n_parts, int at_once,
                          struct mo_outcome *outcomes)
 {
@@ -537,7 +565,8 @@ static double time_parts(struct mo_device *const *devices, struct mo_device_cont
     struct part parts[PARTS_MAX];
     double longest = 0;
     for (uint32_t i = 0; i < n_parts; i++) {
-      const uint32_t first = (uint32_t)((uint64_t)n * i / n_parts), end = (uint32_t)((uint64_t)n * (i + 1) / n_parts);
+      const uint32_t first = (uint32_t)((uint64_t)n * i / n_parts),
+                     end = (uint32_t)((uint64_t)n * (i + 1) / n_parts);
       parts[i] = (struct part){.device = devices[at_once ? i : 0],
                                .score = {.controller = controllers[at_once ? i : 0],
                                          .robots = robots + first,
@@ -548,7 +577,9 @@ static double time_parts(struct mo_device *const *devices, struct mo_device_cont
       if (!at_once)
         score_part(&parts[i]);
       else
-        must(pthread_create(&parts[i].thread, NULL, score_part, &parts[i]) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+        must(pthread_create(&parts[i].thread, NULL, score_part, &parts[i]) == 0 ? MO_OK
+                                                                                : MO_ERR_NO_MEMORY,
+             "thread");
     }
     for (uint32_t i = 0; i < n_parts; i++) {
       if (at_once)
@@ -574,7 +605,8 @@ static void spread(uint32_t n_devices)
   must(robots == NULL || outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "rows");
   mo_environment_paper_test(environments);
   for (uint32_t i = 0; i < ROWS; i++)
-    robots[i] = (struct mo_robot){bodies[i / MO_PAPER_TEST_COUNT], environments + i % MO_PAPER_TEST_COUNT};
+    robots[i] =
+        (struct mo_robot){bodies[i / MO_PAPER_TEST_COUNT], environments + i % MO_PAPER_TEST_COUNT};
   n_devices = n_devices < PARTS_MAX ? n_devices : PARTS_MAX;
   for (uint32_t i = 0; i < n_devices; i++) {
     if (i > 0)
@@ -588,8 +620,9 @@ static void spread(uint32_t n_devices)
     const int at_once = n <= n_devices;
     const double longest = time_parts(devices, controllers, robots, ROWS, n, at_once, outcomes);
     printf("%s of %u parts: %.4f s, 1 / %.2f of the whole\n",
-           at_once ? "on as many devices at once, the longest" : "one after the other on one device, the longest", n,
-           longest, alone / longest);
+           at_once ? "on as many devices at once, the longest"
+                   : "one after the other on one device, the longest",
+           n, longest, alone / longest);
     expect(hash_of(outcomes, ROWS) == bits, "the same bits");
   }
   for (uint32_t i = 0; i < n_devices; i++) {
@@ -633,7 +666,8 @@ int main(int argc, char **argv)
   must(module->open(0, &device), "open");
   struct mo_device_info info;
   must(module->info(device, &info), "info");
-  printf("%s, %s, %u multiprocessors, capability %u\n", info.name, info.id, info.multiprocessors, info.capability);
+  printf("%s, %s, %u multiprocessors, capability %u\n", info.name, info.id, info.multiprocessors,
+         info.capability);
   struct mo_device_controller *controller = NULL;
   must(module->controller_create(device, golden.controller, &controller), "controller");
   if (strcmp(what, "time") == 0) {

@@ -1,9 +1,11 @@
-/* evolution.c: what the bookkeeping of a campaign costs beside its rollouts; `morpho-bench evolution`.
+/* evolution.c: what the bookkeeping of a campaign costs beside its rollouts; `morpho-bench
+ * evolution`.
  *
- * Real variation of a real population against a set of as many forms as a large pretraining has, real selection and statistics. Only the
- * scores are not rollouts': they come from a file of recorded ones, or from a landscape over the voxels (made up, but heritable, so
- * that the population converges and children that were seen become frequent, as in a real campaign). With --store each generation
- * is committed, too, with ten losses per design. */
+ * Real variation of a real population against a set of as many forms as a large pretraining has,
+ * real selection and statistics. Only the scores are not rollouts': they come from a file of
+ * recorded ones, or from a landscape over the voxels (made up, but heritable, so that the
+ * population converges and children that were seen become frequent, as in a real campaign). With
+ * --store each generation is committed, too, with ten losses per design. */
 #include "bench.h"
 #include "evolution_store.h"
 
@@ -105,7 +107,8 @@ static void read_scores(struct evolution *evolution)
   const int whole = feof(file);
   fclose(file);
   if (!whole || evolution->n_recorded == 0) {
-    fprintf(stderr, "morpho-bench: %s: line %zu is not a score\n", evolution->scores_path, evolution->n_recorded + 1);
+    fprintf(stderr, "morpho-bench: %s: line %zu is not a score\n", evolution->scores_path,
+            evolution->n_recorded + 1);
     exit(1);
   }
 }
@@ -127,7 +130,8 @@ static double made_up_score(const uint64_t *genotype)
     const uint64_t next = genotype[w] >> 1 | (w + 1 < W ? genotype[w + 1] << 63 : 0);
     for (uint64_t rest = genotype[w]; rest != 0; rest &= rest - 1) {
       const int bit = __builtin_ctzll(rest);
-      sum += weights[0][64 * w + (uint32_t)bit] + (next >> bit & 1 ? weights[1][64 * w + (uint32_t)bit] : 0.0);
+      sum += weights[0][64 * w + (uint32_t)bit] +
+             (next >> bit & 1 ? weights[1][64 * w + (uint32_t)bit] : 0.0);
     }
   }
   return 1.0 / (1.0 + exp(0.1 * sum));
@@ -138,16 +142,19 @@ static void describe(struct evolution *evolution, uint32_t generation, uint32_t 
 {
   for (uint32_t i = from; i < to; i++) {
     const uint64_t number = evolution->n_designs++;
-    const double score = evolution->n_recorded > 0 ? evolution->recorded[number % evolution->n_recorded]
-                                                   : made_up_score(evolution->genotypes + (size_t)W * i);
-    evolution->candidates[i] = (struct mo_candidate){.score = score, .number = number, .born = generation};
+    const double score = evolution->n_recorded > 0
+                             ? evolution->recorded[number % evolution->n_recorded]
+                             : made_up_score(evolution->genotypes + (size_t)W * i);
+    evolution->candidates[i] =
+        (struct mo_candidate){.score = score, .number = number, .born = generation};
   }
 }
 
 static void measure_sizes(struct evolution *evolution, uint32_t from, uint32_t to)
 {
   for (uint32_t i = from; i < to; i++)
-    bench_check(mo_design_size(evolution->lattice, evolution->genotypes + (size_t)W * i, &evolution->sizes[i]),
+    bench_check(mo_design_size(evolution->lattice, evolution->genotypes + (size_t)W * i,
+                               &evolution->sizes[i]),
                 "sizes");
 }
 
@@ -161,8 +168,8 @@ static void store_initial(struct evolution *evolution)
                                         .births = evolution->births,
                                         .survivors = evolution->survivors};
   for (uint32_t i = 0; i < evolution->n; i++) {
-    evolution->births[i] =
-        (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}, .attempts = 1};
+    evolution->births[i] = (struct mo_birth){
+        .op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}, .attempts = 1};
     evolution->survivors[i] = i;
   }
   evolution->campaign = bench_campaign_create(&evolution->settings, evolution->store_path);
@@ -188,16 +195,17 @@ static void create(struct evolution *evolution)
   bench_check(mo_lattice_create(settings->workspace, &evolution->lattice), "lattice");
   bench_check(mo_form_set_create(settings->workspace, &evolution->excluded), "set of forms");
   double start = bench_now_s();
-  bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, evolution->n_threads, NULL, NULL,
-                                   evolution->excluded),
+  bench_check(mo_pretraining_forms(1, evolution->n_forms, settings->workspace, evolution->n_threads,
+                                   NULL, NULL, evolution->excluded),
               "bodies of the pretraining");
-  printf(
-      "excluded: the first %llu bodies of the pretraining of seed 1, drawn again by %u threads in %.1f s, %.1f MiB\n",
-      (unsigned long long)mo_form_set_count(evolution->excluded), evolution->n_threads, bench_now_s() - start,
-      (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);
+  printf("excluded: the first %llu bodies of the pretraining of seed 1, drawn again by %u threads "
+         "in %.1f s, %.1f MiB\n",
+         (unsigned long long)mo_form_set_count(evolution->excluded), evolution->n_threads,
+         bench_now_s() - start, (double)mo_form_set_bytes(evolution->excluded) / 0x1p20);
   bench_check(mo_seen_create(settings->workspace, evolution->excluded, &evolution->seen), "seen");
   start = bench_now_s();
-  bench_check(mo_population_initial(settings, evolution->seen, evolution->genotypes, 0, &evolution->n, NULL, NULL),
+  bench_check(mo_population_initial(settings, evolution->seen, evolution->genotypes, 0,
+                                    &evolution->n, NULL, NULL),
               "initial population");
   printf("initial population of %u random bodies: %.3f s\n", evolution->n, bench_now_s() - start);
   describe(evolution, 0, 0, evolution->n);
@@ -232,9 +240,9 @@ static void destroy(struct evolution *evolution)
 static struct mo_variation_counts vary(struct evolution *evolution, uint32_t generation)
 {
   struct mo_variation_counts counts;
-  bench_check(mo_variation(&evolution->settings, generation, evolution->genotypes, evolution->n, evolution->seen,
-                           evolution->genotypes + (size_t)W * evolution->n, evolution->births, &evolution->n_children,
-                           &counts, NULL),
+  bench_check(mo_variation(&evolution->settings, generation, evolution->genotypes, evolution->n,
+                           evolution->seen, evolution->genotypes + (size_t)W * evolution->n,
+                           evolution->births, &evolution->n_children, &counts, NULL),
               "variation");
   evolution->counts.mutation_attempts += counts.mutation_attempts;
   evolution->counts.crossover_attempts += counts.crossover_attempts;
@@ -248,12 +256,13 @@ static struct mo_variation_counts vary(struct evolution *evolution, uint32_t gen
 static void choose(struct evolution *evolution, uint32_t generation)
 {
   const uint32_t n = evolution->n + evolution->n_children;
-  bench_check(mo_select(&evolution->settings, generation, evolution->genotypes, evolution->candidates, n,
-                        evolution->survivors, &evolution->n),
+  bench_check(mo_select(&evolution->settings, generation, evolution->genotypes,
+                        evolution->candidates, n, evolution->survivors, &evolution->n),
               "selection");
   for (uint32_t i = 0; i < evolution->n; i++) {
     const uint32_t from = evolution->survivors[i];
-    memcpy(evolution->next + (size_t)W * i, evolution->genotypes + (size_t)W * from, W * sizeof(uint64_t));
+    memcpy(evolution->next + (size_t)W * i, evolution->genotypes + (size_t)W * from,
+           W * sizeof(uint64_t));
     evolution->next_candidates[i] = evolution->candidates[from];
     evolution->next_sizes[i] = evolution->sizes[from];
     evolution->scores[i] = evolution->candidates[from].score;
@@ -288,11 +297,12 @@ static void advance(struct evolution *evolution, uint32_t generation)
   *seconds[SELECTION] = bench_now_s() - start;
   struct mo_population_stats stats;
   start = bench_now_s();
-  bench_check(mo_population_stats(evolution->settings.workspace, evolution->genotypes, evolution->scores,
-                                  evolution->sizes, evolution->n, &stats),
+  bench_check(mo_population_stats(evolution->settings.workspace, evolution->genotypes,
+                                  evolution->scores, evolution->sizes, evolution->n, &stats),
               "statistics");
   *seconds[STATISTICS] += bench_now_s() - start;
-  if (evolution->campaign != NULL) { /* parents and children, as before the selection, are in the other arrays now */
+  if (evolution->campaign !=
+      NULL) { /* parents and children, as before the selection, are in the other arrays now */
     const struct bench_generation stored = {generation,
                                             n_parents,
                                             evolution->n_children,
@@ -309,9 +319,9 @@ static void advance(struct evolution *evolution, uint32_t generation)
   for (int phase = 0; phase < PHASES; phase++)
     evolution->total[generation - 1] += *seconds[phase];
   if (generation == 1 || generation % 10 == 0)
-    printf("%10u %10.4f %10.4f %10.4f %10.4f %10.4f %8.4f %9.3f %10.1f\n", generation, *seconds[VARIATION],
-           *seconds[SELECTION], *seconds[STATISTICS], *seconds[STORING], stats.mean_score, stats.diversity,
-           stats.voxels.mean, stats.masses.mean);
+    printf("%10u %10.4f %10.4f %10.4f %10.4f %10.4f %8.4f %9.3f %10.1f\n", generation,
+           *seconds[VARIATION], *seconds[SELECTION], *seconds[STATISTICS], *seconds[STORING],
+           stats.mean_score, stats.diversity, stats.voxels.mean, stats.masses.mean);
 }
 
 static int report(struct evolution *evolution)
@@ -324,20 +334,25 @@ static int report(struct evolution *evolution)
       continue;
     double *seconds = phase < PHASES ? evolution->seconds[phase] : evolution->total;
     const double median = bench_median(seconds, n); /* sorts */
-    printf("%-22s %10.4f %10.4f\n", phase < PHASES ? phase_names[phase] : "together", median, seconds[n - 1]);
+    printf("%-22s %10.4f %10.4f\n", phase < PHASES ? phase_names[phase] : "together", median,
+           seconds[n - 1]);
   }
   const double worst = evolution->total[n - 1];
   printf("\n");
-  printf("%llu designs; attempts per mutant %.2f, per recombinant %.2f; %u mutants in place of recombinants\n",
+  printf("%llu designs; attempts per mutant %.2f, per recombinant %.2f; %u mutants in place of "
+         "recombinants\n",
          (unsigned long long)evolution->n_designs,
          (double)counts->mutation_attempts / (counts->mutants > 0 ? counts->mutants : 1),
-         (double)counts->crossover_attempts / (counts->recombinants > 0 ? counts->recombinants : 1), counts->fallbacks);
+         (double)counts->crossover_attempts / (counts->recombinants > 0 ? counts->recombinants : 1),
+         counts->fallbacks);
   const double peak = status_mib("VmHWM:");
-  printf("memory: excluded forms %.1f MiB, designs of the campaign %.1f MiB, process at its largest %.1f MiB\n",
-         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20, (double)mo_seen_bytes(evolution->seen) / 0x1p20,
-         peak);
+  printf("memory: excluded forms %.1f MiB, designs of the campaign %.1f MiB, process at its "
+         "largest %.1f MiB\n",
+         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20,
+         (double)mo_seen_bytes(evolution->seen) / 0x1p20, peak);
   const int good = worst <= BOUND_S && peak <= BOUND_MIB && !counts->exhausted;
-  printf("bounds: worst generation %.1f s, %.0f MiB: %s\n", BOUND_S, BOUND_MIB, good ? "kept" : "MISSED");
+  printf("bounds: worst generation %.1f s, %.0f MiB: %s\n", BOUND_S, BOUND_MIB,
+         good ? "kept" : "MISSED");
   return good ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 
@@ -347,8 +362,8 @@ static uint64_t number(const char *text, uint64_t low, uint64_t high)
   errno = 0;
   const unsigned long long value = strtoull(text, &end, 10);
   if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value < low || value > high) {
-    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from %llu to %llu\n", text, (unsigned long long)low,
-            (unsigned long long)high);
+    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from %llu to %llu\n", text,
+            (unsigned long long)low, (unsigned long long)high);
     exit(2);
   }
   return value;
@@ -370,7 +385,9 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
   int option;
   while ((option = getopt_long(argc, argv, "h", options, NULL)) != -1)
     switch (option) {
-    case 'p': settings->population = (uint32_t)number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX); break;
+    case 'p':
+      settings->population = (uint32_t)number(optarg, MO_POPULATION_MIN, MO_POPULATION_MAX);
+      break;
     case 'g': settings->generations = (uint32_t)number(optarg, 1, MO_GENERATIONS_MAX); break;
     case 'f': evolution->n_forms = number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
     case 'T': evolution->n_threads = (uint32_t)number(optarg, 1, 64); break;
@@ -394,21 +411,24 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
 
 int bench_evolution(int argc, char **argv)
 {
-  struct evolution evolution = {
-      .settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER), .n_forms = 12000000, .n_threads = 1};
+  struct evolution evolution = {.settings = mo_campaign_preset(MO_ZERO_SHOT, MO_PRESET_PAPER),
+                                .n_forms = 12000000,
+                                .n_threads = 1};
   setvbuf(stdout, NULL, _IOLBF, 0);
   read_options(&evolution, argc, argv);
   if (evolution.scores_path != NULL)
     read_scores(&evolution);
-  printf("population %u, %u generations, selection by %s; real variation; ", evolution.settings.population,
-         evolution.settings.generations, mo_selection_name(evolution.settings.selection.kind));
+  printf("population %u, %u generations, selection by %s; real variation; ",
+         evolution.settings.population, evolution.settings.generations,
+         mo_selection_name(evolution.settings.selection.kind));
   if (evolution.n_recorded > 0)
-    printf("%zu recorded scores of %s, over and over\n", evolution.n_recorded, evolution.scores_path);
+    printf("%zu recorded scores of %s, over and over\n", evolution.n_recorded,
+           evolution.scores_path);
   else
     printf("scores made up: a random landscape over voxels, no rollouts\n");
   create(&evolution);
-  printf("%10s %10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection", "statistics",
-         "storing", "mean score", "diversity", "voxels", "masses");
+  printf("%10s %10s %10s %10s %10s %10s %8s %9s %10s\n", "generation", "variation", "selection",
+         "statistics", "storing", "mean score", "diversity", "voxels", "masses");
   for (uint32_t generation = 1; generation <= evolution.settings.generations; generation++)
     advance(&evolution, generation);
   const int status = report(&evolution);

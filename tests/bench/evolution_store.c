@@ -1,4 +1,5 @@
-/* evolution_store.c: what it costs to keep a campaign: commits, the database, the pages that clients read. */
+/* evolution_store.c: what it costs to keep a campaign: commits, the database, the pages that
+ * clients read. */
 #include "evolution_store.h"
 
 #include "bench.h"
@@ -46,7 +47,8 @@ static int remove_entry(const char *path, const struct stat *status, int kind, s
   return remove(path);
 }
 
-struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings, const char *folder)
+struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings,
+                                             const char *folder)
 {
   struct bench_campaign *campaign = room(1, sizeof(*campaign));
   const struct mo_campaign_submission submission = {
@@ -66,14 +68,18 @@ struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *
     exit(1);
   }
   bench_check(mo_store_open(&config, &campaign->store, NULL), "store");
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller), "controller");
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
+              "controller");
   bench_check(mo_controller_encode(controller, &bytes, &size), "controller");
-  bench_check(mo_store_controller_put(campaign->store, "default", bytes, size, controller, &record, &created),
+  bench_check(mo_store_controller_put(campaign->store, "default", bytes, size, controller, &record,
+                                      &created),
               "controller");
   free(bytes);
   mo_controller_free(controller);
-  bench_check(mo_store_fingerprint(campaign->store, "no rollouts", &campaign->fingerprint), "fingerprint");
-  bench_check(mo_store_submit_campaign(campaign->store, &submission, &campaign->id, &replayed), "submission");
+  bench_check(mo_store_fingerprint(campaign->store, "no rollouts", &campaign->fingerprint),
+              "fingerprint");
+  bench_check(mo_store_submit_campaign(campaign->store, &submission, &campaign->id, &replayed),
+              "submission");
   bench_check(mo_store_campaign_start(campaign->store, campaign->id), "start");
   campaign->population = settings->population;
   campaign->generation = -1;
@@ -111,7 +117,8 @@ static double processor_s(void)
          1e-6 * (double)(used.ru_utime.tv_usec + used.ru_stime.tv_usec);
 }
 
-double bench_campaign_commit(struct bench_campaign *campaign, const struct bench_generation *generation)
+double bench_campaign_commit(struct bench_campaign *campaign,
+                             const struct bench_generation *generation)
 {
   const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
   const uint32_t n_parents = generation->n_parents, n_children = generation->n_children;
@@ -159,14 +166,16 @@ double bench_campaign_commit(struct bench_campaign *campaign, const struct bench
 /* ---- reading ---- */
 
 enum page { DESIGNS, POPULATION, GENERATIONS, DESCENTS, ANCESTORS, PLACES, PAGE_KINDS };
-static const char *const page_names[PAGE_KINDS] = {"1000 designs", "1000 of a population",    "100 generations",
-                                                   "all descents", "all descents, ancestors", "campaigns of a design"};
+static const char *const page_names[PAGE_KINDS] = {
+    "1000 designs", "1000 of a population",    "100 generations",
+    "all descents", "all descents, ancestors", "campaigns of a design"};
 
 static int64_t read_descents(struct bench_campaign *campaign, bool with_ancestors, uint32_t number)
 {
   struct mo_descent *descents = NULL;
   uint32_t *born = NULL, n = 0;
-  const int status = mo_store_campaign_descents(campaign->store, campaign->id, &descents, &born, &n);
+  const int status =
+      mo_store_campaign_descents(campaign->store, campaign->id, &descents, &born, &n);
   if (status == MO_OK && with_ancestors) {
     uint8_t *marks = room(n, 1);
     mo_ancestors(descents, n, number, marks);
@@ -185,18 +194,24 @@ static int64_t read_page(struct bench_campaign *campaign, enum page kind, uint32
   int64_t last = campaign->generation;
   uint32_t n = 0;
   switch (kind) {
-  case DESIGNS: return mo_store_campaign_designs(campaign->store, campaign->id, (int64_t)number - 1, rows, PAGE_ROWS);
+  case DESIGNS:
+    return mo_store_campaign_designs(campaign->store, campaign->id, (int64_t)number - 1, rows,
+                                     PAGE_ROWS);
   case POPULATION:
     return mo_store_campaign_population(campaign->store, campaign->id, number % (last + 1),
-                                        number % (campaign->population / 2 + 1), rows, PAGE_ROWS, &n);
+                                        number % (campaign->population / 2 + 1), rows, PAGE_ROWS,
+                                        &n);
   case GENERATIONS:
-    return mo_store_campaign_generations(campaign->store, campaign->id, number % (last / 2 + 1), generations, 100);
+    return mo_store_campaign_generations(campaign->store, campaign->id, number % (last / 2 + 1),
+                                         generations, 100);
   case DESCENTS:
   case ANCESTORS: return read_descents(campaign, kind == ANCESTORS, number);
   default:
     if (mo_store_campaign_designs_of(campaign->store, campaign->id, &number, 1, rows) != MO_OK)
       return MO_ERR_CORRUPT;
-    return mo_store_campaigns_of_design(campaign->store, &rows[0].form, 0, &place, 1) == 1 ? MO_OK : MO_ERR_CORRUPT;
+    return mo_store_campaigns_of_design(campaign->store, &rows[0].form, 0, &place, 1) == 1
+               ? MO_OK
+               : MO_ERR_CORRUPT;
   }
 }
 
@@ -204,7 +219,8 @@ static void read_pages(struct bench_campaign *campaign)
 {
   struct mo_campaign_design *rows = room(PAGE_ROWS, sizeof(*rows));
   double ms[PAGES];
-  printf("\n%-24s     median        p99    longest (ms, %d reads at random places)\n", "reading", PAGES);
+  printf("\n%-24s     median        p99    longest (ms, %d reads at random places)\n", "reading",
+         PAGES);
   for (enum page kind = DESIGNS; kind < PAGE_KINDS; kind++) {
     for (uint32_t i = 0; i < PAGES; i++) {
       struct mo_random random;
@@ -216,7 +232,8 @@ static void read_pages(struct bench_campaign *campaign)
       ms[i] = 1e3 * (bench_now_s() - start);
     }
     const double median = bench_median(ms, PAGES); /* sorts */
-    printf("%-24s %10.2f %10.2f %10.2f\n", page_names[kind], median, ms[PAGES * 99 / 100], ms[PAGES - 1]);
+    printf("%-24s %10.2f %10.2f %10.2f\n", page_names[kind], median, ms[PAGES * 99 / 100],
+           ms[PAGES - 1]);
   }
   free(rows);
 }
@@ -256,7 +273,8 @@ void bench_campaign_report(struct bench_campaign *campaign)
 {
   const size_t n = (size_t)campaign->generation + 1;
   const double median = bench_median(campaign->processor_s, n); /* sorts */
-  printf("\nprocessor time of a commit: median %.3f s, worst %.3f s\n", median, campaign->processor_s[n - 1]);
+  printf("\nprocessor time of a commit: median %.3f s, worst %.3f s\n", median,
+         campaign->processor_s[n - 1]);
   printf("database %.1f MiB, its log %.1f MiB\n", mebibytes(campaign, "morphod.db"),
          mebibytes(campaign, "morphod.db-wal"));
   read_pages(campaign);

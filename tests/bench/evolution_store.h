@@ -1,4 +1,5 @@
-/* evolution_store.h: `morpho-bench evolution --store`: each generation is committed to a store, as the daemon does it. */
+/* evolution_store.h: `morpho-bench evolution --store`: each generation is committed to a store, as
+ * the daemon does it. */
 #ifndef MORPHO_BENCH_EVOLUTION_STORE_H
 #define MORPHO_BENCH_EVOLUTION_STORE_H
 
@@ -7,11 +8,13 @@
 struct bench_campaign;
 
 /* A new state folder in `folder`, with a zero-shot campaign that runs. */
-struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings, const char *folder);
+struct bench_campaign *bench_campaign_create(const struct mo_campaign_settings *settings,
+                                             const char *folder);
 /* Removes the folder. NULL-safe. */
 void bench_campaign_free(struct bench_campaign *campaign);
 
-/* A generation as it was before its selection: parents, then children. Losses are the scores, ten times. */
+/* A generation as it was before its selection: parents, then children. Losses are the scores, ten
+ * times. */
 struct bench_generation {
   uint32_t generation, n_parents, n_children, n_survivors;
   const uint64_t *genotypes;             /* (n_parents + n_children, MO_DEFAULT_WORDS) */
@@ -23,7 +26,8 @@ struct bench_generation {
   struct mo_variation_counts counts;
 };
 /* Returns the seconds that the commit took. */
-double bench_campaign_commit(struct bench_campaign *campaign, const struct bench_generation *generation);
+double bench_campaign_commit(struct bench_campaign *campaign,
+                             const struct bench_generation *generation);
 /* Prints sizes, and how long pages take. */
 void bench_campaign_report(struct bench_campaign *campaign);
 

@@ -1,8 +1,9 @@
 /* finetune.c: what finetuning on given bodies gains; `morpho-bench learning --finetune`.
  *
- * The bodies are held-out designs of the seed, so random ones that no pretraining of this program has seen; the environments in which they are
- * scored before and after are held out, too. A design's score is its mean loss over them; designs are the samples of the
- * paired confidence interval. */
+ * The bodies are held-out designs of the seed, so random ones that no pretraining of this program
+ * has seen; the environments in which they are scored before and after are held out, too. A
+ * design's score is its mean loss over them; designs are the samples of the paired confidence
+ * interval. */
 #include "learning.h"
 
 #include <math.h>
@@ -17,8 +18,9 @@ struct scene {
 };
 
 /* scores: (n_designs); NaN where a rollout diverged. */
-static void score(struct mo_compute *compute, const struct scene *scene, const struct mo_controller *controller,
-                  const struct mo_physics *physics, double *scores)
+static void score(struct mo_compute *compute, const struct scene *scene,
+                  const struct mo_controller *controller, const struct mo_physics *physics,
+                  double *scores)
 {
   const uint32_t per_design = (scene->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   const size_t n = (size_t)scene->n_designs * per_design;
@@ -33,21 +35,23 @@ static void score(struct mo_compute *compute, const struct scene *scene, const s
     block->genotype = scene->designs + MO_DEFAULT_WORDS * (b / per_design);
     block->controller = prepared;
     block->physics = *physics;
-    for (uint32_t e = first; e < scene->n_environments && block->n_environments < MO_BLOCK_LANES; e++)
+    for (uint32_t e = first; e < scene->n_environments && block->n_environments < MO_BLOCK_LANES;
+         e++)
       block->environments[block->n_environments++] = &scene->environments[e];
   }
   bench_check(mo_compute_run(compute, blocks, n), "scores");
   memset(scores, 0, scene->n_designs * sizeof(double));
   for (size_t b = 0; b < n; b++)
     for (uint32_t e = 0; e < blocks[b].n_environments; e++)
-      scores[b / per_design] +=
-          blocks[b].outcomes[e].diverged_step != 0 ? NAN : blocks[b].outcomes[e].loss / scene->n_environments;
+      scores[b / per_design] += blocks[b].outcomes[e].diverged_step != 0
+                                    ? NAN
+                                    : blocks[b].outcomes[e].loss / scene->n_environments;
   mo_compute_controller_free(prepared);
   free(blocks);
 }
 
-/* Two-sided 95 % quantile of Student's t with n degrees of freedom (Fisher's expansion about the normal one; error below 1e-3 from
- * n = 8 on). */
+/* Two-sided 95 % quantile of Student's t with n degrees of freedom (Fisher's expansion about the
+ * normal one; error below 1e-3 from n = 8 on). */
 static double student(double n)
 {
   const double z = 1.959963984540054, z3 = z * z * z, z5 = z3 * z * z, z7 = z5 * z * z;
@@ -75,16 +79,19 @@ static void report(const struct scene *scene, const double *before, const double
     return;
   }
   if (n < scene->n_designs)
-    printf("%u designs left out: a rollout of theirs diverged, before or after\n", scene->n_designs - n);
+    printf("%u designs left out: a rollout of theirs diverged, before or after\n",
+           scene->n_designs - n);
   const double mean = sum / n, deviation = sqrt((square - n * mean * mean) / (n - 1)),
                half = student(n - 1) * deviation / sqrt(n);
   printf("%u designs x %u held-out environments\nmean score before %.4f, after %.4f\n"
-         "mean gain %.4f, 95 %% confidence interval %.4f to %.4f (paired, over designs)\n%u of %u designs improved\n",
-         n, scene->n_environments, sum_before / n, sum_after / n, mean, mean - half, mean + half, better, n);
+         "mean gain %.4f, 95 %% confidence interval %.4f to %.4f (paired, over designs)\n%u of %u "
+         "designs improved\n",
+         n, scene->n_environments, sum_before / n, sum_after / n, mean, mean - half, mean + half,
+         better, n);
 }
 
-int bench_finetune(const struct bench_options *options, const struct mo_training_settings *settings, uint32_t n_designs,
-                   uint32_t n_environments)
+int bench_finetune(const struct bench_options *options, const struct mo_training_settings *settings,
+                   uint32_t n_designs, uint32_t n_environments)
 {
   struct mo_message message = {""};
   struct mo_controller *parent = NULL;
@@ -99,13 +106,15 @@ int bench_finetune(const struct bench_options *options, const struct mo_training
   scene.environments = calloc(n_environments + (size_t)1, sizeof(struct mo_environment));
   double *before = calloc(n_designs + (size_t)1, sizeof(double)),
          *after = calloc(n_designs + (size_t)1, sizeof(double));
-  bench_check(scene.designs == NULL || scene.environments == NULL || before == NULL || after == NULL ? MO_ERR_NO_MEMORY
-                                                                                                     : MO_OK,
+  bench_check(scene.designs == NULL || scene.environments == NULL || before == NULL || after == NULL
+                  ? MO_ERR_NO_MEMORY
+                  : MO_OK,
               "designs");
   bench_check(mo_lattice_create(MO_DEFAULT_WORKSPACE, &scene.lattice), "lattice");
   bench_check(mo_held_out_designs(settings->seed, n_designs, scene.designs), "designs");
   mo_held_out_environments(settings->seed, n_environments, scene.environments);
-  if (mo_training_create(settings, parent, scene.designs, n_designs, &training, &message) != MO_OK) {
+  if (mo_training_create(settings, parent, scene.designs, n_designs, &training, &message) !=
+      MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
     return EXIT_FAILURE;
   }
@@ -115,8 +124,8 @@ int bench_finetune(const struct bench_options *options, const struct mo_training
   for (uint32_t step = 1; step <= settings->n_steps; step++) {
     const struct mo_training_report made = learning_step(&machine, training);
     if (step % 10 == 0 || step == 1 || step == settings->n_steps)
-      printf("  step %3u  loss %.4f  norm %.3f  rate %.2e  %.0f s\n", step, made.mean_loss, made.gradient_norm,
-             made.rate, bench_now_s() - start);
+      printf("  step %3u  loss %.4f  norm %.3f  rate %.2e  %.0f s\n", step, made.mean_loss,
+             made.gradient_norm, made.rate, bench_now_s() - start);
   }
   score(machine.compute, &scene, mo_training_controller(training), &settings->physics, after);
   report(&scene, before, after);

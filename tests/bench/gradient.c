@@ -1,10 +1,12 @@
 /* gradient.c: how fast one core differentiates rollouts, and what memory it takes.
  *
- * The sample: the first distinct bodies of the seed's stream, each in one training environment, with a trained controller and
- * with random weights. The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would need
- * for three times the arithmetic of the controller restricted to each body's masses and springs: once forward, and going back once
- * for the inputs' and once for the weights' gradient. Blocks and products alternate, so that both see the same moods of the
- * machine; both are counted in processor time of the one thread that runs them. */
+ * The sample: the first distinct bodies of the seed's stream, each in one training environment,
+ * with a trained controller and with random weights. The yardstick: the time that one core's best
+ * OpenBLAS sgemm rate, measured in the same run, would need for three times the arithmetic of the
+ * controller restricted to each body's masses and springs: once forward, and going back once for
+ * the inputs' and once for the weights' gradient. Blocks and products alternate, so that both see
+ * the same moods of the machine; both are counted in processor time of the one thread that runs
+ * them. */
 #include "bench.h"
 
 #include <math.h>
@@ -32,7 +34,8 @@ struct sample {
   struct mo_physics physics;
 };
 
-static void sample_create(struct sample *s, const struct bench_scene *scene, const struct bench_options *options)
+static void sample_create(struct sample *s, const struct bench_scene *scene,
+                          const struct bench_options *options)
 {
   *s = (struct sample){.scene = scene, .n = scene->n_bodies, .physics = mo_default_physics()};
   s->n_blocks = (s->n + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS;
@@ -76,16 +79,19 @@ static double block_flop(const struct sample *s, uint32_t block)
 {
   double flop = 0;
   for (uint32_t i = 0; i < block_size(s, block); i++)
-    flop += 3 * bench_controller_flop(s->ordered[block * MO_GRADIENT_ROBOTS + i].body) * s->physics.n_steps;
+    flop += 3 * bench_controller_flop(s->ordered[block * MO_GRADIENT_ROBOTS + i].body) *
+            s->physics.n_steps;
   return flop;
 }
 
-static double run_block_s(struct sample *s, struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
-                          uint32_t block, struct mo_gradient_profile *profile, struct mo_gradient_counts *counts)
+static double run_block_s(struct sample *s, struct mo_gradient_memory *memory,
+                          const struct mo_gradient_pack *pack, uint32_t block,
+                          struct mo_gradient_profile *profile, struct mo_gradient_counts *counts)
 {
   const double start = bench_thread_s();
-  bench_check(mo_gradient_block(memory, pack, s->ordered + block * MO_GRADIENT_ROBOTS, block_size(s, block),
-                                &s->physics, &s->options, NULL, profile, s->outcomes, s->d_parameters, counts),
+  bench_check(mo_gradient_block(memory, pack, s->ordered + block * MO_GRADIENT_ROBOTS,
+                                block_size(s, block), &s->physics, &s->options, NULL, profile,
+                                s->outcomes, s->d_parameters, counts),
               "gradient");
   return bench_thread_s() - start;
 }
@@ -97,8 +103,8 @@ struct report {
   struct mo_gradient_counts counts;
 };
 
-static void measure(struct report *report, struct sample *s, const struct mo_controller *controller, enum mo_isa isa,
-                    const struct bench_sgemm *sgemm)
+static void measure(struct report *report, struct sample *s, const struct mo_controller *controller,
+                    enum mo_isa isa, const struct bench_sgemm *sgemm)
 {
   struct mo_gradient_pack *pack = NULL;
   struct mo_gradient_memory *memory = NULL;
@@ -136,37 +142,47 @@ static void measure(struct report *report, struct sample *s, const struct mo_con
 static void print_report(const struct report *r, const char *name, bool json)
 {
   const struct mo_gradient_profile *p = &r->profile;
-  const double rest = r->profile_s - p->pack_s - p->sense_s - p->control_s - p->physics_s - p->physics_back_s -
-                      p->control_back_s - p->parameters_s - p->repeat_s;
-  const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps, percent = 100 / r->profile_s;
+  const double rest = r->profile_s - p->pack_s - p->sense_s - p->control_s - p->physics_s -
+                      p->physics_back_s - p->control_back_s - p->parameters_s - p->repeat_s;
+  const double clipped = (double)r->counts.clipped_steps / (double)r->counts.steps,
+               percent = 100 / r->profile_s;
   if (json) {
-    printf(
-        " \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, \"ratio\": %.4f, "
-        "\"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
-        "  \"shares_percent\": {\"pack\": %.2f, \"sensing\": %.2f, \"control\": %.2f, \"physics\": %.2f, "
-        "\"physics_back\": %.2f, \"control_back\": %.2f, \"parameters\": %.2f, \"repeated\": %.2f, \"rest\": %.2f},\n"
-        "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, \"zeroed_robots\": "
-        "%llu, \"diverged_robots\": %llu},\n",
-        name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst, percent * p->pack_s,
-        percent * p->sense_s, percent * p->control_s, percent * p->physics_s, percent * p->physics_back_s,
-        percent * p->control_back_s, percent * p->parameters_s, percent * p->repeat_s, percent * rest, r->mib, clipped,
-        (unsigned long long)r->counts.clipped_robots, (unsigned long long)r->counts.zeroed_robots,
-        (unsigned long long)r->counts.diverged_robots);
+    printf(" \"%s\": {\"ms_per_rollout_with_gradient\": %.3f, \"sgemm_gflop_per_s_best\": %.2f, "
+           "\"ratio\": %.4f, "
+           "\"ratio_block_median\": %.4f, \"ratio_block_worst\": %.4f,\n"
+           "  \"shares_percent\": {\"pack\": %.2f, \"sensing\": %.2f, \"control\": %.2f, "
+           "\"physics\": %.2f, "
+           "\"physics_back\": %.2f, \"control_back\": %.2f, \"parameters\": %.2f, \"repeated\": "
+           "%.2f, \"rest\": %.2f},\n"
+           "  \"scratch_mib\": %.2f, \"clipped_share_of_steps\": %.5f, \"clipped_robots\": %llu, "
+           "\"zeroed_robots\": "
+           "%llu, \"diverged_robots\": %llu},\n",
+           name, r->ms_per_robot, 1e-9 * r->sgemm_best, r->ratio, r->ratio_median, r->ratio_worst,
+           percent * p->pack_s, percent * p->sense_s, percent * p->control_s,
+           percent * p->physics_s, percent * p->physics_back_s, percent * p->control_back_s,
+           percent * p->parameters_s, percent * p->repeat_s, percent * rest, r->mib, clipped,
+           (unsigned long long)r->counts.clipped_robots,
+           (unsigned long long)r->counts.zeroed_robots,
+           (unsigned long long)r->counts.diverged_robots);
     return;
   }
   printf("\n%s\n", name);
   printf("time per rollout with gradient, one core: %.2f ms\n", r->ms_per_robot);
   printf("best sgemm rate of one core: %.1f GFLOP/s\n", 1e-9 * r->sgemm_best);
-  printf("ratio to three times the controller's arithmetic at that rate: %.3f (by block: median %.3f, worst %.3f)\n",
+  printf("ratio to three times the controller's arithmetic at that rate: %.3f (by block: median "
+         "%.3f, worst %.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
-  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, physics %.1f %%; back: physics and sensing %.1f %%, "
+  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, physics %.1f %%; back: physics "
+         "and sensing %.1f %%, "
          "control %.1f %%, parameters %.1f %%; repeated %.1f %%, rest %.1f %%\n",
          percent * p->pack_s, percent * p->sense_s, percent * p->control_s, percent * p->physics_s,
-         percent * p->physics_back_s, percent * p->control_back_s, percent * p->parameters_s, percent * p->repeat_s,
-         percent * rest);
+         percent * p->physics_back_s, percent * p->control_back_s, percent * p->parameters_s,
+         percent * p->repeat_s, percent * rest);
   printf("scratch: %.1f MiB\n", r->mib);
-  printf("steps of the way back that were clipped: %.2f %%, in %llu robots; zeroed %llu, diverged %llu\n",
-         100 * clipped, (unsigned long long)r->counts.clipped_robots, (unsigned long long)r->counts.zeroed_robots,
+  printf("steps of the way back that were clipped: %.2f %%, in %llu robots; zeroed %llu, diverged "
+         "%llu\n",
+         100 * clipped, (unsigned long long)r->counts.clipped_robots,
+         (unsigned long long)r->counts.zeroed_robots,
          (unsigned long long)r->counts.diverged_robots);
 }
 
@@ -183,7 +199,8 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
   bool same = true;
   bench_check(first == NULL ? MO_ERR_NO_MEMORY : MO_OK, "gradient");
   bench_check(mo_gradient_pack_create(controller, isa, &pack), "pack");
-  printf(json ? " \"budgets\": [" : "\nbudget, MiB   scratch, MiB   ratio   repeated, %% of the time\n");
+  printf(json ? " \"budgets\": ["
+              : "\nbudget, MiB   scratch, MiB   ratio   repeated, %% of the time\n");
   for (int k = 0; k < BUDGETS; k++) {
     struct mo_gradient_memory *memory = NULL;
     struct mo_gradient_profile profile = {0};
@@ -203,10 +220,12 @@ static bool print_budgets(struct sample *s, const struct mo_controller *controll
     }
     const double wall_s = bench_now_s() - start;
     const double rate = fmax(before, bench_sgemm_best(sgemm));
-    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f, \"repeated_percent\": %.2f}"
+    printf(json ? "%s{\"budget_mib\": %u, \"scratch_mib\": %.2f, \"ratio\": %.4f, "
+                  "\"repeated_percent\": %.2f}"
                 : "%s%11u %14.1f %7.3f %14.1f\n",
-           json && k > 0 ? ", " : "", budgets_mib[k], (double)mo_gradient_memory_bytes(memory) / (1 << 20),
-           total_s / (total_flop / rate), 100 * profile.repeat_s / wall_s);
+           json && k > 0 ? ", " : "", budgets_mib[k],
+           (double)mo_gradient_memory_bytes(memory) / (1 << 20), total_s / (total_flop / rate),
+           100 * profile.repeat_s / wall_s);
     mo_gradient_memory_free(memory);
   }
   printf(json ? "], \"same_bits_for_any_budget\": %s,\n" : "same bits for any budget: %s\n",
@@ -246,8 +265,8 @@ static void *submit_urgent(void *argument)
 }
 
 /* The whole sample as one batch, by n workers; with `urgent`, while urgent blocks come. Seconds. */
-static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t workers, struct urgent *urgent,
-                          double *d_parameters, double *worker_mib)
+static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t workers,
+                          struct urgent *urgent, double *d_parameters, double *worker_mib)
 {
   struct mo_compute *compute = NULL;
   struct mo_gradient_state *state = NULL;
@@ -266,8 +285,11 @@ static double run_batch_s(const struct sample *s, enum mo_isa isa, uint32_t work
                                     .outcomes = outcomes};
   if (urgent != NULL) {
     *urgent = (struct urgent){.sample = s, .compute = compute};
-    bench_check(mo_compute_controller_create(compute, s->scene->controller, &urgent->controller), "controller");
-    bench_check(pthread_create(&thread, NULL, submit_urgent, urgent) == 0 ? MO_OK : MO_ERR_NO_MEMORY, "thread");
+    bench_check(mo_compute_controller_create(compute, s->scene->controller, &urgent->controller),
+                "controller");
+    bench_check(pthread_create(&thread, NULL, submit_urgent, urgent) == 0 ? MO_OK
+                                                                          : MO_ERR_NO_MEMORY,
+                "thread");
   }
   const double start_s = bench_now_s();
   bench_check(mo_compute_gradient(state, &batch), "gradient");
@@ -315,17 +337,21 @@ static void measure_back_end(struct back_end *b, const struct sample *s, enum mo
 static void print_back_end(const struct back_end *b, const struct sample *s, bool json)
 {
   if (json)
-    printf(" \"robots_per_second_1_worker\": %.2f, \"robots_per_second_2_workers\": %.2f, \"same_bits\": %s,\n"
-           " \"urgent_blocks\": %u, \"urgent_worst_ms\": %.2f, \"robots_per_second_beside_them\": %.2f, "
+    printf(" \"robots_per_second_1_worker\": %.2f, \"robots_per_second_2_workers\": %.2f, "
+           "\"same_bits\": %s,\n"
+           " \"urgent_blocks\": %u, \"urgent_worst_ms\": %.2f, \"robots_per_second_beside_them\": "
+           "%.2f, "
            "\"worker_mib\": %.2f,\n",
-           s->n / b->one_s, s->n / b->two_s, b->same ? "true" : "false", b->urgent, 1e3 * b->urgent_worst_s,
-           s->n / b->disturbed_s, b->worker_mib);
+           s->n / b->one_s, s->n / b->two_s, b->same ? "true" : "false", b->urgent,
+           1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
   else
-    printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the same bits: %s\n"
-           "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside them\n"
+    printf("\nback end, all %u robots at once: %.1f robots/s with one worker, %.1f with two, the "
+           "same bits: %s\n"
+           "%u urgent blocks of one step meanwhile: the slowest took %.1f ms; %.1f robots/s beside "
+           "them\n"
            "a worker's scratch: %.1f MiB\n",
-           s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent, 1e3 * b->urgent_worst_s,
-           s->n / b->disturbed_s, b->worker_mib);
+           s->n, s->n / b->one_s, s->n / b->two_s, b->same ? "yes" : "NO", b->urgent,
+           1e3 * b->urgent_worst_s, s->n / b->disturbed_s, b->worker_mib);
 }
 
 int bench_gradient(const struct bench_options *options)
@@ -343,17 +369,18 @@ int bench_gradient(const struct bench_options *options)
   sample_create(&sample, &scene, options);
   bench_sgemm_create(&sgemm);
   (void)bench_sgemm_best(&sgemm); /* warm-up */
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh), "controller");
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, scene.controller->sensor, &fresh),
+              "controller");
   mo_controller_randomize(fresh, options->seed);
   for (uint32_t i = 0; i < n; i++) {
     masses += scene.bodies[i]->n_masses / (double)n;
     springs += scene.bodies[i]->n_springs / (double)n;
   }
-  printf(
-      json ? "{\"isa\": \"%s\", \"robots\": %u, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
-           : "instruction set: %s\nsample: %u distinct random bodies, each in one training environment, 1000 steps; on "
-             "average %.1f masses, %.1f springs\n",
-      mo_isa_name(options->isa), n, masses, springs);
+  printf(json ? "{\"isa\": \"%s\", \"robots\": %u, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
+              : "instruction set: %s\nsample: %u distinct random bodies, each in one training "
+                "environment, 1000 steps; on "
+                "average %.1f masses, %.1f springs\n",
+         mo_isa_name(options->isa), n, masses, springs);
   measure(&shipped, &sample, scene.controller, options->isa, &sgemm);
   print_report(&shipped, json ? "trained" : "trained controller", json);
   measure(&random, &sample, fresh, options->isa, &sgemm);
@@ -367,11 +394,13 @@ int bench_gradient(const struct bench_options *options)
   if (json)
     printf(" \"kept\": %s}\n", kept ? "true" : "false");
   else
-    printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f ms ≤ 100 %s; same "
+    printf("\nbounds: ratio %.3f ≤ 1.7 %s; a worker's scratch %.1f MiB ≤ 512 %s; urgent block %.1f "
+           "ms ≤ 100 %s; same "
            "bits %s\n",
            ratio, ratio <= RATIO_BOUND ? "ok" : "MISSED", back_end.worker_mib,
            back_end.worker_mib <= WORKER_MIB_BOUND ? "ok" : "MISSED", 1e3 * back_end.urgent_worst_s,
-           back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED", same && back_end.same ? "ok" : "MISSED");
+           back_end.urgent_worst_s <= URGENT_WAIT_BOUND ? "ok" : "MISSED",
+           same && back_end.same ? "ok" : "MISSED");
   mo_controller_free(fresh);
   bench_sgemm_free(&sgemm);
   sample_free(&sample);

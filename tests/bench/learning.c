@@ -1,9 +1,11 @@
-/* learning.c: trainings from random weights, step by step, and what their losses were; `morpho-bench learning`.
+/* learning.c: trainings from random weights, step by step, and what their losses were;
+ * `morpho-bench learning`.
  *
- * Every combination of sensor, schedule, clipping and seed asked for is one training; inverse_square has one recipe more. They run one
- * after the other: the first recipe with all its seeds, then all others with the first seed, and so on. Each step is a row of the CSV
- * file; every ten steps a checkpoint is written beside it. So the program may be stopped at any time: it goes on where it was, and
- * gives the same numbers. */
+ * Every combination of sensor, schedule, clipping and seed asked for is one training;
+ * inverse_square has one recipe more. They run one after the other: the first recipe with all its
+ * seeds, then all others with the first seed, and so on. Each step is a row of the CSV file; every
+ * ten steps a checkpoint is written beside it. So the program may be stopped at any time: it goes
+ * on where it was, and gives the same numbers. */
 #include "learning.h"
 
 #include <errno.h>
@@ -31,7 +33,8 @@ static const char usage[] =
     "Usage: morpho-bench learning [OPTION…]\n"
     "\n"
     "  --sensor inverse_sqrt|inverse_square|both   (default both)\n"
-    "  --schedule cosine|restarts|both             one cosine, or the paper's restarts (default both)\n"
+    "  --schedule cosine|restarts|both             one cosine, or the paper's restarts (default "
+    "both)\n"
     "  --clip on|off|both                          bound of the adjoint (default both)\n"
     "  --seeds 1,2,3      (the default)\n"
     "  --batch N          robots of a step (default 256)\n"
@@ -43,25 +46,30 @@ static const char usage[] =
     "  --restart-weight X  of what begins anew, with --rule restart (default 3)\n"
     "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
     "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
-    "                     With none of these eight, inverse_square with one cosine and clipping is trained twice:\n"
+    "                     With none of these eight, inverse_square with one cosine and clipping is "
+    "trained twice:\n"
     "                     once more with --peak 3e-3 --warmup 5 --bound 0.2 --beta1 0.8.\n"
     "  --workers N        threads (default: one per processor)\n"
-    "  --module PATH      gradients on GPUs, by this morphod-cuda.so: other bits, so give it a CSV file of its own\n"
+    "  --module PATH      gradients on GPUs, by this morphod-cuda.so: other bits, so give it a CSV "
+    "file of its own\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
-    "  --csv PATH         rows of the steps, read at the start and appended to (default learning.csv)\n"
+    "  --csv PATH         rows of the steps, read at the start and appended to (default "
+    "learning.csv)\n"
     "  --folder PATH      for checkpoints (default: where the CSV file is)\n"
     "  --svg PATH         draw the losses\n"
     "  --report           run nothing: only the table and the drawing of what the CSV file holds\n"
     "\n"
-    "  --finetune         instead: finetune a controller on random bodies; held-out score before and after; by the\n"
+    "  --finetune         instead: finetune a controller on random bodies; held-out score before "
+    "and after; by the\n"
     "                     paper's schedule with --schedule restarts\n"
     "  --controller PATH  to finetune (default data/controllers/bootstrap.safetensors)\n"
     "  --designs N        random bodies to finetune on (default 64)\n"
     "  --environments N   held-out environments to score them in (default 64)\n";
 
-static const char columns[] =
-    "sensor,schedule,peak,warmup_steps,adjoint_bound,adjoint_rule,norm_limit,beta1,beta2,batch,steps,seed,step,"
-    "mean_loss,gradient_norm,rate,clipped_share,clipped_robots_share,diverged,zeroed,skipped,seconds\n";
+static const char columns[] = "sensor,schedule,peak,warmup_steps,adjoint_bound,adjoint_rule,norm_"
+                              "limit,beta1,beta2,batch,steps,seed,step,"
+                              "mean_loss,gradient_norm,rate,clipped_share,clipped_robots_share,"
+                              "diverged,zeroed,skipped,seconds\n";
 
 struct plan {
   bool sensors[2], schedules[2], clips[2]; /* schedules: cosine, restarts; clips: on, off */
@@ -79,7 +87,8 @@ struct plan {
 
 /* ---- one step ---- */
 
-void learning_machine_create(struct learning_machine *machine, const struct bench_options *options, uint32_t batch)
+void learning_machine_create(struct learning_machine *machine, const struct bench_options *options,
+                             uint32_t batch)
 {
   struct mo_controller *controller = NULL;
   const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
@@ -95,10 +104,12 @@ void learning_machine_create(struct learning_machine *machine, const struct benc
     machine->back_end = MO_ON_DEVICE;
   }
   bench_check(mo_gradient_state_create(machine->compute, &machine->gradients), "gradients");
-  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller), "controller");
+  bench_check(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller),
+              "controller");
   machine->d_parameters = calloc(controller->n_parameters, sizeof(double));
   machine->outcomes = calloc(batch, sizeof(struct mo_outcome));
-  bench_check(machine->d_parameters == NULL || machine->outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK, "batch");
+  bench_check(machine->d_parameters == NULL || machine->outcomes == NULL ? MO_ERR_NO_MEMORY : MO_OK,
+              "batch");
   mo_controller_free(controller);
 }
 
@@ -110,7 +121,8 @@ void learning_machine_free(struct learning_machine *machine)
   free(machine->outcomes);
 }
 
-struct mo_training_report learning_step(struct learning_machine *machine, struct mo_training *training)
+struct mo_training_report learning_step(struct learning_machine *machine,
+                                        struct mo_training *training)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
   struct mo_gradient_batch batch = {.controller = mo_training_controller(training),
@@ -125,7 +137,9 @@ struct mo_training_report learning_step(struct learning_machine *machine, struct
   struct mo_training_report report;
   bench_check(mo_training_draw(training, NULL, NULL, &batch.robots), "draw");
   bench_check(mo_compute_gradient(machine->gradients, &batch), "gradient");
-  bench_check(mo_training_apply(training, batch.d_parameters, batch.outcomes, &batch.counts, &report), "step");
+  bench_check(
+      mo_training_apply(training, batch.d_parameters, batch.outcomes, &batch.counts, &report),
+      "step");
   return report;
 }
 
@@ -138,7 +152,8 @@ static void read_rows(const char *path, struct learning_run *runs, size_t n_runs
   while (file != NULL && fgets(line, sizeof(line), file) != NULL)
     for (size_t r = 0; r < n_runs; r++) {
       const size_t length = strlen(runs[r].key);
-      if (strncmp(line, runs[r].key, length) != 0 || line[length] != ',' || strchr(line, '\n') == NULL)
+      if (strncmp(line, runs[r].key, length) != 0 || line[length] != ',' ||
+          strchr(line, '\n') == NULL)
         continue;
       char *at = line + length + 1;
       const unsigned long step = strtoul(at, &at, 10);
@@ -154,7 +169,8 @@ static void read_rows(const char *path, struct learning_run *runs, size_t n_runs
     fclose(file);
 }
 
-/* Opens it to append, if its columns are these; a row that was cut short by a crash is ended first. */
+/* Opens it to append, if its columns are these; a row that was cut short by a crash is ended first.
+ */
 static FILE *open_rows(const char *path)
 {
   FILE *file = fopen(path, "a+");
@@ -181,12 +197,12 @@ static FILE *open_rows(const char *path)
   return file;
 }
 
-static void write_row(FILE *file, const struct learning_run *run, const struct mo_training_report *report,
-                      double seconds)
+static void write_row(FILE *file, const struct learning_run *run,
+                      const struct mo_training_report *report, double seconds)
 {
-  fprintf(file, "%s,%u,%.6g,%.6g,%.6g,%.6g,%.6g,%u,%u,%d,%.3f\n", run->key, report->step, report->mean_loss,
-          report->gradient_norm, report->rate, report->clipped_share, report->clipped_robots_share, report->diverged,
-          report->zeroed, report->skipped, seconds);
+  fprintf(file, "%s,%u,%.6g,%.6g,%.6g,%.6g,%.6g,%u,%u,%d,%.3f\n", run->key, report->step,
+          report->mean_loss, report->gradient_norm, report->rate, report->clipped_share,
+          report->clipped_robots_share, report->diverged, report->zeroed, report->skipped, seconds);
   fflush(file);
 }
 
@@ -206,7 +222,8 @@ static struct mo_training *open_training(const struct learning_run *run, const c
   return training;
 }
 
-static void run_one(struct learning_machine *machine, struct learning_run *run, const char *folder, FILE *rows)
+static void run_one(struct learning_machine *machine, struct learning_run *run, const char *folder,
+                    FILE *rows)
 {
   char path[1024], name[LEARNING_KEY_BYTES];
   if (run->known == run->settings.n_steps)
@@ -233,10 +250,12 @@ static void run_one(struct learning_machine *machine, struct learning_run *run, 
     }
     if (report.step % SAVE_EVERY == 0 || report.step == n_steps) {
       struct mo_message message = {""};
-      printf("  step %4u  loss %.4f  norm %8.3f  rate %.2e  clipped %.1f %% of robots  diverged %u  zeroed %u  %.1f "
+      printf("  step %4u  loss %.4f  norm %8.3f  rate %.2e  clipped %.1f %% of robots  diverged %u "
+             " zeroed %u  %.1f "
              "bodies/s\n",
-             report.step, report.mean_loss, report.gradient_norm, report.rate, 100.0 * report.clipped_robots_share,
-             report.diverged, report.zeroed, run->settings.batch / seconds);
+             report.step, report.mean_loss, report.gradient_norm, report.rate,
+             100.0 * report.clipped_robots_share, report.diverged, report.zeroed,
+             run->settings.batch / seconds);
       if (report.step < n_steps && mo_training_write(training, path, &message) != MO_OK) {
         fprintf(stderr, "morpho-bench: %s\n", message.text);
         exit(1);
@@ -247,7 +266,8 @@ static void run_one(struct learning_machine *machine, struct learning_run *run, 
   mo_training_free(training);
 }
 
-static struct learning_run make_run(const struct plan *plan, int sensor, int restarts, int off, uint64_t seed)
+static struct learning_run make_run(const struct plan *plan, int sensor, int restarts, int off,
+                                    uint64_t seed)
 {
   struct learning_run run = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN)};
   struct mo_training_settings *s = &run.settings;
@@ -269,9 +289,10 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   s->beta2 = plan->beta2;
   if (s->adjoint_rule == MO_ADJOINT_RESTART)
     snprintf(rule, sizeof(rule), "restart %g", s->restart_weight);
-  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%s,%g,%g,%g,%u,%u,%llu", mo_sensor_name(s->sensor),
-           mo_schedule_name(s->schedule.kind), s->schedule.peak, s->schedule.warmup_steps, s->adjoint_bound, rule,
-           s->norm_limit, s->beta1, s->beta2, s->batch, s->n_steps, (unsigned long long)seed);
+  snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%s,%g,%g,%g,%u,%u,%llu",
+           mo_sensor_name(s->sensor), mo_schedule_name(s->schedule.kind), s->schedule.peak,
+           s->schedule.warmup_steps, s->adjoint_bound, rule, s->norm_limit, s->beta1, s->beta2,
+           s->batch, s->n_steps, (unsigned long long)seed);
   struct mo_message message = {""};
   if (mo_training_settings_check(s, &message) != MO_OK) {
     fprintf(stderr, "morpho-bench: %s\n", message.text);
@@ -304,24 +325,26 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
       for (int restarts = 0; restarts < 2; restarts++) {
         if (!plan->sensors[sensor] || !plan->clips[off] || !plan->schedules[restarts])
           continue;
-        struct curves_group *group =
-            make_group(plan, sensor, restarts, off, runs + n_groups * plan->n_seeds, &groups[n_groups]);
-        snprintf(group->name, sizeof(group->name), "%s, adjoint %s", restarts ? "the paper's restarts" : "one cosine",
+        struct curves_group *group = make_group(plan, sensor, restarts, off,
+                                                runs + n_groups * plan->n_seeds, &groups[n_groups]);
+        snprintf(group->name, sizeof(group->name), "%s, adjoint %s",
+                 restarts ? "the paper's restarts" : "one cosine",
                  off                                ? "not clipped"
                  : plan->rule == MO_ADJOINT_RESTART ? "begun anew"
                                                     : "clipped");
         n_groups++;
       }
-  if (plan->sensors[MO_SENSOR_INVERSE_SQUARE] && plan->schedules[0] && plan->clips[0] && !plan->own_recipe) {
+  if (plan->sensors[MO_SENSOR_INVERSE_SQUARE] && plan->schedules[0] && plan->clips[0] &&
+      !plan->own_recipe) {
     struct plan tight = *plan;
     tight.peak = TIGHT_PEAK;
     tight.warmup = TIGHT_WARMUP_STEPS;
     tight.bound = TIGHT_BOUND;
     tight.beta1 = TIGHT_BETA1;
-    struct curves_group *group =
-        make_group(&tight, MO_SENSOR_INVERSE_SQUARE, 0, 0, runs + n_groups * plan->n_seeds, &groups[n_groups]);
-    snprintf(group->name, sizeof(group->name), "one cosine, peak %g, beta1 %g, clipped at %g", TIGHT_PEAK, TIGHT_BETA1,
-             TIGHT_BOUND);
+    struct curves_group *group = make_group(&tight, MO_SENSOR_INVERSE_SQUARE, 0, 0,
+                                            runs + n_groups * plan->n_seeds, &groups[n_groups]);
+    snprintf(group->name, sizeof(group->name), "one cosine, peak %g, beta1 %g, clipped at %g",
+             TIGHT_PEAK, TIGHT_BETA1, TIGHT_BOUND);
     n_groups++;
   }
   return n_groups;
@@ -350,8 +373,10 @@ static void cell(const struct curves_group *group, uint32_t step)
 
 static void print_table(const struct plan *plan, const struct curves_group *groups, size_t n_groups)
 {
-  const uint32_t marks[3] = {plan->steps / 10 > 0 ? plan->steps / 10 : 1, (plan->steps + 1) / 2, plan->steps};
-  printf("\n| sensor | recipe | step %u | step %u | step %u | bodies/s |\n| --- | --- | --- | --- | --- | --- |\n",
+  const uint32_t marks[3] = {plan->steps / 10 > 0 ? plan->steps / 10 : 1, (plan->steps + 1) / 2,
+                             plan->steps};
+  printf("\n| sensor | recipe | step %u | step %u | step %u | bodies/s |\n| --- | --- | --- | --- "
+         "| --- | --- |\n",
          marks[0], marks[1], marks[2]);
   for (size_t g = 0; g < n_groups; g++) {
     double seconds = 0.0, bodies = 0.0;
@@ -367,7 +392,8 @@ static void print_table(const struct plan *plan, const struct curves_group *grou
   }
 }
 
-static void draw(const char *path, const struct plan *plan, const struct curves_group *groups, size_t n_groups)
+static void draw(const char *path, const struct plan *plan, const struct curves_group *groups,
+                 size_t n_groups)
 {
   struct curves_panel panels[2] = {0};
   size_t n_panels = 0;
@@ -420,7 +446,8 @@ static double own_recipe(const char *option, const char *text, struct plan *plan
   return real(option, text);
 }
 
-static void choose(const char *option, const char *text, const char *first, const char *second, bool chosen[2])
+static void choose(const char *option, const char *text, const char *first, const char *second,
+                   bool chosen[2])
 {
   chosen[0] = strcmp(text, first) == 0 || strcmp(text, "both") == 0;
   chosen[1] = strcmp(text, second) == 0 || strcmp(text, "both") == 0;
@@ -535,7 +562,9 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     case FINETUNE: plan->finetune = true; break;
     case CONTROLLER: options->controller = optarg; break;
     case DESIGNS: plan->designs = (uint32_t)whole(name, optarg, MO_TRAINING_DESIGNS_MAX); break;
-    case ENVIRONMENTS: plan->environments = (uint32_t)whole(name, optarg, MO_HELD_OUT_ENVIRONMENTS_MAX); break;
+    case ENVIRONMENTS:
+      plan->environments = (uint32_t)whole(name, optarg, MO_HELD_OUT_ENVIRONMENTS_MAX);
+      break;
     case 'h': fputs(usage, stdout); exit(0);
     default: fputs(usage, stderr); exit(2);
     }
@@ -562,8 +591,9 @@ static int learn(const struct plan *plan, const struct bench_options *options)
   if (!plan->report) {
     struct learning_machine machine;
     learning_machine_create(&machine, options, plan->batch);
-    printf("%s\n", machine.back_end == MO_ON_DEVICE ? mo_compute_device_gradient_fingerprint(machine.compute)
-                                                    : mo_compute_gradient_fingerprint(machine.compute));
+    printf("%s\n", machine.back_end == MO_ON_DEVICE
+                       ? mo_compute_device_gradient_fingerprint(machine.compute)
+                       : mo_compute_gradient_fingerprint(machine.compute));
     FILE *rows = open_rows(csv);
     /* The first recipe with all its seeds, then the others with the first seed, the second, … */
     for (size_t seed = 0; seed < plan->n_seeds; seed++)
@@ -586,7 +616,8 @@ static int learn(const struct plan *plan, const struct bench_options *options)
 
 int bench_learning(int argc, char **argv)
 {
-  struct bench_options options = {.isa = mo_isa_best(), .controller = "data/controllers/bootstrap.safetensors"};
+  struct bench_options options = {.isa = mo_isa_best(),
+                                  .controller = "data/controllers/bootstrap.safetensors"};
   struct plan plan = {.sensors = {true, true},
                       .schedules = {true, true},
                       .clips = {true, true},

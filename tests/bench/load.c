@@ -1,8 +1,10 @@
 /* load.c: does the service answer while the cores compute?
  *
- * Starts morphod on a free port with an empty state, keeps its cores busy with a batch of 10,000 designs in the paper's test set, and
- * measures from outside, with a client that waits in poll(2) and costs little itself:
- *   1. how long a request of 10,000 designs takes to be accepted (which means: durable), idle and under load;
+ * Starts morphod on a free port with an empty state, keeps its cores busy with a batch of 10,000
+ * designs in the paper's test set, and measures from outside, with a client that waits in poll(2)
+ * and costs little itself:
+ *   1. how long a request of 10,000 designs takes to be accepted (which means: durable), idle and
+ * under load;
  *   2. the latency of /healthz over 64 connections that ask without a pause;
  *   3. how long one interactive design takes from the request to its score. */
 #include <errno.h>
@@ -32,7 +34,8 @@ static double submit(const struct bench_daemon *daemon, struct mo_body_stream *s
 }
 
 /* 64 connections that ask again as soon as they are answered; latencies in seconds. */
-static size_t ask_health(const struct bench_daemon *daemon, double duration_s, double *samples, double *rate)
+static size_t ask_health(const struct bench_daemon *daemon, double duration_s, double *samples,
+                         double *rate)
 {
   static const char request[] = "GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
   struct pollfd polled[N_CONNECTIONS];
@@ -78,7 +81,8 @@ static size_t ask_health(const struct bench_daemon *daemon, double duration_s, d
 
 static int verdict(const char *what, double value, double bound, const char *unit)
 {
-  printf("%-56s %10.1f %-3s bound %6.0f  %s\n", what, value, unit, bound, value <= bound ? "ok" : "MISSED");
+  printf("%-56s %10.1f %-3s bound %6.0f  %s\n", what, value, unit, bound,
+         value <= bound ? "ok" : "MISSED");
   return value > bound;
 }
 
@@ -92,7 +96,8 @@ int bench_load(const char *program, const struct bench_options *options)
     bench_die("memory");
   signal(SIGPIPE, SIG_IGN);
   bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed, &stream), "random bodies");
-  bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed + 1, &others), "random bodies");
+  bench_check(mo_body_stream_create(MO_DEFAULT_WORKSPACE, options->seed + 1, &others),
+              "random bodies");
   bench_daemon_start(&daemon, program, options->controller, NULL);
   double idle_s = submit(&daemon, stream, &status);
   sleep(2); /* now every core computes */
@@ -101,7 +106,8 @@ int bench_load(const char *program, const struct bench_options *options)
     size_t size;
     char *body = bench_request_of(others, 1, "", &size), *reply;
     double begun = bench_now_s();
-    int got = bench_ask(&daemon, "POST", "/v1/evaluations", "Prefer: wait=30\r\n", body, size, &reply);
+    int got =
+        bench_ask(&daemon, "POST", "/v1/evaluations", "Prefer: wait=30\r\n", body, size, &reply);
     interactive[i] = bench_now_s() - begun;
     if (got != 200 || strstr(reply, "\"results\"") == NULL) {
       printf("an interactive design was not done: %d %s\n", got, reply);
@@ -114,14 +120,15 @@ int bench_load(const char *program, const struct bench_options *options)
   char *job;
   bench_ask(&daemon, "GET", "/v1/jobs?state=running", "", "", 0, &job);
   const char *done = strstr(job, "\"rollouts_done\":");
-  printf("morphod under a batch of %d designs (%s rollouts done when the last figure was taken)\n", N_DESIGNS,
-         done != NULL ? strtok(job + (done - job) + 16, ",") : "all");
+  printf("morphod under a batch of %d designs (%s rollouts done when the last figure was taken)\n",
+         N_DESIGNS, done != NULL ? strtok(job + (done - job) + 16, ",") : "all");
   missed += status != 202 || second_status != 202;
   missed += verdict("10,000 designs accepted, idle", idle_s * 1e3, 1000, "ms");
   missed += verdict("10,000 designs accepted while the cores compute", loaded_s * 1e3, 1000, "ms");
-  missed += verdict("/healthz over 64 connections, 99th percentile", bench_quantile(samples, n, 0.99) * 1e3, 50, "ms");
-  printf("  (median %.2f ms, longest %.1f ms, %.0f requests per second)\n", bench_median(samples, n) * 1e3,
-         samples[n - 1] * 1e3, rate);
+  missed += verdict("/healthz over 64 connections, 99th percentile",
+                    bench_quantile(samples, n, 0.99) * 1e3, 50, "ms");
+  printf("  (median %.2f ms, longest %.1f ms, %.0f requests per second)\n",
+         bench_median(samples, n) * 1e3, samples[n - 1] * 1e3, rate);
   missed += verdict("one interactive design × 10 environments, longest of 20",
                     bench_quantile(interactive, N_INTERACTIVE, 1) * 1e3, 1000, "ms");
   printf("  (median %.1f ms)\n", bench_median(interactive, N_INTERACTIVE) * 1e3);

@@ -8,29 +8,37 @@
 
 static const char usage[] =
     "Usage: morpho-bench "
-    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|learning|evolution "
+    "rollout|gradient|gradient-accuracy|accuracy|stability|load|shares|space|store|stream|learning|"
+    "evolution "
     "[OPTION…]\n"
     "\n"
-    "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its best sgemm rate\n"
-    "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; memory; the back end\n"
+    "  rollout   speed of one core on 200 distinct random bodies × the paper test set, against its "
+    "best sgemm rate\n"
+    "  gradient  speed of one core differentiating 256 rollouts, against its best sgemm rate; "
+    "memory; the back end\n"
     "  gradient-accuracy  float32 against float64 gradient of 256 rollouts\n"
     "  accuracy  run time against error for precisions, impact modes and time steps, as CSV\n"
-    "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as CSV\n"
+    "  stability  time steps and stiffnesses that rollouts survive, beside the linear bound, as "
+    "CSV\n"
     "  load      replies of a running morphod while it computes\n"
-    "  shares    parts of the cores that several jobs of a running morphod get, and small evaluations beside them\n"
+    "  shares    parts of the cores that several jobs of a running morphod get, and small "
+    "evaluations beside them\n"
     "  space     speed of drawing, naming and varying random bodies\n"
-    "  store     speed of durable submissions, saves and queries, in a new folder of the folder named (default /tmp)\n"
+    "  store     speed of durable submissions, saves and queries, in a new folder of the folder "
+    "named (default /tmp)\n"
     "  stream    the distinct bodies of a pretraining: time and memory\n"
     "  learning  trainings from random weights, and finetuning; `morpho-bench learning --help`\n"
     "  evolution  a campaign's bookkeeping beside its rollouts; `morpho-bench evolution --help`\n"
     "\n"
     "  --bodies N         another number of bodies\n"
     "  --seed N           seed of the bodies' stream (default 1)\n"
-    "  --workers N        threads of `accuracy`, `gradient-accuracy`, `stability` (default: one per processor)\n"
+    "  --workers N        threads of `accuracy`, `gradient-accuracy`, `stability` (default: one "
+    "per processor)\n"
     "  --isa NAME         x86-64, avx2 or avx512 (default: the best that runs here)\n"
     "  --controller PATH  safetensors file (default data/controllers/bootstrap.safetensors)\n"
     "  --morphod PATH     `load`, `shares`: the daemon (default build/src/daemon/morphod)\n"
-    "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard output)\n"
+    "  --csv PATH         `accuracy`, `stability`: write the table here (default: standard "
+    "output)\n"
     "  --svg PATH         `accuracy`, `stability`: draw the table here\n"
     "  --json             `rollout`, `gradient`: machine-readable result\n"
     "  --quick            a tenth of the bodies\n";
@@ -41,7 +49,8 @@ static uint64_t number(const char *text, uint64_t most)
   errno = 0;
   const unsigned long long value = strtoull(text, &end, 10);
   if (errno != 0 || end == text || *end != '\0' || text[0] == '-' || value > most) {
-    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from 0 to %llu\n", text, (unsigned long long)most);
+    fprintf(stderr, "morpho-bench: \"%s\" is not a whole number from 0 to %llu\n", text,
+            (unsigned long long)most);
     exit(2);
   }
   return value;

@@ -1,9 +1,11 @@
-/* rollout.c: how fast one core scores bodies, and how that compares with what its matrix products could do.
+/* rollout.c: how fast one core scores bodies, and how that compares with what its matrix products
+ * could do.
  *
- * The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would need for the arithmetic of
- * the controller restricted to the body's masses and springs, 2 · [(masses + 5) · 256 + 2 · 256 · 256 + 256 · springs] per
- * step. Rollouts and products alternate, so that both see the same moods of the machine; both are counted in processor time of the
- * one thread that runs them. */
+ * The yardstick: the time that one core's best OpenBLAS sgemm rate, measured in the same run, would
+ * need for the arithmetic of the controller restricted to the body's masses and springs, 2 ·
+ * [(masses + 5) · 256 + 2 · 256 · 256 + 256 · springs] per step. Rollouts and products alternate,
+ * so that both see the same moods of the machine; both are counted in processor time of the one
+ * thread that runs them. */
 #include "bench.h"
 
 #include <stdlib.h>
@@ -34,19 +36,21 @@ static void runner_free(struct runner *runner)
 }
 
 /* Seconds for one body in the first n environments of the paper test set. */
-static double run_s(const struct runner *runner, const struct mo_pack *pack, const struct bench_scene *scene,
-                    const struct mo_body *body, uint32_t n, const struct mo_physics *physics,
-                    struct mo_rollout_profile *profile)
+static double run_s(const struct runner *runner, const struct mo_pack *pack,
+                    const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
+                    const struct mo_physics *physics, struct mo_rollout_profile *profile)
 {
   struct mo_outcome outcomes[MO_BLOCK_LANES];
   const double start = bench_thread_s();
-  bench_check(mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL, profile, outcomes),
+  bench_check(mo_rollout_block(runner->memory, pack, body, scene->list, n, physics, NULL, NULL,
+                               profile, outcomes),
               "rollout");
   return bench_thread_s() - start;
 }
 
-static double best_run_s(const struct runner *runner, const struct mo_pack *pack, const struct bench_scene *scene,
-                         const struct mo_body *body, uint32_t n, const struct mo_physics *physics)
+static double best_run_s(const struct runner *runner, const struct mo_pack *pack,
+                         const struct bench_scene *scene, const struct mo_body *body, uint32_t n,
+                         const struct mo_physics *physics)
 {
   double best = run_s(runner, pack, scene, body, n, physics, NULL);
   for (int repeat = 0; repeat < 4; repeat++) {
@@ -63,14 +67,15 @@ struct report {
   double masses, springs, voxels;             /* means */
   double rollouts_per_s, rollouts_per_s_best; /* median and best round */
   double sgemm_median, sgemm_best;            /* FLOP/s over the rounds */
-  double ratio, ratio_median, ratio_worst; /* whole sample against the best sgemm; per round against the round's own */
+  double ratio, ratio_median,
+      ratio_worst; /* whole sample against the best sgemm; per round against the round's own */
   struct mo_rollout_profile profile;
   double profile_s, active_share;
 };
 
 /* The sample in ROUNDS parts, a measurement of sgemm before and after each. */
-static void measure_sample(struct report *report, const struct runner *runner, const struct bench_scene *scene,
-                           const struct mo_physics *physics)
+static void measure_sample(struct report *report, const struct runner *runner,
+                           const struct bench_scene *scene, const struct mo_physics *physics)
 {
   struct bench_sgemm sgemm;
   bench_sgemm_create(&sgemm);
@@ -97,7 +102,8 @@ static void measure_sample(struct report *report, const struct runner *runner, c
     rate[round] = n * PAPER / round_s;
     ratio[round] = round_s / (flop / sgemm_rate[round]);
     before = after;
-    report->sgemm_best = sgemm_rate[round] > report->sgemm_best ? sgemm_rate[round] : report->sgemm_best;
+    report->sgemm_best =
+        sgemm_rate[round] > report->sgemm_best ? sgemm_rate[round] : report->sgemm_best;
     total_s += round_s;
     total_flop += flop;
   }
@@ -122,34 +128,41 @@ static void print_sample(const struct report *r, bool json)
   const double whole = r->profile_s;
   const double rest = whole - p->pack_s - p->sense_s - p->control_s - p->spring_s - p->contact_s;
   if (json) {
-    printf(
-        "\"bodies\": %u, \"environments\": %d, \"mean_voxels\": %.2f, \"mean_masses\": %.2f, \"mean_springs\": %.2f,\n"
-        " \"rollouts_per_second_and_core\": %.2f, \"rollouts_per_second_best_round\": %.2f,\n"
-        " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
-        " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, \"active_share_of_arithmetic\": "
-        "%.4f,\n"
-        " \"shares\": {\"pack\": %.4f, \"sensing\": %.4f, \"control\": %.4f, \"springs\": %.4f, \"contact\": %.4f, "
-        "\"rest\": %.4f},\n",
-        r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s, r->rollouts_per_s_best,
-        1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio, r->ratio_median, r->ratio_worst, r->active_share,
-        p->pack_s / whole, p->sense_s / whole, p->control_s / whole, p->spring_s / whole, p->contact_s / whole,
-        rest / whole);
+    printf("\"bodies\": %u, \"environments\": %d, \"mean_voxels\": %.2f, \"mean_masses\": %.2f, "
+           "\"mean_springs\": %.2f,\n"
+           " \"rollouts_per_second_and_core\": %.2f, \"rollouts_per_second_best_round\": %.2f,\n"
+           " \"sgemm_gflop_per_s_best\": %.2f, \"sgemm_gflop_per_s_median\": %.2f,\n"
+           " \"ratio\": %.4f, \"ratio_round_median\": %.4f, \"ratio_round_worst\": %.4f, "
+           "\"active_share_of_arithmetic\": "
+           "%.4f,\n"
+           " \"shares\": {\"pack\": %.4f, \"sensing\": %.4f, \"control\": %.4f, \"springs\": %.4f, "
+           "\"contact\": %.4f, "
+           "\"rest\": %.4f},\n",
+           r->n_bodies, PAPER, r->voxels, r->masses, r->springs, r->rollouts_per_s,
+           r->rollouts_per_s_best, 1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median, r->ratio,
+           r->ratio_median, r->ratio_worst, r->active_share, p->pack_s / whole, p->sense_s / whole,
+           p->control_s / whole, p->spring_s / whole, p->contact_s / whole, rest / whole);
     return;
   }
-  printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f voxels, %.1f masses, %.1f "
+  printf("sample: %u distinct random bodies × %d environments × 1000 steps; on average %.1f "
+         "voxels, %.1f masses, %.1f "
          "springs\n",
          r->n_bodies, PAPER, r->voxels, r->masses, r->springs);
-  printf("rollouts per second and core: %.1f (best round %.1f)\n", r->rollouts_per_s, r->rollouts_per_s_best);
-  printf("best sgemm rate of one core:  %.1f GFLOP/s (median of the rounds %.1f)\n", 1e-9 * r->sgemm_best,
-         1e-9 * r->sgemm_median);
-  printf("ratio of time per rollout to the controller's arithmetic at that rate: %.3f (by round: median %.3f, worst "
+  printf("rollouts per second and core: %.1f (best round %.1f)\n", r->rollouts_per_s,
+         r->rollouts_per_s_best);
+  printf("best sgemm rate of one core:  %.1f GFLOP/s (median of the rounds %.1f)\n",
+         1e-9 * r->sgemm_best, 1e-9 * r->sgemm_median);
+  printf("ratio of time per rollout to the controller's arithmetic at that rate: %.3f (by round: "
+         "median %.3f, worst "
          "%.3f)\n",
          r->ratio, r->ratio_median, r->ratio_worst);
-  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, springs %.1f %%, motion and contact %.1f %%, rest "
+  printf("time: packing %.1f %%, sensing %.1f %%, control %.1f %%, springs %.1f %%, motion and "
+         "contact %.1f %%, rest "
          "%.1f %%\n",
-         100 * p->pack_s / whole, 100 * p->sense_s / whole, 100 * p->control_s / whole, 100 * p->spring_s / whole,
-         100 * p->contact_s / whole, 100 * rest / whole);
-  printf("controller arithmetic left after dropping absent masses and springs: %.1f %%\n", 100 * r->active_share);
+         100 * p->pack_s / whole, 100 * p->sense_s / whole, 100 * p->control_s / whole,
+         100 * p->spring_s / whole, 100 * p->contact_s / whole, 100 * rest / whole);
+  printf("controller arithmetic left after dropping absent masses and springs: %.1f %%\n",
+         100 * r->active_share);
 }
 
 /* Time against the size of the body. Returns largest over smallest. */
@@ -168,14 +181,16 @@ static double print_sizes(const struct runner *runner, const struct bench_scene 
     struct mo_body *body = bench_box(scene, boxes[i][0], boxes[i][1], boxes[i][2]);
     last_s = best_run_s(runner, runner->pack, scene, body, PAPER, physics) / PAPER;
     first_s = i == 0 ? last_s : first_s;
-    printf(json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": %.4f, "
-                  "\"rollouts_per_second\": %.2f}"
-                : "%s%9u %8u %8u %21.3f %12.1f\n",
-           json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs, 1e6 * last_s / physics->n_steps,
-           1 / last_s);
+    printf(
+        json ? "%s{\"voxels\": %u, \"masses\": %u, \"springs\": %u, \"us_per_rollout_step\": %.4f, "
+               "\"rollouts_per_second\": %.2f}"
+             : "%s%9u %8u %8u %21.3f %12.1f\n",
+        json && i > 0 ? ", " : "", body->n_voxels, body->n_masses, body->n_springs,
+        1e6 * last_s / physics->n_steps, 1 / last_s);
     mo_body_free(body);
   }
-  printf(json ? "],\n \"full_over_one_voxel\": %.2f,\n" : "144 voxels cost %.1f times as much as one\n",
+  printf(json ? "],\n \"full_over_one_voxel\": %.2f,\n"
+              : "144 voxels cost %.1f times as much as one\n",
          last_s / first_s);
   return last_s / first_s;
 }
@@ -195,18 +210,20 @@ static void print_skipping(const struct runner *runner, const struct bench_scene
   const double alone = best_run_s(runner, runner->pack, scene, body, 1, physics);
   const double scale = 1e6 / (PAPER * (double)physics->n_steps);
   printf(
-      json
-          ? " \"contact_us_per_step\": {\"on_the_ground\": %.4f, \"in_the_air\": %.4f},\n"
-            " \"step_us\": {\"controlled\": %.4f, \"passive\": %.4f, \"one_environment\": %.4f},\n"
-          : "\n64 voxels, µs per rollout step: contact on the ground %.3f, in the air %.3f; whole step %.3f, without a "
-            "controller %.3f, in one environment instead of ten %.3f\n",
-      scale * standing.contact_s, scale * falling.contact_s, scale * with, scale * without, scale * PAPER * alone);
+      json ? " \"contact_us_per_step\": {\"on_the_ground\": %.4f, \"in_the_air\": %.4f},\n"
+             " \"step_us\": {\"controlled\": %.4f, \"passive\": %.4f, \"one_environment\": %.4f},\n"
+           : "\n64 voxels, µs per rollout step: contact on the ground %.3f, in the air %.3f; whole "
+             "step %.3f, without a "
+             "controller %.3f, in one environment instead of ten %.3f\n",
+      scale * standing.contact_s, scale * falling.contact_s, scale * with, scale * without,
+      scale * PAPER * alone);
   mo_body_free(body);
 }
 
 /* Rollouts per second of the whole back end with n workers. */
-static double back_end_rate(const struct bench_scene *scene, const struct bench_options *options, uint32_t workers,
-                            uint32_t n_bodies, const struct mo_physics *physics, size_t *worker_bytes)
+static double back_end_rate(const struct bench_scene *scene, const struct bench_options *options,
+                            uint32_t workers, uint32_t n_bodies, const struct mo_physics *physics,
+                            size_t *worker_bytes)
 {
   struct mo_compute *compute = NULL;
   struct mo_compute_controller *controller = NULL;
@@ -216,8 +233,10 @@ static double back_end_rate(const struct bench_scene *scene, const struct bench_
   struct mo_block *blocks = calloc(n_bodies, sizeof(*blocks));
   bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
   for (uint32_t i = 0; i < n_bodies; i++) {
-    blocks[i] = (struct mo_block){
-        .body = scene->bodies[i], .controller = controller, .n_environments = PAPER, .physics = *physics};
+    blocks[i] = (struct mo_block){.body = scene->bodies[i],
+                                  .controller = controller,
+                                  .n_environments = PAPER,
+                                  .physics = *physics};
     memcpy(blocks[i].environments, scene->list, sizeof(blocks[i].environments));
   }
   const double start = bench_now_s();
@@ -232,8 +251,10 @@ static double back_end_rate(const struct bench_scene *scene, const struct bench_
   return rate;
 }
 
-/* The most that a worker can hold: the full lattice in float64, once as a batch block and once overtaking it. */
-static double worker_mib(const struct bench_scene *scene, enum mo_isa isa, enum mo_precision precision)
+/* The most that a worker can hold: the full lattice in float64, once as a batch block and once
+ * overtaking it. */
+static double worker_mib(const struct bench_scene *scene, enum mo_isa isa,
+                         enum mo_precision precision)
 {
   struct runner runner;
   runner_create(&runner, scene, isa, precision);
@@ -276,18 +297,20 @@ int bench_rollout(const struct bench_options *options)
   const double two = back_end_rate(&scene, options, 2, few, &physics, &bytes);
   const double mib32 = worker_mib(&scene, options->isa, MO_FLOAT32),
                mib64 = worker_mib(&scene, options->isa, MO_FLOAT64);
-  printf(
-      json ? " \"float64_over_float32_time\": %.3f, \"rollouts_per_second_1_worker\": %.2f, "
-             "\"rollouts_per_second_2_workers\": %.2f,\n \"worker_mib_float32\": %.2f, \"worker_mib_float64\": %.2f}\n"
-           : "float64 takes %.2f times as long as float32\n"
-             "back end: %.1f rollouts/s with one worker, %.1f with two\n"
-             "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB (float32), %.2f MiB "
-             "(float64)\n",
-      time64 / time32, one, two, mib32, mib64);
+  printf(json ? " \"float64_over_float32_time\": %.3f, \"rollouts_per_second_1_worker\": %.2f, "
+                "\"rollouts_per_second_2_workers\": %.2f,\n \"worker_mib_float32\": %.2f, "
+                "\"worker_mib_float64\": %.2f}\n"
+              : "float64 takes %.2f times as long as float32\n"
+                "back end: %.1f rollouts/s with one worker, %.1f with two\n"
+                "scratch per worker, largest body, urgent block inside a batch block: %.2f MiB "
+                "(float32), %.2f MiB "
+                "(float64)\n",
+         time64 / time32, one, two, mib32, mib64);
   if (!json)
-    printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 %s\n", report.ratio,
-           report.ratio <= 1.6 ? "ok" : "MISSED", growth, growth >= 3 ? "ok" : "MISSED", mib64,
-           mib64 <= 16 ? "ok" : "MISSED");
+    printf("\nbounds: ratio %.3f ≤ 1.6 %s; 144 voxels over one %.1f ≥ 3 %s; scratch %.2f MiB ≤ 16 "
+           "%s\n",
+           report.ratio, report.ratio <= 1.6 ? "ok" : "MISSED", growth,
+           growth >= 3 ? "ok" : "MISSED", mib64, mib64 <= 16 ? "ok" : "MISSED");
   const bool kept = report.ratio <= 1.6 && growth >= 3 && mib64 <= 16;
   runner_free(&runner64);
   runner_free(&runner);

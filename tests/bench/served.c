@@ -69,7 +69,8 @@ void bench_daemon_stop(const struct bench_daemon *daemon)
   kill(daemon->pid, SIGTERM);
   waitpid(daemon->pid, &status, 0);
   snprintf(command, sizeof(command), "rm -rf '%s'", daemon->folder);
-  if (system(command) != 0) /* NOLINT(cert-env33-c): a fixed command on a folder of our own making */
+  if (system(command) !=
+      0) /* NOLINT(cert-env33-c): a fixed command on a folder of our own making */
     fprintf(stderr, "morpho-bench: %s remains\n", daemon->folder);
   if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)
     fprintf(stderr, "morpho-bench: morphod ended with status %d\n", status);
@@ -108,15 +109,15 @@ size_t bench_reply_size(const char *text, size_t n)
   return (size_t)(end - text) + 4 + (length != NULL ? strtoul(length + 16, NULL, 10) : 0);
 }
 
-int bench_ask(const struct bench_daemon *daemon, const char *method, const char *path, const char *headers,
-              const char *body, size_t size, char **ret)
+int bench_ask(const struct bench_daemon *daemon, const char *method, const char *path,
+              const char *headers, const char *body, size_t size, char **ret)
 {
   char head[512];
   int fd = bench_dial(daemon);
-  int n =
-      snprintf(head, sizeof(head),
-               "%s %s HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: %zu\r\n%s\r\n",
-               method, path, size, headers);
+  int n = snprintf(head, sizeof(head),
+                   "%s %s HTTP/1.1\r\nHost: localhost\r\nContent-Type: "
+                   "application/json\r\nContent-Length: %zu\r\n%s\r\n",
+                   method, path, size, headers);
   bench_send(fd, head, (size_t)n);
   bench_send(fd, body, size);
   size_t got = 0, capacity = 65536, wanted = 0;

@@ -1,8 +1,9 @@
 /* sgemm.c: how fast one core multiplies matrices, by OpenBLAS.
  *
- * OpenBLAS knows processors by their numbers. One that is newer than the library gets the kernels of the oldest, which are five times as slow;
- * and an environment may name others, for the same bits on all machines, that are half as fast as the processor's own: yardsticks that
- * anything would meet. The processor's instruction set says which to take instead. */
+ * OpenBLAS knows processors by their numbers. One that is newer than the library gets the kernels
+ * of the oldest, which are five times as slow; and an environment may name others, for the same
+ * bits on all machines, that are half as fast as the processor's own: yardsticks that anything
+ * would meet. The processor's instruction set says which to take instead. */
 #include "bench.h"
 
 #include <cblas.h>
@@ -39,9 +40,12 @@ void bench_sgemm_choose(char **argv)
   const enum mo_isa isa = mo_isa_best();
   if (isa == MO_ISA_BASELINE || is_fast(isa))
     return;
-  const char *const wanted = isa == MO_ISA_AVX512 ? "SkylakeX" : "Haswell", *const now = getenv(name);
+  const char *const wanted = isa == MO_ISA_AVX512 ? "SkylakeX" : "Haswell", *const now =
+                                                                                getenv(name);
   if (now != NULL && strcmp(now, wanted) == 0) {
-    fprintf(stderr, "morpho-bench: OpenBLAS has no fast kernels for this processor: its rate says little\n");
+    fprintf(
+        stderr,
+        "morpho-bench: OpenBLAS has no fast kernels for this processor: its rate says little\n");
     return;
   }
   if (setenv(name, wanted, 1) == 0)
@@ -76,8 +80,8 @@ double bench_sgemm_best(const struct bench_sgemm *sgemm)
     const int n = sizes[s];
     for (int repeat = 0; repeat < (n <= 512 ? 8 : 3); repeat++) {
       const double start = bench_thread_s();
-      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1.0f, sgemm->a, n, sgemm->b, n, 0.0f, sgemm->c,
-                  n);
+      cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, n, n, n, 1.0f, sgemm->a, n, sgemm->b,
+                  n, 0.0f, sgemm->c, n);
       const double rate = 2.0 * n * n * n / (bench_thread_s() - start);
       best = rate > best ? rate : best;
     }

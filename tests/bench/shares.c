@@ -1,9 +1,12 @@
-/* shares.c: several jobs at once: does each get its part of the cores, and do small evaluations keep their speed?
+/* shares.c: several jobs at once: does each get its part of the cores, and do small evaluations
+ * keep their speed?
  *
- * Starts morphod with an empty state and gives it a batch evaluation of 10,000 designs, a training and four zero-shot campaigns, of
- * different weights. The training's rollouts are short: a block of gradients over 1000 steps takes seconds, and with it a fair measurement
- * would take many minutes. Once all of them compute, it compares the worker seconds that each gets with its weight, and then, with all of
- * them still at work, measures how long one design takes from the request to its score. */
+ * Starts morphod with an empty state and gives it a batch evaluation of 10,000 designs, a training
+ * and four zero-shot campaigns, of different weights. The training's rollouts are short: a block of
+ * gradients over 1000 steps takes seconds, and with it a fair measurement would take many minutes.
+ * Once all of them compute, it compares the worker seconds that each gets with its weight, and
+ * then, with all of them still at work, measures how long one design takes from the request to its
+ * score. */
 #include <errno.h>
 #include <math.h>
 #include <signal.h>
@@ -29,21 +32,23 @@ static double number_after(const char *text, const char *words)
   return found != NULL ? strtod(found + strlen(words), NULL) : NAN;
 }
 
-/* Worker seconds so far. Of a training or campaign it is in its progress; the evaluation is the only one of its kind that runs. */
+/* Worker seconds so far. Of a training or campaign it is in its progress; the evaluation is the
+ * only one of its kind that runs. */
 static double busy_s(const struct bench_daemon *daemon, const struct job *job)
 {
   char *text = NULL;
   errno = 0;
   if (bench_ask(daemon, "GET", job->path, "", "", 0, &text) != 200)
     bench_die(job->path);
-  double seconds =
-      number_after(text, strcmp(job->path, "/metrics") == 0 ? "morphod_job_worker_seconds_total{kind=\"evaluation\"} "
-                                                            : "\"busy_s\":");
+  double seconds = number_after(text, strcmp(job->path, "/metrics") == 0
+                                          ? "morphod_job_worker_seconds_total{kind=\"evaluation\"} "
+                                          : "\"busy_s\":");
   free(text);
   return isfinite(seconds) ? seconds : 0;
 }
 
-static void submit(const struct bench_daemon *daemon, const char *kind, const char *body, size_t size, struct job *job)
+static void submit(const struct bench_daemon *daemon, const char *kind, const char *body,
+                   size_t size, struct job *job)
 {
   char path[32], *reply = NULL;
   snprintf(path, sizeof(path), "/v1/%s", kind);
@@ -52,7 +57,8 @@ static void submit(const struct bench_daemon *daemon, const char *kind, const ch
     fprintf(stderr, "%s\n", reply);
     bench_die(path);
   }
-  snprintf(job->what, sizeof(job->what), "%.*s %.0f", (int)strlen(kind) - 1, kind, number_after(reply, "\"id\":\""));
+  snprintf(job->what, sizeof(job->what), "%.*s %.0f", (int)strlen(kind) - 1, kind,
+           number_after(reply, "\"id\":\""));
   if (strcmp(kind, "evaluations") == 0)
     snprintf(job->path, sizeof(job->path), "/metrics");
   else
@@ -66,17 +72,21 @@ static void submit_all(const struct bench_daemon *daemon, const struct bench_opt
 {
   static const double weights[N_CAMPAIGNS] = {1, 1, 2, 4};
   size_t size;
-  char *evaluation = bench_request_of(stream, N_DESIGNS, ",\"priority\":\"batch\",\"weight\":2", &size), text[256];
+  char *evaluation =
+           bench_request_of(stream, N_DESIGNS, ",\"priority\":\"batch\",\"weight\":2", &size),
+       text[256];
   submit(daemon, "evaluations", evaluation, size, &jobs[0]);
   free(evaluation);
-  int n = snprintf(text, sizeof(text),
-                   "{\"kind\":\"pretrain\",\"steps\":100000,\"batch\":256,\"seed\":%llu,\"weight\":2,"
-                   "\"physics\":{\"n_steps\":100},\"validation\":{\"every_steps\":0}}",
-                   (unsigned long long)options->seed);
+  int n =
+      snprintf(text, sizeof(text),
+               "{\"kind\":\"pretrain\",\"steps\":100000,\"batch\":256,\"seed\":%llu,\"weight\":2,"
+               "\"physics\":{\"n_steps\":100},\"validation\":{\"every_steps\":0}}",
+               (unsigned long long)options->seed);
   submit(daemon, "trainings", text, (size_t)n, &jobs[1]);
   for (int i = 0; i < N_CAMPAIGNS; i++) {
     n = snprintf(text, sizeof(text),
-                 "{\"mode\":\"zero-shot\",\"preset\":\"demo\",\"population\":64,\"generations\":10000,\"seed\":%llu,"
+                 "{\"mode\":\"zero-shot\",\"preset\":\"demo\",\"population\":64,\"generations\":"
+                 "10000,\"seed\":%llu,"
                  "\"exclude_pretraining\":false,\"weight\":%g}",
                  (unsigned long long)options->seed + (unsigned)i, weights[i]);
     submit(daemon, "campaigns", text, (size_t)n, &jobs[2 + i]);
@@ -103,14 +113,16 @@ static int compare_parts(struct job jobs[N_JOBS])
     weights += jobs[i].weight;
     seconds += jobs[i].got_s;
   }
-  printf("%-16s %8s %12s %12s %12s %10s\n", "job", "weight", "worker s", "part", "by weight", "off by");
+  printf("%-16s %8s %12s %12s %12s %10s\n", "job", "weight", "worker s", "part", "by weight",
+         "off by");
   for (int i = 0; i < N_JOBS; i++) {
     double part = jobs[i].got_s / seconds, wanted = jobs[i].weight / weights;
-    printf("%-16s %8g %12.2f %11.1f%% %11.1f%% %9.1f%%\n", jobs[i].what, jobs[i].weight, jobs[i].got_s, 100 * part,
-           100 * wanted, 100 * (part / wanted - 1));
+    printf("%-16s %8g %12.2f %11.1f%% %11.1f%% %9.1f%%\n", jobs[i].what, jobs[i].weight,
+           jobs[i].got_s, 100 * part, 100 * wanted, 100 * (part / wanted - 1));
     most = fmax(most, fabs(part / wanted - 1));
   }
-  printf("largest difference %.1f %%, bound 10 %%  %s\n", 100 * most, most <= 0.1 ? "ok" : "MISSED");
+  printf("largest difference %.1f %%, bound 10 %%  %s\n", 100 * most,
+         most <= 0.1 ? "ok" : "MISSED");
   return most > 0.1;
 }
 
@@ -121,7 +133,8 @@ static int ask_small_ones(const struct bench_daemon *daemon, struct mo_body_stre
     size_t size;
     char *body = bench_request_of(stream, 1, "", &size), *reply = NULL;
     double begun = bench_now_s();
-    int status = bench_ask(daemon, "POST", "/v1/evaluations", "Prefer: wait=30\r\n", body, size, &reply);
+    int status =
+        bench_ask(daemon, "POST", "/v1/evaluations", "Prefer: wait=30\r\n", body, size, &reply);
     taken[i] = bench_now_s() - begun;
     errno = 0;
     if (status != 200 || strstr(reply, "\"results\"") == NULL)
@@ -131,11 +144,12 @@ static int ask_small_ones(const struct bench_daemon *daemon, struct mo_body_stre
     usleep(100000);
   }
   double p95_s = bench_quantile(taken, N_INTERACTIVE, 0.95);
-  printf("one interactive design × 10 environments, %d times beside them: median %.0f ms, 95th percentile %.0f ms, "
+  printf("one interactive design × 10 environments, %d times beside them: median %.0f ms, 95th "
+         "percentile %.0f ms, "
          "longest "
          "%.0f ms, bound of the percentile 1500 ms  %s\n",
-         N_INTERACTIVE, 1e3 * bench_median(taken, N_INTERACTIVE), 1e3 * p95_s, 1e3 * taken[N_INTERACTIVE - 1],
-         p95_s <= 1.5 ? "ok" : "MISSED");
+         N_INTERACTIVE, 1e3 * bench_median(taken, N_INTERACTIVE), 1e3 * p95_s,
+         1e3 * taken[N_INTERACTIVE - 1], p95_s <= 1.5 ? "ok" : "MISSED");
   return p95_s > 1.5;
 }
 

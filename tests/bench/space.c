@@ -1,7 +1,8 @@
-/* space.c: what it costs to draw, recognise, vary and express bodies; `morpho-bench space [bodies]`.
+/* space.c: what it costs to draw, recognise, vary and express bodies; `morpho-bench space
+ * [bodies]`.
  *
- * Each operation runs over the same sample of random bodies of the default workspace, several times; the fastest run counts.
- * The last table times one body of over a million springs. */
+ * Each operation runs over the same sample of random bodies of the default workspace, several
+ * times; the fastest run counts. The last table times one body of over a million springs. */
 #include "bench.h"
 
 #include "base/clock.h"
@@ -75,7 +76,8 @@ static void mutate(struct sample *sample)
     struct mo_random random;
     uint64_t child[MO_DEFAULT_WORDS] = {0};
     mo_random_init(&random, 1, MO_PURPOSE_MUTATION, 0, i);
-    mo_genotype_mutate(sample->workspace, sample->bodies[i], 1.0 / MO_DEFAULT_VOXELS, &random, child);
+    mo_genotype_mutate(sample->workspace, sample->bodies[i], 1.0 / MO_DEFAULT_VOXELS, &random,
+                       child);
     sample->sink += child[0];
   }
 }
@@ -84,7 +86,8 @@ static void cross(struct sample *sample)
 {
   for (uint32_t i = 0; i < sample->n; i++) {
     uint64_t child[MO_DEFAULT_WORDS] = {0};
-    mo_genotype_crossover(sample->workspace, sample->bodies[i], sample->bodies[(i + 1) % sample->n], child);
+    mo_genotype_crossover(sample->workspace, sample->bodies[i], sample->bodies[(i + 1) % sample->n],
+                          child);
     sample->sink += child[0];
   }
 }
@@ -157,8 +160,9 @@ static int large_body(void)
   }
   if (code == MO_OK) {
     double body_ms = (double)(mo_clock_ns() - start) * 1e-6;
-    printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n", workspace.nx,
-           workspace.ny, workspace.nz, body->n_masses, body->n_springs, lattice_ms, body_ms);
+    printf("\nfull %u x %u x %u workspace: %u masses, %u springs; lattice %.1f ms, body %.1f ms\n",
+           workspace.nx, workspace.ny, workspace.nz, body->n_masses, body->n_springs, lattice_ms,
+           body_ms);
   }
   mo_body_free(body);
   free(bits);
@@ -170,21 +174,24 @@ int bench_space(int argc, char **argv)
 {
   long n = argc > 1 ? strtol(argv[1], NULL, 10) : 100000;
   if (n < 2 || n > 100000000) {
-    fprintf(stderr, "morpho-bench space [bodies]: between 2 and 100000000 bodies, 100000 by default\n");
+    fprintf(stderr,
+            "morpho-bench space [bodies]: between 2 and 100000000 bodies, 100000 by default\n");
     return EXIT_FAILURE;
   }
   struct sample sample = {.workspace = MO_DEFAULT_WORKSPACE, .n = (uint32_t)n};
   struct mo_lattice *lattice = NULL;
   sample.bodies = calloc(sample.n, sizeof(*sample.bodies));
   sample.forms = calloc(sample.n, sizeof(*sample.forms));
-  if (sample.bodies == NULL || sample.forms == NULL || mo_lattice_create(sample.workspace, &lattice) != MO_OK) {
+  if (sample.bodies == NULL || sample.forms == NULL ||
+      mo_lattice_create(sample.workspace, &lattice) != MO_OK) {
     fprintf(stderr, "morpho-bench space: out of memory\n");
     free(sample.bodies);
     free(sample.forms);
     return EXIT_FAILURE;
   }
   sample.lattice = lattice;
-  printf("%u random bodies of 6 x 6 x 4 voxels, one core, best of %d runs, per body:\n", sample.n, RUNS);
+  printf("%u random bodies of 6 x 6 x 4 voxels, one core, best of %d runs, per body:\n", sample.n,
+         RUNS);
   measure(&sample, "draw (with largest component and placement)", draw);
   measure(&sample, "canonical form", canonicalise);
   measure(&sample, "id (with canonical form)", spell);

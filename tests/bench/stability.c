@@ -1,9 +1,12 @@
-/* stability.c: which time steps and stiffnesses a rollout survives, beside the bound of the linear theory.
+/* stability.c: which time steps and stiffnesses a rollout survives, beside the bound of the linear
+ * theory.
  *
- * Linearised about rest, a mode of the springs' stiffness with eigenvalue λk follows q'' = (1 + e − w) q' − e q from step to step,
- * with e = exp(−drag dt) and w = dt² λ k/m; it decays if and only if w < 2 (1 + e). λ is the largest eigenvalue of the body's springs, found here
- * by the power method. A point of the map is a body in the ten environments of the paper's test set for 1000 steps, passive or
- * moved by the trained controller. The border is found by bisection of the stiffness, once per time step. */
+ * Linearised about rest, a mode of the springs' stiffness with eigenvalue λk follows q'' = (1 + e −
+ * w) q' − e q from step to step, with e = exp(−drag dt) and w = dt² λ k/m; it decays if and only if
+ * w < 2 (1 + e). λ is the largest eigenvalue of the body's springs, found here by the power method.
+ * A point of the map is a body in the ten environments of the paper's test set for 1000 steps,
+ * passive or moved by the trained controller. The border is found by bisection of the stiffness,
+ * once per time step. */
 #include "bench.h"
 
 #include <math.h>
@@ -57,8 +60,8 @@ static double linear_bound(const struct map *map, double dt)
   return 2 * (1 + exp(-physics.drag_per_s * dt)) * physics.mass_kg / (dt * dt * map->eigenvalue);
 }
 
-/* The largest eigenvalue of Σ d dᵀ over the springs, d the unit vector along each at rest: power method on a start without
- * symmetry. */
+/* The largest eigenvalue of Σ d dᵀ over the springs, d the unit vector along each at rest: power
+ * method on a start without symmetry. */
 static double largest_eigenvalue(const struct mo_body *body)
 {
   const uint32_t n = 3 * body->n_masses;
@@ -117,11 +120,13 @@ struct runner {
   const struct bench_scene *scene;
 };
 
-static void fill(const struct runner *runner, const struct mo_body *body, int mode, struct mo_physics physics,
-                 struct mo_block *block)
+static void fill(const struct runner *runner, const struct mo_body *body, int mode,
+                 struct mo_physics physics, struct mo_block *block)
 {
-  *block = (struct mo_block){
-      .body = body, .controller = runner->controller[mode], .n_environments = MO_PAPER_TEST_COUNT, .physics = physics};
+  *block = (struct mo_block){.body = body,
+                             .controller = runner->controller[mode],
+                             .n_environments = MO_PAPER_TEST_COUNT,
+                             .physics = physics};
   memcpy(block->environments, runner->scene->list, sizeof(block->environments));
 }
 
@@ -146,7 +151,8 @@ static void explore(const struct runner *runner, struct map *map, int mode)
   int32_t first;
   bench_check(blocks == NULL ? MO_ERR_NO_MEMORY : MO_OK, "blocks");
   for (int c = 0; c < CELLS; c++)
-    fill(runner, map->body, mode, physics_of(dt_s(c / STIFFNESSES), stiffness_n_per_m(c % STIFFNESSES)), blocks + c);
+    fill(runner, map->body, mode,
+         physics_of(dt_s(c / STIFFNESSES), stiffness_n_per_m(c % STIFFNESSES)), blocks + c);
   bench_check(mo_compute_run(runner->compute, blocks, CELLS), "rollouts");
   for (int c = 0; c < CELLS; c++)
     map->diverged[mode][c] = count_diverged(blocks + c, &map->first_step[mode][c]);
@@ -170,8 +176,8 @@ static void write_rows(FILE *file, const struct map *map, int mode)
 {
   for (int c = 0; c < CELLS; c++) {
     const double dt = dt_s(c / STIFFNESSES), stiffness = stiffness_n_per_m(c % STIFFNESSES);
-    fprintf(file, "%s,%s,%.3f,%.0f,%u,%d,%.0f,%.0f\n", map->name, mode_names[mode], 1e3 * dt, stiffness,
-            map->diverged[mode][c], map->first_step[mode][c], linear_bound(map, dt),
+    fprintf(file, "%s,%s,%.3f,%.0f,%u,%d,%.0f,%.0f\n", map->name, mode_names[mode], 1e3 * dt,
+            stiffness, map->diverged[mode][c], map->first_step[mode][c], linear_bound(map, dt),
             map->border[mode][c / STIFFNESSES]);
   }
 }
@@ -186,16 +192,18 @@ static void print_summary(const struct map *map, int mode)
     most = fmax(most, ratio);
   }
   for (int c = 0; c < CELLS; c++)
-    wrong +=
-        (map->diverged[mode][c] > 0) != (stiffness_n_per_m(c % STIFFNESSES) > linear_bound(map, dt_s(c / STIFFNESSES)));
+    wrong += (map->diverged[mode][c] > 0) !=
+             (stiffness_n_per_m(c % STIFFNESSES) > linear_bound(map, dt_s(c / STIFFNESSES)));
   const struct mo_physics physics = mo_default_physics();
   double dt = 1e-3; /* linear bound of the time step at the default stiffness */
   for (int look = 0; look < LOOKS; look++)
     dt *= pow(linear_bound(map, dt) / physics.stiffness_n_per_m, 0.25);
   fprintf(stderr,
-          "%-11s %3u voxels, %-7s λ = %.3f k; at 15000 N/m dt < %.2f ms; border/bound %.2f to %.2f; %u of %d points on "
+          "%-11s %3u voxels, %-7s λ = %.3f k; at 15000 N/m dt < %.2f ms; border/bound %.2f to "
+          "%.2f; %u of %d points on "
           "the other side of the bound\n",
-          map->name, map->body->n_voxels, mode_names[mode], map->eigenvalue, 1e3 * dt, least, most, wrong, CELLS);
+          map->name, map->body->n_voxels, mode_names[mode], map->eigenvalue, 1e3 * dt, least, most,
+          wrong, CELLS);
 }
 
 static void add_point(struct bench_series *series, double x, double y)
@@ -209,8 +217,8 @@ static void add_point(struct bench_series *series, double x, double y)
 /* Stable, partly and wholly diverged points; the linear bound. */
 static void draw_map(const struct map *map, int mode, struct bench_series series[SERIES])
 {
-  static const char *const names[] = {"all ten lives go on", "some diverge", "all ten diverge", "the default",
-                                      "linear bound"};
+  static const char *const names[] = {"all ten lives go on", "some diverge", "all ten diverge",
+                                      "the default", "linear bound"};
   static const char *const colours[] = {"#58b368", "#f0a30a", "#d6604d", "#1b6ca8", "#111111"};
   const struct mo_physics physics = mo_default_physics();
   for (int s = 0; s < SERIES; s++) {
@@ -233,7 +241,8 @@ static void draw_map(const struct map *map, int mode, struct bench_series series
 
 int bench_stability(const struct bench_options *options)
 {
-  static struct map maps[BODIES] = {{.name = "one voxel"}, {.name = "random body"}, {.name = "full"}};
+  static struct map maps[BODIES] = {
+      {.name = "one voxel"}, {.name = "random body"}, {.name = "full"}};
   static struct bench_series series[BODIES * MODES][SERIES];
   static char titles[BODIES * MODES][96];
   struct bench_panel panels[BODIES * MODES];
@@ -247,13 +256,17 @@ int bench_stability(const struct bench_options *options)
   bench_scene_create(&scene, options, 0);
   const struct mo_compute_config config = {.n_workers = options->workers, .isa = options->isa};
   bench_check(mo_compute_create_cpu(&config, &runner.compute), "back end");
-  bench_check(mo_compute_controller_create(runner.compute, NULL, &runner.controller[0]), "controller");
-  bench_check(mo_compute_controller_create(runner.compute, scene.controller, &runner.controller[1]), "controller");
+  bench_check(mo_compute_controller_create(runner.compute, NULL, &runner.controller[0]),
+              "controller");
+  bench_check(mo_compute_controller_create(runner.compute, scene.controller, &runner.controller[1]),
+              "controller");
   maps[0].body = bench_box(&scene, 1, 1, 1);
   maps[1].body = random_body(&scene, options->seed, 23);
   maps[2].body = bench_box(&scene, 6, 6, 4);
-  fprintf(file, "body,mode,dt_ms,stiffness_n_per_m,diverged_of_10,first_diverged_step,linear_bound_n_per_m,"
-                "border_n_per_m\n");
+  fprintf(
+      file,
+      "body,mode,dt_ms,stiffness_n_per_m,diverged_of_10,first_diverged_step,linear_bound_n_per_m,"
+      "border_n_per_m\n");
   for (int b = 0; b < BODIES; b++) {
     maps[b].eigenvalue = largest_eigenvalue(maps[b].body);
     for (int mode = 0; mode < MODES; mode++) {
@@ -262,15 +275,17 @@ int bench_stability(const struct bench_options *options)
       write_rows(file, maps + b, mode);
       print_summary(maps + b, mode);
       draw_map(maps + b, mode, series[p]);
-      snprintf(titles[p], sizeof(titles[p]), "%s (%u voxels, λ = %.2f k), %s", maps[b].name, maps[b].body->n_voxels,
-               maps[b].eigenvalue, mode == 0 ? "passive" : "with the trained controller");
+      snprintf(titles[p], sizeof(titles[p]), "%s (%u voxels, λ = %.2f k), %s", maps[b].name,
+               maps[b].body->n_voxels, maps[b].eigenvalue,
+               mode == 0 ? "passive" : "with the trained controller");
       panels[p] = (struct bench_panel){titles[p], "stiffness, N/m", series[p], SERIES};
     }
   }
   int status = 0;
   if (options->csv != NULL && fclose(file) != 0)
     status = 1;
-  if (options->svg != NULL && bench_draw(options->svg, "time step, ms", panels, BODIES * MODES) != 0) {
+  if (options->svg != NULL &&
+      bench_draw(options->svg, "time step, ms", panels, BODIES * MODES) != 0) {
     perror(options->svg);
     status = 1;
   }

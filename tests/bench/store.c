@@ -1,7 +1,8 @@
 /* store.c: what durability costs; `morpho-bench store [folder]`.
  *
- * Runs on a new state folder in `folder` (default: $TMPDIR or /tmp; name one on the disk that counts), which is removed at the
- * end. Prints the time of each operation as its callers see it, fsync included. */
+ * Runs on a new state folder in `folder` (default: $TMPDIR or /tmp; name one on the disk that
+ * counts), which is removed at the end. Prints the time of each operation as its callers see it,
+ * fsync included. */
 #include "bench.h"
 
 #include "base/clock.h"
@@ -58,7 +59,8 @@ static int prepare(struct bench_store_state *state)
   if (error == MO_OK)
     error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_controller_put(state->store, "default", bytes, size, controller, &record, &created);
+    error = mo_store_controller_put(state->store, "default", bytes, size, controller, &record,
+                                    &created);
   if (error == MO_OK)
     error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, 1, &stream);
   state->forms = calloc(DESIGNS, sizeof(*state->forms));
@@ -78,7 +80,8 @@ static int prepare(struct bench_store_state *state)
   return error;
 }
 
-static struct mo_submission submission_of(const struct bench_store_state *state, uint32_t first, uint32_t n)
+static struct mo_submission submission_of(const struct bench_store_state *state, uint32_t first,
+                                          uint32_t n)
 {
   return (struct mo_submission){.forms = state->forms + first,
                                 .genotypes = state->genotypes + first,
@@ -100,7 +103,8 @@ static void *be_a_client(void *context)
 {
   struct client *client = context;
   for (uint32_t i = 0; i < SUBMISSIONS && client->error == MO_OK; i++) {
-    struct mo_submission submission = submission_of(client->state, (client->number * SUBMISSIONS + i) % DESIGNS, 1);
+    struct mo_submission submission =
+        submission_of(client->state, (client->number * SUBMISSIONS + i) % DESIGNS, 1);
     uint64_t start = mo_clock_ns();
     int64_t id;
     bool replayed;
@@ -136,14 +140,17 @@ static int submit_small(const struct bench_store_state *state)
     for (uint32_t i = 0; i < CLIENTS; i++) {
       pthread_join(threads[i], NULL);
       error = clients[i].error != MO_OK ? clients[i].error : error;
-      memcpy(latencies + (size_t)i * SUBMISSIONS, clients[i].latency_s, sizeof(clients[i].latency_s));
+      memcpy(latencies + (size_t)i * SUBMISSIONS, clients[i].latency_s,
+             sizeof(clients[i].latency_s));
     }
     elapsed_s = since(start);
     mo_store_get_stats(state->store, &after);
     qsort(latencies, n, sizeof(*latencies), compare);
-    printf("submissions of 1 design, %d clients  %.0f/s, median %.2f ms, p99 %.2f ms, %.1f per commit\n", CLIENTS,
-           (double)n / elapsed_s, 1e3 * latencies[n / 2], 1e3 * latencies[n * 99 / 100],
-           (double)(after.operations - before.operations) / (double)(after.commits - before.commits));
+    printf("submissions of 1 design, %d clients  %.0f/s, median %.2f ms, p99 %.2f ms, %.1f per "
+           "commit\n",
+           CLIENTS, (double)n / elapsed_s, 1e3 * latencies[n / 2], 1e3 * latencies[n * 99 / 100],
+           (double)(after.operations - before.operations) /
+               (double)(after.commits - before.commits));
   }
   free(clients);
   free(latencies);
@@ -170,7 +177,8 @@ static void saved(struct mo_save *save, int status)
 
 static int save_now(struct mo_store *store, struct mo_save *save)
 {
-  struct saver saver = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER, .pending = 1};
+  struct saver saver = {
+      .mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER, .pending = 1};
   int error;
   save->done = saved;
   save->context = &saver;
@@ -184,7 +192,8 @@ static int save_now(struct mo_store *store, struct mo_save *save)
   return saver.status;
 }
 
-/* All losses of the large job, in saves of the size that a tenth of a second brings, then its end. */
+/* All losses of the large job, in saves of the size that a tenth of a second brings, then its end.
+ */
 static int save_all(const struct bench_store_state *state, int64_t id)
 {
   struct mo_job_update update = {.job = id, .step = MO_STEP_START};
@@ -215,8 +224,8 @@ static int save_all(const struct bench_store_state *state, int64_t id)
     error = save_now(state->store, &save);
     saves++;
   }
-  printf("saves of %d losses                    %.2f ms each, %.0f losses/s\n", SAVE_ROWS, 1e3 * since(start) / saves,
-         DESIGNS * (double)ENVIRONMENTS / since(start));
+  printf("saves of %d losses                    %.2f ms each, %.0f losses/s\n", SAVE_ROWS,
+         1e3 * since(start) / saves, DESIGNS * (double)ENVIRONMENTS / since(start));
   mo_work_free(work);
   return error;
 }
@@ -244,7 +253,8 @@ static int fill_jobs(struct bench_store_state *state)
 {
   static const char sql[] =
       "BEGIN; WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 1000000)"
-      " INSERT INTO jobs(kind,state,priority,version,epoch,attempts,created_us,started_us,finished_us,error)"
+      " INSERT INTO "
+      "jobs(kind,state,priority,version,epoch,attempts,created_us,started_us,finished_us,error)"
       " SELECT 0,3,0,1,1,0,i,i,i,0 FROM n;"
       "INSERT OR IGNORE INTO evaluations SELECT "
       "j.id,e.controller,e.controller_name,e.physics,e.environment_set,1,10,0,0,1,"
@@ -278,8 +288,8 @@ static int list_jobs(const struct bench_store_state *state)
   }
   if (error == MO_OK) {
     qsort(times, PAGES, sizeof(*times), compare);
-    printf("pages of 100 among %d jobs       median %.2f ms, p99 %.2f ms\n", JOBS, 1e3 * times[PAGES / 2],
-           1e3 * times[PAGES * 99 / 100]);
+    printf("pages of 100 among %d jobs       median %.2f ms, p99 %.2f ms\n", JOBS,
+           1e3 * times[PAGES / 2], 1e3 * times[PAGES * 99 / 100]);
   }
   free(page);
   free(times);

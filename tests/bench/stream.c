@@ -1,5 +1,6 @@
-/* stream.c: the distinct bodies of a pretraining; `morpho-bench stream [bodies]`. Draws as a training does, held-out forms left out, and
- * reports the time and the memory that the set of bodies seen takes. */
+/* stream.c: the distinct bodies of a pretraining; `morpho-bench stream [bodies]`. Draws as a
+ * training does, held-out forms left out, and reports the time and the memory that the set of
+ * bodies seen takes. */
 #include "bench.h"
 
 #include <morpho/learning.h>
@@ -28,7 +29,8 @@ int bench_stream(int argc, char **argv)
   const long threads = argc > 2 ? strtol(argv[2], NULL, 10) : 1;
   if (n < REPORTS || n > 1000000000 || threads < 1 || threads > 64) {
     fprintf(stderr,
-            "morpho-bench stream [bodies [threads]]: between %d and 1000000000 bodies, 10500000 by default; up to 64 "
+            "morpho-bench stream [bodies [threads]]: between %d and 1000000000 bodies, 10500000 by "
+            "default; up to 64 "
             "threads that draw ahead, 1 by default\n",
             REPORTS);
     return EXIT_FAILURE;
@@ -47,12 +49,14 @@ int bench_stream(int argc, char **argv)
       continue;
     }
     if (++i == next || i == n) {
-      printf("%12ld %14llu %10.1f %14.1f %16.1f\n", i, (unsigned long long)mo_body_stream_draws(stream),
-             bench_now_s() - start, (double)mo_body_stream_bytes(stream) / 0x1p20, peak_bytes() / 0x1p20);
+      printf("%12ld %14llu %10.1f %14.1f %16.1f\n", i,
+             (unsigned long long)mo_body_stream_draws(stream), bench_now_s() - start,
+             (double)mo_body_stream_bytes(stream) / 0x1p20, peak_bytes() / 0x1p20);
       next += n / REPORTS;
     }
   }
-  printf("%ld more were held out (%.2f %%)\n", held_out, 100.0 * (double)held_out / (double)(n + held_out));
+  printf("%ld more were held out (%.2f %%)\n", held_out,
+         100.0 * (double)held_out / (double)(n + held_out));
   mo_body_stream_free(stream);
   return EXIT_SUCCESS;
 }

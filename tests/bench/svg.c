@@ -12,7 +12,8 @@ struct axis {
 
 static double at(const struct axis *axis, double value)
 {
-  return axis->from + (log10(value) - axis->low) / (axis->high - axis->low) * (axis->to - axis->from);
+  return axis->from +
+         (log10(value) - axis->low) / (axis->high - axis->low) * (axis->to - axis->from);
 }
 
 static void extend(double *low, double *high, double value)
@@ -33,37 +34,40 @@ static void ticks(FILE *file, const struct axis *axis, bool horizontal)
       const double p = at(axis, value);
       if (horizontal)
         fprintf(file,
-                "<line x1=\"%.1f\" y1=\"%d\" x2=\"%.1f\" y2=\"%d\" class=\"grid\"/><text x=\"%.1f\" y=\"%d\" "
+                "<line x1=\"%.1f\" y1=\"%d\" x2=\"%.1f\" y2=\"%d\" class=\"grid\"/><text "
+                "x=\"%.1f\" y=\"%d\" "
                 "text-anchor=\"middle\">%g</text>\n",
                 p, TOP, p, HEIGHT - BOTTOM, p, HEIGHT - BOTTOM + 18, value);
       else
         fprintf(file,
-                "<line x1=\"%d\" y1=\"%.1f\" x2=\"%d\" y2=\"%.1f\" class=\"grid\"/><text x=\"%d\" y=\"%.1f\" "
+                "<line x1=\"%d\" y1=\"%.1f\" x2=\"%d\" y2=\"%.1f\" class=\"grid\"/><text x=\"%d\" "
+                "y=\"%.1f\" "
                 "text-anchor=\"end\">%g</text>\n",
                 LEFT, p, WIDTH - RIGHT, p, LEFT - 8, p + 4, value);
     }
 }
 
-static void draw_marks(FILE *file, const struct bench_series *series, const struct axis *x, const struct axis *y,
-                       const char *colour)
+static void draw_marks(FILE *file, const struct bench_series *series, const struct axis *x,
+                       const struct axis *y, const char *colour)
 {
   fprintf(file, "<path fill=\"%s\" d=\"", colour);
   for (size_t i = 0; i < series->n; i++)
-    fprintf(file, "M%.0f %.0fh8v8h-8z%s", at(x, series->x[i]) - 4, at(y, series->y[i]) - 4, i % 8 == 7 ? "\n" : "");
+    fprintf(file, "M%.0f %.0fh8v8h-8z%s", at(x, series->x[i]) - 4, at(y, series->y[i]) - 4,
+            i % 8 == 7 ? "\n" : "");
   fprintf(file, "\"/>\n");
 }
 
 /* Dots where the points are few enough to be told apart. */
-static void draw_line(FILE *file, const struct bench_series *series, const struct axis *x, const struct axis *y,
-                      const char *colour)
+static void draw_line(FILE *file, const struct bench_series *series, const struct axis *x,
+                      const struct axis *y, const char *colour)
 {
   fprintf(file, "<polyline class=\"line\" stroke=\"%s\" points=\"", colour);
   for (size_t i = 0; i < series->n; i++)
     fprintf(file, "%.1f,%.1f ", at(x, series->x[i]), at(y, series->y[i]));
   fprintf(file, "\"/>\n");
   for (size_t i = 0; i < series->n && series->n <= 64; i++)
-    fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(x, series->x[i]), at(y, series->y[i]),
-            colour);
+    fprintf(file, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"3\" fill=\"%s\"/>\n", at(x, series->x[i]),
+            at(y, series->y[i]), colour);
 }
 
 static void draw_panel(FILE *file, const struct bench_panel *panel, const char *x_name)
@@ -76,19 +80,23 @@ static void draw_panel(FILE *file, const struct bench_panel *panel, const char *
       extend(&x_low, &x_high, panel->series[s].x[i]);
       extend(&y_low, &y_high, panel->series[s].y[i]);
     }
-  const struct axis x = {x_low, x_high, LEFT, WIDTH - RIGHT}, y = {y_low, y_high, HEIGHT - BOTTOM, TOP};
+  const struct axis x = {x_low, x_high, LEFT, WIDTH - RIGHT},
+                    y = {y_low, y_high, HEIGHT - BOTTOM, TOP};
   fprintf(file, "<text x=\"%d\" y=\"30\" font-size=\"15\">%s</text>\n", LEFT, panel->title);
   ticks(file, &x, true);
   ticks(file, &y, false);
   fprintf(file,
           "<text x=\"%d\" y=\"%d\" text-anchor=\"middle\">%s</text>\n"
           "<text transform=\"translate(18 %d) rotate(-90)\" text-anchor=\"middle\">%s</text>\n",
-          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 16, x_name, (TOP + HEIGHT - BOTTOM) / 2, panel->y_name);
+          (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 16, x_name, (TOP + HEIGHT - BOTTOM) / 2,
+          panel->y_name);
   for (size_t s = 0, row = TOP + 12; s < panel->n_series; s++) {
     const struct bench_series *series = panel->series + s;
     if (series->n == 0)
       continue;
-    const char *colour = series->colour != NULL ? series->colour : colours[s % (sizeof(colours) / sizeof(colours[0]))];
+    const char *colour = series->colour != NULL
+                             ? series->colour
+                             : colours[s % (sizeof(colours) / sizeof(colours[0]))];
     if (series->marks)
       draw_marks(file, series, &x, &y, colour);
     else
@@ -96,23 +104,25 @@ static void draw_panel(FILE *file, const struct bench_panel *panel, const char *
     fprintf(file,
             "<line x1=\"%d\" y1=\"%zu\" x2=\"%d\" y2=\"%zu\" stroke=\"%s\" stroke-width=\"3\"/>"
             "<text x=\"%d\" y=\"%zu\">%s</text>\n",
-            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4, series->name);
+            WIDTH - RIGHT + 16, row, WIDTH - RIGHT + 40, row, colour, WIDTH - RIGHT + 48, row + 4,
+            series->name);
     row += 20;
   }
 }
 
-int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels, size_t n_panels)
+int bench_draw(const char *path, const char *x_name, const struct bench_panel *panels,
+               size_t n_panels)
 {
   FILE *file = fopen(path, "w");
   if (file == NULL)
     return -1;
   const size_t height = n_panels * HEIGHT;
-  fprintf(
-      file,
-      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %zu\" font-family=\"sans-serif\" font-size=\"12\">\n"
-      "<style>.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}</style>\n"
-      "<rect width=\"%d\" height=\"%zu\" fill=\"white\"/>\n",
-      WIDTH, height, WIDTH, height);
+  fprintf(file,
+          "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %d %zu\" "
+          "font-family=\"sans-serif\" font-size=\"12\">\n"
+          "<style>.grid{stroke:#ddd}.line{fill:none;stroke-width:1.8}</style>\n"
+          "<rect width=\"%d\" height=\"%zu\" fill=\"white\"/>\n",
+          WIDTH, height, WIDTH, height);
   for (size_t p = 0; p < n_panels; p++) {
     fprintf(file, "<g transform=\"translate(0 %zu)\">\n", p * HEIGHT);
     draw_panel(file, panels + p, x_name);

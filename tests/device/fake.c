@@ -1,16 +1,16 @@
-/* fake.c: a module of devices that computes on the processor, for tests on machines without any: scores by the fast path, gradients by
- * blocks of the CPU. It does what the environment says when it is loaded or opens a device:
- *   MORPHO_FAKE_DEVICES       how many devices there are (1)
- *   MORPHO_FAKE_ROWS          most rows of a call to `score`, MORPHO_FAKE_SHARDS most shards of one to `gradient`: else no memory
- *   MORPHO_FAKE_SPRINGS       a body with more is not supported
+/* fake.c: a module of devices that computes on the processor, for tests on machines without any:
+ * scores by the fast path, gradients by blocks of the CPU. It does what the environment says when
+ * it is loaded or opens a device: MORPHO_FAKE_DEVICES       how many devices there are (1)
+ *   MORPHO_FAKE_ROWS          most rows of a call to `score`, MORPHO_FAKE_SHARDS most shards of one
+ * to `gradient`: else no memory MORPHO_FAKE_SPRINGS       a body with more is not supported
  *   MORPHO_FAKE_DELAY_MS      what every call takes longer
  *   MORPHO_FAKE_LOSE          "1:5": device 1 is lost in its fifth call
  *   MORPHO_FAKE_LOSE_IF       every device is lost as soon as a file of this name exists
- *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory to be opened
- *   MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
+ *   MORPHO_FAKE_SHUT          this device cannot be opened, MORPHO_FAKE_FULL this one has no memory
+ * to be opened MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
  *   MORPHO_FAKE_FAULT         laying out robots is a fault of memory
- *   MORPHO_FAKE_MEET          layouts are made so many at a time: one that waits 20 s for the others fails
- *   MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
+ *   MORPHO_FAKE_MEET          layouts are made so many at a time: one that waits 20 s for the
+ * others fails MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
 #include <pthread.h>
@@ -141,7 +141,8 @@ static int look(void *context)
 }
 
 /* What every call begins with. */
-static int begin(struct mo_device *device, const struct mo_robot *robots, uint32_t n, const volatile int *cancel)
+static int begin(struct mo_device *device, const struct mo_robot *robots, uint32_t n,
+                 const volatile int *cancel)
 {
   const struct timespec millisecond = {.tv_nsec = 1000000};
   device->cancel = cancel;
@@ -161,7 +162,8 @@ static int begin(struct mo_device *device, const struct mo_robot *robots, uint32
 static int fake_score(struct mo_device *device, struct mo_device_score *score)
 {
   const struct mo_pause_point pause = {.interval = 10, .reached = look, .context = device};
-  const struct mo_pack *pack = score->controller != NULL ? score->controller->pack : device->passive;
+  const struct mo_pack *pack =
+      score->controller != NULL ? score->controller->pack : device->passive;
   int status;
   if (score->n < 1 || score->n > MO_DEVICE_ROWS_MAX)
     return MO_ERR_INVALID;
@@ -171,12 +173,13 @@ static int fake_score(struct mo_device *device, struct mo_device_score *score)
   for (uint32_t i = 0; i < score->n && status == MO_OK;) {
     const struct mo_environment *environments[MO_BLOCK_LANES];
     uint32_t lanes = 0;
-    while (i + lanes < score->n && lanes < MO_BLOCK_LANES && score->robots[i + lanes].body == score->robots[i].body) {
+    while (i + lanes < score->n && lanes < MO_BLOCK_LANES &&
+           score->robots[i + lanes].body == score->robots[i].body) {
       environments[lanes] = score->robots[i + lanes].environment;
       lanes++;
     }
-    status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes, &score->physics, NULL,
-                              &pause, NULL, score->outcomes + i);
+    status = mo_rollout_block(device->memory, pack, score->robots[i].body, environments, lanes,
+                              &score->physics, NULL, &pause, NULL, score->outcomes + i);
     i += lanes;
   }
   return status;
@@ -262,13 +265,16 @@ static int fake_gradient(struct mo_device *device, struct mo_device_gradient *gr
     status = MO_ERR_NO_MEMORY;
   else
     status = begin(device, gradient->robots, gradient->n, gradient->cancel);
-  if (status == MO_OK && (part == NULL || mo_gradient_pack_create(gradient->controller, mo_isa_best(), &pack) != MO_OK))
+  if (status == MO_OK && (part == NULL || mo_gradient_pack_create(gradient->controller,
+                                                                  mo_isa_best(), &pack) != MO_OK))
     abort();
   for (uint32_t i = 0; i < gradient->n && status == MO_OK; i += MO_GRADIENT_ROBOTS) {
     float *sum = gradient->d_parameters + (size_t)(i / MO_DEVICE_SHARD) * n_parameters;
-    const uint32_t left = gradient->n - i, n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
-    status = mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics, &options, &pause,
-                               NULL, gradient->outcomes + i, part, &gradient->counts);
+    const uint32_t left = gradient->n - i,
+                   n = left < MO_GRADIENT_ROBOTS ? left : MO_GRADIENT_ROBOTS;
+    status =
+        mo_gradient_block(device->gradient, pack, gradient->robots + i, n, &gradient->physics,
+                          &options, &pause, NULL, gradient->outcomes + i, part, &gradient->counts);
     for (uint32_t k = 0; k < n_parameters; k++)
       sum[k] = i % MO_DEVICE_SHARD == 0 ? part[k] : sum[k] + part[k];
   }

@@ -1,5 +1,6 @@
-/* body.h: feeds bytes to a reader of request bodies. What is accepted must be valid, what is not must have a fault, and what is
- * JSON is jansson's to say. Included after the target's own READER_PARSED, READER_PARSE, READER_FREE and check_accepted. */
+/* body.h: feeds bytes to a reader of request bodies. What is accepted must be valid, what is not
+ * must have a fault, and what is JSON is jansson's to say. Included after the target's own
+ * READER_PARSED, READER_PARSE, READER_FREE and check_accepted. */
 #include <jansson.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,5 +1,5 @@
-/* campaign.c: the body of POST /v1/campaigns. What is accepted must be complete and valid, what is not must have a fault, and what
- * is JSON is jansson's to say, as in evaluation.c. */
+/* campaign.c: the body of POST /v1/campaigns. What is accepted must be complete and valid, what is
+ * not must have a fault, and what is JSON is jansson's to say, as in evaluation.c. */
 #include "target.h"
 
 #include <jansson.h>
@@ -12,9 +12,10 @@ static void check_settings(const struct mo_campaign_settings *settings)
 {
   const struct mo_workspace most = MO_DEFAULT_WORKSPACE, ours = settings->workspace;
   FUZZ_PROMISE(mo_campaign_settings_check(settings, NULL) == MO_OK);
-  FUZZ_PROMISE(ours.nx >= 1 && ours.nx <= most.nx && ours.ny >= 1 && ours.ny <= most.ny && ours.nz >= 1 &&
-               ours.nz <= most.nz);
-  FUZZ_PROMISE((uint64_t)settings->population * ((uint64_t)settings->generations + 1) <= MO_CAMPAIGN_DESIGNS_MAX);
+  FUZZ_PROMISE(ours.nx >= 1 && ours.nx <= most.nx && ours.ny >= 1 && ours.ny <= most.ny &&
+               ours.nz >= 1 && ours.nz <= most.nz);
+  FUZZ_PROMISE((uint64_t)settings->population * ((uint64_t)settings->generations + 1) <=
+               MO_CAMPAIGN_DESIGNS_MAX);
 }
 
 static void check_accepted(const struct mo_campaign_request *request)
@@ -22,7 +23,8 @@ static void check_accepted(const struct mo_campaign_request *request)
   const struct mo_campaign_record *record = &request->record;
   bool zero_shot = record->settings.mode == MO_ZERO_SHOT;
   check_settings(&record->settings);
-  FUZZ_PROMISE(record->name[0] == '\0' || (!zero_shot && mo_controller_name_check(record->name) == MO_OK));
+  FUZZ_PROMISE(record->name[0] == '\0' ||
+               (!zero_shot && mo_controller_name_check(record->name) == MO_OK));
   FUZZ_PROMISE(record->settings.mode == MO_SIMULTANEOUS || request->controller != NULL);
   FUZZ_PROMISE(record->replicates >= 1 && record->replicates <= MO_REPLICATES_MAX);
   FUZZ_PROMISE(record->preset[0] != '\0' && record->n_listed <= record->settings.population);

@@ -1,9 +1,11 @@
 /* checkpoint.c: the reader of a training's checkpoints.
  *
- * Byte 0 even: the rest is a file. Odd: the rest is a header, of 228 bytes in version 1 and of 240 otherwise, and then designs; the
- * file is made whole with as many weights and moments as a checkpoint has, zeros but for the first of each kind, which bits 1 to 3
- * choose, and a right checksum. What the reader refuses it must explain; what it accepts must be sound and come back the same from
- * the writer, or, of version 1, the same but for the version, the rule and its weight. */
+ * Byte 0 even: the rest is a file. Odd: the rest is a header, of 228 bytes in version 1 and of 240
+ * otherwise, and then designs; the file is made whole with as many weights and moments as a
+ * checkpoint has, zeros but for the first of each kind, which bits 1 to 3 choose, and a right
+ * checksum. What the reader refuses it must explain; what it accepts must be sound and come back
+ * the same from the writer, or, of version 1, the same but for the version, the rule and its
+ * weight. */
 #include "target.h"
 
 #include "learning/internal.h"
@@ -11,7 +13,15 @@
 #include <math.h>
 #include <string.h>
 
-enum { MAGIC = 8, HEADER_1 = 228, RULE = 104, RULE_BYTES = 12, N_DESIGNS_BACK = 12, DESIGN = 24, DESIGNS_MAX = 64 };
+enum {
+  MAGIC = 8,
+  HEADER_1 = 228,
+  RULE = 104,
+  RULE_BYTES = 12,
+  N_DESIGNS_BACK = 12,
+  DESIGN = 24,
+  DESIGNS_MAX = 64
+};
 #define PARAMETERS UINT64_C(620912)
 
 static bool is_first(const uint8_t *version)
@@ -19,7 +29,8 @@ static bool is_first(const uint8_t *version)
   return version[0] == 1 && version[1] + version[2] + version[3] == 0;
 }
 
-/* Whether `written` is the file, or the file of version 1 with the version, the rule, the weight and the checksum of version 2. */
+/* Whether `written` is the file, or the file of version 1 with the version, the rule, the weight
+ * and the checksum of version 2. */
 static bool same(const uint8_t *written, size_t n, const uint8_t *data, size_t size)
 {
   enum { TO = MAGIC + RULE, FROM = MAGIC + 4, SUM = 8 };
@@ -27,7 +38,8 @@ static bool same(const uint8_t *written, size_t n, const uint8_t *data, size_t s
   if (!is_first(data + MAGIC))
     return n == size && memcmp(written, data, size) == 0;
   return n == size + RULE_BYTES && memcmp(written + FROM, data + FROM, TO - FROM) == 0 &&
-         memcmp(written + TO, "\0\0\0", 4) == 0 && memcmp(written + TO + 4, &usual, sizeof(usual)) == 0 &&
+         memcmp(written + TO, "\0\0\0", 4) == 0 &&
+         memcmp(written + TO + 4, &usual, sizeof(usual)) == 0 &&
          memcmp(written + TO + RULE_BYTES, data + TO, size - TO - SUM) == 0;
 }
 
@@ -39,8 +51,8 @@ static void check_training(const struct mo_training *training, const uint8_t *da
   FUZZ_PROMISE(mo_training_step(training) <= mo_training_settings_of(training)->n_steps);
   FUZZ_PROMISE(isfinite(training->adam.beta1_power) && isfinite(training->adam.beta2_power));
   for (size_t i = 0; i < training->controller->n_parameters; i++) {
-    FUZZ_PROMISE(isfinite(training->controller->parameters[i]) && isfinite(training->adam.first[i]) &&
-                 training->adam.second[i] >= 0.0);
+    FUZZ_PROMISE(isfinite(training->controller->parameters[i]) &&
+                 isfinite(training->adam.first[i]) && training->adam.second[i] >= 0.0);
   }
   if (mo_training_encode(training, &bytes, &again) == MO_OK) {
     FUZZ_PROMISE(same(bytes, again, data, size));

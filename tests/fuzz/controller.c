@@ -1,8 +1,9 @@
 /* controller.c: the reader of controller files (safetensors).
  *
- * Byte 0 even: the rest is a file. Odd: the rest is the header of a file whose data is as long as a 1x1x1 controller's, zeros
- * but for its first value, which bits 1 and 2 choose. What the reader refuses it must explain; what it accepts must be
- * finite and come back the same from the writer. */
+ * Byte 0 even: the rest is a file. Odd: the rest is the header of a file whose data is as long as a
+ * 1x1x1 controller's, zeros but for its first value, which bits 1 and 2 choose. What the reader
+ * refuses it must explain; what it accepts must be finite and come back the same from the writer.
+ */
 #include "target.h"
 
 #include <math.h>
@@ -26,8 +27,10 @@ static void check_controller(const struct mo_controller *controller)
   struct mo_controller *again = NULL;
   struct mo_message message;
   FUZZ_PROMISE(mo_controller_decode(bytes, size, &again, &message) == MO_OK);
-  FUZZ_PROMISE(again->n_parameters == controller->n_parameters && again->sensor == controller->sensor);
-  FUZZ_PROMISE(memcmp(again->parameters, controller->parameters, controller->n_parameters * sizeof(float)) == 0);
+  FUZZ_PROMISE(again->n_parameters == controller->n_parameters &&
+               again->sensor == controller->sensor);
+  FUZZ_PROMISE(memcmp(again->parameters, controller->parameters,
+                      controller->n_parameters * sizeof(float)) == 0);
   FUZZ_PROMISE(again->n_metadata == controller->n_metadata);
   for (size_t i = 0; i < again->n_metadata; i++) {
     FUZZ_PROMISE(strcmp(again->metadata[i].key, controller->metadata[i].key) == 0);

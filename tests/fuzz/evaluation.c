@@ -1,7 +1,8 @@
 /* evaluation.c: the body of POST /v1/evaluations.
  *
- * What is accepted must be complete and valid; what is not must have a fault; and what we take for JSON, jansson must take for
- * JSON too (and the reverse), but for the numbers that are out of jansson's range and our bounds on depth and keys. */
+ * What is accepted must be complete and valid; what is not must have a fault; and what we take for
+ * JSON, jansson must take for JSON too (and the reverse), but for the numbers that are out of
+ * jansson's range and our bounds on depth and keys. */
 #include "target.h"
 
 #include <jansson.h>

@@ -1,7 +1,8 @@
 /* genotype.c: the readers of genotypes: text, id, bytes, cells.
  *
- * Byte 0 chooses the reader, byte 1 the workspace, the rest is the input. What a reader accepts must be valid, come back
- * unchanged from the matching writer, and keep its id under placement and all images that fit. */
+ * Byte 0 chooses the reader, byte 1 the workspace, the rest is the input. What a reader accepts
+ * must be valid, come back unchanged from the matching writer, and keep its id under placement and
+ * all images that fit. */
 #include "target.h"
 
 #include <morpho/morphospace.h>
@@ -40,7 +41,8 @@ static void check_body(struct mo_workspace workspace, const uint64_t *bits)
       FUZZ_PROMISE(strcmp(id, other) == 0);
     }
   }
-  FUZZ_PROMISE(mo_genotype_keep_largest(workspace, placed) == MO_OK && mo_genotype_count(workspace, placed) == count);
+  FUZZ_PROMISE(mo_genotype_keep_largest(workspace, placed) == MO_OK &&
+               mo_genotype_count(workspace, placed) == count);
 }
 
 static void read_text(struct mo_workspace workspace, const uint8_t *data, size_t size)
@@ -125,7 +127,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
   if (size < 2) {
     return 0;
   }
-  struct mo_workspace workspace = workspaces[data[1] % (sizeof(workspaces) / sizeof(workspaces[0]))];
+  struct mo_workspace workspace =
+      workspaces[data[1] % (sizeof(workspaces) / sizeof(workspaces[0]))];
   switch (data[0] & 3) {
   case 0: read_text(workspace, data + 2, size - 2); break;
   case 1: read_id(workspace, data + 2, size - 2); break;

@@ -1,5 +1,6 @@
-/* replay.c: feeds every file of the folders named on the command line to a fuzz target, in the order of their names, and
- * each file also cut short at every length up to 64 bytes. Fails if a folder holds no file. */
+/* replay.c: feeds every file of the folders named on the command line to a fuzz target, in the
+ * order of their names, and each file also cut short at every length up to 64 bytes. Fails if a
+ * folder holds no file. */
 #include "target.h"
 
 #include <dirent.h>

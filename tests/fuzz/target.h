@@ -1,5 +1,6 @@
-/* target.h: what fuzz targets share. A target reads hostile bytes; it may refuse them, but must not crash, leak, or accept
- * what breaks a promise: FUZZ_PROMISE(condition) ends the run with the promise's text. */
+/* target.h: what fuzz targets share. A target reads hostile bytes; it may refuse them, but must not
+ * crash, leak, or accept what breaks a promise: FUZZ_PROMISE(condition) ends the run with the
+ * promise's text. */
 #ifndef MORPHO_TESTS_FUZZ_TARGET_H
 #define MORPHO_TESTS_FUZZ_TARGET_H
 
@@ -10,12 +11,12 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-#define FUZZ_PROMISE(condition)                                                                                        \
-  do {                                                                                                                 \
-    if (!(condition)) {                                                                                                \
-      fprintf(stderr, "%s:%d: broken promise: %s\n", __FILE__, __LINE__, #condition);                                  \
-      abort();                                                                                                         \
-    }                                                                                                                  \
+#define FUZZ_PROMISE(condition)                                                                    \
+  do {                                                                                             \
+    if (!(condition)) {                                                                            \
+      fprintf(stderr, "%s:%d: broken promise: %s\n", __FILE__, __LINE__, #condition);              \
+      abort();                                                                                     \
+    }                                                                                              \
   } while (0)
 
 #endif

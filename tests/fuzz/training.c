@@ -1,5 +1,5 @@
-/* training.c: the body of POST /v1/trainings. What is accepted must be complete and valid, what is not must have a fault, and what
- * is JSON is jansson's to say, as in evaluation.c. */
+/* training.c: the body of POST /v1/trainings. What is accepted must be complete and valid, what is
+ * not must have a fault, and what is JSON is jansson's to say, as in evaluation.c. */
 #include "target.h"
 
 #include <jansson.h>
@@ -13,8 +13,10 @@ static void check_accepted(const struct mo_training_request *request)
   const struct mo_training_record *record = &request->record;
   bool finetune = record->settings.kind == MO_TRAINING_FINETUNE;
   FUZZ_PROMISE(mo_training_settings_check(&record->settings, NULL) == MO_OK);
-  FUZZ_PROMISE(record->settings.held_out_designs >= 1 && record->settings.held_out_environments >= 1);
-  FUZZ_PROMISE(record->checkpoints_kept >= 1 && record->checkpoints_kept <= MO_CHECKPOINTS_KEPT_MAX);
+  FUZZ_PROMISE(record->settings.held_out_designs >= 1 &&
+               record->settings.held_out_environments >= 1);
+  FUZZ_PROMISE(record->checkpoints_kept >= 1 &&
+               record->checkpoints_kept <= MO_CHECKPOINTS_KEPT_MAX);
   FUZZ_PROMISE(record->name[0] == '\0' || mo_controller_name_check(record->name) == MO_OK);
   FUZZ_PROMISE(finetune == (record->n_designs > 0 || request->population > 0));
   FUZZ_PROMISE(record->n_designs == 0 || request->population == 0);

@@ -4,7 +4,8 @@
  *   static const struct check_case cases[] = {{"adds", adds}};
  *   CHECK_MAIN(cases)
  *
- * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE leaves the case. */
+ * A failed check prints a diagnostic and goes on; a case with a failed check is "not ok". REQUIRE
+ * leaves the case. */
 #ifndef MORPHO_TESTS_CHECK_H
 #define MORPHO_TESTS_CHECK_H
 
@@ -20,50 +21,51 @@ struct check_case {
 
 static int check_failures;
 
-#define CHECK(condition)                                                                                               \
-  do {                                                                                                                 \
-    if (!(condition)) {                                                                                                \
-      check_failures++;                                                                                                \
-      printf("# %s:%d: failed: %s\n", __FILE__, __LINE__, #condition);                                                 \
-    }                                                                                                                  \
+#define CHECK(condition)                                                                           \
+  do {                                                                                             \
+    if (!(condition)) {                                                                            \
+      check_failures++;                                                                            \
+      printf("# %s:%d: failed: %s\n", __FILE__, __LINE__, #condition);                             \
+    }                                                                                              \
   } while (0)
 
-#define REQUIRE(condition)                                                                                             \
-  do {                                                                                                                 \
-    if (!(condition)) {                                                                                                \
-      check_failures++;                                                                                                \
-      printf("# %s:%d: required: %s\n", __FILE__, __LINE__, #condition);                                               \
-      return;                                                                                                          \
-    }                                                                                                                  \
+#define REQUIRE(condition)                                                                         \
+  do {                                                                                             \
+    if (!(condition)) {                                                                            \
+      check_failures++;                                                                            \
+      printf("# %s:%d: required: %s\n", __FILE__, __LINE__, #condition);                           \
+      return;                                                                                      \
+    }                                                                                              \
   } while (0)
 
-#define CHECK_NEAR(actual, expected, tolerance)                                                                        \
-  do {                                                                                                                 \
-    double check_a = (actual), check_e = (expected), check_t = (tolerance);                                            \
-    if (!(fabs(check_a - check_e) <= check_t)) {                                                                       \
-      check_failures++;                                                                                                \
-      printf("# %s:%d: %s = %.17g, expected %.17g within %g\n", __FILE__, __LINE__, #actual, check_a, check_e,         \
-             check_t);                                                                                                 \
-    }                                                                                                                  \
+#define CHECK_NEAR(actual, expected, tolerance)                                                    \
+  do {                                                                                             \
+    double check_a = (actual), check_e = (expected), check_t = (tolerance);                        \
+    if (!(fabs(check_a - check_e) <= check_t)) {                                                   \
+      check_failures++;                                                                            \
+      printf("# %s:%d: %s = %.17g, expected %.17g within %g\n", __FILE__, __LINE__, #actual,       \
+             check_a, check_e, check_t);                                                           \
+    }                                                                                              \
   } while (0)
 
-#define CHECK_INT(actual, expected)                                                                                    \
-  do {                                                                                                                 \
-    long long check_a = (long long)(actual), check_e = (long long)(expected);                                          \
-    if (check_a != check_e) {                                                                                          \
-      check_failures++;                                                                                                \
-      printf("# %s:%d: %s = %lld, expected %lld\n", __FILE__, __LINE__, #actual, check_a, check_e);                    \
-    }                                                                                                                  \
+#define CHECK_INT(actual, expected)                                                                \
+  do {                                                                                             \
+    long long check_a = (long long)(actual), check_e = (long long)(expected);                      \
+    if (check_a != check_e) {                                                                      \
+      check_failures++;                                                                            \
+      printf("# %s:%d: %s = %lld, expected %lld\n", __FILE__, __LINE__, #actual, check_a,          \
+             check_e);                                                                             \
+    }                                                                                              \
   } while (0)
 
-#define CHECK_TEXT(actual, expected)                                                                                   \
-  do {                                                                                                                 \
-    const char *check_a = (actual), *check_e = (expected);                                                             \
-    if (check_a == NULL || strcmp(check_a, check_e) != 0) {                                                            \
-      check_failures++;                                                                                                \
-      printf("# %s:%d: %s = \"%s\", expected \"%s\"\n", __FILE__, __LINE__, #actual, check_a ? check_a : "(null)",     \
-             check_e ? check_e : "(null)");                                                                            \
-    }                                                                                                                  \
+#define CHECK_TEXT(actual, expected)                                                               \
+  do {                                                                                             \
+    const char *check_a = (actual), *check_e = (expected);                                         \
+    if (check_a == NULL || strcmp(check_a, check_e) != 0) {                                        \
+      check_failures++;                                                                            \
+      printf("# %s:%d: %s = \"%s\", expected \"%s\"\n", __FILE__, __LINE__, #actual,               \
+             check_a ? check_a : "(null)", check_e ? check_e : "(null)");                          \
+    }                                                                                              \
   } while (0)
 
 /* argv[1], if given: only the cases whose name contains it. */
@@ -88,10 +90,10 @@ static inline int check_run(const struct check_case *cases, size_t n, int argc, 
   return failed != 0 || planned == 0;
 }
 
-#define CHECK_MAIN(cases)                                                                                              \
-  int main(int argc, char **argv)                                                                                      \
-  {                                                                                                                    \
-    return check_run(cases, sizeof(cases) / sizeof((cases)[0]), argc, argv);                                           \
+#define CHECK_MAIN(cases)                                                                          \
+  int main(int argc, char **argv)                                                                  \
+  {                                                                                                \
+    return check_run(cases, sizeof(cases) / sizeof((cases)[0]), argc, argv);                       \
   }
 
 #endif

@@ -1,4 +1,5 @@
-/* failing.h: an allocator that fails on demand. For tests linked with --wrap for each of these functions. */
+/* failing.h: an allocator that fails on demand. For tests linked with --wrap for each of these
+ * functions. */
 #ifndef MORPHO_TESTS_FAILING_H
 #define MORPHO_TESTS_FAILING_H
 

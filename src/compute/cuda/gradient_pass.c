@@ -1,10 +1,12 @@
-/* gradient_pass.c: what of a plan fits the device's memory at a time, and which of its groups two blocks walk. */
+/* gradient_pass.c: what of a plan fits the device's memory at a time, and which of its groups two
+ * blocks walk. */
 #include "compute/cuda/gradient_pass.h"
 
 enum { N_PARAMETERS = 620912 };
 
-/* What walking groups in halves comes to, so that the times of 1024 to 8192 robots on a H200 come out: half a group's time in hundredths of the
- * group's (more where the kernel has code for whole ones, too), and the time that multiprocessors take for all, with their waiting, in hundredths of
+/* What walking groups in halves comes to, so that the times of 1024 to 8192 robots on a H200 come
+ * out: half a group's time in hundredths of the group's (more where the kernel has code for whole
+ * ones, too), and the time that multiprocessors take for all, with their waiting, in hundredths of
  * what they would without. */
 struct measured {
   uint64_t half, packing;
@@ -13,8 +15,8 @@ static const struct measured whole = {100, 102}, halves = {64, 102}, mixed = {70
 
 static uint64_t bytes_of(const struct mo_gradient_plan *plan, const struct mo_gradient_pass *p)
 {
-  return p->tape + 4 * p->sums + (uint64_t)(p->end_shard - p->first_shard) * N_PARAMETERS * 4 + plan->n_masses * 25 +
-         plan->n_chunks * 128 + ((uint64_t)16 << 20);
+  return p->tape + 4 * p->sums + (uint64_t)(p->end_shard - p->first_shard) * N_PARAMETERS * 4 +
+         plan->n_masses * 25 + plan->n_chunks * 128 + ((uint64_t)16 << 20);
 }
 
 static void add_group(struct mo_gradient_pass *p, const struct mo_gp_group *g, uint32_t n_steps)
@@ -31,7 +33,8 @@ bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, uint32_t n_ste
   for (uint32_t i = 0; i < plan->n_groups; i++) {
     const struct mo_gp_group *g = &plan->groups[i];
     if (i == 0 || g->shard != plan->groups[i - 1].shard)
-      p = (struct mo_gradient_pass){.first = i, .end = i, .first_shard = g->shard, .end_shard = g->shard + 1};
+      p = (struct mo_gradient_pass){
+          .first = i, .end = i, .first_shard = g->shard, .end_shard = g->shard + 1};
     add_group(&p, g, n_steps);
     if (mo_gp_tape_of(g, n_steps).bytes > UINT32_MAX || p.tape + 4 * p.sums > most)
       return false;
@@ -39,10 +42,11 @@ bool mo_gradient_can_be_held(const struct mo_gradient_plan *plan, uint32_t n_ste
   return plan->n_shards > 1 || bytes_of(plan, &p) <= most;
 }
 
-int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, uint32_t first, uint32_t n_steps,
-                          uint64_t budget, struct mo_gradient_pass *ret)
+int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, uint32_t first,
+                          uint32_t n_steps, uint64_t budget, struct mo_gradient_pass *ret)
 {
-  struct mo_gradient_pass p = {.first = first, .end = first, .first_shard = first_shard, .end_shard = first_shard};
+  struct mo_gradient_pass p = {
+      .first = first, .end = first, .first_shard = first_shard, .end_shard = first_shard};
   *ret = p;
   while (p.end < plan->n_groups) {
     const uint32_t shard = plan->groups[p.end].shard;
@@ -60,8 +64,8 @@ int mo_gradient_pass_next(struct mo_gradient_plan *plan, uint32_t first_shard, u
   return ret->end > first ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
-/* In clocks of a step, both ways, fitted to those of 128 groups of random bodies (to a hundredth, root mean square). All warps wait for the pair
- * that has most springs and masses. */
+/* In clocks of a step, both ways, fitted to those of 128 groups of random bodies (to a hundredth,
+ * root mean square). All warps wait for the pair that has most springs and masses. */
 uint64_t mo_gradient_cost(const struct mo_gp_group *g)
 {
   uint32_t most_chunks = 0, most_masses = 0;
@@ -71,13 +75,14 @@ uint64_t mo_gradient_cost(const struct mo_gp_group *g)
     most_chunks = pair->n_chunks > most_chunks ? pair->n_chunks : most_chunks;
     most_masses = masses > most_masses ? masses : most_masses;
   }
-  return 62000 + 580 * (uint64_t)g->n_outputs + 6 * (uint64_t)g->n_masses + 360 * (uint64_t)most_chunks +
-         80 * (uint64_t)most_masses;
+  return 62000 + 580 * (uint64_t)g->n_outputs + 6 * (uint64_t)g->n_masses +
+         360 * (uint64_t)most_chunks + 80 * (uint64_t)most_masses;
 }
 
-/* When all are through, in hundredths of a clock, if so many of those that can be are walked in halves. */
-static uint64_t ends(const struct mo_gradient_load *loads, uint32_t n, uint32_t n_halved, const struct measured *m,
-                     uint32_t multiprocessors)
+/* When all are through, in hundredths of a clock, if so many of those that can be are walked in
+ * halves. */
+static uint64_t ends(const struct mo_gradient_load *loads, uint32_t n, uint32_t n_halved,
+                     const struct measured *m, uint32_t multiprocessors)
 {
   uint64_t longest = 0, sum = 0;
   for (uint32_t i = 0, halved = 0; i < n; i++) {
@@ -91,7 +96,8 @@ static uint64_t ends(const struct mo_gradient_load *loads, uint32_t n, uint32_t 
   return longest > all ? longest : all;
 }
 
-uint32_t mo_gradient_halved(const struct mo_gradient_load *loads, uint32_t n, uint32_t multiprocessors)
+uint32_t mo_gradient_halved(const struct mo_gradient_load *loads, uint32_t n,
+                            uint32_t multiprocessors)
 {
   uint64_t soonest = UINT64_MAX;
   uint32_t n_wide = 0, ret = 0;

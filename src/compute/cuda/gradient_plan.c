@@ -1,5 +1,5 @@
-/* gradient_plan.c: robots to groups, groups to tables. Shards are laid out by several threads, each in memory of its own, and then put together
- * in their order. */
+/* gradient_plan.c: robots to groups, groups to tables. Shards are laid out by several threads, each
+ * in memory of its own, and then put together in their order. */
 #include "compute/cuda/gradient_plan.h"
 
 #include "rollout/scene.h"
@@ -10,11 +10,18 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { HALF = MO_GP_ROWS_MAX / 2, PAIR_MASSES = 512, MASS_SPRINGS = 18, LARGE_LEAST = 4, WORKERS_MAX = 64 };
+enum {
+  HALF = MO_GP_ROWS_MAX / 2,
+  PAIR_MASSES = 512,
+  MASS_SPRINGS = 18,
+  LARGE_LEAST = 4,
+  WORKERS_MAX = 64
+};
 
 enum { GROUPS, ROWS, POSITION, INPUT, SPRINGS, STARTS, ORDER = STARTS, SCRATCH, MEMORIES };
 
-/* A shard under construction: as mo_gradient_plan, with numbers that count from the shard's start. */
+/* A shard under construction: as mo_gradient_plan, with numbers that count from the shard's start.
+ */
 struct shard {
   const struct mo_robot *robots; /* of the whole batch */
   const struct mo_physics *physics;
@@ -22,7 +29,7 @@ struct shard {
   uint32_t number, first, n; /* robots */
   uint32_t *order;           /* larger bodies first */
   uint32_t at, end;          /* those not placed yet */
-  uint32_t from_back;        /* of the group being formed: how many are the last of them, not the first */
+  uint32_t from_back; /* of the group being formed: how many are the last of them, not the first */
   uint32_t n_groups, n_rows;
   uint64_t n_masses, n_chunks;
   uint64_t mass, chunk; /* before this shard's, like the two that follow */
@@ -167,26 +174,31 @@ static int fill_springs(struct shard *s, const struct mo_gp_group *g, const stru
   for (uint32_t k = 0; k < 2 && bodies[k] != NULL; from += bodies[k++]->n_masses)
     for (uint32_t i = 0; i < bodies[k]->n_springs; i++) {
       const uint32_t at = bodies[k]->spring_lattice[i];
-      const uint32_t output = (uint32_t)g->output_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE;
+      const uint32_t output =
+          (uint32_t)g->output_place[at / MO_GP_TILE] * MO_GP_TILE + at % MO_GP_TILE;
       const uint32_t ends[2] = {from + bodies[k]->spring_a[i], from + bodies[k]->spring_b[i]};
       for (int e = 0; e < 2; e++) {
-        const uint32_t place = order.place[ends[e]], chunk = order.chunk[place / MO_GP_LANES] + used[place]++;
+        const uint32_t place = order.place[ends[e]],
+                       chunk = order.chunk[place / MO_GP_LANES] + used[place]++;
         chunks[chunk * MO_GP_LANES + place % MO_GP_LANES] =
             MO_GP_SPRING(ends[e], ends[1 - e], output, k, bodies[k]->spring_diagonal[i]);
       }
     }
-  for (uint32_t place = 0; place < (order.n_masses + MO_GP_LANES - 1) / MO_GP_LANES * MO_GP_LANES; place++) {
+  for (uint32_t place = 0; place < (order.n_masses + MO_GP_LANES - 1) / MO_GP_LANES * MO_GP_LANES;
+       place++) {
     const bool there = place < order.n_masses;
     const uint32_t m = there ? order.mass[place] : 0, end = order.chunk[place / MO_GP_LANES + 1];
     uint32_t *own = chunks + order.chunk[place / MO_GP_LANES] * MO_GP_LANES + place % MO_GP_LANES;
     for (uint32_t c = used[place]; order.chunk[place / MO_GP_LANES] + c < end; c++)
-      own[c * MO_GP_LANES] = MO_GP_SPRING(there ? m : MO_GP_NO_MASS, m, 0, m >= pair->n_masses[0], 0);
+      own[c * MO_GP_LANES] =
+          MO_GP_SPRING(there ? m : MO_GP_NO_MASS, m, 0, m >= pair->n_masses[0], 0);
     chunks[(end - 1) * MO_GP_LANES + place % MO_GP_LANES] |= MO_GP_SPRING_LAST;
   }
   pair->n_chunks = pair->split = order.n_chunks;
   for (uint32_t i = 0; i * MO_GP_LANES < order.n_masses; i++) { /* a mass's springs stay together */
     const uint32_t before = order.chunk[i], after = order.n_chunks - before;
-    const uint32_t longer = pair->split > order.n_chunks - pair->split ? pair->split : order.n_chunks - pair->split;
+    const uint32_t longer =
+        pair->split > order.n_chunks - pair->split ? pair->split : order.n_chunks - pair->split;
     if (before < longer && after < longer)
       pair->split = before;
   }
@@ -214,7 +226,8 @@ static void fill_row(struct shard *s, struct mo_gp_row *row)
   }
   row->light[2] = (float)light[2];
   row->start_m =
-      mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) + MO_LOSS_GUARD_M;
+      mo_scene_distance(start->com_start_m[0] - light[0], start->com_start_m[1] - light[1]) +
+      MO_LOSS_GUARD_M;
   row->highest = (float)environment->terrain_heights_m[0];
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++) {
     row->heights[k] = (float)environment->terrain_heights_m[k];
@@ -223,14 +236,15 @@ static void fill_row(struct shard *s, struct mo_gp_row *row)
   for (size_t i = 0; i < body->n_masses; i++) {
     input[i] = (uint8_t)body->mass_lattice[i];
     for (size_t axis = 0; axis < 3; axis++)
-      position[3 * i + axis] = (float)(s->scratch[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
+      position[3 * i + axis] =
+          (float)(s->scratch[3 * i + axis] - (axis < 2 ? MO_WORLD_CENTRE_M : 0));
   }
   row->n_masses = body->n_masses;
   s->n_masses += body->n_masses;
 }
 
-/* A group of n robots; rows beyond them stay empty. The second half goes the other way round, so that a warp's two bodies are together about as
- * large as another's. */
+/* A group of n robots; rows beyond them stay empty. The second half goes the other way round, so
+ * that a warp's two bodies are together about as large as another's. */
 static int fill_group(struct shard *s, struct mo_gp_group *g, uint32_t n)
 {
   struct mo_gp_row *rows = s->rows + g->first_row;
@@ -262,15 +276,17 @@ static bool fits(const struct shard *s, const struct mo_gp_group *g)
   return mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= s->options->shared_bytes;
 }
 
-/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of them; s->from_back says of how many: of sixteen at
- * least, so that no pair has two large ones, which all would wait for. */
+/* Whether 32 of the largest bodies that are left fit if the smallest take the place of some of
+ * them; s->from_back says of how many: of sixteen at least, so that no pair has two large ones,
+ * which all would wait for. */
 static bool mixes(struct shard *s)
 {
   uint32_t masses = 0;
   s->from_back = HALF;
   for (uint32_t i = 0; i < MO_GP_ROWS_MAX; i++)
     masses += body_of(s, MO_GP_ROWS_MAX, i)->n_masses;
-  while (mo_gp_shared_bytes(MO_GP_ROWS_MAX, masses, MO_GP_OUTPUT_TILES) > s->options->shared_bytes) {
+  while (mo_gp_shared_bytes(MO_GP_ROWS_MAX, masses, MO_GP_OUTPUT_TILES) >
+         s->options->shared_bytes) {
     if (++s->from_back > (uint32_t)MO_GP_ROWS_MAX - LARGE_LEAST)
       return false;
     masses -= s->robots[s->first + s->order[s->at + MO_GP_ROWS_MAX - s->from_back]].body->n_masses;
@@ -279,9 +295,10 @@ static bool mixes(struct shard *s)
   return true;
 }
 
-/* How many robots form the next group, which is measured: 32, the largest that are left or, where they do not fit, some of them and some of
- * the smallest: the weights that a group loads are for all its rows. Else 16; where the shared memory is too small for sixteen large bodies,
- * fewer in sixteen rows. 0: not even one fits. */
+/* How many robots form the next group, which is measured: 32, the largest that are left or, where
+ * they do not fit, some of them and some of the smallest: the weights that a group loads are for
+ * all its rows. Else 16; where the shared memory is too small for sixteen large bodies, fewer in
+ * sixteen rows. 0: not even one fits. */
 static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
 {
   const uint32_t left = s->end - s->at;
@@ -303,12 +320,13 @@ static uint32_t next_group(struct shard *s, struct mo_gp_group *g)
   return n;
 }
 
-/* Of n robots: every group but the last has as many as of the largest bodies fit in sixteen rows. */
+/* Of n robots: every group but the last has as many as of the largest bodies fit in sixteen rows.
+ */
 static size_t groups_at_most(const struct shard *s)
 {
   uint32_t fewest = HALF;
-  while (fewest > 1 &&
-         mo_gp_shared_bytes(HALF, fewest * MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES) > s->options->shared_bytes)
+  while (fewest > 1 && mo_gp_shared_bytes(HALF, fewest * MO_DEFAULT_MASSES, MO_GP_OUTPUT_TILES) >
+                           s->options->shared_bytes)
     fewest--;
   return s->n / fewest + (size_t)2;
 }
@@ -325,8 +343,8 @@ static int lay_out(struct shard *s)
   s->position = reserve(&s->memory[POSITION], 3 * most_masses * sizeof(*s->position));
   s->input = reserve(&s->memory[INPUT], most_masses);
   s->scratch = reserve(&s->memory[SCRATCH], 3 * MO_DEFAULT_MASSES * sizeof(*s->scratch));
-  if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL || s->input == NULL ||
-      s->scratch == NULL)
+  if (s->order == NULL || s->groups == NULL || s->rows == NULL || s->position == NULL ||
+      s->input == NULL || s->scratch == NULL)
     return MO_ERR_NO_MEMORY;
   int status = mo_gradient_arrange(s->robots + s->first, s->n, s->order);
   s->end = s->n;
@@ -359,7 +377,8 @@ static void put(const struct shard *s, struct mo_gradient_plan *plan)
   memcpy(plan->position + 3 * s->mass, s->position, s->n_masses * 3 * sizeof(*s->position));
   memcpy(plan->input + s->mass, s->input, s->n_masses);
   if (s->n_chunks > 0)
-    memcpy(plan->springs + s->chunk * MO_GP_LANES, s->springs, s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
+    memcpy(plan->springs + s->chunk * MO_GP_LANES, s->springs,
+           s->n_chunks * MO_GP_LANES * sizeof(*s->springs));
 }
 
 /* ---- threads ---- */
@@ -428,9 +447,10 @@ static int place(struct mo_gradient_plan *plan, struct shard *shards)
   plan->rows = reserve_table(plan, ROWS, plan->n_rows * sizeof(*plan->rows));
   plan->position = reserve_table(plan, POSITION, plan->n_masses * 3 * sizeof(*plan->position));
   plan->input = reserve_table(plan, INPUT, plan->n_masses);
-  plan->springs = reserve_table(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
-  const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL && plan->input != NULL &&
-                   plan->springs != NULL;
+  plan->springs =
+      reserve_table(plan, SPRINGS, plan->n_chunks * MO_GP_LANES * sizeof(*plan->springs));
+  const bool all = plan->groups != NULL && plan->rows != NULL && plan->position != NULL &&
+                   plan->input != NULL && plan->springs != NULL;
   return all ? MO_OK : MO_ERR_NO_MEMORY;
 }
 
@@ -454,8 +474,9 @@ static bool is_default(struct mo_workspace w)
   return w.nx == d.nx && w.ny == d.ny && w.nz == d.nz;
 }
 
-int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
-                          const struct mo_gp_options *options, struct mo_gradient_plan *plan)
+int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
+                          const struct mo_physics *physics, const struct mo_gp_options *options,
+                          struct mo_gradient_plan *plan)
 {
   for (uint32_t i = 0; i < n; i++)
     if (!is_default(robots[i].body->workspace))

@@ -1,15 +1,21 @@
-/* gradient_plan.h: a batch of robots laid out for the device that differentiates them. Plain C, no CUDA.
+/* gradient_plan.h: a batch of robots laid out for the device that differentiates them. Plain C, no
+ * CUDA.
  *
- * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a row is a robot in its environment), larger
- * bodies first; where sixteen large ones exceed a block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps. Warp w simulates rows w and w + 16 of its group, as one body: a *pair*.
- * A lane takes a mass and adds up its springs, each of which is computed from both ends: so no two lanes write one number. Its masses go by
- * falling number of springs, 32 at a time, and the springs of 32 masses as *chunks*, the n-th of each mass in the n-th.
+ * The batch falls into shards of consecutive robots, and a shard into groups of 32 or 16 rows (a
+ * row is a robot in its environment), larger bodies first; where sixteen large ones exceed a
+ * block's shared memory, some rows stay empty. A group lives in one thread block of sixteen warps.
+ * Warp w simulates rows w and w + 16 of its group, as one body: a *pair*. A lane takes a mass and
+ * adds up its springs, each of which is computed from both ends: so no two lanes write one number.
+ * Its masses go by falling number of springs, 32 at a time, and the springs of 32 masses as
+ * *chunks*, the n-th of each mass in the n-th.
  *
- * Where a device has multiprocessors for it, a group of 32 rows can be walked by two blocks, each of which has half of the pairs
- * and two warps to a pair. What these sum over rows themselves is summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
+ * Where a device has multiprocessors for it, a group of 32 rows can be walked by two blocks, each
+ * of which has half of the pairs and two warps to a pair. What these sum over rows themselves is
+ * summed by such *halves* in any case, so that the bits are the same: pairs 0 … 7, 8 … 15.
  *
- * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has; the first for all inputs: groups lack none
- * that would be worth leaving out. How a shard is laid out depends on its robots alone. */
+ * The last layer is multiplied for those *tiles* of sixteen springs that some row of the group has;
+ * the first for all inputs: groups lack none that would be worth leaving out. How a shard is laid
+ * out depends on its robots alone. */
 #ifndef MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 #define MORPHO_COMPUTE_CUDA_GRADIENT_PLAN_H
 
@@ -35,12 +41,13 @@ enum {
 };
 #define MO_GP_NO_ROBOT UINT32_MAX
 
-/* A spring of one of a pair's masses: that mass and the one at the other end, place among the group's outputs, which row, whether it is a
- * diagonal, whether it is in the last chunk of these 32 masses. A mass with fewer springs than the first of the 32 is tied to itself, which
- * gives nothing; lanes without a mass have MO_GP_NO_MASS. */
-#define MO_GP_SPRING(own, other, output, row, diagonal)                                                                \
-  ((uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 | (uint32_t)(other) << 9 |            \
-   (uint32_t)(own))
+/* A spring of one of a pair's masses: that mass and the one at the other end, place among the
+ * group's outputs, which row, whether it is a diagonal, whether it is in the last chunk of these 32
+ * masses. A mass with fewer springs than the first of the 32 is tied to itself, which gives
+ * nothing; lanes without a mass have MO_GP_NO_MASS. */
+#define MO_GP_SPRING(own, other, output, row, diagonal)                                            \
+  ((uint32_t)(diagonal) << 30 | (uint32_t)(row) << 29 | (uint32_t)(output) << 18 |                 \
+   (uint32_t)(other) << 9 | (uint32_t)(own))
 #define MO_GP_SPRING_LAST        (UINT32_C(1) << 31)
 #define MO_GP_SPRING_OWN(s)      ((s)&0x1ffu)
 #define MO_GP_SPRING_OTHER(s)    ((s) >> 9 & 0x1ffu)
@@ -63,7 +70,8 @@ struct mo_gp_group {
   uint32_t n_masses, n_chunks;
   uint32_t n_outputs;               /* tiles */
   uint64_t first_mass, first_chunk; /* of those of all groups */
-  uint64_t tape_at, sum_at;         /* bytes from the start of the tape; floats from the start of the sums */
+  uint64_t tape_at,
+      sum_at; /* bytes from the start of the tape; floats from the start of the sums */
   uint8_t output_tile[MO_GP_OUTPUT_TILES + 1], output_place[MO_GP_OUTPUT_TILES + 1];
   struct mo_gp_pair pair[MO_GP_WARPS];
 };
@@ -80,15 +88,15 @@ struct mo_gp_row {
 
 /* Where in a group's part of the tape things lie, in bytes; each is (n_steps, …) of its own. */
 struct mo_gp_tape {
-  uint64_t position;   /* float (3, n_masses) */
-  uint64_t velocity;   /* float (3, n_masses) before contact */
-  uint64_t activation; /* int16 (n_chunks, 32) in units of 1/32767 */
-  uint64_t input;      /* bfloat16 (n_rows, 256) */
-  uint64_t normal
-      [MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the layer sums there, bfloat16 */
+  uint64_t position;                 /* float (3, n_masses) */
+  uint64_t velocity;                 /* float (3, n_masses) before contact */
+  uint64_t activation;               /* int16 (n_chunks, 32) in units of 1/32767 */
+  uint64_t input;                    /* bfloat16 (n_rows, 256) */
+  uint64_t normal[MO_HIDDEN_LAYERS]; /* float16 (n_rows, 256); the way back leaves ∂loss/∂ what the
+                                        layer sums there, bfloat16 */
   uint64_t hidden[MO_HIDDEN_LAYERS]; /* bfloat16 (n_rows, 256) */
   uint64_t scale;                    /* float (MO_HIDDEN_LAYERS, n_rows) */
-  uint64_t d_output;                 /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
+  uint64_t d_output; /* bfloat16 (n_rows, 16 n_outputs): ∂loss/∂ what the last layer sums */
   uint64_t bytes;
 };
 /* And in a group's sums, in floats. */
@@ -144,15 +152,18 @@ MO_GP_BOTH struct mo_gp_sum mo_gp_sum_of(const struct mo_gp_group *g)
   return s;
 }
 
-/* Shared memory of a group, in bytes, on the way forward and back: places and velocities with what LayerNorm is given, or with their adjoints. */
+/* Shared memory of a group, in bytes, on the way forward and back: places and velocities with what
+ * LayerNorm is given, or with their adjoints. */
 MO_GP_BOTH uint32_t mo_gp_shared_bytes(uint32_t n_rows, uint32_t n_masses, uint32_t n_outputs)
 {
-  const uint32_t rows = n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
-                                  + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
-                                  + 8 * (MO_GP_WARPS + 2)          /* partial sums */
-                                  + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
-                                  + 4 + 32);                       /* flags; what is counted */
-  const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS, back = n_masses * 36;
+  const uint32_t rows =
+      n_rows * (2 * (n_outputs * MO_GP_TILE + 8) /* activations, or ∂loss/∂ them */
+                + 2 * (MO_HIDDEN + 8)            /* what a layer is given */
+                + 8 * (MO_GP_WARPS + 2)          /* partial sums */
+                + 4 * (4 + MO_TERRAIN_HEIGHTS)   /* light and terrain */
+                + 4 + 32);                       /* flags; what is counted */
+  const uint32_t forward = n_masses * 29 + 4 * MO_HIDDEN * 3 * MO_HIDDEN_LAYERS,
+                 back = n_masses * 36;
   return rows + (forward > back ? forward : back) + 1024;
 }
 
@@ -177,20 +188,23 @@ struct mo_gradient_plan {
   uint8_t *input;             /* (n_masses) the mass's place among the inputs */
   uint32_t *springs;          /* (n_chunks, 32) */
   struct mo_outcome *starts;  /* (n) com_start_m alone */
-  /* What holds all that, and the shards before they are put together: used again by the next batch, since new memory of 80 MB takes longer
-   * to be had than to be filled. */
+  /* What holds all that, and the shards before they are put together: used again by the next batch,
+   * since new memory of 80 MB takes longer to be had than to be filled. */
   struct mo_gp_memory memory[6], shards;
-  /* Where the tables' memory comes from; NULL: malloc and free. Set once, while the rest is zeros. */
+  /* Where the tables' memory comes from; NULL: malloc and free. Set once, while the rest is zeros.
+   */
   void *(*allocate)(void *context, size_t bytes);
   void (*release)(void *memory);
   void *context;
 };
 
-/* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here. MO_ERR_UNSUPPORTED: another workspace than the
- * default, or a body that shared_bytes do not hold by itself; MO_ERR_NO_MEMORY. The memory of the plan stays with it, after an error too, until
+/* plan: zeros, or what an earlier call left. `robots` and what they point to are read only here.
+ * MO_ERR_UNSUPPORTED: another workspace than the default, or a body that shared_bytes do not hold
+ * by itself; MO_ERR_NO_MEMORY. The memory of the plan stays with it, after an error too, until
  * mo_gradient_plan_free. */
-int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
-                          const struct mo_gp_options *options, struct mo_gradient_plan *plan);
+int mo_gradient_plan_make(const struct mo_robot *robots, uint32_t n,
+                          const struct mo_physics *physics, const struct mo_gp_options *options,
+                          struct mo_gradient_plan *plan);
 void mo_gradient_plan_free(struct mo_gradient_plan *plan);
 
 #ifdef __cplusplus

@@ -1,7 +1,8 @@
 /* plan.c: rows, bodies and environments laid out for the device.
  *
- * mo_plan_create and mo_plan_cut do what depends on all rows and is cheap: which bodies there are, which rows form a group, where everything
- * will lie. mo_plan_measure and mo_plan_fill do the work, body by body and group by group, each independent of the others. */
+ * mo_plan_create and mo_plan_cut do what depends on all rows and is cheap: which bodies there are,
+ * which rows form a group, where everything will lie. mo_plan_measure and mo_plan_fill do the work,
+ * body by body and group by group, each independent of the others. */
 #include "compute/cuda/plan.h"
 
 #include <stdlib.h>
@@ -28,7 +29,8 @@ static int distinct_create(struct distinct *set, uint32_t n)
   uint32_t size = 64;
   while (size < 2 * (uint64_t)n)
     size *= 2;
-  *set = (struct distinct){calloc(size, sizeof(*set->key)), malloc(size * sizeof(*set->value)), size - 1, 0};
+  *set = (struct distinct){calloc(size, sizeof(*set->key)), malloc(size * sizeof(*set->value)),
+                           size - 1, 0};
   return set->key == NULL || set->value == NULL ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
@@ -56,7 +58,8 @@ static uint32_t distinct_add(struct distinct *set, const void *key)
 /* ---- groups ---- */
 
 /* What `rows` more rows of a body make of a group. */
-static struct mo_plan_group with_rows(const struct mo_plan_group *group, const struct mo_plan_body *body, uint32_t rows)
+static struct mo_plan_group with_rows(const struct mo_plan_group *group,
+                                      const struct mo_plan_body *body, uint32_t rows)
 {
   struct mo_plan_group more = *group;
   more.n_rows += rows;
@@ -75,8 +78,9 @@ static int fits(const struct mo_plan_options *options, const struct mo_plan_grou
 }
 
 /* Most rows of a body, up to `wanted`, that fit beside what the group has. */
-static uint32_t rows_that_fit(const struct mo_plan_options *options, const struct mo_plan_group *group,
-                              const struct mo_plan_body *body, uint32_t wanted)
+static uint32_t rows_that_fit(const struct mo_plan_options *options,
+                              const struct mo_plan_group *group, const struct mo_plan_body *body,
+                              uint32_t wanted)
 {
   const uint32_t room = options->rows - group->n_rows;
   uint32_t take = wanted < room ? wanted : room;
@@ -142,7 +146,8 @@ static uint32_t quads_at_most(const struct mo_body *body)
 }
 
 /* What a body needs of the block, and which pairs it has. */
-static struct mo_plan_body measure(const struct mo_plan *plan, const struct mo_body *body, struct mo_plan_pairs *pairs)
+static struct mo_plan_body measure(const struct mo_plan *plan, const struct mo_body *body,
+                                   struct mo_plan_pairs *pairs)
 {
   struct mo_plan_body header = {.n_masses = body->n_masses, .n_springs = body->n_springs};
   uint32_t n = 0, n_edges = 0;
@@ -176,7 +181,8 @@ static void lay_out(struct mo_plan *plan)
   }
   struct mo_plan_block *block = &plan->block;
   size_t used = 0;
-  block->environments = place(&used, plan->n_environments, MO_PLAN_ENVIRONMENT_DOUBLES * sizeof(double));
+  block->environments =
+      place(&used, plan->n_environments, MO_PLAN_ENVIRONMENT_DOUBLES * sizeof(double));
   block->bodies = place(&used, plan->n_bodies, sizeof(struct mo_plan_body));
   block->pairs = place(&used, plan->n_bodies, sizeof(struct mo_plan_pairs));
   block->links = place(&used, n_quads, MO_PLAN_LINKS * sizeof(uint32_t));
@@ -186,13 +192,15 @@ static void lay_out(struct mo_plan *plan)
   block->groups = place(&used, plan->n_groups, sizeof(struct mo_plan_group));
   block->parts = place(&used, plan->n_parts, sizeof(struct mo_plan_part));
   block->rows = place(&used, plan->n, sizeof(struct mo_plan_row));
-  block->tiles = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(struct mo_plan_tile));
+  block->tiles =
+      place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(struct mo_plan_tile));
   block->columns = place(&used, (size_t)plan->n_groups * MO_PLAN_TILES_MAX, sizeof(uint16_t));
   block->bytes = used;
 }
 
-/* Bodies of nearly one size whose boxes are alike share most of their springs: they go together, the largest first, so that the last groups to
- * be taken up are short. Along each axis the order goes there and back, so that neighbours in the order differ little. */
+/* Bodies of nearly one size whose boxes are alike share most of their springs: they go together,
+ * the largest first, so that the last groups to be taken up are short. Along each axis the order
+ * goes there and back, so that neighbours in the order differ little. */
 static uint32_t body_key(const struct mo_body *body)
 {
   uint32_t low[3] = {UINT16_MAX, UINT16_MAX, UINT16_MAX}, high[3] = {0, 0, 0}, key;
@@ -214,7 +222,8 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Bodies, with what was measured of them, by body_key, then by appearance; then the rows by body. */
+/* Bodies, with what was measured of them, by body_key, then by appearance; then the rows by body.
+ */
 static int arrange(struct mo_plan *plan)
 {
   const uint32_t n = plan->n_bodies;
@@ -257,7 +266,8 @@ static int arrange(struct mo_plan *plan)
 
 static int is_default(const struct mo_body *body)
 {
-  return body->workspace.nx == SIDE_X - 1 && body->workspace.ny == SIDE_Y - 1 && body->workspace.nz == SIDE_Z - 1;
+  return body->workspace.nx == SIDE_X - 1 && body->workspace.ny == SIDE_Y - 1 &&
+         body->workspace.nz == SIDE_Z - 1;
 }
 
 /* Numbers bodies and environments by appearance. */
@@ -288,7 +298,8 @@ int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t
   plan->slots = malloc(MO_DEFAULT_SPRINGS * sizeof(*plan->slots));
   plan->bodies = malloc(n * sizeof(const struct mo_body *));
   plan->environments = malloc(n * sizeof(const struct mo_environment *));
-  int status = plan->body_of == NULL || plan->slots == NULL || plan->bodies == NULL || plan->environments == NULL
+  int status = plan->body_of == NULL || plan->slots == NULL || plan->bodies == NULL ||
+                       plan->environments == NULL
                    ? MO_ERR_NO_MEMORY
                    : mo_plan_slots(plan->slots);
   if (status == MO_OK) {
@@ -328,7 +339,8 @@ int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options)
   plan->rows = malloc(plan->n * sizeof(*plan->rows));
   plan->parts = malloc(2 * (size_t)plan->n * sizeof(*plan->parts));
   plan->groups = malloc(plan->n * sizeof(*plan->groups));
-  int status = plan->rows == NULL || plan->parts == NULL || plan->groups == NULL ? MO_ERR_NO_MEMORY : arrange(plan);
+  int status = plan->rows == NULL || plan->parts == NULL || plan->groups == NULL ? MO_ERR_NO_MEMORY
+                                                                                 : arrange(plan);
   if (status == MO_OK)
     status = cut_groups(plan, options);
   if (status == MO_OK)
@@ -353,10 +365,12 @@ void mo_plan_free(struct mo_plan *plan)
 
 /* ---- the first layer's inputs ---- */
 
-/* Twice the horizontal distance of a lattice column from the middle, by the larger axis, then by the other; the floor first. */
+/* Twice the horizontal distance of a lattice column from the middle, by the larger axis, then by
+ * the other; the floor first. */
 static int input_key(int mass)
 {
-  const int x = mass / (SIDE_Y * SIDE_Z) - SIDE_X / 2, y = mass / SIDE_Z % SIDE_Y - SIDE_Y / 2, z = mass % SIDE_Z;
+  const int x = mass / (SIDE_Y * SIDE_Z) - SIDE_X / 2, y = mass / SIDE_Z % SIDE_Y - SIDE_Y / 2,
+            z = mass % SIDE_Z;
   return x * x + y * y + z * z;
 }
 
@@ -387,8 +401,8 @@ int mo_plan_input_mass(uint32_t input)
 
 /* ---- pairs of springs ---- */
 
-/* What the springs of a pair have in common, and what comes first: edges by direction and line, then diagonals by the middle of their
- * face. */
+/* What the springs of a pair have in common, and what comes first: edges by direction and line,
+ * then diagonals by the middle of their face. */
 static uint32_t pair_key(uint32_t a, uint32_t b, int diagonal)
 {
   const uint32_t xyz_a[3] = {a / (SIDE_Y * SIDE_Z), a / SIDE_Z % SIDE_Y, a % SIDE_Z};
@@ -421,8 +435,8 @@ int mo_plan_slots(uint16_t *slots)
   if (status != MO_OK)
     return status;
   for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++)
-    keyed[s] =
-        (struct keyed){pair_key(lattice->spring_a[s], lattice->spring_b[s], lattice->spring_diagonal[s] != 0), s};
+    keyed[s] = (struct keyed){
+        pair_key(lattice->spring_a[s], lattice->spring_b[s], lattice->spring_diagonal[s] != 0), s};
   mo_lattice_free(lattice);
   qsort(keyed, MO_DEFAULT_SPRINGS, sizeof(*keyed), by_key);
   for (uint32_t slot = 0; slot < MO_DEFAULT_SPRINGS; slot++)
@@ -439,9 +453,9 @@ static uint32_t own_slot(const struct mo_plan_pairs *pairs, uint32_t slot)
   return 2 * (pairs->before[pair / 32] + (uint32_t)__builtin_popcount(before)) + slot % 2;
 }
 
-static void fill_body(const struct mo_body *body, const struct input_order *order, const uint16_t *slots,
-                      const struct mo_plan_pairs *pairs, uint32_t *links, uint32_t *masses, uint8_t *ranks,
-                      uint8_t *inputs)
+static void fill_body(const struct mo_body *body, const struct input_order *order,
+                      const uint16_t *slots, const struct mo_plan_pairs *pairs, uint32_t *links,
+                      uint32_t *masses, uint8_t *ranks, uint8_t *inputs)
 {
   const uint32_t n = body->n_masses;
   uint8_t degree[MO_DEFAULT_MASSES] = {0}, used[MO_DEFAULT_MASSES] = {0};
@@ -479,16 +493,17 @@ static void fill_body(const struct mo_body *body, const struct input_order *orde
     links[MO_PLAN_LINKS * quad_of[a] + used[a]++] = MO_PLAN_LINK(slot, ranks[b]);
     links[MO_PLAN_LINKS * quad_of[b] + used[b]++] = MO_PLAN_LINK(slot, ranks[a]);
   }
-  for (uint32_t m = 0; m < n;
-       m++) /* of no length: such a link pulls nowhere, whatever its spring, which is one of the mass's */
-    for (uint32_t *first = links + MO_PLAN_LINKS * quad_of[m]; used[m] % MO_PLAN_LINKS != 0; used[m]++)
+  for (uint32_t m = 0; m < n; m++) /* of no length: such a link pulls nowhere, whatever its spring,
+                                      which is one of the mass's */
+    for (uint32_t *first = links + MO_PLAN_LINKS * quad_of[m]; used[m] % MO_PLAN_LINKS != 0;
+         used[m]++)
       first[used[m]] = MO_PLAN_LINK(MO_PLAN_LINK_SLOT(first[0]), ranks[m]);
 }
 
-/* The pairs of a group, by the columns that have them: patterns in the order of a Gray code, so that a tile that holds the end of one and
- * the start of the next wastes little. */
-static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_group *group, struct mo_plan_tile *tiles,
-                           uint16_t *columns)
+/* The pairs of a group, by the columns that have them: patterns in the order of a Gray code, so
+ * that a tile that holds the end of one and the start of the next wastes little. */
+static uint32_t fill_tiles(const struct mo_plan *plan, const struct mo_plan_group *group,
+                           struct mo_plan_tile *tiles, uint16_t *columns)
 {
   uint32_t has[MO_PLAN_COLUMNS_MAX][MO_PLAN_PAIR_WORDS] = {{0}};
   for (uint32_t p = 0; p < group->n_parts; p++) {
@@ -551,12 +566,14 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   order_inputs(&order);
   double *environments = (double *)(void *)(base + block->environments);
   struct mo_plan_body *bodies = (struct mo_plan_body *)(void *)(base + block->bodies);
-  uint32_t *links = (uint32_t *)(void *)(base + block->links), *masses = (uint32_t *)(void *)(base + block->masses);
+  uint32_t *links = (uint32_t *)(void *)(base + block->links),
+           *masses = (uint32_t *)(void *)(base + block->masses);
   uint8_t *ranks = (uint8_t *)(base + block->ranks), *inputs = (uint8_t *)(base + block->inputs);
   for (uint32_t b = share; b < plan->n_bodies; b += n_shares) {
     const struct mo_plan_body header = plan->headers[b];
-    fill_body(plan->bodies[b], &order, plan->slots, plan->pairs + b, links + (size_t)MO_PLAN_LINKS * header.first_quad,
-              masses + header.first_mass, ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
+    fill_body(plan->bodies[b], &order, plan->slots, plan->pairs + b,
+              links + (size_t)MO_PLAN_LINKS * header.first_quad, masses + header.first_mass,
+              ranks + header.first_mass, inputs + (size_t)b * MO_PLAN_INPUTS);
     bodies[b] = header;
   }
   for (uint32_t e = share; e < plan->n_environments; e += n_shares) {
@@ -567,8 +584,9 @@ void mo_plan_fill(const struct mo_plan *plan, void *memory, uint32_t share, uint
   struct mo_plan_group *groups = (struct mo_plan_group *)(void *)(base + block->groups);
   for (uint32_t g = share; g < plan->n_groups; g += n_shares) {
     struct mo_plan_group group = plan->groups[g];
-    group.n_tiles = fill_tiles(plan, &group, (struct mo_plan_tile *)(void *)(base + block->tiles) + group.first_tile,
-                               (uint16_t *)(void *)(base + block->columns) + group.first_tile);
+    group.n_tiles = fill_tiles(
+        plan, &group, (struct mo_plan_tile *)(void *)(base + block->tiles) + group.first_tile,
+        (uint16_t *)(void *)(base + block->columns) + group.first_tile);
     group.input_tiles = input_tiles_of(plan, &group, &order);
     groups[g] = group;
   }

@@ -1,14 +1,16 @@
 /* plan.h: rows (a robot in an environment each) laid out for the device. Plain C, no CUDA.
  *
- * Rows are cut into groups of at most MO_PLAN_ROWS_MAX; a group lives its whole life in one thread block. Each body and each environment
- * that the rows name is laid out once. What the device reads is one block of memory (struct mo_plan_block says where what lies), which
- * several threads may fill at once.
+ * Rows are cut into groups of at most MO_PLAN_ROWS_MAX; a group lives its whole life in one thread
+ * block. Each body and each environment that the rows name is laid out once. What the device reads
+ * is one block of memory (struct mo_plan_block says where what lies), which several threads may
+ * fill at once.
  *
- * Within a group the rows of one body stand together: they are a *part*. The output layer is multiplied only for the springs of the
- * group's bodies, eight pairs at a time: a *tile*. Each tile says which of the group's columns (eight rows each) have any of its springs.
+ * Within a group the rows of one body stand together: they are a *part*. The output layer is
+ * multiplied only for the springs of the group's bodies, eight pairs at a time: a *tile*. Each tile
+ * says which of the group's columns (eight rows each) have any of its springs.
  *
- * Nothing that a row's result depends on differs with its group or its neighbours: a body's masses and the order in which a mass adds its
- * springs up follow from the body alone. */
+ * Nothing that a row's result depends on differs with its group or its neighbours: a body's masses
+ * and the order in which a mass adds its springs up follow from the body alone. */
 #ifndef MORPHO_COMPUTE_CUDA_PLAN_H
 #define MORPHO_COMPUTE_CUDA_PLAN_H
 
@@ -29,24 +31,27 @@ extern "C" {
 #define MO_PLAN_PAIR_WORDS  26  /* of 32 pairs */
 #define MO_PLAN_EDGES       616 /* slots of edges; those of diagonals follow */
 #define MO_PLAN_TILES_MAX   103 /* 824 / 8 */
-#define MO_PLAN_INPUTS      256 /* places of the first layer's inputs: 245 masses and 11 that stay empty */
-#define MO_PLAN_LINKS       4   /* links that are read at once */
-#define MO_PLAN_DEGREES_MAX 18  /* springs of one mass */
+#define MO_PLAN_INPUTS                                                                             \
+  256 /* places of the first layer's inputs: 245 masses and 11 that stay empty */
+#define MO_PLAN_LINKS       4  /* links that are read at once */
+#define MO_PLAN_DEGREES_MAX 18 /* springs of one mass */
 #define MO_PLAN_NO_PAIR     0xffff
 
-/* Springs go in pairs, so that one load brings weights of two: the two diagonals of a face, which a body has both or neither, and edges
- * that lie side by side. Spring i of pair p has slot 2p + i. */
+/* Springs go in pairs, so that one load brings weights of two: the two diagonals of a face, which a
+ * body has both or neither, and edges that lie side by side. Spring i of pair p has slot 2p + i. */
 
-/* A body's masses are numbered by falling number of springs, then as in mo_body. A mass's links (a spring as one of its ends sees it) stand
- * together, in the order of the body's springs, MO_PLAN_LINKS at a time; what is left of the last ones are links to itself. */
+/* A body's masses are numbered by falling number of springs, then as in mo_body. A mass's links (a
+ * spring as one of its ends sees it) stand together, in the order of the body's springs,
+ * MO_PLAN_LINKS at a time; what is left of the last ones are links to itself. */
 struct mo_plan_body {
   uint32_t n_masses, n_springs;
-  uint32_t first_quad, first_mass; /* into links, in units of MO_PLAN_LINKS; into masses and ranks */
-  uint32_t n_slots,
-      n_edges; /* slots of its own, two for each pair that it has a spring of; of edges, which come first */
+  uint32_t first_quad,
+      first_mass;            /* into links, in units of MO_PLAN_LINKS; into masses and ranks */
+  uint32_t n_slots, n_edges; /* slots of its own, two for each pair that it has a spring of; of
+                                edges, which come first */
 };
-/* Which pairs a body has, and how many there are before each word of them: the body's own slots of pair p are 2n and 2n + 1, n the number
- * of its pairs before p. */
+/* Which pairs a body has, and how many there are before each word of them: the body's own slots of
+ * pair p are 2n and 2n + 1, n the number of its pairs before p. */
 struct mo_plan_pairs {
   uint32_t has[MO_PLAN_PAIR_WORDS];
   uint16_t before[MO_PLAN_PAIR_WORDS];
@@ -56,9 +61,11 @@ struct mo_plan_pairs {
 #define MO_PLAN_LINK_MASS(link)  ((link)&0xffu)
 #define MO_PLAN_LINK_SLOT(link)  ((link) >> 8)
 
-/* A mass: lattice coordinates, and where its links start and how many times MO_PLAN_LINKS there are. */
-#define MO_PLAN_MASS(x, y, z, quads, quad)                                                                             \
-  ((uint32_t)(x) | (uint32_t)(y) << 4 | (uint32_t)(z) << 8 | (uint32_t)(quads) << 12 | (uint32_t)(quad) << 16)
+/* A mass: lattice coordinates, and where its links start and how many times MO_PLAN_LINKS there
+ * are. */
+#define MO_PLAN_MASS(x, y, z, quads, quad)                                                         \
+  ((uint32_t)(x) | (uint32_t)(y) << 4 | (uint32_t)(z) << 8 | (uint32_t)(quads) << 12 |             \
+   (uint32_t)(quad) << 16)
 #define MO_PLAN_MASS_X(mass)     ((mass)&15u)
 #define MO_PLAN_MASS_Y(mass)     ((mass) >> 4 & 15u)
 #define MO_PLAN_MASS_Z(mass)     ((mass) >> 8 & 15u)
@@ -102,19 +109,21 @@ struct mo_plan_block {
   size_t links;        /* uint32_t (…, MO_PLAN_LINKS) */
   size_t masses;       /* uint32_t (all bodies' masses) */
   size_t ranks;        /* uint8_t (likewise): the device's number of the body's mass i */
-  size_t
-      inputs; /* uint8_t (n_bodies, MO_PLAN_INPUTS): at MO_PLAN_INPUT_OF, place of the mass's sensor among the first layer's inputs */
+  size_t inputs;  /* uint8_t (n_bodies, MO_PLAN_INPUTS): at MO_PLAN_INPUT_OF, place of the mass's
+                     sensor among the first layer's inputs */
   size_t groups;  /* struct mo_plan_group (n_groups) */
   size_t parts;   /* struct mo_plan_part */
   size_t rows;    /* struct mo_plan_row (n) */
   size_t tiles;   /* struct mo_plan_tile (n_groups, MO_PLAN_TILES_MAX) */
-  size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's springs */
+  size_t columns; /* uint16_t (n_groups, MO_PLAN_TILES_MAX): bit c: column c has one of the tile's
+                     springs */
   size_t bytes;
 };
 
 struct mo_plan_options {
   uint32_t rows;       /* wanted in a group, 1 … MO_PLAN_ROWS_MAX */
-  size_t group_bytes;  /* memory of a group: what follows, times how many there are, must not exceed it */
+  size_t group_bytes;  /* memory of a group: what follows, times how many there are, must not exceed
+                          it */
   size_t column_bytes; /* of eight rows' activations */
   size_t part_bytes;
   size_t place_bytes;  /* of one mass in one row */
@@ -126,7 +135,7 @@ struct mo_plan {
   struct mo_plan_block block;
   /* The plan's own. */
   const struct mo_robot *robots;
-  const struct mo_body **bodies;              /* (n_bodies), in the order in which their rows stand */
+  const struct mo_body **bodies; /* (n_bodies), in the order in which their rows stand */
   const struct mo_environment **environments; /* (n_environments) */
   struct mo_plan_body *headers;               /* (n_bodies) */
   struct mo_plan_pairs *pairs;                /* (n_bodies) */
@@ -135,34 +144,39 @@ struct mo_plan {
   struct mo_plan_part *parts;
   struct mo_plan_row *rows;
   /* From one function to the next. */
-  uint32_t *body_of,
-      *environment_of;    /* (n) by row, in the order of appearance; one piece of memory with rows_of_body */
-  uint32_t *rows_of_body; /* (n_bodies) */
-  uint64_t *keys;         /* (n_bodies): by which bodies are ordered */
+  uint32_t *body_of, *environment_of; /* (n) by row, in the order of appearance; one piece of memory
+                                         with rows_of_body */
+  uint32_t *rows_of_body;             /* (n_bodies) */
+  uint64_t *keys;                     /* (n_bodies): by which bodies are ordered */
 };
 
-/* In this order: mo_plan_create, all shares of mo_plan_measure, mo_plan_cut, all shares of mo_plan_fill; shares of one function may be worked
- * on at the same time. `robots` and what they point to must stay until the plan is freed. It may be freed after an error, too. */
+/* In this order: mo_plan_create, all shares of mo_plan_measure, mo_plan_cut, all shares of
+ * mo_plan_fill; shares of one function may be worked on at the same time. `robots` and what they
+ * point to must stay until the plan is freed. It may be freed after an error, too. */
 
-/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of another workspace than the default;
- * MO_ERR_NO_MEMORY. */
+/* Finds the distinct bodies and environments (by address). MO_ERR_UNSUPPORTED: a body of another
+ * workspace than the default; MO_ERR_NO_MEMORY. */
 int mo_plan_create(struct mo_plan *plan, const struct mo_robot *robots, uint32_t n);
 void mo_plan_free(struct mo_plan *plan);
 
 /* Looks at share `share` of `n_shares` of the bodies. */
 void mo_plan_measure(struct mo_plan *plan, uint32_t share, uint32_t n_shares);
 
-/* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a body that does not fit group_bytes by itself; MO_ERR_NO_MEMORY. */
+/* Cuts the rows into groups. MO_ERR_UNSUPPORTED: a body that does not fit group_bytes by itself;
+ * MO_ERR_NO_MEMORY. */
 int mo_plan_cut(struct mo_plan *plan, const struct mo_plan_options *options);
 
-/* Writes share `share` of `n_shares` of the block, 8-byte aligned and plan->block.bytes long. All shares together write every byte that the device reads. */
+/* Writes share `share` of `n_shares` of the block, 8-byte aligned and plan->block.bytes long. All
+ * shares together write every byte that the device reads. */
 void mo_plan_fill(const struct mo_plan *plan, void *block, uint32_t share, uint32_t n_shares);
 
-/* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen places are masses that tend to be
- * used together, those in the middle of the lattice's floor first. */
+/* The lattice mass whose sensor stands at place `input` of the first layer's inputs, or −1: sixteen
+ * places are masses that tend to be used together, those in the middle of the lattice's floor
+ * first. */
 int mo_plan_input_mass(uint32_t input);
 
-/* Where a body's list of inputs has the device's mass m: sixteen lanes sense a row, of which lane l has masses l, l + 16, … side by side. */
+/* Where a body's list of inputs has the device's mass m: sixteen lanes sense a row, of which lane l
+ * has masses l, l + 16, … side by side. */
 #define MO_PLAN_INPUT_OF(m) ((m) % 16 * 16 + (m) / 16)
 
 /* Slots of the lattice's springs (1648). MO_ERR_NO_MEMORY. */

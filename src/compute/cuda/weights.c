@@ -6,7 +6,11 @@
 #include <math.h>
 #include <string.h>
 
-enum { TILE = 16, PAIR_HALVES = MO_WEIGHTS_PAIR_BYTES / 2, LARGEST_EXPONENT = 12 /* scaled values lie below 2^12 */ };
+enum {
+  TILE = 16,
+  PAIR_HALVES = MO_WEIGHTS_PAIR_BYTES / 2,
+  LARGEST_EXPONENT = 12 /* scaled values lie below 2^12 */
+};
 
 #define HIDDEN_LIMIT   60000.0f /* float16 ends at 65504 */
 #define EXPONENT_LIMIT 50       /* LayerNorm's epsilon, scaled, stays a normal float32 */
@@ -33,8 +37,8 @@ uint16_t mo_weights_half(float value)
     return (uint16_t)(sign | 0x7e00);
   if (magnitude >= 0x477ff000) /* from 65520 on */
     return (uint16_t)(sign | 0x7c00);
-  if (magnitude <
-      0x38800000) { /* below 2^-14: adding 1/2 leaves the value in units of 2^-24 in the last bits, rounded */
+  if (magnitude < 0x38800000) { /* below 2^-14: adding 1/2 leaves the value in units of 2^-24 in the
+                                   last bits, rounded */
     const uint32_t shifted = bits_of(float_of(magnitude) + 0.5f);
     return (uint16_t)(sign | (shifted - 0x3f000000));
   }
@@ -44,11 +48,12 @@ uint16_t mo_weights_half(float value)
 
 float mo_weights_from_half(uint16_t half)
 {
-  const uint32_t sign = (uint32_t)(half & 0x8000) << 16, exponent = half >> 10 & 31, mantissa = half & 0x3ff;
+  const uint32_t sign = (uint32_t)(half & 0x8000) << 16, exponent = half >> 10 & 31,
+                 mantissa = half & 0x3ff;
   if (exponent == 31)
     return float_of(sign | 0x7f800000 | mantissa << 13);
-  const float magnitude =
-      exponent == 0 ? (float)mantissa * 0x1p-24f : float_of((exponent + 112) << 23 | mantissa << 13);
+  const float magnitude = exponent == 0 ? (float)mantissa * 0x1p-24f
+                                        : float_of((exponent + 112) << 23 | mantissa << 13);
   return sign != 0 ? -magnitude : magnitude;
 }
 
@@ -61,7 +66,8 @@ static size_t place(size_t *used, size_t bytes)
 
 struct mo_weights_layout mo_weights_layout(int exact)
 {
-  struct mo_weights_layout layout = {.units = exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST};
+  struct mo_weights_layout layout = {.units =
+                                         exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST};
   const size_t pair = (size_t)layout.units * MO_WEIGHTS_PAIR_BYTES;
   size_t used = 0;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
@@ -88,13 +94,15 @@ static void put_tile(const float *const row[2], uint32_t tile, float scale, int 
         for (uint32_t e = 0; e < 2; e++) {
           const float value = row[h][tile * TILE + 2 * t + r + 8 * e] * scale;
           const uint16_t high = mo_weights_half(value);
-          out[8 * t + 4 * r + 2 * h + e] = low ? mo_weights_half(value - mo_weights_from_half(high)) : high;
+          out[8 * t + 4 * r + 2 * h + e] =
+              low ? mo_weights_half(value - mo_weights_from_half(high)) : high;
         }
 }
 
-/* A pair of outputs; unit_halves: from unit to unit; half_halves: from a unit's first half to its second. */
-static void put_pair(const float *const row[2], int exact, float scale, uint16_t *out, size_t unit_halves,
-                     size_t half_halves)
+/* A pair of outputs; unit_halves: from unit to unit; half_halves: from a unit's first half to its
+ * second. */
+static void put_pair(const float *const row[2], int exact, float scale, uint16_t *out,
+                     size_t unit_halves, size_t half_halves)
 {
   const uint32_t units = exact ? MO_WEIGHTS_UNITS_EXACT : MO_WEIGHTS_UNITS_FAST;
   for (uint32_t u = 0; u < units; u++) {
@@ -130,7 +138,8 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
   /* A normalized value is at most √256. */
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++)
     for (uint32_t o = 0; o < MO_HIDDEN; o++)
-      if (!(16.0f * fabsf(controller->norm_gain[l][o]) + fabsf(controller->norm_shift[l][o]) <= HIDDEN_LIMIT))
+      if (!(16.0f * fabsf(controller->norm_gain[l][o]) + fabsf(controller->norm_shift[l][o]) <=
+            HIDDEN_LIMIT))
         return MO_ERR_UNSUPPORTED;
   const struct mo_weights_layout layout = mo_weights_layout(exact);
   char *base = memory;
@@ -165,7 +174,8 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
           if (l == 0)
             rows[h] = ordered[h];
         }
-        put_pair(rows, exact, scale, out + tile * layout.units * 8 * PAIR_HALVES + g * PAIR_HALVES / 2, 8 * PAIR_HALVES,
+        put_pair(rows, exact, scale,
+                 out + tile * layout.units * 8 * PAIR_HALVES + g * PAIR_HALVES / 2, 8 * PAIR_HALVES,
                  4 * PAIR_HALVES);
       }
     for (uint32_t o = 0; l == 0 && o < MO_HIDDEN; o++)
@@ -184,12 +194,13 @@ int mo_weights_pack(const struct mo_controller *controller, int exact, void *mem
   const float *rows[MO_DEFAULT_SPRINGS];
   for (uint32_t s = 0; s < MO_DEFAULT_SPRINGS; s++) {
     rows[slots[s]] = output + (size_t)s * MO_HIDDEN;
-    ((float *)(void *)(base + layout.output_bias))[slots[s]] = controller->bias[MO_HIDDEN_LAYERS][s];
+    ((float *)(void *)(base + layout.output_bias))[slots[s]] =
+        controller->bias[MO_HIDDEN_LAYERS][s];
   }
   for (uint32_t p = 0; p < MO_PLAN_PAIRS; p++)
     put_pair(rows + 2 * (size_t)p, exact, ldexpf(1.0f, exponent),
-             (uint16_t *)(void *)(base + layout.output) + (size_t)p * layout.units * PAIR_HALVES, PAIR_HALVES,
-             PAIR_HALVES / 2);
+             (uint16_t *)(void *)(base + layout.output) + (size_t)p * layout.units * PAIR_HALVES,
+             PAIR_HALVES, PAIR_HALVES / 2);
   memcpy(base + layout.scalars, &scalars, sizeof(scalars));
   return MO_OK;
 }

@@ -41,7 +41,8 @@ static void bounds(void)
         one.value = nextafter(high, INFINITY);
         CHECK_INT(mo_bounded_check(&one, 1, &message), MO_ERR_RANGE);
         snprintf(words, sizeof(words), "it is %s; it must be %s %s and %s %s", MO_NUMBER(one.value),
-                 open & 1 ? "above" : "at least", MO_NUMBER(low), open & 2 ? "below" : "at most", MO_NUMBER(high));
+                 open & 1 ? "above" : "at least", MO_NUMBER(low), open & 2 ? "below" : "at most",
+                 MO_NUMBER(high));
         CHECK_TEXT(message.text, words);
         CHECK(strcmp(MO_NUMBER(one.value), MO_NUMBER(high)) != 0);
         one.value = nextafter(low, -INFINITY);

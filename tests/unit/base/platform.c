@@ -43,7 +43,8 @@ static void tick(void *context, size_t first, size_t end)
 static void parallel_loops(void)
 {
   static const size_t sizes[] = {0, 1, 2, 5, 63, 64, 65, 999, 1000};
-  static const uint32_t threads[] = {0, 1, 2, 3, 7, MO_PARALLEL_THREADS_MAX, MO_PARALLEL_THREADS_MAX + 9, UINT32_MAX};
+  static const uint32_t threads[] = {
+      0, 1, 2, 3, 7, MO_PARALLEL_THREADS_MAX, MO_PARALLEL_THREADS_MAX + 9, UINT32_MAX};
   int wrong = 0;
   CHECK_INT(mo_thread_tag, -1);
   mo_thread_tag = 77; /* whose work it is, all threads are told */

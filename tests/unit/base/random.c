@@ -1,5 +1,6 @@
-/* random.c: the generator against its published vectors, its streams against each other, its distributions against theory.
- * The samples are fixed by their seeds: a bound that holds once holds always. */
+/* random.c: the generator against its published vectors, its streams against each other, its
+ * distributions against theory. The samples are fixed by their seeds: a bound that holds once holds
+ * always. */
 #include "../check.h"
 
 #include "base/normal.h"
@@ -18,10 +19,13 @@ static void vector(const uint32_t counter[4], const uint32_t key[2], const uint3
 /* The known answers that Random123 publishes for philox4x32-10. */
 static void known_answers(void)
 {
-  vector((uint32_t[4]){0, 0, 0, 0}, (uint32_t[2]){0, 0}, (uint32_t[4]){0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8});
-  vector((uint32_t[4]){0xffffffff, 0xffffffff, 0xffffffff, 0xffffffff}, (uint32_t[2]){0xffffffff, 0xffffffff},
+  vector((uint32_t[4]){0, 0, 0, 0}, (uint32_t[2]){0, 0},
+         (uint32_t[4]){0x6627e8d5, 0xe169c58d, 0xbc57ac4c, 0x9b00dbd8});
+  vector((uint32_t[4]){0xffffffff, 0xffffffff, 0xffffffff, 0xffffffff},
+         (uint32_t[2]){0xffffffff, 0xffffffff},
          (uint32_t[4]){0x408f276d, 0x41c83b0e, 0xa20bc7c6, 0x6d5451fd});
-  vector((uint32_t[4]){0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344}, (uint32_t[2]){0xa4093822, 0x299f31d0},
+  vector((uint32_t[4]){0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344},
+         (uint32_t[2]){0xa4093822, 0x299f31d0},
          (uint32_t[4]){0xd16cfe09, 0x94fdcceb, 0x5001e420, 0x24126ea1});
 }
 
@@ -29,11 +33,12 @@ static void known_answers(void)
 static void stream_layout(void)
 {
   struct mo_random random;
-  mo_random_init(&random, UINT64_C(0x0123456789abcdef), MO_PURPOSE_LIGHT, 77, UINT64_C(0xfedc98765432));
+  mo_random_init(&random, UINT64_C(0x0123456789abcdef), MO_PURPOSE_LIGHT, 77,
+                 UINT64_C(0xfedc98765432));
   for (uint32_t block = 0; block < 3; block++) {
     uint32_t out[4];
-    mo_philox4x32_10((uint32_t[4]){block, 0x98765432, 77, 3U << 16 | 0xfedc}, (uint32_t[2]){0x89abcdef, 0x01234567},
-                     out);
+    mo_philox4x32_10((uint32_t[4]){block, 0x98765432, 77, 3U << 16 | 0xfedc},
+                     (uint32_t[2]){0x89abcdef, 0x01234567}, out);
     for (int i = 0; i < 4; i++) {
       CHECK_INT(mo_random_u32(&random), out[i]);
     }
@@ -134,7 +139,8 @@ static void below(void)
     }
     CHECK_NEAR(chi, bounds[b] - 1, 4.0 * sqrt(2.0 * (bounds[b] - 1)));
   }
-  /* A bound of 3 · 2³⁰ shows bias at once: without rejection every third number would come twice as often. */
+  /* A bound of 3 · 2³⁰ shows bias at once: without rejection every third number would come twice as
+   * often. */
   int low = 0;
   const int n = 100000;
   for (int i = 0; i < n; i++) {

@@ -1,4 +1,5 @@
-/* The CPU back end: the same bits for any number of workers and any order, urgent blocks overtake, everything is handed back. */
+/* The CPU back end: the same bits for any number of workers and any order, urgent blocks overtake,
+ * everything is handed back. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -44,8 +45,8 @@ static void genotype_number(uint32_t number, uint64_t bits[MO_DEFAULT_WORDS])
   mo_genotype_place(MO_DEFAULT_WORKSPACE, bits);
 }
 
-static void fill_block(struct mo_block *block, const uint64_t *genotype, struct mo_compute_controller *brain,
-                       uint32_t steps)
+static void fill_block(struct mo_block *block, const uint64_t *genotype,
+                       struct mo_compute_controller *brain, uint32_t steps)
 {
   *block = (struct mo_block){.lattice = lattice,
                              .genotype = genotype,
@@ -81,7 +82,8 @@ static void same_bits_for_any_workers_and_order(void)
     struct mo_compute_controller *brain = NULL;
     REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);
     for (uint32_t i = 0; i < N; i++) {
-      const uint32_t design = run < 3 ? i : (i * 5 + (uint32_t)run) % N; /* N and 5 have no common factor */
+      const uint32_t design =
+          run < 3 ? i : (i * 5 + (uint32_t)run) % N; /* N and 5 have no common factor */
       fill_block(blocks + i, genotypes[design], brain, 120);
       blocks[i].tag = design;
       blocks[i].urgency = i % 5 == 3 ? MO_INTERACTIVE : MO_BATCH;
@@ -135,7 +137,8 @@ static int wait_for(atomic_int *flag, double seconds)
   return 1;
 }
 
-/* One worker, inside a long batch block: an interactive block is done long before it, and the batch block's bits do not change. */
+/* One worker, inside a long batch block: an interactive block is done long before it, and the batch
+ * block's bits do not change. */
 static void urgent_blocks_overtake(void)
 {
   REQUIRE(setup());
@@ -207,7 +210,8 @@ static void cancelled_blocks_come_back(void)
   mo_compute_controller_free(brain);
 }
 
-/* Many threads submit, cancel and look at the counters while urgent blocks overtake. Meant for the thread sanitizer. */
+/* Many threads submit, cancel and look at the counters while urgent blocks overtake. Meant for the
+ * thread sanitizer. */
 struct crowd {
   struct mo_compute *compute;
   struct mo_compute_controller *brain;
@@ -244,8 +248,8 @@ static void *submit_many(void *argument)
       __atomic_store_n(&cancel, 1, __ATOMIC_RELAXED);
     struct mo_compute_stats stats;
     mo_compute_get_stats(crowd->compute, &stats);
-    if (!wait_for(&note.done, 120) || (block.status != MO_OK && round % 4 != 3) || stats.n_busy > stats.n_workers ||
-        !atomic_load(&note.tag_is_right))
+    if (!wait_for(&note.done, 120) || (block.status != MO_OK && round % 4 != 3) ||
+        stats.n_busy > stats.n_workers || !atomic_load(&note.tag_is_right))
       atomic_fetch_add(crowd->wrong, 1);
   }
   return NULL;
@@ -276,7 +280,8 @@ static void a_crowd_of_submitters(void)
   mo_compute_free(compute);
 }
 
-/* A block's results are those of its own precision and its own physics, and divergences are counted. */
+/* A block's results are those of its own precision and its own physics, and divergences are
+ * counted. */
 static void blocks_are_what_was_asked_for(void)
 {
   REQUIRE(setup());
@@ -287,7 +292,8 @@ static void blocks_are_what_was_asked_for(void)
   struct mo_body *body = NULL;
   struct mo_workspace_memory *memory = NULL;
   REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
-  REQUIRE(mo_body_create(lattice, genotype, &body) == MO_OK && mo_workspace_memory_create(&memory) == MO_OK);
+  REQUIRE(mo_body_create(lattice, genotype, &body) == MO_OK &&
+          mo_workspace_memory_create(&memory) == MO_OK);
   struct mo_block blocks[4];
   for (int i = 0; i < 4; i++) {
     fill_block(blocks + i, genotype, brain, 100);
@@ -300,8 +306,8 @@ static void blocks_are_what_was_asked_for(void)
     struct mo_pack *pack = NULL;
     struct mo_outcome outcomes[MO_PAPER_TEST_COUNT];
     REQUIRE(mo_pack_create(controller, mo_isa_best(), blocks[i].precision, &pack) == MO_OK);
-    CHECK_INT(mo_rollout_block(memory, pack, body, blocks[i].environments, MO_PAPER_TEST_COUNT, &blocks[i].physics,
-                               NULL, NULL, NULL, outcomes),
+    CHECK_INT(mo_rollout_block(memory, pack, body, blocks[i].environments, MO_PAPER_TEST_COUNT,
+                               &blocks[i].physics, NULL, NULL, NULL, outcomes),
               MO_OK);
     CHECK(memcmp(outcomes, blocks[i].outcomes, sizeof(outcomes)) == 0);
     for (int e = 0; e < MO_PAPER_TEST_COUNT; e++)
@@ -319,8 +325,8 @@ static void blocks_are_what_was_asked_for(void)
   mo_compute_free(compute);
 }
 
-/* A submitter that answers a cancelled block with the next one is turned away once the back end is being freed: it would have
- * no end otherwise. */
+/* A submitter that answers a cancelled block with the next one is turned away once the back end is
+ * being freed: it would have no end otherwise. */
 struct stubborn {
   struct mo_compute *compute;
   atomic_int accepted, refused;
@@ -331,8 +337,10 @@ static void submit_again(struct mo_block *block, void *context)
   struct stubborn *stubborn = context;
   if (atomic_load(&stubborn->accepted) > 1000)
     return;
-  atomic_fetch_add(
-      mo_compute_submit(stubborn->compute, block) == MO_ERR_CANCELLED ? &stubborn->refused : &stubborn->accepted, 1);
+  atomic_fetch_add(mo_compute_submit(stubborn->compute, block) == MO_ERR_CANCELLED
+                       ? &stubborn->refused
+                       : &stubborn->accepted,
+                   1);
 }
 
 static void no_block_is_taken_after_the_end(void)
@@ -361,14 +369,16 @@ static void passive_and_faults(void)
 {
   REQUIRE(setup());
   struct mo_compute *compute = NULL;
-  CHECK_INT(mo_compute_create_cpu(&(struct mo_compute_config){.n_workers = 100000}, &compute), MO_ERR_RANGE);
+  CHECK_INT(mo_compute_create_cpu(&(struct mo_compute_config){.n_workers = 100000}, &compute),
+            MO_ERR_RANGE);
   CHECK_INT(mo_compute_create_cpu(&(struct mo_compute_config){.nice = 40}, &compute), MO_ERR_RANGE);
   mo_compute_free(NULL);
   mo_compute_controller_free(NULL);
   compute = make_compute(0);
   REQUIRE(compute != NULL);
   CHECK(strstr(mo_compute_fingerprint(compute, MO_FLOAT32), mo_isa_name(mo_isa_best())) != NULL);
-  CHECK(strcmp(mo_compute_fingerprint(compute, MO_FLOAT32), mo_compute_fingerprint(compute, MO_FLOAT64)) != 0);
+  CHECK(strcmp(mo_compute_fingerprint(compute, MO_FLOAT32),
+               mo_compute_fingerprint(compute, MO_FLOAT64)) != 0);
   CHECK_INT(mo_compute_current_tag(), -1);
   struct mo_compute_controller *brain = NULL, *none = NULL;
   REQUIRE(mo_compute_controller_create(compute, controller, &brain) == MO_OK);

@@ -1,5 +1,5 @@
-/* cuda-gradient.c: what the device's gradient is made of, without a device: its float32 arithmetic against the float64 reference, and the layout
- * of batches. */
+/* cuda-gradient.c: what the device's gradient is made of, without a device: its float32 arithmetic
+ * against the float64 reference, and the layout of batches. */
 #include "../check.h"
 
 #include "compute/cuda/adjoint.cuh"
@@ -29,7 +29,8 @@ static struct mo_lane_physics lane_physics(const struct mo_physics *p)
   return (struct mo_lane_physics){.dt = (float)p->dt_s,
                                   .friction = (float)p->friction,
                                   .friction_cap = (float)p->friction_cap,
-                                  .bisections = p->impact == MO_IMPACT_BISECTION ? (int)p->bisections : 0,
+                                  .bisections =
+                                      p->impact == MO_IMPACT_BISECTION ? (int)p->bisections : 0,
                                   .keep = (float)exp(-p->drag_per_s * p->dt_s),
                                   .fall = (float)(p->gravity_m_per_s2 * p->dt_s),
                                   .pull = (float)(p->dt_s * p->stiffness_n_per_m / p->mass_kg),
@@ -40,7 +41,8 @@ static struct mo_lane_physics lane_physics(const struct mo_physics *p)
 
 enum { STRIKES = 20000 };
 
-/* Masses that meet the ground: near it and above it, some across borders of cells and beyond the map. */
+/* Masses that meet the ground: near it and above it, some across borders of cells and beyond the
+ * map. */
 static void contact(enum mo_impact impact)
 {
   static double moved[STRIKES], differ[STRIKES];
@@ -56,12 +58,14 @@ static void contact(enum mo_impact impact)
       heights[k] = heights32[k] = (float)uniform(0, n % 2 == 0 ? 0.1 : 0.5);
     const double reach = n % 8 == 0 ? 60 : 2;
     const float x = (float)uniform(-2.7, 2.7), y = (float)uniform(-2.7, 2.7);
-    const float z = (float)(mo_terrain_height(heights, x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M) +
-                            uniform(1e-4, 0.004) * reach / 2);
-    const float v[3] = {(float)uniform(-reach, reach), (float)uniform(-reach, reach), (float)uniform(-reach, 0)};
+    const float z =
+        (float)(mo_terrain_height(heights, x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M) +
+                uniform(1e-4, 0.004) * reach / 2);
+    const float v[3] = {(float)uniform(-reach, reach), (float)uniform(-reach, reach),
+                        (float)uniform(-reach, 0)};
     float p[3] = {x, y, z}, w[3] = {v[0], v[1], v[2]}, dp[3], dv[3];
-    double position[3] = {x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M, z}, speed[3] = {v[0], v[1], v[2]},
-           d_position[3], d_velocity[3];
+    double position[3] = {x + MO_WORLD_CENTRE_M, y + MO_WORLD_CENTRE_M, z},
+           speed[3] = {v[0], v[1], v[2]}, d_position[3], d_velocity[3];
     const double from[3] = {position[0], position[1], position[2]}, with[3] = {v[0], v[1], v[2]};
     if (!mo_move(&lane, heights32, 1e9f, p, w))
       continue;
@@ -76,7 +80,8 @@ static void contact(enum mo_impact impact)
     double distance = 0, error = 0, size = 0;
     for (int k = 0; k < 3; k++) {
       const double centre = k < 2 ? MO_WORLD_CENTRE_M : 0;
-      distance = fmax(distance, fmax(fabs(p[k] + centre - position[k]), 0.004 * fabs(w[k] - speed[k])));
+      distance =
+          fmax(distance, fmax(fabs(p[k] + centre - position[k]), 0.004 * fabs(w[k] - speed[k])));
       error += pow(dp[k] - d_position[k], 2) + pow(15 * (dv[k] - d_velocity[k]), 2);
       size += pow(d_position[k], 2) + pow(15 * d_velocity[k], 2);
     }
@@ -86,13 +91,16 @@ static void contact(enum mo_impact impact)
   }
   qsort(moved, STRIKES, sizeof(*moved), ascending);
   qsort(differ, STRIKES, sizeof(*differ), ascending);
-  printf("# %d strikes, %d across a border: moved apart median %.1e m, 99 %% %.1e; derivative differs by median %.1e, "
+  printf("# %d strikes, %d across a border: moved apart median %.1e m, 99 %% %.1e; derivative "
+         "differs by median %.1e, "
          "99 %% %.1e\n",
          STRIKES, crossing, moved[STRIKES / 2], moved[STRIKES * 99 / 100], differ[STRIKES / 2],
          differ[STRIKES * 99 / 100]);
   CHECK(crossing > 500);
-  CHECK(moved[STRIKES / 2] < 1e-6 && moved[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-5 : 1e-2));
-  CHECK(differ[STRIKES / 2] < 1e-5 && differ[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-2 : 1e-1));
+  CHECK(moved[STRIKES / 2] < 1e-6 &&
+        moved[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-5 : 1e-2));
+  CHECK(differ[STRIKES / 2] < 1e-5 &&
+        differ[STRIKES * 99 / 100] < (impact == MO_IMPACT_EXACT ? 1e-2 : 1e-1));
 }
 
 static void exact_contact(void)
@@ -105,7 +113,8 @@ static void halved_contact(void)
   contact(MO_IMPACT_BISECTION);
 }
 
-/* A mass in the air only flies; what strikes at the next step lies on the ground, for float32 as for float64. */
+/* A mass in the air only flies; what strikes at the next step lies on the ground, for float32 as
+ * for float64. */
 static void lying(void)
 {
   const struct mo_physics physics = mo_default_physics();
@@ -138,11 +147,14 @@ static void lying(void)
 static double pull64(const struct mo_physics *p, double rest, double a, const double *d)
 {
   const double length = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
-  return p->dt_s * p->stiffness_n_per_m / p->mass_kg * (length - rest * (1 + p->actuation * a)) / (length + 1e-8);
+  return p->dt_s * p->stiffness_n_per_m / p->mass_kg * (length - rest * (1 + p->actuation * a)) /
+         (length + 1e-8);
 }
 
-/* ∂loss/∂ what the spring gives the velocity of the end that d points from is −across, in effect: loss = across · pull · d. */
-static double loss64(const struct mo_physics *p, double rest, double a, const double *d, const double *across)
+/* ∂loss/∂ what the spring gives the velocity of the end that d points from is −across, in effect:
+ * loss = across · pull · d. */
+static double loss64(const struct mo_physics *p, double rest, double a, const double *d,
+                     const double *across)
 {
   return pull64(p, rest, a, d) * (across[0] * d[0] + across[1] * d[1] + across[2] * d[2]);
 }
@@ -155,7 +167,8 @@ static void springs(void)
   mo_random_init(&random_numbers, 13, MO_PURPOSE_CHECK, 0, 0);
   for (int n = 0; n < 3000; n++) {
     const float rest = n % 2 == 0 ? 0.1f : 0.14142136f, a = (float)uniform(-1, 1);
-    const float d[3] = {(float)uniform(-0.1, 0.1), (float)uniform(-0.1, 0.1), (float)uniform(0.02, 0.1)};
+    const float d[3] = {(float)uniform(-0.1, 0.1), (float)uniform(-0.1, 0.1),
+                        (float)uniform(0.02, 0.1)};
     const float across[3] = {(float)uniform(-1, 1), (float)uniform(-1, 1), (float)uniform(-1, 1)};
     double d64[3] = {d[0], d[1], d[2]};
     const double across64[3] = {across[0], across[1], across[2]}, h = 1e-6;
@@ -173,8 +186,9 @@ static void springs(void)
       size += pow((up - down) / (2 * h), 2);
       error += pow((up - down) / (2 * h) - dd[k], 2);
     }
-    const double slope =
-        (loss64(&physics, rest, a + h, d64, across64) - loss64(&physics, rest, a - h, d64, across64)) / (2 * h);
+    const double slope = (loss64(&physics, rest, a + h, d64, across64) -
+                          loss64(&physics, rest, a - h, d64, across64)) /
+                         (2 * h);
     worst = fmax(worst, sqrt(error / size));
     CHECK_NEAR(da, slope, 1e-5);
   }
@@ -189,11 +203,14 @@ static void sensors(void)
     lane.inverse_square = n % 2;
     const float d[3] = {(float)uniform(0.1, 2), (float)uniform(-2, 2), (float)uniform(-0.3, 0.3)};
     const double squared = (double)d[0] * d[0] + (double)d[1] * d[1] + (double)d[2] * d[2];
-    const double light = lane.inverse_square ? 1 / (squared + 1e-4) : 1 / (sqrt(sqrt(squared) + 1e-8) + 1e-8);
+    const double light =
+        lane.inverse_square ? 1 / (squared + 1e-4) : 1 / (sqrt(sqrt(squared) + 1e-8) + 1e-8);
     const double h = 1e-4 * sqrt(squared);
     const double near_m = sqrt(squared) - h, far_m = sqrt(squared) + h;
-    const double up = lane.inverse_square ? 1 / (far_m * far_m + 1e-4) : 1 / (sqrt(far_m + 1e-8) + 1e-8);
-    const double down = lane.inverse_square ? 1 / (near_m * near_m + 1e-4) : 1 / (sqrt(near_m + 1e-8) + 1e-8);
+    const double up =
+        lane.inverse_square ? 1 / (far_m * far_m + 1e-4) : 1 / (sqrt(far_m + 1e-8) + 1e-8);
+    const double down =
+        lane.inverse_square ? 1 / (near_m * near_m + 1e-4) : 1 / (sqrt(near_m + 1e-8) + 1e-8);
     const double slope = (up - down) / (2 * h) / sqrt(squared);
     CHECK_NEAR(mo_light(&lane, d) / light, 1, 1e-6);
     CHECK_NEAR(mo_light_slope(&lane, d) / slope, 1, 1e-5);
@@ -241,7 +258,8 @@ static void drop_batch(struct batch *b)
   mo_lattice_free(b->lattice);
 }
 
-static const struct mo_gp_options options = {.shard = SHARD, .shared_bytes = 227 << 10, .workers = 1};
+static const struct mo_gp_options options = {
+    .shard = SHARD, .shared_bytes = 227 << 10, .workers = 1};
 
 /* Which of the body's springs has these two masses. */
 static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t b)
@@ -253,28 +271,34 @@ static uint32_t spring_between(const struct mo_body *body, uint32_t a, uint32_t 
 }
 
 /* A spring of mass `own` in its chunk: counted, by mass and by row. */
-static void check_spring(const struct batch *b, const struct mo_gp_group *g, const struct mo_gp_pair *pair,
-                         const struct mo_gp_row *rows, uint32_t s, uint32_t *ends, uint32_t found[2])
+static void check_spring(const struct batch *b, const struct mo_gp_group *g,
+                         const struct mo_gp_pair *pair, const struct mo_gp_row *rows, uint32_t s,
+                         uint32_t *ends, uint32_t found[2])
 {
   const uint32_t row = MO_GP_SPRING_ROW(s), from = row == 0 ? 0 : pair->n_masses[0];
-  const uint32_t own = MO_GP_SPRING_OWN(s), other = MO_GP_SPRING_OTHER(s), output = MO_GP_SPRING_OUTPUT(s);
-  CHECK(own >= from && own - from < pair->n_masses[row] && other >= from && other - from < pair->n_masses[row]);
+  const uint32_t own = MO_GP_SPRING_OWN(s), other = MO_GP_SPRING_OTHER(s),
+                 output = MO_GP_SPRING_OUTPUT(s);
+  CHECK(own >= from && own - from < pair->n_masses[row] && other >= from &&
+        other - from < pair->n_masses[row]);
   if (own == other)
     return;
   const struct mo_body *body = b->robots[rows[row * 16].robot].body;
   const uint32_t low = own < other ? own : other, high = own < other ? other : own;
   const uint32_t spring = spring_between(body, low - from, high - from);
   REQUIRE(spring != UINT32_MAX);
-  CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE == body->spring_lattice[spring]);
+  CHECK(g->output_tile[output / MO_GP_TILE] * MO_GP_TILE + output % MO_GP_TILE ==
+        body->spring_lattice[spring]);
   CHECK(MO_GP_SPRING_DIAGONAL(s) == body->spring_diagonal[spring]);
   ends[own]++;
   found[row]++;
 }
 
-/* What two warps would have of the pair's chunks: whole sets of masses, and no other place to part them is more even. */
+/* What two warps would have of the pair's chunks: whole sets of masses, and no other place to part
+ * them is more even. */
 static void check_split(const struct mo_gp_pair *pair, const uint32_t *springs)
 {
-  const uint32_t n = pair->n_chunks, longer = pair->split > n - pair->split ? pair->split : n - pair->split;
+  const uint32_t n = pair->n_chunks,
+                 longer = pair->split > n - pair->split ? pair->split : n - pair->split;
   REQUIRE(pair->split <= n);
   CHECK(pair->split == 0 || (springs[(pair->split - 1) * MO_GP_LANES] & MO_GP_SPRING_LAST) != 0);
   for (uint32_t c = 0; c < n; c++)
@@ -282,8 +306,8 @@ static void check_split(const struct mo_gp_pair *pair, const uint32_t *springs)
       CHECK((c + 1 > n - c - 1 ? c + 1 : n - c - 1) >= longer);
 }
 
-static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan, const struct mo_gp_group *g,
-                       uint32_t w, uint8_t *seen)
+static void check_pair(const struct batch *b, const struct mo_gradient_plan *plan,
+                       const struct mo_gp_group *g, uint32_t w, uint8_t *seen)
 {
   const struct mo_gp_pair *pair = &g->pair[w];
   const struct mo_gp_row *rows = plan->rows + g->first_row + w;
@@ -335,7 +359,8 @@ static void check_pair(const struct batch *b, const struct mo_gradient_plan *pla
 }
 
 /* wide: groups of 32 rows; short_ones: those with empty rows that are not their shard's last. */
-static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wide, uint32_t *short_ones)
+static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wide,
+                      uint32_t *short_ones)
 {
   struct mo_gradient_plan plan = {0};
   struct mo_gp_options own = options;
@@ -349,8 +374,8 @@ static void check_all(const struct batch *b, uint32_t shared_bytes, uint32_t *wi
     const struct mo_gp_group *g = plan.groups + i;
     CHECK(mo_gp_shared_bytes(g->n_rows, g->n_masses, g->n_outputs) <= shared_bytes);
     *wide += g->n_rows == MO_GP_ROWS_MAX;
-    *short_ones += plan.rows[g->first_row + g->n_rows - 1].robot == MO_GP_NO_ROBOT && i + 1 < plan.n_groups &&
-                   g[1].shard == g->shard;
+    *short_ones += plan.rows[g->first_row + g->n_rows - 1].robot == MO_GP_NO_ROBOT &&
+                   i + 1 < plan.n_groups && g[1].shard == g->shard;
     for (uint32_t w = 0; w < MO_GP_WARPS; w++)
       check_pair(b, &plan, g, w, seen);
   }
@@ -369,8 +394,8 @@ static void everything_is_there_once(void)
   drop_batch(&b);
 }
 
-/* Where 32 of the largest bodies are too large together, the smallest join some of them; a warp's two bodies are one of the larger and one of the
- * smaller half. */
+/* Where 32 of the largest bodies are too large together, the smallest join some of them; a warp's
+ * two bodies are one of the larger and one of the smaller half. */
 static void large_with_small(void)
 {
   static struct batch b;
@@ -390,7 +415,8 @@ static void large_with_small(void)
     first_least = body->n_springs < first_least ? body->n_springs : first_least;
     most = body->n_masses > most ? body->n_masses : most;
     if (i >= MO_GP_ROWS_MAX / 2)
-      CHECK(body->n_springs <= b.robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
+      CHECK(body->n_springs <=
+            b.robots[SHARD + plan.rows[i - MO_GP_ROWS_MAX / 2].robot].body->n_springs);
   }
   CHECK(most == MO_DEFAULT_MASSES && first_least == least);
   for (uint32_t i = MO_GP_ROWS_MAX / 2; i < MO_GP_ROWS_MAX;
@@ -402,7 +428,8 @@ static void large_with_small(void)
   drop_batch(&b);
 }
 
-/* Where the shared memory is too small for sixteen of the largest bodies, a group has fewer; with next to none there is no layout. */
+/* Where the shared memory is too small for sixteen of the largest bodies, a group has fewer; with
+ * next to none there is no layout. */
 static void small_shared_memory(void)
 {
   static struct batch b;
@@ -437,7 +464,8 @@ static void a_shard_is_its_own(void)
   REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &several, &threads) == MO_OK);
   REQUIRE(mo_gradient_plan_make(b.robots + SHARD, SHARD, &physics, &options, &second) == MO_OK);
   CHECK(all.n_groups == threads.n_groups && all.n_chunks == threads.n_chunks);
-  CHECK(memcmp(all.springs, threads.springs, all.n_chunks * MO_GP_LANES * sizeof(*all.springs)) == 0);
+  CHECK(memcmp(all.springs, threads.springs, all.n_chunks * MO_GP_LANES * sizeof(*all.springs)) ==
+        0);
   CHECK(memcmp(all.position, threads.position, all.n_masses * 3 * sizeof(*all.position)) == 0);
   CHECK(memcmp(all.input, threads.input, all.n_masses) == 0);
   uint32_t at = 0;
@@ -445,9 +473,11 @@ static void a_shard_is_its_own(void)
     at++;
   for (uint32_t i = 0; i < second.n_groups; i++) {
     const struct mo_gp_group *x = all.groups + at + i, *y = second.groups + i;
-    CHECK(x->shard == 1 && x->n_rows == y->n_rows && x->n_masses == y->n_masses && x->n_chunks == y->n_chunks);
+    CHECK(x->shard == 1 && x->n_rows == y->n_rows && x->n_masses == y->n_masses &&
+          x->n_chunks == y->n_chunks);
     CHECK(memcmp(x->output_tile, y->output_tile, y->n_outputs) == 0);
-    CHECK(memcmp(all.springs + x->first_chunk * MO_GP_LANES, second.springs + y->first_chunk * MO_GP_LANES,
+    CHECK(memcmp(all.springs + x->first_chunk * MO_GP_LANES,
+                 second.springs + y->first_chunk * MO_GP_LANES,
                  (size_t)y->n_chunks * MO_GP_LANES * sizeof(*all.springs)) == 0);
     CHECK(memcmp(all.position + 3 * x->first_mass, second.position + 3 * y->first_mass,
                  (size_t)y->n_masses * 3 * sizeof(float)) == 0);
@@ -468,9 +498,12 @@ static void passes(void)
   REQUIRE(make_batch(&b) == MO_OK);
   REQUIRE(mo_gradient_plan_make(b.robots, ROBOTS, &physics, &options, &plan) == MO_OK);
   REQUIRE(mo_gradient_pass_next(&plan, 0, 0, 1000, UINT64_MAX, &all) == MO_OK);
-  CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 && all.shared <= options.shared_bytes);
-  CHECK(mo_gradient_can_be_held(&plan, 1000, UINT64_MAX) && !mo_gradient_can_be_held(&plan, 100000, UINT64_MAX));
-  CHECK(mo_gradient_can_be_held(&plan, 1000, all.tape / 2) && !mo_gradient_can_be_held(&plan, 1000, all.tape / 8));
+  CHECK(all.first == 0 && all.end == plan.n_groups && all.end_shard == 3 &&
+        all.shared <= options.shared_bytes);
+  CHECK(mo_gradient_can_be_held(&plan, 1000, UINT64_MAX) &&
+        !mo_gradient_can_be_held(&plan, 100000, UINT64_MAX));
+  CHECK(mo_gradient_can_be_held(&plan, 1000, all.tape / 2) &&
+        !mo_gradient_can_be_held(&plan, 1000, all.tape / 8));
   uint32_t shard = 0;
   uint64_t tape = 0;
   for (uint32_t group = 0; group < plan.n_groups; group = pass.end, shard = pass.end_shard) {
@@ -490,7 +523,8 @@ static void passes(void)
 /* What all wait for: the pair that has most, not what all have together. */
 static void cost_of_a_group(void)
 {
-  struct mo_gp_group even = {.n_rows = MO_GP_ROWS_MAX, .n_masses = 2000, .n_chunks = 800, .n_outputs = 100};
+  struct mo_gp_group even = {
+      .n_rows = MO_GP_ROWS_MAX, .n_masses = 2000, .n_chunks = 800, .n_outputs = 100};
   for (uint32_t w = 0; w < MO_GP_WARPS; w++)
     even.pair[w] = (struct mo_gp_pair){.n_masses = {100, 25}, .n_chunks = 50};
   struct mo_gp_group chunks = even, masses = even, tiles = even;
@@ -513,7 +547,8 @@ static void same_cost(struct mo_gradient_load loads[LOADS], uint64_t cost, bool 
     loads[i] = (struct mo_gradient_load){cost, i, wide};
 }
 
-/* All groups in halves where there are multiprocessors for them, none where there are too few, and otherwise those that all would wait for. */
+/* All groups in halves where there are multiprocessors for them, none where there are too few, and
+ * otherwise those that all would wait for. */
 static void halves(void)
 {
   struct mo_gradient_load loads[LOADS];
@@ -530,7 +565,8 @@ static void halves(void)
     loads[i].cost = 130000;
   CHECK(mo_gradient_halved(loads, 128, MULTIPROCESSORS) == 8);
   CHECK(mo_gradient_halved(loads, 256, MULTIPROCESSORS) == 0);
-  /* In halves the sixteen take 0.98, beside the others' 1; were all in halves, the multiprocessors would need 1.01. */
+  /* In halves the sixteen take 0.98, beside the others' 1; were all in halves, the multiprocessors
+   * would need 1.01. */
   for (uint32_t i = 0; i < 16; i++)
     loads[i].cost = 140000;
   CHECK(mo_gradient_halved(loads, 96, MULTIPROCESSORS) == 16);
@@ -547,7 +583,8 @@ static void no_halves_of_small_groups(void)
   CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0);
   for (uint32_t i = 0; i < 100; i++)
     loads[i].wide = i >= 2 && i < 10;
-  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) == 0); /* the first two are waited for all the same */
+  CHECK(mo_gradient_halved(loads, 100, MULTIPROCESSORS) ==
+        0); /* the first two are waited for all the same */
   loads[0].cost = loads[1].cost = 100000;
   struct mo_gradient_load sorted[LOADS];
   memcpy(sorted, loads + 2, 98 * sizeof(*sorted));

@@ -1,4 +1,5 @@
-/* The device's float32 physics, compiled for the host, against the float64 physics of src/rollout. */
+/* The device's float32 physics, compiled for the host, against the float64 physics of src/rollout.
+ */
 #include "../check.h"
 
 #include "compute/cuda/physics.cuh"
@@ -43,7 +44,8 @@ static void heights(void)
   mo_terrain_random(2, 0, 0, 0.1, terrain);
   cells_of(terrain, cells);
   for (int i = 0; i < 20000; i++) {
-    const float p[2] = {(float)uniform(-4, 4), (float)uniform(-4, 4)}; /* from the centre: beyond all edges, too */
+    const float p[2] = {(float)uniform(-4, 4),
+                        (float)uniform(-4, 4)}; /* from the centre: beyond all edges, too */
     const float x = mo_cuda_coordinate(p[0]), y = mo_cuda_coordinate(p[1]);
     struct mo_cuda_patch patch;
     float slope[2];
@@ -51,8 +53,8 @@ static void heights(void)
     mo_cuda_patch_load(cells, mo_cuda_cell_number(x), mo_cuda_cell_number(y), &patch);
     mo_cuda_slope(&patch, x, y, slope);
     mo_terrain_gradient(terrain, p[0] + 2.5, p[1] + 2.5, gradient);
-    worst =
-        fmax(worst, fabs((double)mo_cuda_height(&patch, x, y) - mo_terrain_height(terrain, p[0] + 2.5, p[1] + 2.5)));
+    worst = fmax(worst, fabs((double)mo_cuda_height(&patch, x, y) -
+                             mo_terrain_height(terrain, p[0] + 2.5, p[1] + 2.5)));
     if (fabs((double)x - roundf(x)) > 1e-5 && fabs((double)y - roundf(y)) > 1e-5)
       for (int axis = 0; axis < 2; axis++)
         steepest = fmax(steepest, fabs((double)slope[axis] - gradient[axis]));
@@ -64,7 +66,8 @@ static void heights(void)
   CHECK_INT(mo_cuda_cell_number(-1e30f), -1);
 }
 
-/* Random masses near rough ground, slow and fast: some cross several cells in a step, some start below the ground. */
+/* Random masses near rough ground, slow and fast: some cross several cells in a step, some start
+ * below the ground. */
 static void check_contact(enum mo_impact impact, double speed, double allowed, int least_met)
 {
   mo_random_init(&dice, 3, MO_PURPOSE_CHECK, 0, (uint64_t)impact);
@@ -82,7 +85,8 @@ static void check_contact(enum mo_impact impact, double speed, double allowed, i
     const double highest = mo_terrain_highest(terrain);
     float p[3] = {(float)uniform(-3, 3), (float)uniform(-3, 3), 0};
     p[2] = (float)(mo_terrain_height(terrain, p[0] + 2.5, p[1] + 2.5) + uniform(-1e-3, 1e-2));
-    float v[3] = {(float)uniform(-speed, speed), (float)uniform(-speed, speed), (float)uniform(-speed, 0.2 * speed)};
+    float v[3] = {(float)uniform(-speed, speed), (float)uniform(-speed, speed),
+                  (float)uniform(-speed, 0.2 * speed)};
     double from[3] = {p[0] + 2.5, p[1] + 2.5, p[2]}, to[3] = {v[0], v[1], v[2]};
     met += mo_cuda_move(&k, cells, (float)(highest + 1e-6), p, v);
     mo_contact_move(&physics, terrain, highest, from, to);
@@ -91,7 +95,8 @@ static void check_contact(enum mo_impact impact, double speed, double allowed, i
       error = fmax(error, fabs((double)p[axis] - from[axis] + (axis < 2 ? 2.5 : 0)));
       error = fmax(error, fabs((double)v[axis] - to[axis]) * physics.dt_s);
     }
-    /* Where rounding decides whether a grazing mass touches, or which half a bisection keeps, the results part. */
+    /* Where rounding decides whether a grazing mass touches, or which half a bisection keeps, the
+     * results part. */
     if (error > allowed)
       apart++;
     else
@@ -133,7 +138,8 @@ static void insanity(void)
             CHECK(!mo_cuda_is_sane(&k, p, v));
         }
   }
-  const float p[3] = {0, 0, 0}, slow[3] = {999, 0, 0}, quick[3] = {0, 1001, 0}, lost[3] = {INFINITY, 0, 0};
+  const float p[3] = {0, 0, 0}, slow[3] = {999, 0, 0}, quick[3] = {0, 1001, 0},
+              lost[3] = {INFINITY, 0, 0};
   CHECK(mo_cuda_is_sane(&k, p, slow));
   CHECK(!mo_cuda_is_sane(&k, p, quick));
   CHECK(!mo_cuda_is_sane(&k, lost, slow));
@@ -144,12 +150,14 @@ static void springs(void)
   mo_random_init(&dice, 6, MO_PURPOSE_CHECK, 0, 0);
   double worst = 0;
   for (int i = 0; i < 20000; i++) {
-    const float d[3] = {(float)uniform(-0.2, 0.2), (float)uniform(-0.2, 0.2), (float)uniform(-0.2, 0.2)};
+    const float d[3] = {(float)uniform(-0.2, 0.2), (float)uniform(-0.2, 0.2),
+                        (float)uniform(-0.2, 0.2)};
     const float wanted = (float)uniform(0.08, 0.17);
     const double length = sqrt((double)d[0] * d[0] + (double)d[1] * d[1] + (double)d[2] * d[2]);
     const double truth = (length - wanted) / (length + 1e-8);
     if (length >= 0.02) /* no spring is ever as short; below, 1e-8 of the length counts */
-      worst = fmax(worst, fabs(mo_cuda_spring(d[0], d[1], d[2], wanted) - truth) * length); /* metres */
+      worst =
+          fmax(worst, fabs(mo_cuda_spring(d[0], d[1], d[2], wanted) - truth) * length); /* metres */
   }
   CHECK(worst < 2e-7);
   CHECK(0 * mo_cuda_spring(0, 0, 0, 0.1f) == 0);
@@ -165,7 +173,8 @@ static void lights(void)
     const double d = sqrt((double)squared);
     const double truth[2] = {1.0 / (sqrt(d + 1e-8) + 1e-8), 1.0 / (d * d + 1e-4)};
     worst[0] = fmax(worst[0], fabs(mo_cuda_light(MO_SENSOR_INVERSE_SQRT, squared) / truth[0] - 1));
-    worst[1] = fmax(worst[1], fabs(mo_cuda_light(MO_SENSOR_INVERSE_SQUARE, squared) / truth[1] - 1));
+    worst[1] =
+        fmax(worst[1], fabs(mo_cuda_light(MO_SENSOR_INVERSE_SQUARE, squared) / truth[1] - 1));
   }
   CHECK(worst[0] < 1e-6);
   CHECK(worst[1] < 1e-6);

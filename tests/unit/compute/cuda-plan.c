@@ -1,4 +1,5 @@
-/* Rows laid out for a device: everything that the rows have is there once, where the device looks for it. */
+/* Rows laid out for a device: everything that the rows have is there once, where the device looks
+ * for it. */
 #include "../check.h"
 
 #include "compute/cuda/plan.h"
@@ -23,7 +24,8 @@ static int setup(void)
     uint64_t bits[MO_DEFAULT_WORDS] = {1};
     if (b == 1)
       bits[0] = bits[1] = UINT64_MAX, bits[2] = 0xffff;
-    if ((b > 1 && mo_body_stream_next(stream, bits) < 0) || mo_body_create(lattice, bits, &bodies[b]) < 0)
+    if ((b > 1 && mo_body_stream_next(stream, bits) < 0) ||
+        mo_body_create(lattice, bits, &bodies[b]) < 0)
       return 0;
   }
   mo_body_stream_free(stream);
@@ -51,8 +53,12 @@ struct filled {
   const struct mo_plan_tile *tiles;
 };
 
-static const struct mo_plan_options options = {
-    .rows = 40, .group_bytes = 100000, .column_bytes = 8192, .part_bytes = 156, .place_bytes = 12, .length_bytes = 4};
+static const struct mo_plan_options options = {.rows = 40,
+                                               .group_bytes = 100000,
+                                               .column_bytes = 8192,
+                                               .part_bytes = 156,
+                                               .place_bytes = 12,
+                                               .length_bytes = 4};
 
 static int cut(struct mo_plan *plan, const struct mo_robot *rows, uint32_t n, uint32_t shares,
                const struct mo_plan_options *wanted)
@@ -140,8 +146,10 @@ static void rows_once(void)
     CHECK_INT(seen[r], 1);
   const double *heights = (const double *)(const void *)(f.block + f.plan.block.environments);
   for (uint32_t e = 0; e < PLACES; e++) {
-    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES, f.plan.environments[e]->light_xy_m, 16) == 0);
-    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES + 2, f.plan.environments[e]->terrain_heights_m, 512) == 0);
+    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES, f.plan.environments[e]->light_xy_m,
+                 16) == 0);
+    CHECK(memcmp(heights + e * MO_PLAN_ENVIRONMENT_DOUBLES + 2,
+                 f.plan.environments[e]->terrain_heights_m, 512) == 0);
   }
   release(&f);
 }
@@ -167,7 +175,8 @@ static void own_slots(const struct filled *f, uint32_t b, uint32_t *own)
   CHECK_INT(f->bodies[b].n_edges, 2 * n_edges);
 }
 
-/* Every spring is a link of both of its ends, in the order of the body's springs; what fills the last quad has no length. */
+/* Every spring is a link of both of its ends, in the order of the body's springs; what fills the
+ * last quad has no length. */
 static void links(void)
 {
   struct filled f;
@@ -178,7 +187,8 @@ static void links(void)
     const uint8_t *ranks = f.ranks + header->first_mass;
     const uint32_t *masses = f.masses + header->first_mass;
     const uint32_t *list = f.links + (size_t)MO_PLAN_LINKS * header->first_quad;
-    uint32_t next[MO_DEFAULT_MASSES] = {0}, slot_of_first[MO_DEFAULT_MASSES] = {0}, own[2 * MO_PLAN_PAIRS];
+    uint32_t next[MO_DEFAULT_MASSES] = {0}, slot_of_first[MO_DEFAULT_MASSES] = {0},
+             own[2 * MO_PLAN_PAIRS];
     own_slots(&f, b, own);
     CHECK_INT(header->n_masses, body->n_masses);
     for (uint32_t s = 0; s < body->n_springs; s++)
@@ -188,7 +198,8 @@ static void links(void)
         const uint32_t slot = own[f.plan.slots[body->spring_lattice[s]]];
         if (next[mass] == 0)
           slot_of_first[mass] = slot;
-        const uint32_t link = list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(masses[ranks[mass]]) + next[mass]++];
+        const uint32_t link =
+            list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(masses[ranks[mass]]) + next[mass]++];
         CHECK_INT(MO_PLAN_LINK_MASS(link), ranks[other]);
         CHECK_INT(MO_PLAN_LINK_SLOT(link), slot);
       }
@@ -196,12 +207,14 @@ static void links(void)
       const uint32_t mass = masses[ranks[m]], end = MO_PLAN_LINKS * MO_PLAN_MASS_QUADS(mass);
       CHECK_INT(end, (next[m] + MO_PLAN_LINKS - 1) / MO_PLAN_LINKS * MO_PLAN_LINKS);
       for (uint32_t e = next[m]; e < end; e++)
-        CHECK_INT(list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(mass) + e], MO_PLAN_LINK(slot_of_first[m], ranks[m]));
+        CHECK_INT(list[MO_PLAN_LINKS * MO_PLAN_MASS_QUAD(mass) + e],
+                  MO_PLAN_LINK(slot_of_first[m], ranks[m]));
       CHECK_INT(MO_PLAN_MASS_X(mass), body->mass_xyz[3 * m]);
       CHECK_INT(MO_PLAN_MASS_Y(mass), body->mass_xyz[3 * m + 1]);
       CHECK_INT(MO_PLAN_MASS_Z(mass), body->mass_xyz[3 * m + 2]);
       CHECK(ranks[m] == 0 || MO_PLAN_MASS_QUADS(masses[ranks[m] - 1]) >= MO_PLAN_MASS_QUADS(mass));
-      CHECK_INT(mo_plan_input_mass(f.inputs[b * MO_PLAN_INPUTS + MO_PLAN_INPUT_OF(ranks[m])]), body->mass_lattice[m]);
+      CHECK_INT(mo_plan_input_mass(f.inputs[b * MO_PLAN_INPUTS + MO_PLAN_INPUT_OF(ranks[m])]),
+                body->mass_lattice[m]);
     }
   }
   release(&f);
@@ -224,7 +237,8 @@ static void slots(void)
   for (uint32_t slot = MO_PLAN_EDGES; slot < MO_DEFAULT_SPRINGS; slot += 2) {
     uint32_t middle[2][3];
     for (uint32_t i = 0; i < 2; i++) {
-      const uint32_t a = lattice->spring_a[spring_at[slot + i]], b = lattice->spring_b[spring_at[slot + i]];
+      const uint32_t a = lattice->spring_a[spring_at[slot + i]],
+                     b = lattice->spring_b[spring_at[slot + i]];
       middle[i][0] = a / 35 + b / 35;
       middle[i][1] = a / 5 % 7 + b / 5 % 7;
       middle[i][2] = a % 5 + b % 5;
@@ -233,7 +247,8 @@ static void slots(void)
   }
 }
 
-/* The pair of a spring that a column's bodies have is in one tile, whose bit for that column is set. */
+/* The pair of a spring that a column's bodies have is in one tile, whose bit for that column is
+ * set. */
 static void tiles(void)
 {
   struct filled f;
@@ -273,7 +288,9 @@ static void tiles(void)
     CHECK_INT(group->input_tiles, inputs);
     for (uint32_t t = 0; t < group->n_tiles; t++)
       CHECK(f.columns[group->first_tile + t] != 0 &&
-            f.columns[group->first_tile + t] >> (group->n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN == 0);
+            f.columns[group->first_tile + t] >>
+                    (group->n_rows + MO_PLAN_COLUMN - 1) / MO_PLAN_COLUMN ==
+                0);
   }
   release(&f);
 }

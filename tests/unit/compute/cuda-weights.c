@@ -1,4 +1,5 @@
-/* A controller laid out for matrix instructions: decoded as the instructions read it, it is the controller again. */
+/* A controller laid out for matrix instructions: decoded as the instructions read it, it is the
+ * controller again. */
 #include "../check.h"
 
 #include "compute/cuda/plan.h"
@@ -48,15 +49,17 @@ static void halves(void)
   CHECK_INT(mo_weights_half(-INFINITY), 0xfc00);
 }
 
-/* Value `input` of the left operand's row g (h = 0) or g + 8 (h = 1), read as lane (g, t) reads it. */
-static double decode(const uint16_t *first_unit, size_t unit_halves, size_t half_halves, int exact, uint32_t h,
-                     uint32_t input)
+/* Value `input` of the left operand's row g (h = 0) or g + 8 (h = 1), read as lane (g, t) reads it.
+ */
+static double decode(const uint16_t *first_unit, size_t unit_halves, size_t half_halves, int exact,
+                     uint32_t h, uint32_t input)
 {
   const uint32_t tile = input / 16, e = input % 16 / 8, t = input % 8 / 2, r = input % 2;
   const uint16_t *unit = first_unit + (exact ? tile : tile / 2) * unit_halves;
   const uint32_t at = 8 * t + 4 * r + 2 * h + e;
   if (exact)
-    return (double)mo_weights_from_half(unit[at]) + (double)mo_weights_from_half(unit[half_halves + at]);
+    return (double)mo_weights_from_half(unit[at]) +
+           (double)mo_weights_from_half(unit[half_halves + at]);
   return mo_weights_from_half(unit[(tile % 2) * half_halves + at]);
 }
 
@@ -75,7 +78,8 @@ static void check_layout(int exact)
   double worst = 0;
   for (int l = 0; l < MO_HIDDEN_LAYERS; l++) {
     const uint16_t *matrix = (const void *)(packed + layout.hidden[l]);
-    const float *bias = (const void *)(packed + layout.bias[l]), *gain = (const void *)(packed + layout.gain[l]);
+    const float *bias = (const void *)(packed + layout.bias[l]),
+                *gain = (const void *)(packed + layout.gain[l]);
     const float *shift = (const void *)(packed + layout.shift[l]);
     const uint32_t n_inputs = l == 0 ? controller->n_inputs : MO_HIDDEN;
     const double scale = sqrt((double)scalars->epsilon[l] / MO_LAYERNORM_EPSILON);
@@ -87,8 +91,11 @@ static void check_layout(int exact)
       CHECK_NEAR(shift[o], controller->norm_shift[l][o], 0);
       for (uint32_t i = 0; i < MO_HIDDEN; i++) {
         const int column = l == 0 ? mo_plan_input_mass(i) : (int)i;
-        const double weight = column < 0 ? 0 : controller->weight[l][o * n_inputs + (uint32_t)column];
-        const double value = decode(matrix + (size_t)tile * layout.units * 512 + g * 32, 512, 256, exact, h, i) / scale;
+        const double weight =
+            column < 0 ? 0 : controller->weight[l][o * n_inputs + (uint32_t)column];
+        const double value =
+            decode(matrix + (size_t)tile * layout.units * 512 + g * 32, 512, 256, exact, h, i) /
+            scale;
         worst = fmax(worst, fabs(value - weight) - bound * fabs(weight));
       }
     }
@@ -96,7 +103,8 @@ static void check_layout(int exact)
       for (uint32_t o = 0; o < MO_HIDDEN; o++)
         for (uint32_t k = 0; k < MO_CPG_INPUTS; k++)
           CHECK_NEAR(((const float *)(const void *)(packed + layout.generators))[k * MO_HIDDEN + o],
-                     scale * controller->weight[0][o * n_inputs + MO_DEFAULT_MASSES + k], 1e-5 * scale);
+                     scale * controller->weight[0][o * n_inputs + MO_DEFAULT_MASSES + k],
+                     1e-5 * scale);
   }
   CHECK(worst <= 1e-9);
   const uint16_t *output = (const void *)(packed + layout.output);
@@ -106,9 +114,9 @@ static void check_layout(int exact)
     CHECK_NEAR(bias[slots[s]], controller->bias[MO_HIDDEN_LAYERS][s], 0);
     for (uint32_t i = 0; i < MO_HIDDEN; i++) {
       const double weight = controller->weight[MO_HIDDEN_LAYERS][(size_t)s * MO_HIDDEN + i];
-      const double value =
-          decode(output + (size_t)(slots[s] / 2) * layout.units * 64, 64, 32, exact, slots[s] % 2U, i) *
-          scalars->output;
+      const double value = decode(output + (size_t)(slots[s] / 2) * layout.units * 64, 64, 32,
+                                  exact, slots[s] % 2U, i) *
+                           scalars->output;
       worst = fmax(worst, fabs(value - weight) - bound * fabs(weight));
     }
   }
@@ -132,7 +140,8 @@ static void refusals(void)
   const struct mo_weights_layout layout = mo_weights_layout(1);
   char *packed = aligned_alloc(256, (layout.bytes + 255) / 256 * 256);
   REQUIRE(packed != NULL && setup());
-  REQUIRE(mo_controller_create((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT, &other) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){3, 3, 3}, MO_SENSOR_INVERSE_SQRT, &other) ==
+          MO_OK);
   CHECK_INT(mo_weights_pack(other, 1, packed), MO_ERR_UNSUPPORTED);
   mo_controller_free(other);
   const float gain = controller->norm_gain[1][7];

@@ -1,4 +1,5 @@
-/* Gradients on devices: the same bits for any number of them, laid out ahead or not, however often memory is short or one is lost. */
+/* Gradients on devices: the same bits for any number of them, laid out ahead or not, however often
+ * memory is short or one is lost. */
 #include "devices_fixture.h"
 
 #include <math.h>
@@ -11,8 +12,8 @@ struct gradient {
   struct mo_gradient_counts counts;
 };
 
-static struct gradient differentiate_with(struct mo_gradient_state *state, enum mo_back_end back_end,
-                                          const volatile int *cancel)
+static struct gradient differentiate_with(struct mo_gradient_state *state,
+                                          enum mo_back_end back_end, const volatile int *cancel)
 {
   struct gradient gradient = {.d_parameters = calloc(controller->n_parameters, sizeof(double)),
                               .outcomes = calloc(ROBOTS, sizeof(struct mo_outcome))};
@@ -20,7 +21,8 @@ static struct gradient differentiate_with(struct mo_gradient_state *state, enum 
                                     .robots = robots,
                                     .n = ROBOTS,
                                     .physics = mo_default_physics(),
-                                    .adjoint_bound = 0.01, /* each adjoint begins anew at each step */
+                                    .adjoint_bound =
+                                        0.01, /* each adjoint begins anew at each step */
                                     .adjoint_rule = MO_ADJOINT_RESTART,
                                     .restart_weight = 2.5,
                                     .back_end = back_end,
@@ -34,7 +36,8 @@ static struct gradient differentiate_with(struct mo_gradient_state *state, enum 
   return gradient;
 }
 
-static struct gradient differentiate(struct mo_compute *compute, enum mo_back_end back_end, const volatile int *cancel)
+static struct gradient differentiate(struct mo_compute *compute, enum mo_back_end back_end,
+                                     const volatile int *cancel)
 {
   struct mo_gradient_state *state = NULL;
   CHECK_INT(mo_gradient_state_create(compute, &state), MO_OK);
@@ -64,7 +67,8 @@ static void gradients_do_not_depend_on_devices(void)
 {
   static const struct {
     const char *n, *shards, *lose;
-  } cases[] = {{"2", NULL, NULL}, {"4", NULL, NULL}, {"1", "1", NULL}, {"2", "1", NULL}, {"2", NULL, "1:1"}};
+  } cases[] = {
+      {"2", NULL, NULL}, {"4", NULL, NULL}, {"1", "1", NULL}, {"2", "1", NULL}, {"2", NULL, "1:1"}};
   REQUIRE(setup());
   struct mo_compute *compute = open_devices("1");
   struct gradient first = differentiate(compute, MO_ON_DEVICE, NULL);
@@ -103,7 +107,8 @@ static void gradients_do_not_depend_on_devices(void)
   free_gradient(&on_workers);
 }
 
-/* A batch that was laid out ahead, on so many devices, is computed from that, and gives the same; what is forgotten or of other robots is not. */
+/* A batch that was laid out ahead, on so many devices, is computed from that, and gives the same;
+ * what is forgotten or of other robots is not. */
 static void gradients_are_laid_out_ahead(void)
 {
   static struct mo_robot others[ROBOTS];
@@ -124,7 +129,8 @@ static void gradients_are_laid_out_ahead(void)
     struct mo_gradient_state *state = NULL;
     REQUIRE(mo_gradient_state_create(compute, &state) == MO_OK);
     for (int i = 0; i < 3; i++) {
-      CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK); /* the newest counts */
+      CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics),
+                MO_OK); /* the newest counts */
       CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
       struct gradient ahead = differentiate_with(state, MO_ON_DEVICE, NULL);
       CHECK_INT(ahead.status, MO_OK);
@@ -134,7 +140,8 @@ static void gradients_are_laid_out_ahead(void)
     CHECK_INT(mo_compute_gradient_lay_out(state, robots, ROBOTS, &physics), MO_OK);
     mo_compute_gradient_forget(state);
     struct gradient forgotten = differentiate_with(state, MO_ON_DEVICE, NULL);
-    CHECK_INT(forgotten.status, MO_ERR_INVALID); /* in haste the module takes nothing that is not laid out */
+    CHECK_INT(forgotten.status,
+              MO_ERR_INVALID); /* in haste the module takes nothing that is not laid out */
     CHECK_INT(mo_compute_gradient_lay_out(state, others, ROBOTS, &physics), MO_OK);
     struct gradient other = differentiate_with(state, MO_ON_DEVICE, NULL);
     CHECK_INT(other.status, MO_ERR_INVALID);

@@ -1,4 +1,5 @@
-/* Scores on devices: the same bits for any number of them, however often memory is short or one is lost; and nothing is forgotten. */
+/* Scores on devices: the same bits for any number of them, however often memory is short or one is
+ * lost; and nothing is forgotten. */
 #include "devices_fixture.h"
 
 #include <time.h>
@@ -7,7 +8,8 @@
 static struct mo_outcome expected[DESIGNS][ENVIRONMENTS]; /* of the workers */
 static struct mo_block blocks[DESIGNS];
 
-static struct mo_block block_of(uint32_t design, struct mo_compute_controller *brain, uint32_t steps)
+static struct mo_block block_of(uint32_t design, struct mo_compute_controller *brain,
+                                uint32_t steps)
 {
   struct mo_block block = {.lattice = lattice,
                            .genotype = genotypes[design],
@@ -65,10 +67,12 @@ static void compute_expected(void)
 
 /* ---- loading ---- */
 
-static void expect_refusal(const char *module, const uint32_t *devices, uint32_t n, int status, const char *words)
+static void expect_refusal(const char *module, const uint32_t *devices, uint32_t n, int status,
+                           const char *words)
 {
   const struct mo_compute_config config = {.n_workers = 1, .isa = mo_isa_best()};
-  const struct mo_devices_config asked = {.module = module, .devices = devices, .n = n, .lost = note_loss};
+  const struct mo_devices_config asked = {
+      .module = module, .devices = devices, .n = n, .lost = note_loss};
   struct mo_compute *compute = NULL;
   struct mo_message message = {.text = ""};
   REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK);
@@ -95,7 +99,8 @@ static void says_what_cannot_be_loaded(void)
   expect_refusal("/no/such/file.so", NULL, 0, MO_ERR_NOT_FOUND, "/no/such/file.so");
   expect_refusal(other, NULL, 0, MO_ERR_UNSUPPORTED, "meson.build");
   set("MORPHO_FAKE_ABI", "7");
-  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED, "another version of this program (interface 7, not 3)");
+  expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_UNSUPPORTED,
+                 "another version of this program (interface 7, not 3)");
   REQUIRE(setup());
   set("MORPHO_FAKE_DEVICES", "0");
   expect_refusal(FAKE_DEVICE, NULL, 0, MO_ERR_EXHAUSTED, "no device");
@@ -300,7 +305,8 @@ static void wait_for(const struct pending *pending)
   CHECK_INT(atomic_load(&pending->left), 0);
 }
 
-/* Half of the blocks are cancelled, then all: those that run end soon, the others have the same bits. */
+/* Half of the blocks are cancelled, then all: those that run end soon, the others have the same
+ * bits. */
 static void cancels(void)
 {
   volatile int flags[2] = {0, 0};
@@ -356,7 +362,8 @@ static void hands_everything_back_at_the_end(void)
       CHECK_INT(mo_compute_submit(compute, &blocks[d]), MO_OK);
     }
     sleep_ms(4L * k);
-    /* Weights may be freed only when nothing uses them: so the back end first, which this one time outlives what it made of them. */
+    /* Weights may be freed only when nothing uses them: so the back end first, which this one time
+     * outlives what it made of them. */
     mo_compute_free(compute);
     CHECK_INT(atomic_load(&pending.left), 0);
     CHECK_INT(atomic_load(&pending.counts[0]) + atomic_load(&pending.counts[1]), DESIGNS);
@@ -380,7 +387,8 @@ static void again(struct mo_block *block, void *context)
     atomic_fetch_sub(&stream->left, 1);
 }
 
-/* Two jobs on one device: seconds in proportion to weights, though one has twice as many blocks waiting. */
+/* Two jobs on one device: seconds in proportion to weights, though one has twice as many blocks
+ * waiting. */
 static void devices_are_shared_by_weight(void)
 {
   static struct stream streams[2];

@@ -1,4 +1,5 @@
-/* Back ends with any number of devices, of a module that computes on the processor (tests/device/fake.c), and what they compute. */
+/* Back ends with any number of devices, of a module that computes on the processor
+ * (tests/device/fake.c), and what they compute. */
 #ifndef MORPHO_TEST_DEVICES_FIXTURE_H
 #define MORPHO_TEST_DEVICES_FIXTURE_H
 

@@ -1,5 +1,5 @@
-/* Whose turn it is, with blocks that have only a cost, and workers that only wait: shares by weight, for any mix of costs, any number
- * of workers, and whatever comes and goes. */
+/* Whose turn it is, with blocks that have only a cost, and workers that only wait: shares by
+ * weight, for any mix of costs, any number of workers, and whatever comes and goes. */
 #include "compute/fair.h"
 
 #include <morpho/random.h>
@@ -79,9 +79,10 @@ static void run_until(double end_s)
       if (world.workers[w].block == NULL) {
         world.workers[w].block = mo_fair_take(&world.fair, &world.workers[w].charge);
         if (world.workers[w].block != NULL) {
-          const struct submitter *submitter = (const struct submitter *)world.workers[w].charge.share;
-          world.workers[w].cost_s =
-              submitter->least_s + (submitter->most_s - submitter->least_s) * mo_random_uniform(&world.random);
+          const struct submitter *submitter =
+              (const struct submitter *)world.workers[w].charge.share;
+          world.workers[w].cost_s = submitter->least_s + (submitter->most_s - submitter->least_s) *
+                                                             mo_random_uniform(&world.random);
           world.workers[w].end_s = world.now_s + world.workers[w].cost_s;
         }
       }
@@ -179,8 +180,8 @@ static void short_gaps_cost_nothing(void)
   CHECK_NEAR(part_of(steady), 0.5, 0.02);
 }
 
-/* A share with nearly all the weight that has one block at a time, for a long time, then another comes: nobody waits for the sum
- * of what was not used. */
+/* A share with nearly all the weight that has one block at a time, for a long time, then another
+ * comes: nobody waits for the sum of what was not used. */
 static void what_cannot_be_used_is_not_saved_up(void)
 {
   begin(4);
@@ -223,7 +224,8 @@ static void a_new_weight_counts_from_now_on(void)
   CHECK_NEAR(part_of(a), 0.5, 0.03);
 }
 
-/* While nothing is known of the cost, workers that are free at once take different shares; equals go in order of creation. */
+/* While nothing is known of the cost, workers that are free at once take different shares; equals
+ * go in order of creation. */
 static void estimates_spread_the_workers(void)
 {
   begin(3);

@@ -1,4 +1,5 @@
-/* The gatherer of a device: how long it waits for more blocks, and what it makes of those that it has. */
+/* The gatherer of a device: how long it waits for more blocks, and what it makes of those that it
+ * has. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -68,8 +69,8 @@ static struct mo_block block_of(const uint64_t *genotype, const struct mo_enviro
   return block;
 }
 
-/* One block every half millisecond, so that the device always waits for less time than it would take no more to come: the first has
- * an outcome while they still come. */
+/* One block every half millisecond, so that the device always waits for less time than it would
+ * take no more to come: the first has an outcome while they still come. */
 static void does_not_wait_for_ever(void)
 {
   uint64_t genotype[MO_DEFAULT_WORDS];
@@ -90,8 +91,8 @@ static void does_not_wait_for_ever(void)
   close_device();
 }
 
-/* Three blocks in turn have one genotype, in two environments; some are cancelled, some cannot be built. The others have the outcomes that
- * the workers find. */
+/* Three blocks in turn have one genotype, in two environments; some are cancelled, some cannot be
+ * built. The others have the outcomes that the workers find. */
 static void builds_what_is_wanted(void)
 {
   enum { BODIES = 400, N = 3 * BODIES };

@@ -1,5 +1,6 @@
-/* The float32 gradient of a batch against the float64 reference: direction, norm, and each tensor by itself, with clipping and
- * without. `tools/bench gradient-accuracy` does the same at full size. */
+/* The float32 gradient of a batch against the float64 reference: direction, norm, and each tensor
+ * by itself, with clipping and without. `tools/bench gradient-accuracy` does the same at full size.
+ */
 #include "gradient-compare.h"
 
 #include "../check.h"
@@ -17,10 +18,12 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
   if (trained) {
     char path[4096];
     const char *root = getenv("MORPHO_SOURCE_DIR");
-    snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors", root != NULL ? root : ".");
+    snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
+             root != NULL ? root : ".");
     REQUIRE(mo_controller_read(path, &controller, NULL) == MO_OK);
   } else {
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) ==
+            MO_OK);
     mo_controller_randomize(controller, 11);
   }
   struct mo_robot *robots = calloc(n, sizeof(*robots));
@@ -29,7 +32,8 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
   REQUIRE(robots != NULL && bodies != NULL && environments != NULL);
   for (uint32_t i = 0; i < n; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
-    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK && mo_body_create(lattice, bits, &bodies[i]) == MO_OK);
+    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK &&
+            mo_body_create(lattice, bits, &bodies[i]) == MO_OK);
     mo_environment_training(11, 0, i, environments + i);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
   }
@@ -39,7 +43,8 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
   for (int off = 0; off < (n_steps < 500 ? 2 : 1); off++) {
     struct gradient_comparison c;
     const struct mo_gradient_options options = {.adjoint_bound = off ? 0 : MO_ADJOINT_BOUND};
-    REQUIRE(gradient_compare(controller, robots, n, &physics, &options, mo_isa_best(), 2, false, &c) == MO_OK);
+    REQUIRE(gradient_compare(controller, robots, n, &physics, &options, mo_isa_best(), 2, false,
+                             &c) == MO_OK);
     double least = 1;
     int least_at = 0;
     for (int t = 0; t < MO_CONTROLLER_TENSORS; t++)
@@ -47,11 +52,13 @@ static void compare(uint32_t n, uint32_t n_steps, bool trained, double least_cos
         least = c.tensor[t].cosine;
         least_at = t;
       }
-    printf("# %s, bound %s, %u robots, %u steps: 1 - cosine %.2g, norms %.6g and %.6g; least of a tensor: 1 - cosine "
-           "%.2g (%s); robot by robot median %.1g, p90 %.1g; loss off by %.1g, %.1g, %.1g (median, p90, most)\n",
-           trained ? "trained" : "random weights", off ? "off" : "2", n, n_steps, 1 - c.all.cosine, c.all.norm_fast,
-           c.all.norm_reference, 1 - least, gradient_tensor_names[least_at], c.robots.median, c.robots.p90,
-           c.loss_median, c.loss_p90, c.loss_most);
+    printf("# %s, bound %s, %u robots, %u steps: 1 - cosine %.2g, norms %.6g and %.6g; least of a "
+           "tensor: 1 - cosine "
+           "%.2g (%s); robot by robot median %.1g, p90 %.1g; loss off by %.1g, %.1g, %.1g (median, "
+           "p90, most)\n",
+           trained ? "trained" : "random weights", off ? "off" : "2", n, n_steps, 1 - c.all.cosine,
+           c.all.norm_fast, c.all.norm_reference, 1 - least, gradient_tensor_names[least_at],
+           c.robots.median, c.robots.p90, c.loss_median, c.loss_p90, c.loss_most);
     CHECK_INT(c.fast.robots, n);
     CHECK_INT(c.fast.zeroed_robots + c.fast.diverged_robots, 0);
     CHECK(c.all.norm_reference > 0);
@@ -88,8 +95,8 @@ static void whole_random(void)
   compare(10, 1000, false, 0.999);
 }
 
-/* What a trained controller makes of 1000 steps is chaos for some of these small bodies: rounding alone decides where they go, and
- * in the sum of a few robots each of them weighs much. */
+/* What a trained controller makes of 1000 steps is chaos for some of these small bodies: rounding
+ * alone decides where they go, and in the sum of a few robots each of them weighs much. */
 static void whole_trained(void)
 {
   compare(6, 1000, true, 0);

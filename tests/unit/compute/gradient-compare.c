@@ -10,8 +10,9 @@
 enum { THREADS_MAX = 64 };
 
 const char *const gradient_tensor_names[MO_CONTROLLER_TENSORS] = {
-    "net.0.weight", "net.0.bias",   "net.1.weight", "net.1.bias",   "net.3.weight", "net.3.bias",   "net.4.weight",
-    "net.4.bias",   "net.6.weight", "net.6.bias",   "net.7.weight", "net.7.bias",   "net.9.weight", "net.9.bias"};
+    "net.0.weight", "net.0.bias",   "net.1.weight", "net.1.bias",   "net.3.weight",
+    "net.3.bias",   "net.4.weight", "net.4.bias",   "net.6.weight", "net.6.bias",
+    "net.7.weight", "net.7.bias",   "net.9.weight", "net.9.bias"};
 
 static double now_s(void)
 {
@@ -22,7 +23,8 @@ static double now_s(void)
 
 #define MOVED_M 1e-7
 
-/* The share of thread t: robots t, t + threads, …, each alone, by the reference and by the fast path. */
+/* The share of thread t: robots t, t + threads, …, each alone, by the reference and by the fast
+ * path. */
 struct share {
   const struct mo_controller *controller;
   const struct mo_robot *robots;
@@ -50,7 +52,8 @@ static struct gradient_likeness compare(const double *a, const double *b, size_t
     aa += a[i] * a[i];
     bb += b[i] * b[i];
   }
-  return (struct gradient_likeness){aa > 0 && bb > 0 ? ab / (sqrt(aa) * sqrt(bb)) : 0, sqrt(aa), sqrt(bb)};
+  return (struct gradient_likeness){aa > 0 && bb > 0 ? ab / (sqrt(aa) * sqrt(bb)) : 0, sqrt(aa),
+                                    sqrt(bb)};
 }
 
 static int run_robot(struct share *s, uint32_t i)
@@ -59,11 +62,11 @@ static int run_robot(struct share *s, uint32_t i)
   const size_t n = s->controller->n_parameters;
   struct mo_outcome outcome;
   memset(s->one, 0, n * sizeof(double));
-  int status = mo_gradient_reference(robot->body, s->controller, robot->environment, s->physics, &s->options,
-                                     s->outcomes + i, s->one, &s->counts);
+  int status = mo_gradient_reference(robot->body, s->controller, robot->environment, s->physics,
+                                     &s->options, s->outcomes + i, s->one, &s->counts);
   if (status == MO_OK)
-    status =
-        mo_gradient_block(s->memory, s->pack, robot, 1, s->physics, &s->options, NULL, NULL, &outcome, s->fast, NULL);
+    status = mo_gradient_block(s->memory, s->pack, robot, 1, s->physics, &s->options, NULL, NULL,
+                               &outcome, s->fast, NULL);
   if (status != MO_OK)
     return status;
   for (size_t p = 0; p < n; p++) {
@@ -76,8 +79,8 @@ static int run_robot(struct share *s, uint32_t i)
   struct mo_environment environment = *robot->environment;
   environment.light_xy_m[0] += MOVED_M;
   memset(s->other, 0, n * sizeof(double));
-  status = mo_gradient_reference(robot->body, s->controller, &environment, s->physics, &s->options, &outcome, s->other,
-                                 NULL);
+  status = mo_gradient_reference(robot->body, s->controller, &environment, s->physics, &s->options,
+                                 &outcome, s->other, NULL);
   for (size_t p = 0; p < n; p++)
     s->moved_sum[p] += s->other[p];
   s->moved_difference[i] = 1 - compare(s->other, s->one, n).cosine;
@@ -100,7 +103,8 @@ static int start_share(struct share *s, const struct share *what, uint32_t numbe
   s->stride = threads;
   s->sum = calloc(4 * n, sizeof(double));
   s->fast = calloc(n, sizeof(float));
-  if (s->sum == NULL || s->fast == NULL || mo_gradient_memory_create((size_t)32 << 20, &s->memory) != MO_OK)
+  if (s->sum == NULL || s->fast == NULL ||
+      mo_gradient_memory_create((size_t)32 << 20, &s->memory) != MO_OK)
     return MO_ERR_NO_MEMORY;
   s->moved_sum = s->sum + n;
   s->one = s->sum + 2 * n;
@@ -116,8 +120,8 @@ static void free_share(struct share *s)
 }
 
 /* Sums into d_parameters and moved, which start from zeros. */
-static int run_reference(const struct share *what, uint32_t threads, double *d_parameters, double *moved,
-                         struct mo_gradient_counts *counts)
+static int run_reference(const struct share *what, uint32_t threads, double *d_parameters,
+                         double *moved, struct mo_gradient_counts *counts)
 {
   struct share shares[THREADS_MAX];
   const size_t n = what->controller->n_parameters;
@@ -141,8 +145,9 @@ static int run_reference(const struct share *what, uint32_t threads, double *d_p
   return status;
 }
 
-static int run_fast(const struct share *what, enum mo_isa isa, uint32_t workers, struct mo_outcome *outcomes,
-                    double *d_parameters, struct mo_gradient_counts *counts)
+static int run_fast(const struct share *what, enum mo_isa isa, uint32_t workers,
+                    struct mo_outcome *outcomes, double *d_parameters,
+                    struct mo_gradient_counts *counts)
 {
   struct mo_compute *compute = NULL;
   struct mo_gradient_state *state = NULL;
@@ -184,8 +189,8 @@ static struct gradient_spread spread_of(double *differences, uint32_t n)
   return spread;
 }
 
-static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *b, uint32_t n, double *differences,
-                           struct gradient_comparison *c)
+static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *b, uint32_t n,
+                           double *differences, struct gradient_comparison *c)
 {
   uint32_t both = 0;
   for (uint32_t i = 0; i < n; i++)
@@ -201,15 +206,19 @@ static void compare_losses(const struct mo_outcome *a, const struct mo_outcome *
   c->loss_most = differences[both - 1];
 }
 
-int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                     const struct mo_physics *physics, const struct mo_gradient_options *options, enum mo_isa isa,
-                     uint32_t workers, bool moved, struct gradient_comparison *c)
+int gradient_compare(const struct mo_controller *controller, const struct mo_robot *robots,
+                     uint32_t n, const struct mo_physics *physics,
+                     const struct mo_gradient_options *options, enum mo_isa isa, uint32_t workers,
+                     bool moved, struct gradient_comparison *c)
 {
   const size_t size = controller->n_parameters;
   struct mo_outcome *outcomes = calloc(2 * (size_t)n, sizeof(*outcomes));
-  double *gradients = calloc(3 * size, sizeof(*gradients)), *differences = calloc(3 * (size_t)n, sizeof(*differences));
+  double *gradients = calloc(3 * size, sizeof(*gradients)),
+         *differences = calloc(3 * (size_t)n, sizeof(*differences));
   struct mo_gradient_pack *pack = NULL;
-  int status = workers < 1 || workers > THREADS_MAX ? MO_ERR_RANGE : mo_gradient_pack_create(controller, isa, &pack);
+  int status = workers < 1 || workers > THREADS_MAX
+                   ? MO_ERR_RANGE
+                   : mo_gradient_pack_create(controller, isa, &pack);
   *c = (struct gradient_comparison){.loss_median = 0};
   if (status == MO_OK && (outcomes == NULL || gradients == NULL || differences == NULL))
     status = MO_ERR_NO_MEMORY;

@@ -1,5 +1,5 @@
-/* The gradient of a batch: the same bits for any number of workers and whether or not urgent blocks overtake; cancelled, wrong and
- * out of memory it says so. */
+/* The gradient of a batch: the same bits for any number of workers and whether or not urgent blocks
+ * overtake; cancelled, wrong and out of memory it says so. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -12,8 +12,9 @@
 
 enum { ROBOTS = 150 };
 
-/* The thread sanitizer makes a step thirty times as long. What threads share is touched once per block, or every few steps: lives of a
- * fifth, in as many blocks for as many workers, show it all. */
+/* The thread sanitizer makes a step thirty times as long. What threads share is touched once per
+ * block, or every few steps: lives of a fifth, in as many blocks for as many workers, show it all.
+ */
 #ifdef __SANITIZE_THREAD__
 #define LIVES(steps) ((steps) / 5)
 #else
@@ -40,7 +41,8 @@ static int setup(void)
   mo_controller_randomize(controller, 5);
   for (uint32_t i = 0; i < ROBOTS; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
-    if (mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
+    if (mo_body_stream_next(stream, bits) != MO_OK ||
+        mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
       return 0;
     mo_environment_training(3, 0, i, environments + i);
     robots[i] = (struct mo_robot){bodies[i], environments + i};
@@ -58,7 +60,8 @@ static double now_s(void)
   return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
 }
 
-/* Stands in front of the real one: fails the block that begins with a certain robot, counts those that are inside. */
+/* Stands in front of the real one: fails the block that begins with a certain robot, counts those
+ * that are inside. */
 static struct {
   const struct mo_body *fail_at; /* NULL: none fails */
   int status;
@@ -67,21 +70,27 @@ static struct {
 } plan;
 
 int __real_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
-                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
-                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
-                             struct mo_gradient_counts *counts);
+                             const struct mo_robot *list, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             float *gradient, struct mo_gradient_counts *counts);
 int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
-                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
-                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
-                             struct mo_gradient_counts *counts);
+                             const struct mo_robot *list, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             float *gradient, struct mo_gradient_counts *counts);
 
 int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
-                             const struct mo_robot *list, uint32_t n, const struct mo_physics *physics,
-                             const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                             struct mo_gradient_profile *profile, struct mo_outcome *results, float *gradient,
-                             struct mo_gradient_counts *counts)
+                             const struct mo_robot *list, uint32_t n,
+                             const struct mo_physics *physics,
+                             const struct mo_gradient_options *options,
+                             const struct mo_pause_point *pause,
+                             struct mo_gradient_profile *profile, struct mo_outcome *results,
+                             float *gradient, struct mo_gradient_counts *counts)
 {
   atomic_fetch_add(&plan.begun, 1);
   const int inside = atomic_fetch_add(&plan.inside, 1) + 1;
@@ -95,8 +104,8 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
     if (list[i].body == plan.fail_at)
       status = plan.status;
   if (status == MO_OK)
-    status =
-        __real_mo_gradient_block(memory, pack, list, n, physics, options, pause, profile, results, gradient, counts);
+    status = __real_mo_gradient_block(memory, pack, list, n, physics, options, pause, profile,
+                                      results, gradient, counts);
   atomic_fetch_sub(&plan.inside, 1);
   return status;
 }
@@ -145,7 +154,8 @@ static void same_bits_for_any_workers(void)
     struct mo_gradient_state *state = NULL;
     REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
     for (int again = 0; again < 2; again++) { /* the second call finds everything made */
-      struct mo_gradient_batch batch = make_batch(ROBOTS, LIVES(40), run == 0 && again == 0 ? 0 : 1);
+      struct mo_gradient_batch batch =
+          make_batch(ROBOTS, LIVES(40), run == 0 && again == 0 ? 0 : 1);
       CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
       CHECK_INT(batch.counts.robots, ROBOTS);
       CHECK_INT(batch.counts.steps, ROBOTS * LIVES(40));
@@ -179,9 +189,12 @@ __attribute__((unused)) static void it_is_the_mean(void)
   struct mo_gradient_state *state = NULL;
   REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
   struct mo_gradient_batch batch = make_batch(N, STEPS, 0);
-  const struct mo_gradient_options options = {
-      .adjoint_bound = 0.01, .weight = 1.0 / N, .adjoint_rule = MO_ADJOINT_RESTART, .restart_weight = 2.5};
-  batch.adjoint_bound = options.adjoint_bound; /* each adjoint begins anew at each step, and counts 2.5 times */
+  const struct mo_gradient_options options = {.adjoint_bound = 0.01,
+                                              .weight = 1.0 / N,
+                                              .adjoint_rule = MO_ADJOINT_RESTART,
+                                              .restart_weight = 2.5};
+  batch.adjoint_bound =
+      options.adjoint_bound; /* each adjoint begins anew at each step, and counts 2.5 times */
   batch.adjoint_rule = options.adjoint_rule;
   batch.restart_weight = options.restart_weight;
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
@@ -189,8 +202,8 @@ __attribute__((unused)) static void it_is_the_mean(void)
   const size_t n = controller->n_parameters;
   memset(d_parameters[1], 0, n * sizeof(double));
   for (uint32_t i = 0; i < N; i++) {
-    CHECK_INT(mo_gradient_reference(bodies[i], controller, environments + i, &batch.physics, &options, outcomes[1] + i,
-                                    d_parameters[1], NULL),
+    CHECK_INT(mo_gradient_reference(bodies[i], controller, environments + i, &batch.physics,
+                                    &options, outcomes[1] + i, d_parameters[1], NULL),
               MO_OK);
     CHECK_NEAR(outcomes[0][i].loss, outcomes[1][i].loss, 1e-3);
     for (int axis = 0; axis < 3; axis++)
@@ -202,8 +215,8 @@ __attribute__((unused)) static void it_is_the_mean(void)
     aa += d_parameters[0][i] * d_parameters[0][i];
     bb += d_parameters[1][i] * d_parameters[1][i];
   }
-  printf("# %d robots, %d steps: 1 - cosine %.2g, norm %.9g against %.9g\n", N, STEPS, 1 - ab / sqrt(aa * bb), sqrt(aa),
-         sqrt(bb));
+  printf("# %d robots, %d steps: 1 - cosine %.2g, norm %.9g against %.9g\n", N, STEPS,
+         1 - ab / sqrt(aa * bb), sqrt(aa), sqrt(bb));
   CHECK(bb > 0);
   CHECK(ab / sqrt(aa * bb) > 0.999); /* float32: a mass touches a step earlier or later */
   CHECK_NEAR(sqrt(aa / bb), 1.0, 1e-3);
@@ -228,7 +241,8 @@ static void *make_call(void *argument)
   return NULL;
 }
 
-static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, uint32_t body, uint32_t steps)
+static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, uint32_t body,
+                       uint32_t steps)
 {
   *block = (struct mo_block){.body = bodies[body],
                              .controller = brain,
@@ -240,7 +254,8 @@ static void fill_block(struct mo_block *block, struct mo_compute_controller *bra
   block->physics.n_steps = steps;
 }
 
-/* One worker: interactive scoring blocks come while it is inside a gradient, and neither notices the other. */
+/* One worker: interactive scoring blocks come while it is inside a gradient, and neither notices
+ * the other. */
 static void urgent_blocks_overtake(void)
 {
   REQUIRE(setup());
@@ -281,8 +296,8 @@ static void urgent_blocks_overtake(void)
   struct mo_compute_stats stats;
   mo_compute_get_stats(compute, &stats);
   CHECK(stats.blocks_preempted >= URGENT / 2); /* a few may fall between two gradient blocks */
-  printf("# slowest of %d urgent blocks: %.1f ms, inside gradient blocks of %.0f ms\n", URGENT, 1e3 * worst_s,
-         1e3 * block_s);
+  printf("# slowest of %d urgent blocks: %.1f ms, inside gradient blocks of %.0f ms\n", URGENT,
+         1e3 * worst_s, 1e3 * block_s);
   CHECK(worst_s < block_s);
   mo_compute_controller_free(brain);
   mo_gradient_state_free(call.state);
@@ -351,7 +366,8 @@ static void cancelled_calls_come_back(void)
   mo_compute_free(compute);
 }
 
-/* A block that fails ends the call with its error, whichever block it is; the other blocks in work are waited for. */
+/* A block that fails ends the call with its error, whichever block it is; the other blocks in work
+ * are waited for. */
 static void failed_blocks_end_the_call(void)
 {
   REQUIRE(setup());
@@ -419,7 +435,8 @@ static void faults_are_refused(void)
   struct mo_gradient_batch batch = make_batch(ROBOTS, 1, 0);
   CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
   CHECK(strstr(mo_compute_gradient_fingerprint(compute), mo_isa_name(mo_isa_best())) != NULL);
-  CHECK(strcmp(mo_compute_gradient_fingerprint(compute), mo_compute_fingerprint(compute, MO_FLOAT32)) != 0);
+  CHECK(strcmp(mo_compute_gradient_fingerprint(compute),
+               mo_compute_fingerprint(compute, MO_FLOAT32)) != 0);
   mo_gradient_state_free(NULL);
   mo_body_free(stranger);
   mo_lattice_free(small);
@@ -427,7 +444,8 @@ static void faults_are_refused(void)
   mo_compute_free(compute);
 }
 
-/* One state serves controllers of different workspaces and sensors, one after the other; diverged robots are counted. */
+/* One state serves controllers of different workspaces and sensors, one after the other; diverged
+ * robots are counted. */
 static void one_state_takes_any_controller(void)
 {
   REQUIRE(setup());
@@ -440,7 +458,8 @@ static void one_state_takes_any_controller(void)
   REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
   const struct mo_workspace workspace = {8, 5, 5};
   uint64_t bits[8] = {0x3f};
-  REQUIRE(mo_lattice_create(workspace, &large) == MO_OK && mo_body_create(large, bits, &body) == MO_OK);
+  REQUIRE(mo_lattice_create(workspace, &large) == MO_OK &&
+          mo_body_create(large, bits, &body) == MO_OK);
   REQUIRE(mo_controller_create(workspace, MO_SENSOR_INVERSE_SQUARE, &other) == MO_OK);
   mo_controller_randomize(other, 8);
   double *gradient = malloc(other->n_parameters * sizeof(double));
@@ -484,7 +503,8 @@ static void one_state_takes_any_controller(void)
   mo_compute_free(compute);
 }
 
-/* Where the tape does not fit its budget, steps are run again: not a bit of any block may show it. */
+/* Where the tape does not fit its budget, steps are run again: not a bit of any block may show it.
+ */
 __attribute__((unused)) static void the_budget_changes_no_bit(void)
 {
   REQUIRE(setup());
@@ -503,8 +523,9 @@ __attribute__((unused)) static void the_budget_changes_no_bit(void)
       struct mo_gradient_memory *memory = NULL;
       float *gradient = gradients + (b > 0 ? n : 0);
       REQUIRE(mo_gradient_memory_create(budgets[b], &memory) == MO_OK);
-      CHECK_INT(__real_mo_gradient_block(memory, pack, robots + (size_t)block * MO_GRADIENT_ROBOTS, MO_GRADIENT_ROBOTS,
-                                         &physics, &options, NULL, NULL, outcomes[b > 0], gradient, NULL),
+      CHECK_INT(__real_mo_gradient_block(memory, pack, robots + (size_t)block * MO_GRADIENT_ROBOTS,
+                                         MO_GRADIENT_ROBOTS, &physics, &options, NULL, NULL,
+                                         outcomes[b > 0], gradient, NULL),
                 MO_OK);
       if (b > 0)
         CHECK(memcmp(gradients, gradient, n * sizeof(float)) == 0);
@@ -517,7 +538,8 @@ __attribute__((unused)) static void the_budget_changes_no_bit(void)
   free(gradients);
 }
 
-/* What a worker holds at the default settings: 32 full lattices for 1000 steps, cancelled as soon as the scratch is there. */
+/* What a worker holds at the default settings: 32 full lattices for 1000 steps, cancelled as soon
+ * as the scratch is there. */
 __attribute__((unused)) static int at_once(void *context)
 {
   (void)context;
@@ -542,14 +564,17 @@ __attribute__((unused)) static void memory_is_bounded(void)
   REQUIRE(mo_gradient_pack_create(controller, mo_isa_best(), &pack) == MO_OK);
   for (int i = 0; i < MO_GRADIENT_ROBOTS; i++)
     many[i] = (struct mo_robot){full, environments + i};
-  CHECK_INT(__real_mo_gradient_block(memory, pack, many, MO_GRADIENT_ROBOTS, &physics, &options, &pause, NULL, results,
-                                     gradient, NULL),
+  CHECK_INT(__real_mo_gradient_block(memory, pack, many, MO_GRADIENT_ROBOTS, &physics, &options,
+                                     &pause, NULL, results, gradient, NULL),
             MO_ERR_CANCELLED);
   const size_t scratch = mo_gradient_memory_bytes(memory), scoring = (size_t)16 << 20,
                slots = 2 * controller->n_parameters * sizeof(float);
-  printf("# scratch %.1f MiB, two results %.1f MiB, pack (shared) %.1f MiB; scoring takes at most 16 MiB\n",
-         (double)scratch / (1 << 20), (double)slots / (1 << 20), (double)mo_gradient_pack_bytes(pack) / (1 << 20));
-  CHECK(scratch > 0 && scratch + slots + scoring + mo_gradient_pack_bytes(pack) <= (size_t)512 << 20);
+  printf("# scratch %.1f MiB, two results %.1f MiB, pack (shared) %.1f MiB; scoring takes at most "
+         "16 MiB\n",
+         (double)scratch / (1 << 20), (double)slots / (1 << 20),
+         (double)mo_gradient_pack_bytes(pack) / (1 << 20));
+  CHECK(scratch > 0 && scratch + slots + scoring + mo_gradient_pack_bytes(pack) <= (size_t)512
+                                                                                       << 20);
   free(gradient);
   mo_gradient_pack_free(pack);
   mo_gradient_memory_free(memory);

@@ -1,5 +1,6 @@
-/* Shares on running workers: time by weight between submitters of short and long blocks and of gradients, urgent blocks charged to
- * nobody, the same bits as ever, and shares that come and go. fair.c has the arithmetic. */
+/* Shares on running workers: time by weight between submitters of short and long blocks and of
+ * gradients, urgent blocks charged to nobody, the same bits as ever, and shares that come and go.
+ * fair.c has the arithmetic. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -12,7 +13,8 @@
 
 enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 
-/* Of a gradient's lives. The sanitizers slow what comes between two batches more than the kernels: longer lives make up for that. */
+/* Of a gradient's lives. The sanitizers slow what comes between two batches more than the kernels:
+ * longer lives make up for that. */
 #ifdef __SANITIZE_THREAD__
 #define GRADIENT_STEPS 200
 #elif defined(__SANITIZE_ADDRESS__)
@@ -21,7 +23,8 @@ enum { BODIES = 64, ROBOTS = 320, INSIDE = 6, LENGTHS = 3 };
 #define GRADIENT_STEPS 4
 #endif
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) /* blocks take long there: fewer in the same time */
+#if defined(__SANITIZE_ADDRESS__) ||                                                               \
+    defined(__SANITIZE_THREAD__) /* blocks take long there: fewer in the same time */
 static const uint32_t lengths[LENGTHS] = {1, 6, 20};
 static const double tolerance = 0.3;
 #else
@@ -48,7 +51,8 @@ static int setup(void)
   mo_controller_randomize(controller, 5);
   for (uint32_t i = 0; i < BODIES; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
-    if (mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
+    if (mo_body_stream_next(stream, bits) != MO_OK ||
+        mo_body_create(lattice, bits, &bodies[i]) != MO_OK)
       return 0;
   }
   for (uint32_t i = 0; i < ROBOTS; i++) {
@@ -73,8 +77,8 @@ static struct mo_compute *make_compute(uint32_t n_workers)
   return mo_compute_create_cpu(&config, &compute) == MO_OK ? compute : NULL;
 }
 
-static void fill_block(struct mo_block *block, struct mo_compute_controller *brain, struct mo_compute_share *share,
-                       uint32_t steps)
+static void fill_block(struct mo_block *block, struct mo_compute_controller *brain,
+                       struct mo_compute_share *share, uint32_t steps)
 {
   *block = (struct mo_block){.body = bodies[7],
                              .controller = brain,
@@ -115,8 +119,8 @@ static void again(struct mo_block *block, void *context)
 
 static void next(struct submitter *submitter, struct mo_block *block)
 {
-  const int length =
-      submitter->shortest + (int)(atomic_fetch_add(&submitter->turn, 1) % (unsigned)submitter->n_lengths);
+  const int length = submitter->shortest +
+                     (int)(atomic_fetch_add(&submitter->turn, 1) % (unsigned)submitter->n_lengths);
   fill_block(block, submitter->brain, submitter->share, lengths[length]);
   block->tag = length;
   block->done = again;
@@ -125,11 +129,15 @@ static void next(struct submitter *submitter, struct mo_block *block)
     atomic_fetch_sub(&submitter->inside, 1);
 }
 
-static void begin(struct submitter *submitter, struct mo_compute *compute, struct mo_compute_controller *brain,
-                  struct mo_compute_share *share, int shortest, int n_lengths)
+static void begin(struct submitter *submitter, struct mo_compute *compute,
+                  struct mo_compute_controller *brain, struct mo_compute_share *share, int shortest,
+                  int n_lengths)
 {
-  *submitter = (struct submitter){
-      .compute = compute, .brain = brain, .share = share, .shortest = shortest, .n_lengths = n_lengths};
+  *submitter = (struct submitter){.compute = compute,
+                                  .brain = brain,
+                                  .share = share,
+                                  .shortest = shortest,
+                                  .n_lengths = n_lengths};
   atomic_store(&submitter->inside, INSIDE);
   for (int i = 0; i < INSIDE; i++)
     next(submitter, submitter->blocks + i);
@@ -151,9 +159,11 @@ static double busy_s(const struct mo_compute_share *share)
   return stats.busy_s;
 }
 
-/* The part of each of n shares in the worker seconds that they get from now on: once they have had `seconds`, as near as `tolerance` to
- * what is wanted. A block that lost its processor for long is a debt that is paid later: four times as long is waited for that. */
-static bool gets(struct mo_compute_share *const *shares, int n, double seconds, const double *wanted)
+/* The part of each of n shares in the worker seconds that they get from now on: once they have had
+ * `seconds`, as near as `tolerance` to what is wanted. A block that lost its processor for long is
+ * a debt that is paid later: four times as long is waited for that. */
+static bool gets(struct mo_compute_share *const *shares, int n, double seconds,
+                 const double *wanted)
 {
   double before[4], part[4] = {0}, sum = 0, late_s = now_s() + 60;
   bool right = false;
@@ -240,7 +250,8 @@ static void *learn(void *argument)
                                     .d_parameters = d_parameters,
                                     .outcomes = outcomes};
   batch.physics.n_steps = GRADIENT_STEPS;
-  learner->status = d_parameters == NULL ? MO_ERR_NO_MEMORY : mo_gradient_state_create(learner->compute, &state);
+  learner->status =
+      d_parameters == NULL ? MO_ERR_NO_MEMORY : mo_gradient_state_create(learner->compute, &state);
   while (learner->status == MO_OK && !atomic_load(&learner->stop))
     learner->status = mo_compute_gradient(state, &batch);
   mo_gradient_state_free(state);
@@ -248,7 +259,8 @@ static void *learn(void *argument)
   return NULL;
 }
 
-/* Its blocks are long, and between two batches it has none: it gets half of the time all the same. */
+/* Its blocks are long, and between two batches it has none: it gets half of the time all the same.
+ */
 static void gradients_beside_scores(void)
 {
   REQUIRE(setup());
@@ -303,7 +315,8 @@ static void urgent_blocks_are_charged_to_nobody(void)
   REQUIRE(compute != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
-  fill_block(&slow, brain, calm, MO_STEPS_MAX); /* under way for as long as the urgent ones take, then cancelled */
+  fill_block(&slow, brain, calm,
+             MO_STEPS_MAX); /* under way for as long as the urgent ones take, then cancelled */
   slow.cancel = &cancel;
   slow.done = note;
   slow.context = &done;
@@ -336,7 +349,8 @@ static void urgent_blocks_are_charged_to_nobody(void)
   CHECK(of_calm.urgent_s == 0 && of_calm.busy_s > 0);
   CHECK_INT(of_hasty.blocks_done, 4);
   CHECK_INT(of_calm.blocks_done, 1);
-  /* No time is counted twice (the worker's holds that of its blocks), and little is lost, however loaded the machine is. */
+  /* No time is counted twice (the worker's holds that of its blocks), and little is lost, however
+   * loaded the machine is. */
   CHECK(of_calm.busy_s + of_hasty.busy_s <= (1 + 1e-9) * stats.busy_s);
   CHECK(of_calm.busy_s + of_hasty.busy_s > stats.busy_s / 2);
   mo_compute_share_free(calm);
@@ -412,7 +426,8 @@ static void shares_come_and_go(void)
   mo_compute_free(compute);
 }
 
-/* The back end ends while blocks of shares wait: all come back, and the shares may be freed after it. */
+/* The back end ends while blocks of shares wait: all come back, and the shares may be freed after
+ * it. */
 static void the_end_with_blocks_waiting(void)
 {
   REQUIRE(setup());
@@ -422,7 +437,8 @@ static void the_end_with_blocks_waiting(void)
   struct mo_compute_share *shares[2];
   struct mo_block blocks[N];
   atomic_int done = 0;
-  REQUIRE(compute != NULL && other != NULL && mo_compute_controller_create(compute, controller, &brain) == MO_OK);
+  REQUIRE(compute != NULL && other != NULL &&
+          mo_compute_controller_create(compute, controller, &brain) == MO_OK);
   for (int i = 0; i < 2; i++)
     REQUIRE(mo_compute_share_create(compute, i == 0 ? -1 : 1e9, &shares[i]) == MO_OK);
   for (int i = 0; i < N; i++) {

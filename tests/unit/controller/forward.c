@@ -27,7 +27,8 @@ static void textbook(const struct mo_controller *c, const double *inputs, double
       variance += (y[i] - mean) * (y[i] - mean) / n;
     for (uint32_t i = 0; i < n; i++) {
       const long double z =
-          (y[i] - mean) / sqrtl(variance + 1e-5L) * (long double)c->norm_gain[l][i] + (long double)c->norm_shift[l][i];
+          (y[i] - mean) / sqrtl(variance + 1e-5L) * (long double)c->norm_gain[l][i] +
+          (long double)c->norm_shift[l][i];
       x[i] = z > 0 ? z : 0;
     }
     width = n;
@@ -39,7 +40,8 @@ static void textbook(const struct mo_controller *c, const double *inputs, double
 static void against_textbook(void)
 {
   struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 2}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 2}, MO_SENSOR_INVERSE_SQRT, &c) ==
+          MO_OK);
   mo_controller_randomize(c, 7);
   struct mo_random random;
   mo_random_init(&random, 1, MO_PURPOSE_CHECK, 0, 0);
@@ -72,11 +74,13 @@ static void against_textbook(void)
   mo_controller_free(c);
 }
 
-/* With zero matrices a hidden layer is ReLU(shift), whatever its bias: the normalised part of a constant layer is 0. */
+/* With zero matrices a hidden layer is ReLU(shift), whatever its bias: the normalised part of a
+ * constant layer is 0. */
 static void closed_form(void)
 {
   struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
+          MO_OK);
   for (int i = 0; i < 256; i++) {
     c->bias[2][i] = 3.0F;
     c->norm_shift[2][i] = i % 2 ? 0.25F : -0.25F;
@@ -91,5 +95,6 @@ static void closed_form(void)
   mo_controller_free(c);
 }
 
-static const struct check_case cases[] = {{"closed form", closed_form}, {"against the textbook", against_textbook}};
+static const struct check_case cases[] = {{"closed form", closed_form},
+                                          {"against the textbook", against_textbook}};
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* memory.c: every allocation of this room and of the reference rollout fails once; each time the function says so, leaves its
- * outputs alone and leaks nothing (the address sanitizer looks). */
+/* memory.c: every allocation of this room and of the reference rollout fails once; each time the
+ * function says so, leaves its outputs alone and leaks nothing (the address sanitizer looks). */
 #include "../check.h"
 #include "../failing.h"
 
@@ -137,8 +137,8 @@ int main(int argc, char **argv)
   json_object_seed(1);
   json_set_alloc_funcs(__wrap_malloc, free);
   if (mo_controller_create(tiny, MO_SENSOR_INVERSE_SQRT, &shared) < 0 ||
-      mo_controller_encode(shared, &file, &file_size) < 0 || mo_lattice_create(tiny, &lattice) < 0 ||
-      mo_body_create(lattice, &bits, &body) < 0)
+      mo_controller_encode(shared, &file, &file_size) < 0 ||
+      mo_lattice_create(tiny, &lattice) < 0 || mo_body_create(lattice, &bits, &body) < 0)
     return 1;
   const int r = check_run(cases, sizeof(cases) / sizeof(cases[0]), argc, argv);
   mo_body_free(body);

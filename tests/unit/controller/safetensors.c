@@ -1,5 +1,5 @@
-/* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1 file; a text of its header is
- * replaced, and the message must name the fault. */
+/* safetensors.c: files of controllers, kind and hostile. The hostile ones start from a good 1x1x1
+ * file; a text of its header is replaced, and the message must name the fault. */
 #include "../check.h"
 
 #include <fcntl.h>
@@ -29,8 +29,10 @@ static struct blob good_file(void)
   return blob;
 }
 
-/* A file of this header (its length is written, no padding) and the data of `good`, with `extra` more bytes of data. */
-static struct blob with_header(const struct blob *good, const char *header, size_t length, ptrdiff_t extra)
+/* A file of this header (its length is written, no padding) and the data of `good`, with `extra`
+ * more bytes of data. */
+static struct blob with_header(const struct blob *good, const char *header, size_t length,
+                               ptrdiff_t extra)
 {
   uint64_t old;
   memcpy(&old, good->bytes, 8);
@@ -61,8 +63,8 @@ static void expect(const char *name, const struct blob *blob, int code, const ch
   const int r = mo_controller_decode(blob->bytes, blob->size, &c, &message);
   if (r != code || (says != NULL && strstr(message.text, says) == NULL) || (r < 0 && c != NULL)) {
     check_failures++;
-    printf("# %s: code %d (expected %d), message \"%s\" (expected \"%s\")\n", name, r, code, message.text,
-           says ? says : "");
+    printf("# %s: code %d (expected %d), message \"%s\" (expected \"%s\")\n", name, r, code,
+           message.text, says ? says : "");
   }
   mo_controller_free(c);
 }
@@ -75,54 +77,70 @@ struct edit {
 
 static const struct edit edits[] = {
     {"nothing changed", "\"F32\"", "\"F32\"", MO_OK, ""},
-    {"dtype", "\"F32\"", "\"F16\"", MO_ERR_FORMAT, "tensor net.0.weight has dtype \"F16\"; expected \"F32\""},
-    {"dtype is no text", "\"F32\"", "32", MO_ERR_FORMAT, "tensor net.0.weight: expected {\"dtype\""},
+    {"dtype", "\"F32\"", "\"F16\"", MO_ERR_FORMAT,
+     "tensor net.0.weight has dtype \"F16\"; expected \"F32\""},
+    {"dtype is no text", "\"F32\"", "32", MO_ERR_FORMAT,
+     "tensor net.0.weight: expected {\"dtype\""},
     {"shape transposed", "[256,13]", "[13,256]", MO_ERR_FORMAT,
      "tensor net.0.weight has shape [13, 256]; expected [256, 13] in a workspace of 1x1x1 voxels"},
     {"shape too short", "[256,13]", "[3328]", MO_ERR_FORMAT, "shape [3328]; expected [256, 13]"},
-    {"shape too long", "[256,13]", "[256,13,1]", MO_ERR_FORMAT, "shape [256, 13, 1]; expected [256, 13]"},
+    {"shape too long", "[256,13]", "[256,13,1]", MO_ERR_FORMAT,
+     "shape [256, 13, 1]; expected [256, 13]"},
     {"shape of hundreds", "[256,13]",
-     "[256,13,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1]",
+     "[256,13,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,1,"
+     "1,1,1,1,1]",
      MO_ERR_FORMAT, "tensor net.0.weight has shape [256, 13, 1,"},
-    {"shape of a vector", "[24]", "[24,1]", MO_ERR_FORMAT, "tensor net.9.bias has shape [24, 1]; expected [24]"},
+    {"shape of a vector", "[24]", "[24,1]", MO_ERR_FORMAT,
+     "tensor net.9.bias has shape [24, 1]; expected [24]"},
     {"shape negative", "[256,13]", "[-256,-13]", MO_ERR_FORMAT, "shape [-256, -13]"},
     {"shape fraction", "[256,13]", "[256.0,13]", MO_ERR_FORMAT, "shape [?, 13]"},
     {"shape product overflows", "[256,13]", "[4294967296,4294967296]", MO_ERR_FORMAT,
      "shape [4294967296, 4294967296]; expected [256, 13]"},
-    {"shape beyond 64 bits", "[256,13]", "[18446744073709551616,13]", MO_ERR_FORMAT, "not valid JSON: too big"},
-    {"shape not an array", "[256,13]", "\"256,13\"", MO_ERR_FORMAT, "tensor net.0.weight: expected {\"dtype\""},
+    {"shape beyond 64 bits", "[256,13]", "[18446744073709551616,13]", MO_ERR_FORMAT,
+     "not valid JSON: too big"},
+    {"shape not an array", "[256,13]", "\"256,13\"", MO_ERR_FORMAT,
+     "tensor net.0.weight: expected {\"dtype\""},
     {"empty shape", "[256,13]", "[]", MO_ERR_FORMAT, "has shape []; expected"},
     {"overlap", "[13312,14336]", "[0,1024]", MO_ERR_FORMAT, "tensors overlap"},
     {"partial overlap", "[13312,14336]", "[13308,14332]", MO_ERR_FORMAT,
      "tensor net.0.bias starts at byte 13308 of the data; expected 13312: tensors overlap"},
     {"beyond the end", "[13312,14336]", "[4000000,4001024]", MO_ERR_FORMAT,
      "tensor net.0.bias ends at byte 4001024 of the data, which has"},
-    {"begin after end", "[13312,14336]", "[14336,13312]", MO_ERR_FORMAT, "tensor net.0.bias: data_offsets must be"},
-    {"negative offset", "[13312,14336]", "[-1024,0]", MO_ERR_FORMAT, "tensor net.0.bias: data_offsets must be"},
-    {"offset near 2^63", "[13312,14336]", "[9223372036854774783,9223372036854775807]", MO_ERR_FORMAT,
-     "tensor net.0.bias ends at byte 9223372036854775807"},
-    {"offset as fraction", "[13312,14336]", "[13312.0,14336.0]", MO_ERR_FORMAT, "data_offsets must be"},
+    {"begin after end", "[13312,14336]", "[14336,13312]", MO_ERR_FORMAT,
+     "tensor net.0.bias: data_offsets must be"},
+    {"negative offset", "[13312,14336]", "[-1024,0]", MO_ERR_FORMAT,
+     "tensor net.0.bias: data_offsets must be"},
+    {"offset near 2^63", "[13312,14336]", "[9223372036854774783,9223372036854775807]",
+     MO_ERR_FORMAT, "tensor net.0.bias ends at byte 9223372036854775807"},
+    {"offset as fraction", "[13312,14336]", "[13312.0,14336.0]", MO_ERR_FORMAT,
+     "data_offsets must be"},
     {"one offset", "[13312,14336]", "[13312]", MO_ERR_FORMAT, "data_offsets must be"},
-    {"three offsets", "[13312,14336]", "[13312,14336,14336]", MO_ERR_FORMAT, "data_offsets must be"},
+    {"three offsets", "[13312,14336]", "[13312,14336,14336]", MO_ERR_FORMAT,
+     "data_offsets must be"},
     {"wrong span", "[13312,14336]", "[13312,14340]", MO_ERR_FORMAT,
      "tensor net.0.bias spans 1028 bytes; expected 1024"},
     {"shifted onto the next", "[13312,14336]", "[14336,15360]", MO_ERR_FORMAT,
      "tensor net.0.bias starts at byte 14336 of the data; expected 13312: there is a gap"},
-    {"tensor renamed", "net.9.bias", "net.9.bios", MO_ERR_FORMAT, "unexpected tensor \"net.9.bios\""},
-    {"strange name", "net.9.bias", "n\\u001b[31m\xc3\xa4", MO_ERR_FORMAT, "unexpected tensor \"n?[31m??\""},
+    {"tensor renamed", "net.9.bias", "net.9.bios", MO_ERR_FORMAT,
+     "unexpected tensor \"net.9.bios\""},
+    {"strange name", "net.9.bias", "n\\u001b[31m\xc3\xa4", MO_ERR_FORMAT,
+     "unexpected tensor \"n?[31m??\""},
     {"long name", "net.9.bias",
-     "aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa",
+     "aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa"
+     "aaaaaaaaaaaaaaaaaa",
      MO_ERR_FORMAT, "unexpected tensor \"aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa\""},
     {"tensor is null", "{\"dtype\":\"F32\",\"shape\":[24],", "{\"shape\":[24],", MO_ERR_FORMAT,
      "tensor net.9.bias: expected {\"dtype\""},
-    {"more fields", "\"shape\":[24],", "\"shape\":[24],\"stride\":[1],", MO_ERR_FORMAT, "tensor net.9.bias: expected"},
+    {"more fields", "\"shape\":[24],", "\"shape\":[24],\"stride\":[1],", MO_ERR_FORMAT,
+     "tensor net.9.bias: expected"},
     {"extra tensor", "\"net.9.bias\"",
-     "\"net.10.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"net.9.bias\"", MO_ERR_FORMAT,
-     "unexpected tensor \"net.10.bias\""},
+     "\"net.10.bias\":{\"dtype\":\"F32\",\"shape\":[0],\"data_offsets\":[0,0]},\"net.9.bias\"",
+     MO_ERR_FORMAT, "unexpected tensor \"net.10.bias\""},
     {"tensor twice", "\"net.0.bias\"", "\"net.0.weight\"", MO_ERR_FORMAT, "duplicate"},
-    {"key twice in a tensor", "\"shape\":[24],", "\"shape\":[24],\"shape\":[24],", MO_ERR_FORMAT, "duplicate"},
-    {"metadata key twice", "\"mass_order\":", "\"sensor\":\"inverse_sqrt\",\"mass_order\":", MO_ERR_FORMAT,
+    {"key twice in a tensor", "\"shape\":[24],", "\"shape\":[24],\"shape\":[24],", MO_ERR_FORMAT,
      "duplicate"},
+    {"metadata key twice",
+     "\"mass_order\":", "\"sensor\":\"inverse_sqrt\",\"mass_order\":", MO_ERR_FORMAT, "duplicate"},
     {"NUL in a value", "lexicographic", "lex\\u0000graphic", MO_ERR_FORMAT, "not valid JSON"},
     {"NUL in a name", "net.9.bias", "net.9.bias\\u0000", MO_ERR_FORMAT, "not valid JSON"},
     {"broken UTF-8", "lexicographic", "\xff\xfe", MO_ERR_FORMAT, "not valid JSON"},
@@ -131,23 +149,32 @@ static const struct edit edits[] = {
     {"NaN literal", "[24]", "[NaN]", MO_ERR_FORMAT, "not valid JSON"},
     {"trailing text", "}}", "}} x", MO_ERR_FORMAT, "not valid JSON"},
     {"spring order", "lexicographic", "random", MO_ERR_FORMAT,
-     "metadata \"spring_order\" is \"random endpoint pairs\"; expected \"lexicographic endpoint pairs\""},
-    {"mass order", "(x*2+y)", "(y*2+x)", MO_ERR_FORMAT, "metadata \"mass_order\" is \"x-major lattice (y*2+x)*2+z\""},
+     "metadata \"spring_order\" is \"random endpoint pairs\"; expected \"lexicographic endpoint "
+     "pairs\""},
+    {"mass order", "(x*2+y)", "(y*2+x)", MO_ERR_FORMAT,
+     "metadata \"mass_order\" is \"x-major lattice (y*2+x)*2+z\""},
     {"sensor", "\"inverse_sqrt\"", "\"inverse_cube\"", MO_ERR_FORMAT,
      "metadata \"sensor\" is \"inverse_cube\"; expected \"inverse_sqrt\" or"},
-    {"sensor is no text", "\"inverse_sqrt\"", "7", MO_ERR_FORMAT, "metadata \"sensor\" is not a text"},
-    {"metadata of lists", "\"1x1x1\"", "[1,1,1]", MO_ERR_FORMAT, "metadata \"workspace\" is not a text"},
-    {"workspace of two", "\"1x1x1\"", "\"1x1\"", MO_ERR_FORMAT, "metadata \"workspace\" is \"1x1\""},
+    {"sensor is no text", "\"inverse_sqrt\"", "7", MO_ERR_FORMAT,
+     "metadata \"sensor\" is not a text"},
+    {"metadata of lists", "\"1x1x1\"", "[1,1,1]", MO_ERR_FORMAT,
+     "metadata \"workspace\" is not a text"},
+    {"workspace of two", "\"1x1x1\"", "\"1x1\"", MO_ERR_FORMAT,
+     "metadata \"workspace\" is \"1x1\""},
     {"workspace of four", "\"1x1x1\"", "\"1x1x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
     {"workspace with zero", "\"1x1x1\"", "\"0x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
     {"workspace with sign", "\"1x1x1\"", "\"+1x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
-    {"workspace with leading zero", "\"1x1x1\"", "\"01x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace with leading zero", "\"1x1x1\"", "\"01x1x1\"", MO_ERR_FORMAT,
+     "metadata \"workspace\""},
     {"workspace with space", "\"1x1x1\"", "\"1x1x1 \"", MO_ERR_FORMAT, "metadata \"workspace\""},
     {"workspace empty", "\"1x1x1\"", "\"\"", MO_ERR_FORMAT, "metadata \"workspace\""},
-    {"workspace beyond 16 bits", "\"1x1x1\"", "\"65537x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
+    {"workspace beyond 16 bits", "\"1x1x1\"", "\"65537x1x1\"", MO_ERR_FORMAT,
+     "metadata \"workspace\""},
     {"workspace wraps", "\"1x1x1\"", "\"4294967297x1x1\"", MO_ERR_FORMAT, "metadata \"workspace\""},
-    {"workspace too large", "\"1x1x1\"", "\"65535x65535x65535\"", MO_ERR_LIMIT, "at most 1048576 in all"},
-    {"workspace of other shapes", "\"1x1x1\"", "\"1x2x1\"", MO_ERR_FORMAT, "metadata \"mass_order\""},
+    {"workspace too large", "\"1x1x1\"", "\"65535x65535x65535\"", MO_ERR_LIMIT,
+     "at most 1048576 in all"},
+    {"workspace of other shapes", "\"1x1x1\"", "\"1x2x1\"", MO_ERR_FORMAT,
+     "metadata \"mass_order\""},
     {"no workspace named", "\"workspace\":\"1x1x1\"", "\"note\":\"\"", MO_ERR_FORMAT,
      "expected \"x-major lattice (x*7+y)*5+z\""},
 };
@@ -167,7 +194,8 @@ static void hostile_headers(void)
       continue;
     }
     char *text = NULL;
-    const int n = asprintf(&text, "%.*s%s%s", (int)(at - header), header, e->replace, at + strlen(e->find));
+    const int n =
+        asprintf(&text, "%.*s%s%s", (int)(at - header), header, e->replace, at + strlen(e->find));
     REQUIRE(n > 0);
     struct blob bad = with_header(&good, text, (size_t)n, 0);
     expect(e->name, &bad, e->code, e->says);
@@ -178,8 +206,8 @@ static void hostile_headers(void)
   free(good.bytes);
 }
 
-static void expect_header(const struct blob *good, const char *name, const char *header, size_t n, int code,
-                          const char *says)
+static void expect_header(const struct blob *good, const char *name, const char *header, size_t n,
+                          int code, const char *says)
 {
   struct blob bad = with_header(good, header, n, 0);
   expect(name, &bad, code, says);
@@ -192,7 +220,8 @@ static void not_an_object(void)
   REQUIRE(good.bytes != NULL);
   const char *const texts[] = {"", "[]", " {}", "\xef\xbb\xbf{}", "null", "\"{\"", "\n{}"};
   for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
-    expect_header(&good, texts[i], texts[i], strlen(texts[i]), MO_ERR_FORMAT, "its first byte must be '{'");
+    expect_header(&good, texts[i], texts[i], strlen(texts[i]), MO_ERR_FORMAT,
+                  "its first byte must be '{'");
   expect_header(&good, "unfinished", "{", 1, MO_ERR_FORMAT, "not valid JSON");
   expect_header(&good, "empty object", "{}", 2, MO_ERR_FORMAT, "tensor net.0.weight is missing");
   expect_header(&good, "raw NUL", "{\0}", 3, MO_ERR_FORMAT, "not valid JSON");
@@ -215,12 +244,14 @@ static void depth_bombs(void)
   expect_header(&good, "64 levels", text, 5 + 63, MO_ERR_FORMAT, "not valid JSON");
   for (size_t i = 5; i + 5 <= n; i += 5)
     memcpy(text + i, "{\"a\":", 5);
-  expect_header(&good, "objects in objects", text, n - n % 5, MO_ERR_FORMAT, "nests deeper than 64 levels");
+  expect_header(&good, "objects in objects", text, n - n % 5, MO_ERR_FORMAT,
+                "nests deeper than 64 levels");
   /* Brackets in texts are only text, also behind escaped quotes. */
   const int used = snprintf(text, n, "{\"\\\"");
   memset(text + used, '[', 500);
   memcpy(text + used + 500, "\":1}", 5);
-  expect_header(&good, "brackets in a text", text, (size_t)used + 504, MO_ERR_FORMAT, "unexpected tensor \"\"[[[");
+  expect_header(&good, "brackets in a text", text, (size_t)used + 504, MO_ERR_FORMAT,
+                "unexpected tensor \"\"[[[");
   free(text);
   free(good.bytes);
 }
@@ -270,8 +301,10 @@ static void lengths(void)
   unsigned long begin = 0, end = 0;
   REQUIRE(sscanf(strstr(at, "data_offsets"), "data_offsets\":[%lu,%lu]", &begin, &end) == 2);
   char *gap = NULL;
-  REQUIRE(asprintf(&gap, "%.*s\"net.9.bias\":{\"dtype\":\"F32\",\"shape\":[24],\"data_offsets\":[%lu,%lu]}}",
-                   (int)(at - text), text, begin + 4, end + 4) > 0);
+  REQUIRE(
+      asprintf(&gap,
+               "%.*s\"net.9.bias\":{\"dtype\":\"F32\",\"shape\":[24],\"data_offsets\":[%lu,%lu]}}",
+               (int)(at - text), text, begin + 4, end + 4) > 0);
   struct blob gapped = with_header(&good, gap, strlen(gap), 4);
   expect("gap", &gapped, MO_ERR_FORMAT, "there is a gap between tensors");
   free(gapped.bytes);
@@ -287,8 +320,8 @@ static void lengths(void)
 }
 
 /* `entries` empty entries and one of `long_bytes` bytes beside the workspace. */
-static void expect_metadata(const struct blob *good, const char *rest, int entries, int long_bytes, int code,
-                            const char *says)
+static void expect_metadata(const struct blob *good, const char *rest, int entries, int long_bytes,
+                            int code, const char *says)
 {
   char *text = NULL;
   size_t n = 0;
@@ -324,7 +357,8 @@ static void many_metadata(void)
 static void values_not_finite(void)
 {
   struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
+          MO_OK);
   const float bad[] = {NAN, -NAN, INFINITY, -INFINITY, 1.1e6f, -1e20f};
   float *const places[] = {&c->weight[0][0], &c->norm_gain[1][7], &c->bias[3][23]};
   const char *const names[] = {"tensor net.0.weight: value 0 is", "tensor net.4.weight: value 7 is",
@@ -360,8 +394,9 @@ static void random_damage(void)
       at[i] = mo_random_below(&random, (uint32_t)header + 8);
       saved[i] = good.bytes[at[i]];
       const char *const likely = "{}[]\",:0123456789-.eE \\u";
-      good.bytes[at[i]] = (uint8_t)(mo_random_below(&random, 2) ? likely[mo_random_below(&random, 24)]
-                                                                : (int)mo_random_below(&random, 256));
+      good.bytes[at[i]] =
+          (uint8_t)(mo_random_below(&random, 2) ? likely[mo_random_below(&random, 24)]
+                                                : (int)mo_random_below(&random, 256));
     }
     struct mo_controller *c = NULL;
     struct mo_message message = {""};
@@ -386,9 +421,12 @@ static void round_trip(void)
 {
   struct mo_controller *a = NULL, *b = NULL;
   struct mo_message message = {""};
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE, &a) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){2, 1, 3}, MO_SENSOR_INVERSE_SQUARE, &a) ==
+          MO_OK);
   mo_controller_randomize(a, 9);
-  CHECK_INT(mo_controller_set_metadata(a, "note", "\"quotes\" \\ \b\f\n\r\t \x01\x1f\x7f / \xc2\xb5"), MO_OK);
+  CHECK_INT(
+      mo_controller_set_metadata(a, "note", "\"quotes\" \\ \b\f\n\r\t \x01\x1f\x7f / \xc2\xb5"),
+      MO_OK);
   struct blob first, second;
   REQUIRE(mo_controller_encode(a, &first.bytes, &first.size) == MO_OK);
   REQUIRE(mo_controller_decode(first.bytes, first.size, &b, &message) == MO_OK);
@@ -458,7 +496,8 @@ static void from_package(void)
   CHECK_NEAR((double)c->norm_shift[0][0], 14 * 256, 0);
   CHECK_NEAR((double)c->weight[3][24 * 256 - 1], (double)n - 1, 0);
   CHECK_INT(c->sensor, MO_SENSOR_INVERSE_SQUARE);
-  CHECK_TEXT(mo_controller_get_metadata(c, "note"), "quotes \" and \\ and \xc2\xb5 and \xe8\xaa\x9e");
+  CHECK_TEXT(mo_controller_get_metadata(c, "note"),
+             "quotes \" and \\ and \xc2\xb5 and \xe8\xaa\x9e");
   mo_controller_free(c);
   free(file.bytes);
   free(header.bytes);
@@ -497,7 +536,8 @@ static void read_faults(void)
   CHECK_TEXT(message.text, "not a regular file");
   snprintf(path, sizeof(path), "%s/pipe", folder);
   REQUIRE(mkfifo(path, 0600) == 0);
-  CHECK_INT(mo_controller_read(path, &c, &message), MO_ERR_IO); /* at once, although nobody writes */
+  CHECK_INT(mo_controller_read(path, &c, &message),
+            MO_ERR_IO); /* at once, although nobody writes */
   unlink(path);
   snprintf(path, sizeof(path), "%s/short", folder);
   const int fd = open(path, O_CREAT | O_WRONLY | O_CLOEXEC, 0600);
@@ -520,12 +560,14 @@ static void write_faults(void)
   struct mo_controller *c = NULL, *back = NULL;
   struct mo_message message = {""};
   char path[64];
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
+          MO_OK);
   mo_controller_randomize(c, 1);
   snprintf(path, sizeof(path), "%s/there", folder);
   CHECK_INT(mo_controller_write(c, path, &message), MO_OK);
   CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
-  CHECK(back != NULL && memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) == 0);
+  CHECK(back != NULL &&
+        memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) == 0);
   mo_controller_free(back);
   /* A write that fails half way leaves the old file, and nothing beside it. */
   back = NULL;
@@ -537,7 +579,8 @@ static void write_faults(void)
   setrlimit(RLIMIT_FSIZE, &unlimited);
   CHECK(strstr(message.text, "cannot write") != NULL);
   CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
-  CHECK(back != NULL && memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) != 0);
+  CHECK(back != NULL &&
+        memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) != 0);
   mo_controller_free(back);
   unlink(path);
   CHECK_INT(rmdir(folder), 0); /* empty */
@@ -549,7 +592,8 @@ static void write_faults(void)
 static void header_overflow(void)
 {
   struct mo_controller *c = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
+          MO_OK);
   char *text = calloc(1, 65537), key[8];
   REQUIRE(text != NULL);
   memset(text, 'a', 65536);
@@ -564,19 +608,20 @@ static void header_overflow(void)
   mo_controller_free(c);
 }
 
-static const struct check_case cases[] = {{"round trip", round_trip},
-                                          {"the bootstrap controller", bootstrap},
-                                          {"a header of the safetensors package", from_package},
-                                          {"hostile headers", hostile_headers},
-                                          {"headers that are no object", not_an_object},
-                                          {"depth bombs", depth_bombs},
-                                          {"truncations, lengths, gaps", lengths},
-                                          {"much metadata", many_metadata},
-                                          {"values that are not finite or too large", values_not_finite},
-                                          {"random damage", random_damage},
-                                          {"files that cannot be read", read_faults},
-                                          {"files that cannot be written", write_faults},
-                                          {"a header too long to write", header_overflow}};
+static const struct check_case cases[] = {
+    {"round trip", round_trip},
+    {"the bootstrap controller", bootstrap},
+    {"a header of the safetensors package", from_package},
+    {"hostile headers", hostile_headers},
+    {"headers that are no object", not_an_object},
+    {"depth bombs", depth_bombs},
+    {"truncations, lengths, gaps", lengths},
+    {"much metadata", many_metadata},
+    {"values that are not finite or too large", values_not_finite},
+    {"random damage", random_damage},
+    {"files that cannot be read", read_faults},
+    {"files that cannot be written", write_faults},
+    {"a header too long to write", header_overflow}};
 
 int main(int argc, char **argv)
 {

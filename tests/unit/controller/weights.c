@@ -35,10 +35,13 @@ static void sizes(void)
 static void refuses_sizes(void)
 {
   struct mo_controller *c = NULL;
-  CHECK_INT(mo_controller_create((struct mo_workspace){0, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c), MO_ERR_RANGE);
-  CHECK_INT(mo_controller_create((struct mo_workspace){1024, 1024, 2}, MO_SENSOR_INVERSE_SQRT, &c), MO_ERR_LIMIT);
+  CHECK_INT(mo_controller_create((struct mo_workspace){0, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c),
+            MO_ERR_RANGE);
+  CHECK_INT(mo_controller_create((struct mo_workspace){1024, 1024, 2}, MO_SENSOR_INVERSE_SQRT, &c),
+            MO_ERR_LIMIT);
   /* Allowed as a body, but its controller exceeds the largest file. */
-  CHECK_INT(mo_controller_create((struct mo_workspace){101, 101, 101}, MO_SENSOR_INVERSE_SQRT, &c), MO_ERR_LIMIT);
+  CHECK_INT(mo_controller_create((struct mo_workspace){101, 101, 101}, MO_SENSOR_INVERSE_SQRT, &c),
+            MO_ERR_LIMIT);
   CHECK_INT(mo_controller_create(tiny, (enum mo_sensor)7, &c), MO_ERR_INVALID);
   CHECK(c == NULL);
 }

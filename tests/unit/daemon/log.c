@@ -10,18 +10,19 @@ static char line[4096];
 static size_t format(enum log_format kind, bool priority, int64_t time_us, const char *message,
                      const struct log_field *fields, size_t n)
 {
-  return log_format_line(line, sizeof(line), kind, priority, time_us, LOG_LEVEL_INFO, message, fields, n);
+  return log_format_line(line, sizeof(line), kind, priority, time_us, LOG_LEVEL_INFO, message,
+                         fields, n);
 }
 
 static void text_for_people(void)
 {
   const struct log_field fields[] = {LOG_TEXT("address", "127.0.0.1:8765"), LOG_INT("jobs", -3),
-                                     LOG_REAL("seconds", 0.5), LOG_TEXT("label", "two words"), LOG_TEXT("none", NULL)};
+                                     LOG_REAL("seconds", 0.5), LOG_TEXT("label", "two words"),
+                                     LOG_TEXT("none", NULL)};
   format(LOG_FORMAT_TEXT, false, 1700000000123456, "listening", fields, 5);
-  CHECK_TEXT(
-      line,
-      "2023-11-14T22:13:20.123456Z info: listening address=127.0.0.1:8765 jobs=-3 seconds=0.5 label=\"two words\" "
-      "none=null\n");
+  CHECK_TEXT(line, "2023-11-14T22:13:20.123456Z info: listening address=127.0.0.1:8765 jobs=-3 "
+                   "seconds=0.5 label=\"two words\" "
+                   "none=null\n");
 }
 
 static void logfmt_and_priority(void)
@@ -33,7 +34,8 @@ static void logfmt_and_priority(void)
 
 static void json_is_json(void)
 {
-  const struct log_field fields[] = {LOG_TEXT("path", "/a\"b\\c\n\x01"), LOG_REAL("nan", NAN), LOG_INT("n", INT64_MIN)};
+  const struct log_field fields[] = {LOG_TEXT("path", "/a\"b\\c\n\x01"), LOG_REAL("nan", NAN),
+                                     LOG_INT("n", INT64_MIN)};
   format(LOG_FORMAT_JSON, false, 1700000000000001, "request", fields, 3);
   json_t *object = json_loads(line, 0, NULL);
   REQUIRE(object != NULL);
@@ -82,7 +84,8 @@ static void names(void)
   CHECK_INT(kind, LOG_FORMAT_JSON);
   CHECK_INT(log_format_from_name("", &kind), -1);
   log_open(LOG_FORMAT_TEXT, LOG_LEVEL_WARNING);
-  CHECK(log_enabled(LOG_LEVEL_ERROR) && log_enabled(LOG_LEVEL_WARNING) && !log_enabled(LOG_LEVEL_INFO));
+  CHECK(log_enabled(LOG_LEVEL_ERROR) && log_enabled(LOG_LEVEL_WARNING) &&
+        !log_enabled(LOG_LEVEL_INFO));
   log_set_level(LOG_LEVEL_DEBUG);
   CHECK(log_enabled(LOG_LEVEL_DEBUG));
 }

@@ -65,7 +65,8 @@ static void file_values(void)
   REQUIRE(settings_init(&settings) == MO_OK);
   read_text(&settings,
             "# a comment\n\n  workers=3 # two\r\nlisten = 127.0.0.1:1, unix:/run/a#b  [::1]:2\n"
-            "max_body = 2 MiB\nbody_timeout = 1500ms\nidle_timeout=2min\nisa = avx2\nstate_dir = /var/a b",
+            "max_body = 2 MiB\nbody_timeout = 1500ms\nidle_timeout=2min\nisa = avx2\nstate_dir = "
+            "/var/a b",
             &faults);
   CHECK_INT(faults.n, 0);
   CHECK_INT(settings.workers, 3);
@@ -85,11 +86,12 @@ static void file_mistakes(void)
   struct settings settings;
   struct settings_faults faults = {0};
   REQUIRE(settings_init(&settings) == MO_OK);
-  read_text(&settings,
-            "worker = 3\nzebra = 1\nworkers 3\nworkers = many\nmax_body = 99G\nworker_nice = -1\n"
-            "isa = sse\nevents_kept = 99999999999999999999999\nlog_level = debug\nlog_level = info\n"
-            "header_timeout = 10 parsecs\n",
-            &faults);
+  read_text(
+      &settings,
+      "worker = 3\nzebra = 1\nworkers 3\nworkers = many\nmax_body = 99G\nworker_nice = -1\n"
+      "isa = sse\nevents_kept = 99999999999999999999999\nlog_level = debug\nlog_level = info\n"
+      "header_timeout = 10 parsecs\n",
+      &faults);
   CHECK(has_fault(&faults, "t.conf:1: unknown setting \"worker\"; did you mean \"workers\"?"));
   CHECK(has_fault(&faults, "t.conf:2: unknown setting \"zebra\""));
   CHECK(has_fault(&faults, "t.conf:3: no \"=\""));
@@ -97,9 +99,11 @@ static void file_mistakes(void)
   CHECK(has_fault(&faults, "t.conf:5: max_body: 99G is not between 1K and 1G"));
   CHECK(has_fault(&faults, "t.conf:6: worker_nice: \"-1\" is not a whole number"));
   CHECK(has_fault(&faults, "t.conf:7: isa: \"sse\" is not one of auto|x86-64|avx2|avx512"));
-  CHECK(has_fault(&faults, "t.conf:8: events_kept: 99999999999999999999999 is not between 1000 and 100000000"));
+  CHECK(has_fault(
+      &faults, "t.conf:8: events_kept: 99999999999999999999999 is not between 1000 and 100000000"));
   CHECK(has_fault(&faults, "t.conf:10: \"log_level\" is set already in line 9"));
-  CHECK(has_fault(&faults, "t.conf:11: header_timeout: \"10 parsecs\" is not a duration such as 10s"));
+  CHECK(has_fault(&faults,
+                  "t.conf:11: header_timeout: \"10 parsecs\" is not a duration such as 10s"));
   CHECK_INT(faults.n, 10);
   CHECK_INT(faults.n_fatal, 10);
   CHECK_INT(settings.workers, 0); /* faulty lines leave the default */
@@ -120,8 +124,9 @@ static void precedence(void)
   close(file);
   char config[64];
   snprintf(config, sizeof(config), "--config=%s", path);
-  const char *argv[] = {"morphod",      "--workers", "4", config, "--listen", "127.0.0.1:4", "--listen=127.0.0.1:5",
-                        "--foreground", NULL};
+  const char *argv[] = {
+      "morphod",      "--workers", "4", config, "--listen", "127.0.0.1:4", "--listen=127.0.0.1:5",
+      "--foreground", NULL};
   const char *environment[] = {"MORPHOD_WORKERS=3",
                                "MORPHOD_WORKER_NICE=3",
                                "MORPHOD_LISTEN=127.0.0.1:3",
@@ -157,9 +162,10 @@ static void precedence(void)
 
 static void flag_mistakes(void)
 {
-  const char *argv[] = {"morphod",       "--worker=3", "--check-config", "--isa",
-                        "mmx",           "stray",      "--config",       "/nonexistent/morphod.conf",
-                        "--events-kept", NULL};
+  const char *argv[] = {
+      "morphod",       "--worker=3", "--check-config", "--isa",
+      "mmx",           "stray",      "--config",       "/nonexistent/morphod.conf",
+      "--events-kept", NULL};
   const char *environment[] = {"MORPHOD_MAX_BODY=1", NULL};
   struct settings settings;
   struct settings_request request;
@@ -184,7 +190,8 @@ static void surroundings(void)
   struct {
     const char *environment[4];
     const char *expected;
-  } trials[] = {{{"STATE_DIRECTORY=/var/lib/morphod:/b", "XDG_STATE_HOME=/x", "HOME=/h", NULL}, "/var/lib/morphod"},
+  } trials[] = {{{"STATE_DIRECTORY=/var/lib/morphod:/b", "XDG_STATE_HOME=/x", "HOME=/h", NULL},
+                 "/var/lib/morphod"},
                 {{"XDG_STATE_HOME=/x", "HOME=/h", NULL}, "/x/morphod"},
                 {{"XDG_STATE_HOME=relative", "HOME=/h", NULL}, "/h/.local/state/morphod"},
                 {{NULL}, "/var/lib/morphod"}};
@@ -203,7 +210,9 @@ static void printed_file_reads_back(void)
   struct settings_faults faults = {0};
   REQUIRE(settings_init(&settings) == MO_OK && settings_init(&again) == MO_OK);
   read_text(&settings,
-            "workers = 7\nlisten = 127.0.0.1:0, [::1]:0\nmax_body = 3M\nbody_timeout = 30min\nisa = avx512\n", &faults);
+            "workers = 7\nlisten = 127.0.0.1:0, [::1]:0\nmax_body = 3M\nbody_timeout = 30min\nisa "
+            "= avx512\n",
+            &faults);
   CHECK_INT(faults.n, 0);
   char *text = NULL;
   size_t length = 0;
@@ -214,7 +223,8 @@ static void printed_file_reads_back(void)
   read_text(&again, text, &faults);
   CHECK_INT(faults.n, 0);
   for (size_t i = 0; i < settings_count; i++) {
-    char *a = settings_value_text(&settings, &settings_table[i]), *b = settings_value_text(&again, &settings_table[i]);
+    char *a = settings_value_text(&settings, &settings_table[i]),
+         *b = settings_value_text(&again, &settings_table[i]);
     CHECK_TEXT(b, a);
     free(a);
     free(b);
@@ -247,7 +257,8 @@ static void documents_hold_every_setting(void)
       REQUIRE(memory != NULL);
       settings_print_table(memory);
       fclose(memory);
-      CHECK(strstr(document, table) != NULL); /* else: morphod --print-settings, into docs/configuration.md */
+      CHECK(strstr(document, table) !=
+            NULL); /* else: morphod --print-settings, into docs/configuration.md */
       free(table);
     } else {
       for (size_t i = 0; i < settings_count; i++) {

@@ -1,5 +1,5 @@
-/* campaign.c: whole campaigns: the same bits for the same settings, whatever was computed before and however often a generation is
- * made again; what is given in the beginning; what was seen. */
+/* campaign.c: whole campaigns: the same bits for the same settings, whatever was computed before
+ * and however often a generation is made again; what is given in the beginning; what was seen. */
 #include "fixture.h"
 
 #include <pthread.h>
@@ -25,7 +25,8 @@ static uint64_t hash_of(const struct mo_campaign_settings *settings, int generat
       break;
     for (uint32_t i = 0; i < campaign.n_children; i++) {
       const struct mo_birth *birth = &campaign.births[i];
-      const uint32_t fields[] = {(uint32_t)birth->op, birth->parents[0], birth->parents[1], birth->attempts};
+      const uint32_t fields[] = {(uint32_t)birth->op, birth->parents[0], birth->parents[1],
+                                 birth->attempts};
       hash = fnv(hash, fields, sizeof(fields));
     }
     hash = fnv(hash, campaign.genotypes + (size_t)campaign.words * campaign.n,
@@ -39,17 +40,20 @@ static uint64_t hash_of(const struct mo_campaign_settings *settings, int generat
   return hash;
 }
 
-/* A seed means the same for ever: a change of these numbers breaks every stored campaign's promise. */
+/* A seed means the same for ever: a change of these numbers breaks every stored campaign's promise.
+ */
 static void frozen(void)
 {
-  static const uint64_t expected[] = {0xf8335799e4385b08, 0x1cb3583196a004d1, 0x1be14bcdd46d7c5e, 0xa2e254174761a693};
+  static const uint64_t expected[] = {0xf8335799e4385b08, 0x1cb3583196a004d1, 0x1be14bcdd46d7c5e,
+                                      0xa2e254174761a693};
   for (int kind = 0; kind < 4; kind++) {
     struct mo_campaign_settings settings = small_campaign(42, 64);
     settings.selection.kind = (enum mo_selection_kind)kind;
     settings.selection.age_gap = 1;
     const uint64_t hash = hash_of(&settings, 12);
     if (hash != expected[kind]) {
-      printf("# %s: 0x%016llx\n", mo_selection_name(settings.selection.kind), (unsigned long long)hash);
+      printf("# %s: 0x%016llx\n", mo_selection_name(settings.selection.kind),
+             (unsigned long long)hash);
       CHECK(0);
     }
     CHECK(hash_of(&settings, 12) == hash);
@@ -67,7 +71,8 @@ static void frozen_seeds(void)
   CHECK_INT(mo_campaign_training(&settings, 2).seed, 8483268893388179);
 }
 
-/* A generation is made again from the population and what was seen before it, and comes out the same. */
+/* A generation is made again from the population and what was seen before it, and comes out the
+ * same. */
 static void made_again(void)
 {
   for (int kind = 0; kind < 4; kind++) {
@@ -78,7 +83,8 @@ static void made_again(void)
     struct mo_birth births[48];
     size_t n_born = 48;
     settings.selection.kind = (enum mo_selection_kind)kind;
-    REQUIRE(born != NULL && children != NULL && campaign_start(&campaign, &settings, NULL) == MO_OK);
+    REQUIRE(born != NULL && children != NULL &&
+            campaign_start(&campaign, &settings, NULL) == MO_OK);
     memcpy(born, campaign.genotypes, 48 * W * sizeof(*born));
     for (uint32_t g = 1; g < 20; g++) {
       struct mo_seen *seen = NULL;
@@ -88,14 +94,16 @@ static void made_again(void)
       REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK);
       for (size_t i = n_born; i-- > 0;)
         REQUIRE(mo_seen_add(seen, born + W * i) == 1);
-      REQUIRE(mo_variation(&settings, g, campaign.genotypes, campaign.n, seen, children, births, &n, &counts, NULL) ==
-              MO_OK);
+      REQUIRE(mo_variation(&settings, g, campaign.genotypes, campaign.n, seen, children, births, &n,
+                           &counts, NULL) == MO_OK);
       mo_seen_free(seen);
       REQUIRE(campaign_vary(&campaign) == MO_OK);
       CHECK_INT(n, campaign.n_children);
-      CHECK(memcmp(children, campaign.genotypes + (size_t)W * campaign.n, W * n * sizeof(*children)) == 0);
+      CHECK(memcmp(children, campaign.genotypes + (size_t)W * campaign.n,
+                   W * n * sizeof(*children)) == 0);
       for (uint32_t i = 0; i < n; i++)
-        CHECK(births[i].op == campaign.births[i].op && births[i].attempts == campaign.births[i].attempts &&
+        CHECK(births[i].op == campaign.births[i].op &&
+              births[i].attempts == campaign.births[i].attempts &&
               births[i].parents[0] == campaign.births[i].parents[0] &&
               births[i].parents[1] == campaign.births[i].parents[1]);
       CHECK(memcmp(&counts, &campaign.counts, sizeof(counts)) == 0);
@@ -128,7 +136,8 @@ static void given(void)
   mo_genotype_place(settings.workspace, genotypes);
   memcpy(genotypes + W, alone + 2 * W, W * sizeof(uint64_t));
   REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK);
-  REQUIRE(mo_population_initial(&settings, seen, genotypes, 2, &n, &fault, NULL) == MO_OK && n == 20);
+  REQUIRE(mo_population_initial(&settings, seen, genotypes, 2, &n, &fault, NULL) == MO_OK &&
+          n == 20);
   CHECK(memcmp(genotypes + W, alone + 2 * W, W * sizeof(uint64_t)) == 0);
   CHECK(memcmp(genotypes + 2 * W, alone, 2 * W * sizeof(uint64_t)) == 0);
   CHECK(memcmp(genotypes + 4 * W, alone + 3 * W, W * sizeof(uint64_t)) == 0);
@@ -144,7 +153,8 @@ static void given(void)
     }
   REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK);
   n = 55;
-  CHECK_INT(mo_population_initial(&settings, seen, genotypes, 3, &n, &fault, NULL), MO_ERR_DUPLICATE);
+  CHECK_INT(mo_population_initial(&settings, seen, genotypes, 3, &n, &fault, NULL),
+            MO_ERR_DUPLICATE);
   CHECK(fault == 2 && n == 55);
   CHECK_INT(mo_population_initial(&settings, seen, genotypes, 21, &n, &fault, NULL), MO_ERR_RANGE);
   mo_seen_free(seen);
@@ -179,7 +189,8 @@ static void given_and_excluded(void)
   mo_seen_free(seen);
   mo_form_set_free(excluded);
   seen = NULL;
-  CHECK(mo_seen_create((struct mo_workspace){0, 1, 1}, NULL, &seen) == MO_ERR_RANGE && seen == NULL);
+  CHECK(mo_seen_create((struct mo_workspace){0, 1, 1}, NULL, &seen) == MO_ERR_RANGE &&
+        seen == NULL);
   mo_seen_free(NULL);
 }
 
@@ -214,7 +225,8 @@ static void pretraining(void)
   settings.n_steps = STEPS + 1;
   settings.batch = BATCH;
   REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &set) == MO_OK);
-  CHECK_INT(mo_pretraining_forms(11, STEPS * BATCH, MO_DEFAULT_WORKSPACE, 1, NULL, &done, set), MO_OK);
+  CHECK_INT(mo_pretraining_forms(11, STEPS * BATCH, MO_DEFAULT_WORKSPACE, 1, NULL, &done, set),
+            MO_OK);
   CHECK(done == STEPS * BATCH && mo_form_set_count(set) == STEPS * BATCH);
   REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
   REQUIRE(mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
@@ -227,9 +239,12 @@ static void pretraining(void)
     for (int i = 0; i < BATCH; i++) {
       uint64_t genotype[W], form[W];
       struct mo_body *body = NULL;
-      REQUIRE(next_body(stream, genotype, form) == MO_OK && mo_body_create(lattice, genotype, &body) == MO_OK);
-      CHECK(body->n_springs == robots[i].body->n_springs && body->n_voxels == robots[i].body->n_voxels &&
-            memcmp(body->spring_lattice, robots[i].body->spring_lattice, body->n_springs * sizeof(uint32_t)) == 0);
+      REQUIRE(next_body(stream, genotype, form) == MO_OK &&
+              mo_body_create(lattice, genotype, &body) == MO_OK);
+      CHECK(body->n_springs == robots[i].body->n_springs &&
+            body->n_voxels == robots[i].body->n_voxels &&
+            memcmp(body->spring_lattice, robots[i].body->spring_lattice,
+                   body->n_springs * sizeof(uint32_t)) == 0);
       CHECK_INT(mo_form_set_has(set, form), step < STEPS);
       mo_body_free(body);
     }
@@ -242,14 +257,16 @@ static void pretraining(void)
   mo_form_set_free(set);
 }
 
-/* In a smaller workspace: those that fit it, as they are there. A set that holds something gets the same forms. */
+/* In a smaller workspace: those that fit it, as they are there. A set that holds something gets the
+ * same forms. */
 static void pretraining_elsewhere(void)
 {
   const struct mo_workspace small = {5, 4, 2};
   struct mo_body_stream *stream = NULL;
   struct mo_form_set *set = NULL, *expected = NULL, *again = NULL;
   const volatile int cancel = 1;
-  REQUIRE(mo_form_set_create(small, &set) == MO_OK && mo_form_set_create(small, &expected) == MO_OK &&
+  REQUIRE(mo_form_set_create(small, &set) == MO_OK &&
+          mo_form_set_create(small, &expected) == MO_OK &&
           mo_form_set_create(MO_DEFAULT_WORKSPACE, &again) == MO_OK &&
           mo_body_stream_create(MO_DEFAULT_WORKSPACE, 11, &stream) == MO_OK);
   CHECK_INT(mo_pretraining_forms(11, 1200, small, 1, NULL, NULL, set), MO_OK);
@@ -260,7 +277,8 @@ static void pretraining_elsewhere(void)
     const bool upright = plain.side[0] <= 5 && plain.side[1] <= 4,
                fits_turned = plain.side[1] <= 5 && plain.side[0] <= 4;
     const bool fits = plain.side[2] <= 2 && (upright || fits_turned);
-    CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, body, small, &moved), fits ? MO_OK : MO_ERR_RANGE);
+    CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, body, small, &moved),
+              fits ? MO_OK : MO_ERR_RANGE);
     if (!fits)
       continue;
     mo_genotype_canonical(small, &moved, &moved_form);
@@ -272,7 +290,8 @@ static void pretraining_elsewhere(void)
   CHECK_INT(mo_pretraining_forms(11, 100, MO_DEFAULT_WORKSPACE, 1, NULL, NULL, again), MO_OK);
   CHECK_INT(mo_pretraining_forms(11, 1200, MO_DEFAULT_WORKSPACE, 1, NULL, NULL, again), MO_OK);
   CHECK_INT(mo_form_set_count(again), 1200);
-  CHECK_INT(mo_pretraining_forms(12, 100, MO_DEFAULT_WORKSPACE, 1, &cancel, NULL, again), MO_ERR_CANCELLED);
+  CHECK_INT(mo_pretraining_forms(12, 100, MO_DEFAULT_WORKSPACE, 1, &cancel, NULL, again),
+            MO_ERR_CANCELLED);
   CHECK_INT(mo_form_set_count(again), 1200);
   mo_body_stream_free(stream);
   mo_form_set_free(set);
@@ -280,7 +299,8 @@ static void pretraining_elsewhere(void)
   mo_form_set_free(again);
 }
 
-/* The forms of a pretraining's first n bodies, of those that fit the workspace, one after the other. */
+/* The forms of a pretraining's first n bodies, of those that fit the workspace, one after the
+ * other. */
 static int plain_forms(uint64_t seed, int n, struct mo_workspace workspace, struct mo_form_set *set)
 {
   struct mo_body_stream *stream = NULL;
@@ -297,8 +317,10 @@ static int plain_forms(uint64_t seed, int n, struct mo_workspace workspace, stru
   return r < 0 ? r : MO_OK;
 }
 
-/* How many of the forms of a pretraining's first n bodies, of those that fit the workspace, the set has not. */
-static int missing_forms(uint64_t seed, int n, struct mo_workspace workspace, const struct mo_form_set *set)
+/* How many of the forms of a pretraining's first n bodies, of those that fit the workspace, the set
+ * has not. */
+static int missing_forms(uint64_t seed, int n, struct mo_workspace workspace,
+                         const struct mo_form_set *set)
 {
   struct mo_body_stream *stream = NULL;
   uint64_t body[W], form[W], moved[W];
@@ -360,7 +382,8 @@ static void pretraining_interrupted(void)
   pthread_t thread;
   REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &set) == MO_OK);
   REQUIRE(pthread_create(&thread, NULL, interrupt, &interruption) == 0);
-  CHECK_INT(mo_pretraining_forms(5, 50 * MANY, MO_DEFAULT_WORKSPACE, 3, &interruption.cancel, &interruption.done, set),
+  CHECK_INT(mo_pretraining_forms(5, 50 * MANY, MO_DEFAULT_WORKSPACE, 3, &interruption.cancel,
+                                 &interruption.done, set),
             MO_ERR_CANCELLED);
   CHECK(interruption.done > 0 && mo_form_set_count(set) == interruption.done);
   pthread_join(thread, NULL);

@@ -25,7 +25,8 @@ static inline struct mo_random check_stream(uint32_t step, uint64_t index)
   return random;
 }
 
-/* ---- canonical forms, by another road: all eight images as lists of cells, the smallest of them as text ---- */
+/* ---- canonical forms, by another road: all eight images as lists of cells, the smallest of them
+ * as text ---- */
 
 #define CELLS_MAX 720
 
@@ -34,7 +35,8 @@ struct plain_form {
   char bits[CELLS_MAX + 1];
 };
 
-static inline bool plain_bit(struct mo_workspace w, const uint64_t *bits, uint32_t x, uint32_t y, uint32_t z)
+static inline bool plain_bit(struct mo_workspace w, const uint64_t *bits, uint32_t x, uint32_t y,
+                             uint32_t z)
 {
   const uint32_t v = (x * w.ny + y) * w.nz + z;
   return bits[v / 64] >> v % 64 & 1;
@@ -64,7 +66,8 @@ static inline struct plain_form plain_canonical(struct mo_workspace w, const uin
           }
         }
   for (unsigned k = 0; k < 8; k++) {
-    struct plain_form image = {{high[0] - low[0] + 1, high[1] - low[1] + 1, high[2] - low[2] + 1}, ""};
+    struct plain_form image = {{high[0] - low[0] + 1, high[1] - low[1] + 1, high[2] - low[2] + 1},
+                               ""};
     if (k & 4) {
       const uint32_t side = image.side[0];
       image.side[0] = image.side[1];
@@ -76,7 +79,8 @@ static inline struct plain_form plain_canonical(struct mo_workspace w, const uin
     for (uint32_t x = 0; x < image.side[0]; x++)
       for (uint32_t y = 0; y < image.side[1]; y++)
         for (uint32_t z = 0; z < image.side[2]; z++) {
-          const uint32_t mx = k & 1 ? image.side[0] - 1 - x : x, my = k & 2 ? image.side[1] - 1 - y : y;
+          const uint32_t mx = k & 1 ? image.side[0] - 1 - x : x,
+                         my = k & 2 ? image.side[1] - 1 - y : y;
           const uint32_t fx = k & 4 ? my : mx, fy = k & 4 ? mx : my;
           image.bits[n++] = plain_bit(w, bits, low[0] + fx, low[1] + fy, low[2] + z) ? '1' : '0';
         }
@@ -158,16 +162,18 @@ static inline void campaign_free(struct made_up_campaign *campaign)
 static inline void campaign_score(struct made_up_campaign *campaign, uint32_t from, uint32_t to)
 {
   for (uint32_t i = from; i < to; i++)
-    campaign->candidates[i] =
-        (struct mo_candidate){.score = made_up_score(campaign->genotypes + campaign->words * i, campaign->words),
-                              .number = campaign->n_designs++,
-                              .born = campaign->generation};
+    campaign->candidates[i] = (struct mo_candidate){
+        .score = made_up_score(campaign->genotypes + campaign->words * i, campaign->words),
+        .number = campaign->n_designs++,
+        .born = campaign->generation};
 }
 
-static inline int campaign_start(struct made_up_campaign *campaign, const struct mo_campaign_settings *settings,
+static inline int campaign_start(struct made_up_campaign *campaign,
+                                 const struct mo_campaign_settings *settings,
                                  const struct mo_form_set *excluded)
 {
-  *campaign = (struct made_up_campaign){.settings = *settings, .words = mo_workspace_words(settings->workspace)};
+  *campaign = (struct made_up_campaign){.settings = *settings,
+                                        .words = mo_workspace_words(settings->workspace)};
   const size_t room = 2 * (size_t)settings->population;
   campaign->genotypes = calloc(room * campaign->words, sizeof(uint64_t));
   campaign->candidates = calloc(room, sizeof(struct mo_candidate));
@@ -178,7 +184,8 @@ static inline int campaign_start(struct made_up_campaign *campaign, const struct
     return MO_ERR_NO_MEMORY;
   int r = mo_seen_create(settings->workspace, excluded, &campaign->seen);
   if (r == MO_OK)
-    r = mo_population_initial(settings, campaign->seen, campaign->genotypes, 0, &campaign->n, NULL, NULL);
+    r = mo_population_initial(settings, campaign->seen, campaign->genotypes, 0, &campaign->n, NULL,
+                              NULL);
   if (r == MO_OK)
     campaign_score(campaign, 0, campaign->n);
   return r;
@@ -188,9 +195,9 @@ static inline int campaign_start(struct made_up_campaign *campaign, const struct
 static inline int campaign_vary(struct made_up_campaign *campaign)
 {
   campaign->generation++;
-  return mo_variation(&campaign->settings, campaign->generation, campaign->genotypes, campaign->n, campaign->seen,
-                      campaign->genotypes + (size_t)campaign->words * campaign->n, campaign->births,
-                      &campaign->n_children, &campaign->counts, NULL);
+  return mo_variation(&campaign->settings, campaign->generation, campaign->genotypes, campaign->n,
+                      campaign->seen, campaign->genotypes + (size_t)campaign->words * campaign->n,
+                      campaign->births, &campaign->n_children, &campaign->counts, NULL);
 }
 
 /* The next population, in place. */
@@ -203,13 +210,14 @@ static inline int campaign_select(struct made_up_campaign *campaign)
   struct mo_candidate *candidates = malloc(n * sizeof(*candidates));
   int r = genotypes != NULL && candidates != NULL ? MO_OK : MO_ERR_NO_MEMORY;
   if (r == MO_OK)
-    r = mo_select(&campaign->settings, campaign->generation, campaign->genotypes, campaign->candidates, n,
-                  campaign->survivors, &campaign->n);
+    r = mo_select(&campaign->settings, campaign->generation, campaign->genotypes,
+                  campaign->candidates, n, campaign->survivors, &campaign->n);
   if (r == MO_OK) {
     memcpy(genotypes, campaign->genotypes, n * bytes);
     memcpy(candidates, campaign->candidates, n * sizeof(*candidates));
     for (uint32_t i = 0; i < campaign->n; i++) {
-      memcpy(campaign->genotypes + campaign->words * i, genotypes + campaign->words * campaign->survivors[i], bytes);
+      memcpy(campaign->genotypes + campaign->words * i,
+             genotypes + campaign->words * campaign->survivors[i], bytes);
       campaign->candidates[i] = candidates[campaign->survivors[i]];
     }
   }

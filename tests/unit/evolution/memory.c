@@ -1,5 +1,5 @@
-/* memory.c: every allocation of this room fails once; each time the function says so, leaves its outputs alone and leaks nothing (the
- * address sanitizer looks). */
+/* memory.c: every allocation of this room fails once; each time the function says so, leaves its
+ * outputs alone and leaks nothing (the address sanitizer looks). */
 #include "fixture.h"
 
 #include "../failing.h"
@@ -70,7 +70,8 @@ static int vary(void)
   uint32_t n = 99;
   if (seen == NULL)
     return MO_ERR_INVALID;
-  const int r = mo_variation(&settings, 1, genotypes, N, seen, genotypes + (size_t)W * N, births, &n, &counts, NULL);
+  const int r = mo_variation(&settings, 1, genotypes, N, seen, genotypes + (size_t)W * N, births,
+                             &n, &counts, NULL);
   CHECK(n == (r == MO_OK ? N : 99) && (counts.mutants == 99) == (r != MO_OK));
   mo_seen_free(seen);
   return r;
@@ -170,7 +171,8 @@ static void functions(void)
     candidates[i] = (struct mo_candidate){.score = i, .number = i};
     sizes[i] = (struct mo_design_size){1, 1, 8, 24};
     if (i < N)
-      descents[i] = (struct mo_descent){{i > 0 ? i - 1 : MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_MUTATION};
+      descents[i] =
+          (struct mo_descent){{i > 0 ? i - 1 : MO_NO_PARENT, MO_NO_PARENT}, MO_BORN_MUTATION};
   }
   for (int kind = 0; kind < 4; kind++) {
     settings.selection.kind = (enum mo_selection_kind)kind;
@@ -186,7 +188,8 @@ static void functions(void)
 static void large_workspaces(void)
 {
   struct mo_random random = check_stream(1, 1);
-  REQUIRE(mo_lattice_create(large, &lattice) == MO_OK && mo_genotype_random(large, &random, large_body) == MO_OK);
+  REQUIRE(mo_lattice_create(large, &lattice) == MO_OK &&
+          mo_genotype_random(large, &random, large_body) == MO_OK);
   each_fails(large_size, 1);
   each_fails(large_seen, 4);
   mo_lattice_free(lattice);

@@ -1,4 +1,5 @@
-/* phylogeny.c: ancestors, descendants and Newick text against what recursion says, and a tree too deep for recursion. */
+/* phylogeny.c: ancestors, descendants and Newick text against what recursion says, and a tree too
+ * deep for recursion. */
 #include "fixture.h"
 
 #define N 300
@@ -189,7 +190,11 @@ static void depth(void)
   for (int star = 0; star < 2; star++) {
     struct text text = {0};
     for (uint32_t i = 0; i < n; i++) {
-      chain[i] = (struct mo_descent){{i == 0 ? MO_NO_PARENT : star ? 0 : i - 1, MO_NO_PARENT}, MO_BORN_MUTATION};
+      chain[i] = (struct mo_descent){{i == 0 ? MO_NO_PARENT
+                                      : star ? 0
+                                             : i - 1,
+                                      MO_NO_PARENT},
+                                     MO_BORN_MUTATION};
       when[i] = i == 0 ? 0 : star ? 1 : i;
     }
     CHECK_INT(mo_newick(chain, when, NULL, n, append, &text), MO_OK);

@@ -10,8 +10,10 @@ struct scene {
   uint32_t survivors[N], n;
 };
 
-/* N candidates of generations 0 … 20 (the current one) with a few equal scores, `diverged` of 96 without one. */
-static int make_up(struct scene *scene, uint32_t step, uint32_t diverged, enum mo_selection_kind kind)
+/* N candidates of generations 0 … 20 (the current one) with a few equal scores, `diverged` of 96
+ * without one. */
+static int make_up(struct scene *scene, uint32_t step, uint32_t diverged,
+                   enum mo_selection_kind kind)
 {
   struct mo_random random = check_stream(step, 500);
   scene->settings = small_campaign(step + 1, N / 2);
@@ -19,9 +21,11 @@ static int make_up(struct scene *scene, uint32_t step, uint32_t diverged, enum m
   for (uint32_t i = 0; i < N; i++) {
     const double score = (double)mo_random_below(&random, 60) / 60.0;
     const bool lost = mo_random_below(&random, 96) < diverged;
-    scene->candidates[i] = (struct mo_candidate){
-        .score = lost ? INFINITY : score, .number = (i * 37) % N + 1000, .born = mo_random_below(&random, 21)};
-    if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, scene->genotypes + (size_t)W * i) != MO_OK)
+    scene->candidates[i] = (struct mo_candidate){.score = lost ? INFINITY : score,
+                                                 .number = (i * 37) % N + 1000,
+                                                 .born = mo_random_below(&random, 21)};
+    if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, scene->genotypes + (size_t)W * i) !=
+        MO_OK)
       return -1;
   }
   return 0;
@@ -29,7 +33,8 @@ static int make_up(struct scene *scene, uint32_t step, uint32_t diverged, enum m
 
 static int run(struct scene *scene)
 {
-  return mo_select(&scene->settings, 20, scene->genotypes, scene->candidates, N, scene->survivors, &scene->n);
+  return mo_select(&scene->settings, 20, scene->genotypes, scene->candidates, N, scene->survivors,
+                   &scene->n);
 }
 
 static bool is_better(const struct mo_candidate *a, const struct mo_candidate *b)
@@ -74,14 +79,17 @@ static void every_scheme(void)
         sound_living += lives[i] && isfinite(scene.candidates[i].score);
         CHECK(rank_of(&scene, i) > 0 || lives[i]); /* the best */
       }
-      CHECK_INT(living, scene.n);                                 /* no place twice */
-      CHECK_INT(sound_living, sound < scene.n ? sound : scene.n); /* the diverged when there is nothing better */
+      CHECK_INT(living, scene.n); /* no place twice */
+      CHECK_INT(sound_living,
+                sound < scene.n ? sound : scene.n); /* the diverged when there is nothing better */
       for (uint32_t i = 1; i < scene.n; i++)
-        CHECK(is_better(&scene.candidates[scene.survivors[i - 1]], &scene.candidates[scene.survivors[i]]));
+        CHECK(is_better(&scene.candidates[scene.survivors[i - 1]],
+                        &scene.candidates[scene.survivors[i]]));
       /* The older of the diverged live. */
       for (uint32_t i = 0; i < N; i++)
         for (uint32_t j = 0; j < N; j++)
-          if (!isfinite(scene.candidates[i].score) && !isfinite(scene.candidates[j].score) && lives[i] && !lives[j])
+          if (!isfinite(scene.candidates[i].score) && !isfinite(scene.candidates[j].score) &&
+              lives[i] && !lives[j])
             CHECK(scene.candidates[i].number < scene.candidates[j].number);
     }
 }
@@ -112,7 +120,9 @@ static void ties_and_nonsense(void)
   scene.candidates[17].score = NAN;
   CHECK_INT(run(&scene), MO_ERR_INVALID);
   CHECK_INT(scene.n, 5);
-  CHECK_INT(mo_select(&scene.settings, 1, scene.genotypes, scene.candidates, 0, scene.survivors, &scene.n), MO_OK);
+  CHECK_INT(mo_select(&scene.settings, 1, scene.genotypes, scene.candidates, 0, scene.survivors,
+                      &scene.n),
+            MO_OK);
   CHECK_INT(scene.n, 0);
   scene.settings.population = 200; /* more places than candidates: all live */
   scene.candidates[17].score = INFINITY;
@@ -133,11 +143,13 @@ static void any_order(void)
       turned = scene;
       for (uint32_t i = 0; i < N; i++) {
         turned.candidates[i] = scene.candidates[N - 1 - i];
-        memcpy(turned.genotypes + (size_t)W * i, scene.genotypes + (size_t)W * (N - 1 - i), W * sizeof(uint64_t));
+        memcpy(turned.genotypes + (size_t)W * i, scene.genotypes + (size_t)W * (N - 1 - i),
+               W * sizeof(uint64_t));
       }
       CHECK(run(&scene) == MO_OK && run(&turned) == MO_OK);
       for (uint32_t i = 0; i < scene.n; i++)
-        CHECK(scene.candidates[scene.survivors[i]].number == turned.candidates[turned.survivors[i]].number);
+        CHECK(scene.candidates[scene.survivors[i]].number ==
+              turned.candidates[turned.survivors[i]].number);
     }
 }
 
@@ -171,7 +183,8 @@ static void tournament(void)
   CHECK(before < 14);
 }
 
-/* One place beside the best's: of the 95 others, rank r (from 0) wins a tournament of k with probability
+/* One place beside the best's: of the 95 others, rank r (from 0) wins a tournament of k with
+ * probability
  * ((95 − r)/95)^k − ((94 − r)/95)^k. */
 static void tournament_odds(void)
 {
@@ -196,8 +209,8 @@ static uint64_t distance_to_all(const struct scene *scene, uint32_t i)
 {
   uint64_t sum = 0;
   for (uint32_t j = 0; j < N; j++)
-    sum +=
-        mo_genotype_hamming(MO_DEFAULT_WORKSPACE, scene->genotypes + (size_t)W * i, scene->genotypes + (size_t)W * j);
+    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, scene->genotypes + (size_t)W * i,
+                               scene->genotypes + (size_t)W * j);
   return sum;
 }
 
@@ -227,7 +240,8 @@ static void novelty(void)
     for (uint32_t i = 0; i < N; i++) {
       uint32_t before = 0; /* who comes before it */
       for (uint32_t j = 0; j < N; j++)
-        before += rank[j] == 0 || value[j] < value[i] || (value[j] == value[i] && rank[j] < rank[i]);
+        before +=
+            rank[j] == 0 || value[j] < value[i] || (value[j] == value[i] && rank[j] < rank[i]);
       CHECK_INT(lives[i], rank[i] == 0 || before < N / 2);
       outlived += lives[i] && rank[i] >= N / 2;
     }
@@ -235,7 +249,8 @@ static void novelty(void)
     if (weight == 0) {
       other = scene;
       other.settings.selection.kind = MO_SELECT_TRUNCATION;
-      CHECK(run(&other) == MO_OK && memcmp(other.survivors, scene.survivors, scene.n * sizeof(uint32_t)) == 0);
+      CHECK(run(&other) == MO_OK &&
+            memcmp(other.survivors, scene.survivors, scene.n * sizeof(uint32_t)) == 0);
     }
   }
 }
@@ -256,10 +271,12 @@ static void age_layers(void)
     alive(&scene, lives);
     uint32_t filled = 0;
     for (uint32_t layer = 0; layer < layers; layer++)
-      while (filled < N / 2 * (layer + 1) / layers) { /* the best of its age that does not live yet */
+      while (filled <
+             N / 2 * (layer + 1) / layers) { /* the best of its age that does not live yet */
         uint32_t best = N;
         for (uint32_t i = 0; i < N; i++)
-          if (!expected[i] && (layer + 1 == layers || 20 - scene.candidates[i].born <= gap << layer) &&
+          if (!expected[i] &&
+              (layer + 1 == layers || 20 - scene.candidates[i].born <= gap << layer) &&
               (best == N || is_better(&scene.candidates[i], &scene.candidates[best])))
             best = i;
         if (best == N)

@@ -1,4 +1,5 @@
-/* settings.c: names, presets, requests that must be refused with a reason, and the training inside a campaign. */
+/* settings.c: names, presets, requests that must be refused with a reason, and the training inside
+ * a campaign. */
 #include "fixture.h"
 
 static void names(void)
@@ -7,12 +8,15 @@ static void names(void)
   enum mo_selection_kind kind = MO_SELECT_TRUNCATION;
   enum mo_preset preset = MO_PRESET_PAPER;
   for (int i = 0; i < 3; i++) {
-    CHECK(mo_campaign_mode_from_name(mo_campaign_mode_name((enum mo_campaign_mode)i), &mode) == MO_OK &&
+    CHECK(mo_campaign_mode_from_name(mo_campaign_mode_name((enum mo_campaign_mode)i), &mode) ==
+              MO_OK &&
           (int)mode == i);
-    CHECK(mo_preset_from_name(mo_preset_name((enum mo_preset)i), &preset) == MO_OK && (int)preset == i);
+    CHECK(mo_preset_from_name(mo_preset_name((enum mo_preset)i), &preset) == MO_OK &&
+          (int)preset == i);
   }
   for (int i = 0; i < 4; i++)
-    CHECK(mo_selection_from_name(mo_selection_name((enum mo_selection_kind)i), &kind) == MO_OK && (int)kind == i);
+    CHECK(mo_selection_from_name(mo_selection_name((enum mo_selection_kind)i), &kind) == MO_OK &&
+          (int)kind == i);
   CHECK_TEXT(mo_campaign_mode_name(MO_FEW_SHOT), "few-shot");
   CHECK_TEXT(mo_selection_name(MO_SELECT_AGE_LAYERED), "age-layered");
   CHECK_TEXT(mo_preset_name(MO_PRESET_WORKSTATION), "workstation");
@@ -29,18 +33,22 @@ static void names(void)
 static void presets(void)
 {
   static const uint32_t populations[] = {8192, 512, 64};
-  static const uint32_t generations[3][3] = {{100, 7, 180}, {100, 10, 180}, {30, 3, 30}}; /* preset, mode */
+  static const uint32_t generations[3][3] = {
+      {100, 7, 180}, {100, 10, 180}, {30, 3, 30}}; /* preset, mode */
   for (int p = 0; p < 3; p++)
     for (int m = 0; m < 3; m++) {
-      const struct mo_campaign_settings s = mo_campaign_preset((enum mo_campaign_mode)m, (enum mo_preset)p);
+      const struct mo_campaign_settings s =
+          mo_campaign_preset((enum mo_campaign_mode)m, (enum mo_preset)p);
       struct mo_message message = {""};
       CHECK_INT(mo_campaign_settings_check(&s, &message), MO_OK);
-      CHECK((int)s.mode == m && s.population == populations[p] && s.generations == generations[p][m]);
+      CHECK((int)s.mode == m && s.population == populations[p] &&
+            s.generations == generations[p][m]);
       CHECK(s.mutation_share == 0.25 && s.mutation_rate == 0.0 && s.mutation_growth == 1.025);
       CHECK(s.selection.kind == MO_SELECT_TRUNCATION && s.exclude_pretraining && s.batch == 0);
       CHECK(s.workspace.nx == 6 && s.workspace.ny == 6 && s.workspace.nz == 4);
       CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
-      CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 && s.adjoint_bound == MO_ADJOINT_BOUND);
+      CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 &&
+            s.adjoint_bound == MO_ADJOINT_BOUND);
       CHECK_INT(s.adjoint_rule, MO_ADJOINT_CLIP);
       CHECK(s.restart_weight == MO_RESTART_WEIGHT);
     }
@@ -91,21 +99,27 @@ static void refused(void)
       {MO_ZERO_SHOT, NZ, 1, MO_OK, ""},
       {MO_ZERO_SHOT, POPULATION, 0, MO_ERR_RANGE, "population is 0; it must be 2 to 65536"},
       {MO_ZERO_SHOT, POPULATION, 1, MO_ERR_RANGE, "population is 1; it must be 2 to 65536"},
-      {MO_ZERO_SHOT, POPULATION, 1e8, MO_ERR_RANGE, "population is 100000000; it must be 2 to 65536"},
+      {MO_ZERO_SHOT, POPULATION, 1e8, MO_ERR_RANGE,
+       "population is 100000000; it must be 2 to 65536"},
       {MO_ZERO_SHOT, POPULATION, 65536, MO_OK, ""},
       {MO_FEW_SHOT, POPULATION, 10001, MO_ERR_RANGE,
        "population is 10001; it must be at most 10000 in a campaign that"},
       {MO_SIMULTANEOUS, POPULATION, 10000, MO_OK, ""},
-      {MO_ZERO_SHOT, GENERATIONS, 100001, MO_ERR_RANGE, "generations is 100001; it must be 0 to 100000"},
+      {MO_ZERO_SHOT, GENERATIONS, 100001, MO_ERR_RANGE,
+       "generations is 100001; it must be 0 to 100000"},
       {MO_ZERO_SHOT, GENERATIONS, 0, MO_OK, ""},
-      {MO_ZERO_SHOT, GENERATIONS, 32768, MO_ERR_RANGE, "population × (generations + 1) is 268443648"},
+      {MO_ZERO_SHOT, GENERATIONS, 32768, MO_ERR_RANGE,
+       "population × (generations + 1) is 268443648"},
       {MO_ZERO_SHOT, GENERATIONS, 32767, MO_OK, ""},
-      {MO_ZERO_SHOT, SHARE, 1.5, MO_ERR_RANGE, "mutation_share is 1.5; it must be at least 0 and at most 1"},
+      {MO_ZERO_SHOT, SHARE, 1.5, MO_ERR_RANGE,
+       "mutation_share is 1.5; it must be at least 0 and at most 1"},
       {MO_ZERO_SHOT, SHARE, NAN, MO_ERR_INVALID, "mutation_share is not finite"},
       {MO_ZERO_SHOT, SHARE, 1, MO_OK, ""},
-      {MO_ZERO_SHOT, RATE, 0.51, MO_ERR_RANGE, "mutation_rate is 0.51; it must be at least 0 and at most 0.5"},
+      {MO_ZERO_SHOT, RATE, 0.51, MO_ERR_RANGE,
+       "mutation_rate is 0.51; it must be at least 0 and at most 0.5"},
       {MO_ZERO_SHOT, RATE, -0.1, MO_ERR_RANGE, "mutation_rate is -0.1"},
-      {MO_ZERO_SHOT, GROWTH, 0.9, MO_ERR_RANGE, "mutation_growth is 0.9; it must be at least 1 and at most 2"},
+      {MO_ZERO_SHOT, GROWTH, 0.9, MO_ERR_RANGE,
+       "mutation_growth is 0.9; it must be at least 1 and at most 2"},
       {MO_ZERO_SHOT, GROWTH, 1, MO_OK, ""},
       {MO_ZERO_SHOT, SIZE, 1, MO_ERR_RANGE, "tournament_size is 1; it must be 2 to 64"},
       {MO_ZERO_SHOT, WEIGHT, -1, MO_ERR_RANGE, "novelty_weight is -1"},
@@ -115,20 +129,24 @@ static void refused(void)
       {MO_FEW_SHOT, STEPS, 10001, MO_ERR_RANGE, "parent_steps is 10001; it must be 0 to 10000"},
       {MO_FEW_SHOT, STEPS, 10000, MO_OK, ""},
       {MO_FEW_SHOT, NO_STEPS, 0, MO_ERR_RANGE, "parent_steps and child_steps are both 0"},
-      {MO_SIMULTANEOUS, STEPS, 9999, MO_ERR_RANGE, "(parent_steps + child_steps) × generations is 1800001; it must be"},
+      {MO_SIMULTANEOUS, STEPS, 9999, MO_ERR_RANGE,
+       "(parent_steps + child_steps) × generations is 1800001; it must be"},
       {MO_ZERO_SHOT, STEPS, 1e6, MO_OK, ""}, /* learning is not looked at */
       {MO_ZERO_SHOT, BETA, 2, MO_OK, ""},
       {MO_ZERO_SHOT, PEAK, -1, MO_OK, ""},
-      {MO_FEW_SHOT, BATCH, 65537, MO_ERR_RANGE, "batch is 65537; it must be 1 to 65536, or 0 for the population"},
+      {MO_FEW_SHOT, BATCH, 65537, MO_ERR_RANGE,
+       "batch is 65537; it must be 1 to 65536, or 0 for the population"},
       {MO_FEW_SHOT, BETA, 1, MO_ERR_RANGE, "beta1 is 1; it must be at least 0 and below 1"},
       {MO_FEW_SHOT, EPSILON, 0, MO_ERR_RANGE, "epsilon is 0; it must be above 0"},
       {MO_FEW_SHOT, NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
       {MO_FEW_SHOT, BOUND, -1, MO_ERR_RANGE, "adjoint_bound is -1"},
       {MO_FEW_SHOT, BOUND, 0, MO_OK, ""},
-      {MO_FEW_SHOT, RULE, 2, MO_ERR_INVALID, "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
+      {MO_FEW_SHOT, RULE, 2, MO_ERR_INVALID,
+       "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
       {MO_FEW_SHOT, RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {MO_ZERO_SHOT, RULE, 2, MO_OK, ""},
-      {MO_FEW_SHOT, RESTART_WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {MO_FEW_SHOT, RESTART_WEIGHT, -1, MO_ERR_RANGE,
+       "restart_weight is -1; it must be at least 0 and at most 1e+06"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 1000000.0000001, MO_ERR_RANGE,
        "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
@@ -186,7 +204,8 @@ static double rate(const struct mo_training_settings *training, uint32_t step)
   return mo_schedule_rate(&training->schedule, step, training->n_steps);
 }
 
-/* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4; a fresh start, with robots of its own, each generation. */
+/* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4; a fresh start,
+ * with robots of its own, each generation. */
 static void few_shot(void)
 {
   struct mo_campaign_settings s = mo_campaign_preset(MO_FEW_SHOT, MO_PRESET_PAPER);
@@ -194,7 +213,8 @@ static void few_shot(void)
   for (uint32_t g = 0; g < 100; g++) {
     const struct mo_training_settings training = mo_campaign_training(&s, g);
     CHECK_INT(mo_training_settings_check(&training, NULL), MO_OK);
-    CHECK(training.kind == MO_TRAINING_FINETUNE && training.n_steps == (g > 0 ? 60 : 30) && training.batch == 8192);
+    CHECK(training.kind == MO_TRAINING_FINETUNE && training.n_steps == (g > 0 ? 60 : 30) &&
+          training.batch == 8192);
     CHECK(training.held_out_designs == 0 && training.held_out_environments == 0);
     CHECK_NEAR(rate(&training, 0), 3.5e-4, 1e-12);
     CHECK_NEAR(rate(&training, 59), 1.5e-4, 2e-6);

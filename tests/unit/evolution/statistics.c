@@ -16,7 +16,8 @@ static uint64_t *bodies_of(struct mo_workspace workspace, uint32_t n, uint32_t s
   return bodies;
 }
 
-static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1}, {3, 3, 3}, {6, 6, 2}, {20, 9, 7}};
+static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
+                                                 {3, 3, 3}, {6, 6, 2}, {20, 9, 7}};
 #define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
 
 static void distances(void)
@@ -39,7 +40,8 @@ static void distances(void)
         all += sum;
         CHECK(each[i] == (double)sum / ((double)(n - 1) * voxels));
       }
-      CHECK(mo_diversity(w, bodies, n) == (double)(all / 2) / ((double)((uint64_t)n * (n - 1) / 2) * voxels));
+      CHECK(mo_diversity(w, bodies, n) ==
+            (double)(all / 2) / ((double)((uint64_t)n * (n - 1) / 2) * voxels));
       free(bodies);
     }
 }
@@ -79,7 +81,8 @@ static void sizes(void)
             any |= plain_bit(w, bits, x, y, z);
           footprint += any;
         }
-      CHECK(size.voxels == body->n_voxels && size.masses == body->n_masses && size.springs == body->n_springs);
+      CHECK(size.voxels == body->n_voxels && size.masses == body->n_masses &&
+            size.springs == body->n_springs);
       CHECK_INT(size.footprint, footprint);
       mo_body_free(body);
     }
@@ -99,7 +102,8 @@ static void populations(void)
   REQUIRE(bodies != NULL);
   for (uint32_t i = 0; i < 21; i++) {
     scores[i] = (double)((i * 8) % 21) / 20.0; /* 0 … 1 in another order */
-    size[i] = (struct mo_design_size){.voxels = i + 1, .footprint = 4, .masses = 100 - i, .springs = i * i};
+    size[i] = (struct mo_design_size){
+        .voxels = i + 1, .footprint = 4, .masses = 100 - i, .springs = i * i};
     plain_add(&set, w, bodies + (size_t)W * i);
   }
   CHECK_INT(mo_population_stats(w, bodies, scores, size, 21, &stats), MO_OK);
@@ -119,10 +123,12 @@ static void populations(void)
   /* Two of four diverged: quantiles between the others. */
   const double some[] = {INFINITY, 0.25, INFINITY, 0.75};
   CHECK_INT(mo_population_stats(w, bodies, some, size, 4, &stats), MO_OK);
-  CHECK(stats.n_diverged == 2 && stats.mean_score == 0.5 && stats.quantiles[0] == 0.25 && stats.quantiles[6] == 0.75);
+  CHECK(stats.n_diverged == 2 && stats.mean_score == 0.5 && stats.quantiles[0] == 0.25 &&
+        stats.quantiles[6] == 0.75);
   CHECK_NEAR(stats.quantiles[1], 0.275, 1e-15);
   CHECK_INT(mo_population_stats(w, bodies, some, size, 1, &stats), MO_OK);
-  CHECK(stats.n_diverged == 1 && isnan(stats.mean_score) && isnan(stats.quantiles[3]) && stats.diversity == 0.0);
+  CHECK(stats.n_diverged == 1 && isnan(stats.mean_score) && isnan(stats.quantiles[3]) &&
+        stats.diversity == 0.0);
   CHECK_INT(mo_population_stats(w, bodies, some, size, 0, &stats), MO_OK);
   CHECK(stats.n == 0 && stats.species == 0 && stats.voxels.mean == 0.0);
   free(set.forms);
@@ -148,7 +154,8 @@ static double mean_distance(const uint64_t *bodies, const uint32_t *picks, uint3
 {
   uint64_t sum = 0;
   for (uint32_t j = 0; j < m; j++)
-    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, bodies + (size_t)W * picks[i], bodies + (size_t)W * picks[j]);
+    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, bodies + (size_t)W * picks[i],
+                               bodies + (size_t)W * picks[j]);
   return (double)sum;
 }
 
@@ -162,7 +169,8 @@ static void champions(void)
     uint64_t *bodies = bodies_of(MO_DEFAULT_WORKSPACE, N, step);
     REQUIRE(bodies != NULL);
     for (uint32_t i = 0; i < N; i++)
-      scores[i] = mo_random_below(&random, 8) == 0 ? INFINITY : (double)mo_random_below(&random, 40) / 40.0;
+      scores[i] =
+          mo_random_below(&random, 8) == 0 ? INFINITY : (double)mo_random_below(&random, 40) / 40.0;
     rank(scores, N, order);
     uint32_t sound = 0;
     while (sound < N && isfinite(scores[order[sound]]))
@@ -175,8 +183,9 @@ static void champions(void)
         picked[picks[i]] = 1;
       }
       CHECK(picked[order[0]]);
-      CHECK(m == 1 || picked[order[(m < sound ? sound : m) - 1]]); /* the other end of the ranking */
-      uint32_t last = 0, widest = 0, narrowest = N;                /* even steps */
+      CHECK(m == 1 ||
+            picked[order[(m < sound ? sound : m) - 1]]); /* the other end of the ranking */
+      uint32_t last = 0, widest = 0, narrowest = N;      /* even steps */
       for (uint32_t i = 1; i < N; i++)
         if (picked[order[i]]) {
           widest = i - last > widest ? i - last : widest;
@@ -187,9 +196,11 @@ static void champions(void)
       for (uint32_t i = 0; m <= sound && i < m; i++)
         CHECK(isfinite(scores[picks[i]]));
       for (uint32_t i = 1; i < m; i++) {
-        const double before = mean_distance(bodies, picks, m, i - 1), here = mean_distance(bodies, picks, m, i);
+        const double before = mean_distance(bodies, picks, m, i - 1),
+                     here = mean_distance(bodies, picks, m, i);
         const double better = scores[picks[i - 1]], worse = scores[picks[i]];
-        CHECK(before > here || (before == here && (better < worse || (better == worse && picks[i - 1] < picks[i]))));
+        CHECK(before > here ||
+              (before == here && (better < worse || (better == worse && picks[i - 1] < picks[i]))));
       }
     }
     CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, N, 0, picks), MO_OK);
@@ -198,18 +209,22 @@ static void champions(void)
   }
 }
 
-/* Steps are rounded to the nearest place, upwards in the middle: of four designs the first, the third and the last. */
+/* Steps are rounded to the nearest place, upwards in the middle: of four designs the first, the
+ * third and the last. */
 static void champions_by_hand(void)
 {
   const uint64_t bodies[4 * W] = {1, 0, 0, 3, 0, 0, 7, 0, 0, 1, 0, 0};
   const double scores[] = {0.4, 0.1, 0.3, 0.2}, lost[] = {INFINITY, 0.5, INFINITY, 0.2};
   uint32_t picks[4];
   CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, scores, 4, 3, picks), MO_OK);
-  CHECK(picks[0] == 2 && picks[1] == 0 && picks[2] == 1); /* sums of distances 3, 3, 2; 2 is better than 0 */
+  CHECK(picks[0] == 2 && picks[1] == 0 &&
+        picks[2] == 1); /* sums of distances 3, 3, 2; 2 is better than 0 */
   CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 2, picks), MO_OK);
   CHECK(picks[0] == 3 && picks[1] == 1);
-  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks), MO_OK); /* one of the diverged, the first */
-  CHECK((picks[0] == 0 || picks[1] == 0 || picks[2] == 0) && picks[0] != 2 && picks[1] != 2 && picks[2] != 2);
+  CHECK_INT(mo_champions(MO_DEFAULT_WORKSPACE, bodies, lost, 4, 3, picks),
+            MO_OK); /* one of the diverged, the first */
+  CHECK((picks[0] == 0 || picks[1] == 0 || picks[2] == 0) && picks[0] != 2 && picks[1] != 2 &&
+        picks[2] != 2);
 }
 
 static const struct check_case cases[] = {

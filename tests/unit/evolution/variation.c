@@ -27,7 +27,8 @@ static void check_births(const struct made_up_campaign *campaign)
   CHECK_INT(campaign->counts.mutants - campaign->counts.fallbacks, mutants);
   CHECK_INT(campaign->counts.recombinants + campaign->counts.fallbacks, s->population - mutants);
   CHECK(!campaign->counts.exhausted);
-  CHECK(campaign->counts.fallbacks == 0 || n - mutants < 20); /* few pairs of small bodies may give nothing new */
+  CHECK(campaign->counts.fallbacks == 0 ||
+        n - mutants < 20); /* few pairs of small bodies may give nothing new */
   for (uint32_t i = 0; i < campaign->n_children; i++) {
     const struct mo_birth *birth = &campaign->births[i];
     CHECK(birth->attempts >= 1);
@@ -50,7 +51,8 @@ static void check_births(const struct made_up_campaign *campaign)
     }
   }
   CHECK_INT(campaign->counts.mutation_attempts, attempts);
-  CHECK_INT(campaign->counts.crossover_attempts, pairs + (campaign->counts.fallbacks > 0 ? 1000 : 0));
+  CHECK_INT(campaign->counts.crossover_attempts,
+            pairs + (campaign->counts.fallbacks > 0 ? 1000 : 0));
   free(mutates);
 }
 
@@ -63,7 +65,8 @@ static void split(void)
       struct mo_campaign_settings settings = small_campaign(k + 1, populations[k]);
       struct made_up_campaign campaign;
       settings.mutation_share = shares[j];
-      REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK && campaign_vary(&campaign) == MO_OK);
+      REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK &&
+              campaign_vary(&campaign) == MO_OK);
       check_births(&campaign);
       campaign_free(&campaign);
     }
@@ -101,7 +104,8 @@ static void pairs_are_random(void)
   for (uint64_t seed = 0; seed < 1500; seed++) {
     struct made_up_campaign campaign;
     settings.seed = seed;
-    REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK && campaign_vary(&campaign) == MO_OK);
+    REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK &&
+            campaign_vary(&campaign) == MO_OK);
     if (campaign.births[0].attempts == 1) {
       times[campaign.births[0].parents[0]][campaign.births[0].parents[1]]++;
       all++;
@@ -117,7 +121,8 @@ static void pairs_are_random(void)
 
 static void children(void)
 {
-  static const struct mo_workspace workspaces[] = {{6, 6, 4}, {6, 6, 4}, {3, 3, 3}, {6, 5, 1}, {6, 6, 2}, {12, 10, 6}};
+  static const struct mo_workspace workspaces[] = {{6, 6, 4}, {6, 6, 4}, {3, 3, 3},
+                                                   {6, 5, 1}, {6, 6, 2}, {12, 10, 6}};
   for (size_t k = 0; k < sizeof(workspaces) / sizeof(workspaces[0]); k++)
     for (uint64_t seed = 1; seed <= 4; seed++) {
       struct mo_campaign_settings settings = small_campaign(seed, 32);
@@ -129,7 +134,8 @@ static void children(void)
         CHECK_INT(campaign.n_children, 32);
         for (uint32_t i = 0; i < campaign.n + campaign.n_children; i++) {
           const uint64_t *bits = campaign.genotypes + campaign.words * i;
-          CHECK_INT(mo_genotype_is_contiguous(settings.workspace, bits), 1); /* 0 also for an empty one */
+          CHECK_INT(mo_genotype_is_contiguous(settings.workspace, bits),
+                    1); /* 0 also for an empty one */
           CHECK(is_placed(settings.workspace, bits));
         }
         REQUIRE(campaign_select(&campaign) == MO_OK);
@@ -138,7 +144,8 @@ static void children(void)
     }
 }
 
-/* A recombinant is what its two parents give, a mutant of one attempt differs from its parent by a few flips. */
+/* A recombinant is what its two parents give, a mutant of one attempt differs from its parent by a
+ * few flips. */
 static void inheritance(void)
 {
   const struct mo_campaign_settings settings = small_campaign(9, 64);
@@ -152,7 +159,8 @@ static void inheritance(void)
       uint64_t expected[W];
       if (birth->op != MO_BORN_CROSSOVER)
         continue;
-      CHECK_INT(mo_genotype_crossover(MO_DEFAULT_WORKSPACE, campaign.genotypes + (size_t)W * birth->parents[0],
+      CHECK_INT(mo_genotype_crossover(MO_DEFAULT_WORKSPACE,
+                                      campaign.genotypes + (size_t)W * birth->parents[0],
                                       campaign.genotypes + (size_t)W * birth->parents[1], expected),
                 MO_OK);
       CHECK(memcmp(child, expected, sizeof(expected)) == 0);
@@ -170,8 +178,9 @@ static void uniqueness(void)
     struct made_up_campaign campaign;
     struct plain_set set = {0};
     REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &excluded) == MO_OK);
-    /* Excluded: 500 bodies of the very stream of the initial population, so that it must leave some out; later the first children of
-     * the same campaign without exclusion, so that variation must, too. */
+    /* Excluded: 500 bodies of the very stream of the initial population, so that it must leave some
+     * out; later the first children of the same campaign without exclusion, so that variation must,
+     * too. */
     for (uint32_t i = 0; i < 500; i++) {
       struct mo_random random;
       uint64_t body[W], form[W];
@@ -199,7 +208,8 @@ static void uniqueness(void)
       REQUIRE(campaign_vary(&campaign) == MO_OK);
       CHECK_INT(campaign.n_children, 64);
       for (uint32_t i = 0; i < campaign.n_children; i++)
-        REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE, campaign.genotypes + (size_t)W * (campaign.n + i)) == MO_OK);
+        REQUIRE(plain_add(&set, MO_DEFAULT_WORKSPACE,
+                          campaign.genotypes + (size_t)W * (campaign.n + i)) == MO_OK);
       REQUIRE(campaign_select(&campaign) == MO_OK);
     }
     CHECK_INT(set.n, n_excluded + 64 * 41);
@@ -222,7 +232,8 @@ struct flips {
   uint32_t first[16];      /* children of the first attempt by flips */
 };
 
-/* One child of the full block, `times` times. From the full block a few flips are as many voxels fewer: they can be counted. */
+/* One child of the full block, `times` times. From the full block a few flips are as many voxels
+ * fewer: they can be counted. */
 static void mutate_full(struct mo_campaign_settings settings, uint32_t times, struct flips *flips)
 {
   settings.population = 1;
@@ -235,7 +246,8 @@ static void mutate_full(struct mo_campaign_settings settings, uint32_t times, st
     uint64_t child[W];
     uint32_t n = 0;
     settings.seed = i;
-    REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK && mo_seen_add(seen, full) == 1);
+    REQUIRE(mo_seen_create(settings.workspace, NULL, &seen) == MO_OK &&
+            mo_seen_add(seen, full) == 1);
     REQUIRE(mo_variation(&settings, 1, full, 1, seen, child, &birth, &n, &counts, NULL) == MO_OK);
     REQUIRE(n == 1 && birth.attempts >= 1);
     const uint32_t flipped = mo_genotype_hamming(settings.workspace, full, child);
@@ -251,7 +263,8 @@ static void mutate_full(struct mo_campaign_settings settings, uint32_t times, st
 
 static double binomial(uint32_t k, double rate)
 {
-  return exp(lgamma(145) - lgamma(k + 1) - lgamma(145 - k) + k * log(rate) + (144 - k) * log1p(-rate));
+  return exp(lgamma(145) - lgamma(k + 1) - lgamma(145 - k) + k * log(rate) +
+             (144 - k) * log1p(-rate));
 }
 
 static void rate_of_flips(void)
@@ -281,14 +294,16 @@ static void escalation(void)
       const double none = binomial(0, rate), born = left * (1 - none);
       const double mean = 144 * rate / (1 - none); /* of those that flip at least one */
       CHECK_NEAR(flips.by_attempts[i], born, 4.5 * sqrt(12000 * 0.25) + 1);
-      CHECK_NEAR(flips.sum[i] / flips.by_attempts[i], mean, 4.5 * sqrt(144 * rate / flips.by_attempts[i]));
+      CHECK_NEAR(flips.sum[i] / flips.by_attempts[i], mean,
+                 4.5 * sqrt(144 * rate / flips.by_attempts[i]));
       left -= flips.by_attempts[i];
       rate *= growths[g];
     }
   }
 }
 
-/* Whatever the growth, at most half of the voxels flip: of a body of one voxel that may only change to what was seen. */
+/* Whatever the growth, at most half of the voxels flip: of a body of one voxel that may only change
+ * to what was seen. */
 static void rate_has_an_end(void)
 {
   struct mo_campaign_settings settings = small_campaign(3, 1);
@@ -304,13 +319,15 @@ static void rate_has_an_end(void)
   for (uint32_t i = 0; i < 300; i++) {
     uint32_t n = 0;
     settings.seed = i;
-    REQUIRE(mo_variation(&settings, 1, full, 1, seen, child, &birth, &n, &counts, NULL) == MO_OK && n == 1);
+    REQUIRE(mo_variation(&settings, 1, full, 1, seen, child, &birth, &n, &counts, NULL) == MO_OK &&
+            n == 1);
     voxels += mo_genotype_count(settings.workspace, child);
   }
   CHECK(voxels / 300 > 60 && voxels / 300 < 74); /* largest pieces of half the voxels */
   mo_seen_free(seen);
 
-  /* In one voxel a rate above 1/2 would empty it ever more often: all 2^16 attempts are made, none succeeds. */
+  /* In one voxel a rate above 1/2 would empty it ever more often: all 2^16 attempts are made, none
+   * succeeds. */
   settings.workspace = (struct mo_workspace){1, 1, 1};
   const uint64_t one = 1;
   uint32_t n = 7;
@@ -329,7 +346,8 @@ static void fallback(void)
     struct made_up_campaign campaign;
     settings.mutation_share = 0.0;
     REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
-    memmove(campaign.genotypes + W, campaign.genotypes + (size_t)W * (1 + seed % 19), W * sizeof(uint64_t));
+    memmove(campaign.genotypes + W, campaign.genotypes + (size_t)W * (1 + seed % 19),
+            W * sizeof(uint64_t));
     campaign.n = 2; /* two parents: one pair, one child at most */
     REQUIRE(campaign_vary(&campaign) == MO_OK);
     CHECK_INT(campaign.n_children, 20);
@@ -360,7 +378,8 @@ static void few_parents(void)
   REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
   campaign.n = 1;
   REQUIRE(campaign_vary(&campaign) == MO_OK);
-  CHECK(campaign.n_children == 16 && campaign.counts.fallbacks == 16 && campaign.counts.crossover_attempts == 0);
+  CHECK(campaign.n_children == 16 && campaign.counts.fallbacks == 16 &&
+        campaign.counts.crossover_attempts == 0);
   campaign.n = 0;
   REQUIRE(campaign_vary(&campaign) == MO_OK);
   CHECK(campaign.n_children == 0 && campaign.counts.exhausted);
@@ -384,7 +403,8 @@ static size_t count_forms(struct mo_workspace w)
 
 static void exhaustion(void)
 {
-  static const struct mo_workspace workspaces[] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1}, {1, 1, 3}, {2, 2, 2}, {3, 3, 1}};
+  static const struct mo_workspace workspaces[] = {{1, 1, 1}, {2, 1, 1}, {2, 2, 1},
+                                                   {1, 1, 3}, {2, 2, 2}, {3, 3, 1}};
   static const size_t known[] = {1, 2, 4, 3};
   for (size_t k = 0; k < sizeof(workspaces) / sizeof(workspaces[0]); k++)
     for (uint32_t population = 2; population <= 64; population *= 8) {
@@ -435,15 +455,16 @@ static void cancelled(void)
   uint32_t n = 77;
   REQUIRE(campaign_start(&campaign, &settings, NULL) == MO_OK);
   uint64_t *children = campaign.genotypes + (size_t)W * campaign.n;
-  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children, campaign.births, &n,
-                         &campaign.counts, &yes),
+  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children,
+                         campaign.births, &n, &campaign.counts, &yes),
             MO_ERR_CANCELLED);
   CHECK_INT(n, 77);
-  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children, campaign.births, &n,
-                         &campaign.counts, &no),
+  CHECK_INT(mo_variation(&settings, 1, campaign.genotypes, 16, campaign.seen, children,
+                         campaign.births, &n, &campaign.counts, &no),
             MO_OK);
   CHECK_INT(n, 16);
-  CHECK_INT(mo_population_initial(&settings, campaign.seen, campaign.genotypes, 0, &n, NULL, &yes), MO_ERR_CANCELLED);
+  CHECK_INT(mo_population_initial(&settings, campaign.seen, campaign.genotypes, 0, &n, NULL, &yes),
+            MO_ERR_CANCELLED);
   campaign_free(&campaign);
 }
 

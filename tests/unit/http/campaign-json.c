@@ -1,4 +1,5 @@
-/* Campaigns as JSON and CSV: what is not finite, one that waits for room, one that is exhausted, replicates; Newick piece by piece. */
+/* Campaigns as JSON and CSV: what is not finite, one that waits for room, one that is exhausted,
+ * replicates; Newick piece by piece. */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -15,8 +16,9 @@ static json_t *json;
 
 static void begin(enum mo_campaign_mode mode, enum mo_job_state state)
 {
-  status = (struct mo_campaign_status){.job = {.id = 12, .kind = MO_JOB_CAMPAIGN, .state = state, .created_us = 1},
-                                       .generation = -1};
+  status = (struct mo_campaign_status){
+      .job = {.id = 12, .kind = MO_JOB_CAMPAIGN, .state = state, .created_us = 1},
+      .generation = -1};
   status.record.settings = mo_campaign_preset(mode, MO_PRESET_DEMO);
   status.record.group = 12;
   status.record.replicates = 1;
@@ -55,8 +57,10 @@ static void fresh(void)
   write(false);
   CHECK_TEXT(text_at("state"), "queued");
   CHECK_TEXT(text_at("phase"), "idle");
-  CHECK(json_is_null(at(NULL, "preset")) && json_is_null(at(NULL, "name")) && json_is_null(at(NULL, "controller")));
-  CHECK(json_is_null(at(NULL, "newest")) && json_is_null(at(NULL, "end")) && json_is_null(at(NULL, "result")));
+  CHECK(json_is_null(at(NULL, "preset")) && json_is_null(at(NULL, "name")) &&
+        json_is_null(at(NULL, "controller")));
+  CHECK(json_is_null(at(NULL, "newest")) && json_is_null(at(NULL, "end")) &&
+        json_is_null(at(NULL, "result")));
   CHECK(json_is_null(at("progress", "generation")) && json_is_null(at("progress", "under_way")));
   CHECK(json_is_null(at("progress", "rollouts_per_s")) && json_is_null(at("progress", "busy_s")));
   CHECK(json_is_null(at("settings", "learning")));
@@ -71,7 +75,8 @@ static void fresh(void)
 static void waits_for_room(void)
 {
   begin(MO_FEW_SHOT, MO_JOB_RUNNING);
-  live = (struct mo_campaign_live){.phase = MO_CAMPAIGN_WAIT, .generation = 1, .seconds_left = -1, .busy_s = 3};
+  live = (struct mo_campaign_live){
+      .phase = MO_CAMPAIGN_WAIT, .generation = 1, .seconds_left = -1, .busy_s = 3};
   snprintf(live.reason, sizeof(live.reason), "no \"space\"");
   for (int as_job = 0; as_job < 2; as_job++) {
     write(as_job != 0);
@@ -79,7 +84,8 @@ static void waits_for_room(void)
     CHECK_TEXT(text_at("reason"), "no \"space\"");
   }
   CHECK_TEXT(text_at("kind"), "campaign");
-  CHECK(json_is_null(at("campaign", "generation")) && json_integer_value(at("campaign", "generations")) == 3);
+  CHECK(json_is_null(at("campaign", "generation")) &&
+        json_integer_value(at("campaign", "generations")) == 3);
   status.job.state = MO_JOB_CANCELLED; /* what people did counts */
   write(false);
   CHECK_TEXT(text_at("state"), "cancelled");
@@ -103,7 +109,8 @@ static void waits_for_another(void)
     CHECK_TEXT(text_at("reason"), "campaign 7 draws");
   }
   write(false);
-  CHECK(json_integer_value(at("progress", "done")) == 5 && json_real_value(at("progress", "seconds_left")) == 2.5);
+  CHECK(json_integer_value(at("progress", "done")) == 5 &&
+        json_real_value(at("progress", "seconds_left")) == 2.5);
   live.reason[0] = '\0';
   write(false);
   CHECK(json_is_null(at(NULL, "reason")));
@@ -130,16 +137,20 @@ static void ended(void)
   write(false);
   CHECK_TEXT(text_at("end"), "exhausted");
   CHECK_TEXT(json_string_value(json_object_get(at("result", "controller"), "name")), "campaign-12");
-  CHECK(json_is_null(json_object_get(at("newest", "score"), "mean")) && json_is_null(at("newest", "parents_mean")));
+  CHECK(json_is_null(json_object_get(at("newest", "score"), "mean")) &&
+        json_is_null(at("newest", "parents_mean")));
   CHECK(json_is_true(at("newest", "exhausted")) && json_is_true(at("newest", "collapse")));
   CHECK(json_real_value(json_object_get(at("newest", "learning"), "last_loss")) == 0.5);
-  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "sensor")), "inverse_sqrt");
-  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "clip");
+  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "sensor")),
+             "inverse_sqrt");
+  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")),
+             "clip");
   CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 3);
   status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
   status.record.settings.restart_weight = 0.5;
   write(false);
-  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")), "restart");
+  CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")),
+             "restart");
   CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 0.5);
   struct mo_text text = {0};
   mo_campaign_csv_generation(&text, &status.last);
@@ -155,14 +166,15 @@ static void ended(void)
 
 static void designs(void)
 {
-  struct mo_campaign_design row = {.number = 5,
-                                   .form = {{1}},
-                                   .genotype = {{1}},
-                                   .descent = {.parents = {3, MO_NO_PARENT}, .op = MO_BORN_MUTATION},
-                                   .born = 2,
-                                   .died = 4,
-                                   .score = INFINITY,
-                                   .size = {1, 1, 8, 24}};
+  struct mo_campaign_design row = {
+      .number = 5,
+      .form = {{1}},
+      .genotype = {{1}},
+      .descent = {.parents = {3, MO_NO_PARENT}, .op = MO_BORN_MUTATION},
+      .born = 2,
+      .died = 4,
+      .score = INFINITY,
+      .size = {1, 1, 8, 24}};
   struct mo_text text = {0};
   mo_text_add(&text, "{");
   mo_campaign_json_design(&text, &row);
@@ -199,7 +211,8 @@ static void replicates(void)
   mo_replicate_json(&text, &row);
   parse(&text);
   CHECK_INT(json_integer_value(at(NULL, "campaigns")), 3);
-  CHECK(json_real_value(at("mean_score", "mean")) == 0.375 && json_real_value(at("mean_score", "least")) == 0.25);
+  CHECK(json_real_value(at("mean_score", "mean")) == 0.375 &&
+        json_real_value(at("mean_score", "least")) == 0.25);
   CHECK(json_is_null(at("best_score", "mean")) && json_real_value(at("diversity", "most")) == 0.2);
   mo_replicate_csv(&text, &row);
   CHECK(strncmp(text.data, "3,3,0.25,0.375,0.5,,,,0,", 24) == 0);
@@ -242,7 +255,8 @@ static void newick(void)
   }
   mo_newick_pieces_free(pieces);
   CHECK_INT(more, 0);
-  CHECK(count > 5 && pieces_text.size == whole.size && memcmp(pieces_text.data, whole.data, whole.size) == 0);
+  CHECK(count > 5 && pieces_text.size == whole.size &&
+        memcmp(pieces_text.data, whole.data, whole.size) == 0);
   for (int taken = 0; taken < 3; taken++) { /* readers that leave */
     comb(n, &descents, &born);
     CHECK_INT(mo_newick_pieces_start(descents, born, n, &pieces), MO_OK);
@@ -259,8 +273,12 @@ static void newick(void)
 }
 
 static const struct check_case cases[] = {
-    {"before it begins", fresh},         {"waits for room", waits_for_room},   {"waits for another", waits_for_another},
-    {"ended, with nothing sane", ended}, {"designs and their lives", designs}, {"replicates", replicates},
+    {"before it begins", fresh},
+    {"waits for room", waits_for_room},
+    {"waits for another", waits_for_another},
+    {"ended, with nothing sane", ended},
+    {"designs and their lives", designs},
+    {"replicates", replicates},
     {"newick in pieces", newick},
 };
 CHECK_MAIN(cases)

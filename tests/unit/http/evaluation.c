@@ -22,8 +22,10 @@ static void defaults(void)
   CHECK_TEXT(parsed.request.environment_set, "paper-test");
   CHECK_TEXT(parsed.request.controller, "default");
   CHECK_INT(parsed.request.priority, -1);
-  CHECK(parsed.request.precision == MO_FLOAT32 && !parsed.request.verify && parsed.request.label == NULL);
-  CHECK(!parsed.request.record_com && !parsed.request.record_masses && parsed.request.record_stride == 10);
+  CHECK(parsed.request.precision == MO_FLOAT32 && !parsed.request.verify &&
+        parsed.request.label == NULL);
+  CHECK(!parsed.request.record_com && !parsed.request.record_masses &&
+        parsed.request.record_stride == 10);
   CHECK(parsed.request.physics.impact == MO_IMPACT_EXACT && parsed.request.physics.n_steps == 1000);
   CHECK_INT(mo_genotype_count(MO_DEFAULT_WORKSPACE, parsed.request.genotypes[0].words), 2);
 }
@@ -34,11 +36,15 @@ static void everything(void)
   for (int i = 1; i < 64; i++)
     strcat(heights, ",0.05");
   snprintf(text, sizeof(text),
-           "{\"label\":\"r\\u00e9\",\"verify\":true,\"priority\":\"interactive\",\"precision\":\"float64\",\"record_"
+           "{\"label\":\"r\\u00e9\",\"verify\":true,\"priority\":\"interactive\",\"precision\":"
+           "\"float64\",\"record_"
            "stride\":50,"
-           "\"record\":[\"masses\",\"com\"],\"physics\":{\"impact\":\"bisection12\",\"n_steps\":500,\"dt_s\":0.002},"
-           "\"controller\":\"bootstrap\",\"environments\":[{\"light_xy_m\":[4.5,2.5],\"terrain_heights_m\":[%s]},"
-           "{\"seed\":3,\"terrain_sigma_m\":0.1,\"light_xy_m\":[1,1]}],\"designs\":[{\"voxels\":\"1%0143d\"},{"
+           "\"record\":[\"masses\",\"com\"],\"physics\":{\"impact\":\"bisection12\",\"n_steps\":"
+           "500,\"dt_s\":0.002},"
+           "\"controller\":\"bootstrap\",\"environments\":[{\"light_xy_m\":[4.5,2.5],\"terrain_"
+           "heights_m\":[%s]},"
+           "{\"seed\":3,\"terrain_sigma_m\":0.1,\"light_xy_m\":[1,1]}],\"designs\":[{\"voxels\":"
+           "\"1%0143d\"},{"
            "\"cells\":[[5,5,3]]}]}",
            heights, 0);
   int code = parse(text);
@@ -48,8 +54,10 @@ static void everything(void)
   const struct mo_evaluation_request *r = &parsed.request;
   CHECK(r->n_designs == 2 && r->n_environments == 2 && r->environment_set == NULL);
   CHECK_TEXT(r->label, "ré");
-  CHECK(r->verify && r->priority == MO_INTERACTIVE && r->precision == MO_FLOAT64 && r->record_stride == 50);
-  CHECK(r->record_com && r->record_masses && r->physics.bisections == 12 && r->physics.impact == MO_IMPACT_BISECTION);
+  CHECK(r->verify && r->priority == MO_INTERACTIVE && r->precision == MO_FLOAT64 &&
+        r->record_stride == 50);
+  CHECK(r->record_com && r->record_masses && r->physics.bisections == 12 &&
+        r->physics.impact == MO_IMPACT_BISECTION);
   CHECK(r->physics.n_steps == 500 && r->physics.dt_s == 0.002 && r->physics.mass_kg == 1);
   double expected[MO_TERRAIN_HEIGHTS];
   mo_terrain_random(3, 0, 0, 0.1, expected);
@@ -98,16 +106,21 @@ static void places(void)
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":\"moon\"}", "/environments"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":7}", "/environments"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[]}", "/environments"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_heights_m\":[1]}]}",
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
+       "heights_m\":[1]}]}",
        "/environments/0/terrain_heights_m"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_heights_m\":[1,1e400]}]"
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"terrain_"
+       "heights_m\":[1,1e400]}]"
        "}",
        "/environments/0/terrain_heights_m/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2000],\"terrain_sigma_m\":0,\"seed\":"
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2000],\"terrain_"
+       "sigma_m\":0,\"seed\":"
        "0}]}",
        "/environments/0/light_xy_m/1"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"seed\":0}]}", "/environments/0"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"terrain_sigma_m\":0,\"seed\":0}]}",
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[1,2],\"seed\":0}]}",
+       "/environments/0"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"terrain_sigma_m\":0,\"seed\":0}]"
+       "}",
        "/environments/0"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"com\",\"com\"]}", "/record/1"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record\":[\"pose\"]}", "/record/0"},
@@ -115,8 +128,10 @@ static void places(void)
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"record_stride\":1001}", "/record_stride"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"dt_s\":0}}", "/physics/dt_s"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"n_steps\":0}}", "/physics/n_steps"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection53\"}}", "/physics/impact"},
-      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection08\"}}", "/physics/impact"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection53\"}}",
+       "/physics/impact"},
+      {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"impact\":\"bisection08\"}}",
+       "/physics/impact"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"physics\":{\"gravity\":1}}", "/physics/gravity"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"precision\":\"float16\"}", "/precision"},
       {"{\"designs\":[{\"cells\":[[0,0,0]]}],\"priority\":1}", "/priority"},
@@ -157,7 +172,8 @@ static void largest(void)
   for (int d = 0; d < 10000; d++) {
     size += (size_t)sprintf(text + size, "%s{\"cells\":[", d > 0 ? "," : "");
     for (int v = 0; v < 144; v++)
-      size += (size_t)sprintf(text + size, "%s[%d,%d,%d]", v > 0 ? "," : "", v / 24, v / 4 % 6, v % 4);
+      size +=
+          (size_t)sprintf(text + size, "%s[%d,%d,%d]", v > 0 ? "," : "", v / 24, v / 4 % 6, v % 4);
     size += (size_t)sprintf(text + size, "]}");
   }
   size += (size_t)sprintf(text + size, "]}");

@@ -146,7 +146,8 @@ static struct try guard(const char *const *pairs, bool http10)
   struct mo_header headers[8];
   size_t n = 0;
   for (; pairs[2 * n] != NULL; n++)
-    headers[n] = (struct mo_header){pairs[2 * n], pairs[2 * n + 1], strlen(pairs[2 * n]), strlen(pairs[2 * n + 1])};
+    headers[n] = (struct mo_header){pairs[2 * n], pairs[2 * n + 1], strlen(pairs[2 * n]),
+                                    strlen(pairs[2 * n + 1])};
   struct mo_framing framing;
   struct mo_refusal refusal = {0};
   bool good = mo_guard_headers(headers, n, http10, &framing, &refusal);
@@ -183,7 +184,9 @@ static void framing(void)
       {{"Host", "a", "Transfer-Encoding", "gzip, chunked", NULL}, false, 501},
       {{"Host", "a", "Transfer-Encoding", "xchunked", NULL}, false, 501},
       {{"Host", "a", "Transfer-Encoding", "identity", NULL}, false, 501},
-      {{"Host", "a", "Transfer-Encoding", "chunked", "Transfer-Encoding", "chunked", NULL}, false, 400},
+      {{"Host", "a", "Transfer-Encoding", "chunked", "Transfer-Encoding", "chunked", NULL},
+       false,
+       400},
       {{"Host", "a", "Transfer-Encoding", "chunked", NULL}, true, 400},
       {{"Host", "a", "Expect", "100-continue", NULL}, false, 200},
       {{"Host", "a", "Expect", "magic", NULL}, false, 417},
@@ -203,11 +206,15 @@ static void targets(void)
 {
   struct mo_target parts;
   struct mo_refusal refusal;
-  CHECK(mo_guard_target("/a?b=c", &parts, &refusal) && parts.path_size == 2 && strcmp(parts.query, "b=c") == 0);
-  CHECK(mo_guard_target("http://h:1/a", &parts, &refusal) && parts.authority_size == 3 && parts.path_size == 2);
-  CHECK(mo_guard_target("http://h", &parts, &refusal) && parts.path_size == 1 && parts.query[0] == '\0');
+  CHECK(mo_guard_target("/a?b=c", &parts, &refusal) && parts.path_size == 2 &&
+        strcmp(parts.query, "b=c") == 0);
+  CHECK(mo_guard_target("http://h:1/a", &parts, &refusal) && parts.authority_size == 3 &&
+        parts.path_size == 2);
+  CHECK(mo_guard_target("http://h", &parts, &refusal) && parts.path_size == 1 &&
+        parts.query[0] == '\0');
   CHECK(mo_guard_target("*", &parts, &refusal));
-  static const char *const bad[] = {"a", "", "/a%00b", "/a\x01", "/a b", "/\x7f", "/é", "/a#b", "/a\\b", "ftp://x/"};
+  static const char *const bad[] = {"a",     "",   "/a%00b", "/a\x01", "/a b",
+                                    "/\x7f", "/é", "/a#b",   "/a\\b",  "ftp://x/"};
   for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
     CHECK(!mo_guard_target(bad[i], &parts, &refusal) && refusal.status == 400 && refusal.close);
 }
@@ -292,7 +299,8 @@ static void problems(void)
   mo_faults_add(&faults, MO_FAULT_PARAMETER, "limit", "%s", longest);
   for (int i = 0; i < 40; i++)
     mo_faults_add(&faults, MO_FAULT_HEADER, longest, "again");
-  mo_problem_write(&text, 422, "about:blank", "detail \xff", "/v1/\"x", "0123456789abcdef", &faults);
+  mo_problem_write(&text, 422, "about:blank", "detail \xff", "/v1/\"x", "0123456789abcdef",
+                   &faults);
   json_error_t error;
   json_t *tree = json_loads(text.data, JSON_REJECT_DUPLICATES, &error);
   REQUIRE(tree != NULL);
@@ -306,8 +314,14 @@ static void problems(void)
 static void texts(void)
 {
   struct mo_text text = {0};
-  static const double numbers[] = {
-      0, -0.0, 0.1, 1.0 / 3, 1e-320, 1.7976931348623157e308, 123456789012345680.0, 0.30000000000000004};
+  static const double numbers[] = {0,
+                                   -0.0,
+                                   0.1,
+                                   1.0 / 3,
+                                   1e-320,
+                                   1.7976931348623157e308,
+                                   123456789012345680.0,
+                                   0.30000000000000004};
   for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++) {
     mo_text_json_number(&text, numbers[i]);
     double back = strtod(text.data, NULL);
@@ -374,7 +388,8 @@ static void floats(void)
     mo_text_json_float(&text, (float)i * 0x1.23456p-15F);
   }
   clock_t writing = clock() - begin;
-  printf("# %.3f s, printf %.3f s\n", (double)writing / CLOCKS_PER_SEC, (double)printing / CLOCKS_PER_SEC);
+  printf("# %.3f s, printf %.3f s\n", (double)writing / CLOCKS_PER_SEC,
+         (double)printing / CLOCKS_PER_SEC);
   CHECK(writing < printing);
   mo_text_free(&text);
 }

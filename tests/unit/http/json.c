@@ -1,4 +1,5 @@
-/* The JSON reader: what it accepts is what jansson accepts, and its faults are at the right places. */
+/* The JSON reader: what it accepts is what jansson accepts, and its faults are at the right places.
+ */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -178,7 +179,8 @@ static void places(void)
   }
   CHECK(!mo_json_member(&json, &key));
   CHECK(mo_json_finish(&json));
-  static const char *const expected[] = {"/a~1b~0c/0", "/a~1b~0c/1/x", "/é", "/d/0/0", "/d/0/7", "/d/1/1", "/d/1/7"};
+  static const char *const expected[] = {"/a~1b~0c/0", "/a~1b~0c/1/x", "/é",    "/d/0/0",
+                                         "/d/0/7",     "/d/1/1",       "/d/1/7"};
   CHECK_INT(faults.n, 7);
   for (unsigned i = 0; i < 7 && i < faults.n; i++)
     CHECK_TEXT(faults.items[i].where, expected[i]);
@@ -257,13 +259,16 @@ static void many_faults(void)
   CHECK_INT(items, MO_FAULTS_MAX);
 }
 
-/* Mutations of a request: both readers must agree on what is JSON (jansson rejects what does not fit its numbers). */
+/* Mutations of a request: both readers must agree on what is JSON (jansson rejects what does not
+ * fit its numbers). */
 static void agrees_with_jansson(void)
 {
-  static const char seed[] = "{\"designs\":[{\"cells\":[[2,2,0],[2,-3,1.5e2]]},{\"voxels\":\"01\\u00e9\\\"\"}],\"b\":["
-                             "true,false,null,\"é\"],\"c\":{}}";
+  static const char seed[] =
+      "{\"designs\":[{\"cells\":[[2,2,0],[2,-3,1.5e2]]},{\"voxels\":\"01\\u00e9\\\"\"}],\"b\":["
+      "true,false,null,\"é\"],\"c\":{}}";
   static const char alphabet[] =
-      "{}[]\",:0123456789.eE+-truefalsnx\\u \t\n\xc3\xa9"; /* no NUL: jansson skips one behind a number */
+      "{}[]\",:0123456789.eE+-truefalsnx\\u \t\n\xc3\xa9"; /* no NUL: jansson skips one behind a
+                                                              number */
   struct mo_random random;
   int accepted = 0;
   for (uint64_t i = 0; i < 200000; i++) {

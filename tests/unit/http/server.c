@@ -1,4 +1,5 @@
-/* server.c: the server from inside: limits, heartbeats, logs, and that it ends in order whatever its clients do. */
+/* server.c: the server from inside: limits, heartbeats, logs, and that it ends in order whatever
+ * its clients do. */
 #include "unit/check.h"
 
 #include <arpa/inet.h>
@@ -57,7 +58,8 @@ static struct mo_http *start(struct mo_http_config *config)
 
 static int dial(void)
 {
-  struct sockaddr_in name = {.sin_family = AF_INET, .sin_port = htons(port), .sin_addr = {htonl(INADDR_LOOPBACK)}};
+  struct sockaddr_in name = {
+      .sin_family = AF_INET, .sin_port = htons(port), .sin_addr = {htonl(INADDR_LOOPBACK)}};
   struct timeval limit = {.tv_sec = 30};
   int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
   if (fd >= 0 && connect(fd, (struct sockaddr *)&name, sizeof(name)) != 0) {
@@ -97,7 +99,8 @@ static int hear(int fd, char *text, size_t size)
   return n > 12 ? (int)strtol(text + 9, NULL, 10) : 0;
 }
 
-static int ask(const char *method, const char *path, const char *headers, const char *body, char *text, size_t size)
+static int ask(const char *method, const char *path, const char *headers, const char *body,
+               char *text, size_t size)
 {
   return hear(say(method, path, headers, body), text, size);
 }
@@ -140,7 +143,8 @@ static void configuration(void)
   REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
   config.tokens = brief;
   config.n_tokens = 1;
-  CHECK_INT(mo_http_start(&config, &services, &http, &message), MO_ERR_INVALID); /* a token that is too short */
+  CHECK_INT(mo_http_start(&config, &services, &http, &message),
+            MO_ERR_INVALID); /* a token that is too short */
   REQUIRE(mo_http_listen("0.0.0.0:0", &fd, address, &message) == MO_OK);
   config.tokens = good;
   REQUIRE(mo_http_start(&config, &services, &http, &message) == MO_OK);
@@ -157,8 +161,9 @@ static void addresses(void)
   char path[300], where[320];
   int fd, other;
   bool beyond;
-  static const char *const bad[] = {
-      "", "127.0.0.1", ":80", "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:8x", "::1:80", "unix:relative", "[::1:80"};
+  static const char *const bad[] = {"",           "127.0.0.1",       ":80",
+                                    "127.0.0.1:", "127.0.0.1:99999", "127.0.0.1:8x",
+                                    "::1:80",     "unix:relative",   "[::1:80"};
   for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
     CHECK_INT(mo_http_listen(bad[i], &fd, NULL, &message), MO_ERR_INVALID);
   REQUIRE(mo_http_listen("127.0.0.1:0", &fd, address, &message) == MO_OK);
@@ -179,7 +184,8 @@ static void addresses(void)
   FILE *file = fopen(path, "w");
   REQUIRE(file != NULL);
   fclose(file);
-  CHECK_INT(mo_http_listen(where, &fd, NULL, &message), MO_ERR_CONFLICT); /* not a socket: not touched */
+  CHECK_INT(mo_http_listen(where, &fd, NULL, &message),
+            MO_ERR_CONFLICT); /* not a socket: not touched */
   CHECK(access(path, F_OK) == 0);
   unlink(path);
 }
@@ -230,7 +236,8 @@ static void streams_take_no_place(void)
   REQUIRE(http != NULL);
   for (int i = 0; i < 3; i++) {
     streams[i] = say("GET", "/v1/events", "", "");
-    CHECK(streams[i] >= 0 && recv(streams[i], text, 12, MSG_WAITALL) == 12 && memcmp(text + 9, "200", 3) == 0);
+    CHECK(streams[i] >= 0 && recv(streams[i], text, 12, MSG_WAITALL) == 12 &&
+          memcmp(text + 9, "200", 3) == 0);
   }
   CHECK_INT(ask("GET", "/v1/jobs", "", "", text, sizeof(text)), 200);
   CHECK_INT(ask("GET", "/v1/events", "", "", text, sizeof(text)), 503); /* their own limit */
@@ -328,11 +335,11 @@ static void memory(void)
   char text[8192], path[64];
   struct mo_http *http = start(&config);
   REQUIRE(http != NULL);
-  int status = ask(
-      "POST", "/v1/evaluations", "Prefer: wait=20\r\n",
-      "{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[4,2],\"terrain_sigma_m\":0,\"seed\":1}],"
-      "\"physics\":{\"n_steps\":100000},\"record\":[\"masses\"],\"record_stride\":1}",
-      text, sizeof(text));
+  int status = ask("POST", "/v1/evaluations", "Prefer: wait=20\r\n",
+                   "{\"designs\":[{\"cells\":[[0,0,0]]}],\"environments\":[{\"light_xy_m\":[4,2],"
+                   "\"terrain_sigma_m\":0,\"seed\":1}],"
+                   "\"physics\":{\"n_steps\":100000},\"record\":[\"masses\"],\"record_stride\":1}",
+                   text, sizeof(text));
   CHECK_INT(status, 200);
   const char *id = strstr(text, "/v1/evaluations/");
   REQUIRE(id != NULL);
@@ -365,15 +372,18 @@ static void memory(void)
 /* Sends `n` bytes of a body of `size` from an address of loopback. */
 static int upload(const char *from, size_t size, size_t n)
 {
-  struct sockaddr_in source = {.sin_family = AF_INET}, target = {.sin_family = AF_INET, .sin_port = htons(port)};
+  struct sockaddr_in source = {.sin_family = AF_INET},
+                     target = {.sin_family = AF_INET, .sin_port = htons(port)};
   char head[256], piece[1000];
   int fd = socket(AF_INET, SOCK_STREAM, 0);
-  int length = snprintf(head, sizeof(head),
-                        "POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
-                        "application/json\r\nContent-Length: %zu\r\n\r\n",
-                        size);
+  int length = snprintf(
+      head, sizeof(head),
+      "POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: "
+      "application/json\r\nContent-Length: %zu\r\n\r\n",
+      size);
   memset(piece, ' ', sizeof(piece));
-  if (inet_pton(AF_INET, from, &source.sin_addr) != 1 || inet_pton(AF_INET, "127.0.0.1", &target.sin_addr) != 1 ||
+  if (inet_pton(AF_INET, from, &source.sin_addr) != 1 ||
+      inet_pton(AF_INET, "127.0.0.1", &target.sin_addr) != 1 ||
       bind(fd, (struct sockaddr *)&source, sizeof(source)) != 0 ||
       connect(fd, (struct sockaddr *)&target, sizeof(target)) != 0 ||
       send(fd, head, (size_t)length, MSG_NOSIGNAL) != length) {
@@ -397,11 +407,13 @@ static void memory_shares(void)
   pause_ms(200);
   CHECK_INT(hear(upload("127.0.0.1", 100000, 100000), text, sizeof(text)), 429);
   CHECK(strstr(text, "Retry-After") != NULL);
-  CHECK_INT(hear(upload("127.0.0.2", 100000, 100000), text, sizeof(text)), 400); /* spaces: taken in and read */
+  CHECK_INT(hear(upload("127.0.0.2", 100000, 100000), text, sizeof(text)),
+            400); /* spaces: taken in and read */
   close(half);
   pause_ms(200);
   CHECK_INT(hear(upload("127.0.0.1", 100000, 100000), text, sizeof(text)), 400);
-  CHECK_INT(hear(upload("127.0.0.1", 900000, 900000), text, sizeof(text)), 400); /* one alone may be larger */
+  CHECK_INT(hear(upload("127.0.0.1", 900000, 900000), text, sizeof(text)),
+            400); /* one alone may be larger */
   mo_http_stop(http, 1000);
 }
 
@@ -467,7 +479,8 @@ static void logs(void)
   struct mo_http *http = start(&config);
   REQUIRE(http != NULL);
   unsigned before = atomic_load(&logged[404]);
-  CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", "", text, sizeof(text)), 400); /* a control byte */
+  CHECK_INT(ask("GET", "/no%20where/\x7f\"?secret=1", "", "", text, sizeof(text)),
+            400); /* a control byte */
   CHECK_INT(ask("DELETE", "/no%20where?secret=1", "", "", text, sizeof(text)), 404);
   mo_http_stop(http, 1000);
   CHECK_INT(atomic_load(&logged[404]) - before, 1);
@@ -519,10 +532,12 @@ static void *client(void *context)
 
 static void ends_under_churn(void)
 {
-  struct mo_http_config config = {.max_connections = 24, .max_streams = 4, .n_io_threads = 4, .header_timeout_ms = 200};
+  struct mo_http_config config = {
+      .max_connections = 24, .max_streams = 4, .n_io_threads = 4, .header_timeout_ms = 200};
   pthread_t threads[18];
   unsigned sorts[18];
-  int rounds = getenv("MORPHO_STOPS") != NULL ? atoi(getenv("MORPHO_STOPS")) : 16, before = descriptors();
+  int rounds = getenv("MORPHO_STOPS") != NULL ? atoi(getenv("MORPHO_STOPS")) : 16,
+      before = descriptors();
   atomic_store(&fake_plan.delay_us, 3000);
   for (int round = 0; round < rounds; round++) {
     struct mo_http *http = start(&config);

@@ -1,4 +1,5 @@
-/* Trainings as JSON and CSV: what is not finite, a training that waits for room, one that went on from a checkpoint. */
+/* Trainings as JSON and CSV: what is not finite, a training that waits for room, one that went on
+ * from a checkpoint. */
 #include "unit/check.h"
 
 #include <jansson.h>
@@ -11,7 +12,8 @@ static json_t *json;
 
 static void begin(enum mo_job_state state)
 {
-  status = (struct mo_training_status){.job = {.id = 12, .kind = MO_JOB_TRAINING, .state = state, .created_us = 1}};
+  status = (struct mo_training_status){
+      .job = {.id = 12, .kind = MO_JOB_TRAINING, .state = state, .created_us = 1}};
   status.record.settings = mo_training_defaults(MO_TRAINING_PRETRAIN);
   live = (struct mo_training_live){.seconds_left = -1};
 }
@@ -47,7 +49,8 @@ static void fresh(void)
   CHECK_TEXT(text_at("state"), "queued");
   CHECK_TEXT(text_at("name"), "training-12");
   CHECK_TEXT(text_at("phase"), "idle");
-  CHECK(json_is_null(at(NULL, "reason")) && json_is_null(at(NULL, "parent")) && json_is_null(at(NULL, "controller")));
+  CHECK(json_is_null(at(NULL, "reason")) && json_is_null(at(NULL, "parent")) &&
+        json_is_null(at(NULL, "controller")));
   CHECK(json_is_null(at(NULL, "checkpoint_step")) && json_is_null(at(NULL, "validation")));
   CHECK(json_is_null(at("progress", "mean_loss")) && json_is_null(at("progress", "seconds_left")));
   CHECK_INT(json_integer_value(at("progress", "steps")), 1400);
@@ -62,8 +65,10 @@ static void runs(void)
   begin(MO_JOB_RUNNING);
   status.step = 90;
   status.checkpoint_step = 80;
-  status.last.report = (struct mo_training_report){.step = 90, .mean_loss = 0.25, .rate = 1e-3, .gradient_norm = 0.5};
-  live = (struct mo_training_live){.phase = MO_TRAINING_LEARN, .robots_per_s = 64, .seconds_left = 30};
+  status.last.report = (struct mo_training_report){
+      .step = 90, .mean_loss = 0.25, .rate = 1e-3, .gradient_norm = 0.5};
+  live =
+      (struct mo_training_live){.phase = MO_TRAINING_LEARN, .robots_per_s = 64, .seconds_left = 30};
   write(false); /* being prepared: the step is not known yet */
   CHECK_INT(json_integer_value(at("progress", "step")), 80);
   live.step = 85; /* after a crash, behind the curve */
@@ -85,7 +90,8 @@ static void runs(void)
 static void waits_for_room(void)
 {
   begin(MO_JOB_RUNNING);
-  live = (struct mo_training_live){.phase = MO_TRAINING_WAIT, .step = 7, .seconds_left = -1, .reason = "no \"space\""};
+  live = (struct mo_training_live){
+      .phase = MO_TRAINING_WAIT, .step = 7, .seconds_left = -1, .reason = "no \"space\""};
   for (int as_job = 0; as_job < 2; as_job++) {
     write(as_job != 0);
     CHECK_TEXT(text_at("state"), "paused");
@@ -116,9 +122,11 @@ static void ended(void)
   snprintf(status.job.error_text, sizeof(status.job.error_text), "the \x01 disk");
   snprintf(status.record.name, sizeof(status.record.name), "walker");
   status.step = 60;
-  status.last.report = (struct mo_training_report){.step = 60, .mean_loss = NAN, .diverged = 256, .skipped = true};
+  status.last.report =
+      (struct mo_training_report){.step = 60, .mean_loss = NAN, .diverged = 256, .skipped = true};
   status.has_validation = true;
-  status.validation = (struct mo_training_validation_row){.step = 60, .mean_score = NAN, .standard_error = NAN};
+  status.validation =
+      (struct mo_training_validation_row){.step = 60, .mean_score = NAN, .standard_error = NAN};
   status.has_result = true;
   write(false);
   CHECK_TEXT(json_string_value(at("error", "code")), "io");
@@ -130,7 +138,8 @@ static void ended(void)
   CHECK(json_number_value(at("settings", "restart_weight")) == 0.5);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "population"), "evaluation")), "5");
   CHECK(json_is_null(at("progress", "mean_loss")) && json_is_true(at("progress", "skipped")));
-  CHECK(json_is_null(at("validation", "mean_score")) && json_is_null(at("validation", "standard_error")));
+  CHECK(json_is_null(at("validation", "mean_score")) &&
+        json_is_null(at("validation", "standard_error")));
   CHECK_TEXT(json_string_value(at("controller", "name")), "walker");
   CHECK_TEXT(json_string_value(at("links", "held_out")), "/v1/trainings/12/held-out");
 }
@@ -138,8 +147,8 @@ static void ended(void)
 static void tables(void)
 {
   struct mo_text text = {0};
-  const struct mo_training_step_row step = {{.step = 3, .mean_loss = NAN, .rate = 0.5, .diverged = 2, .skipped = true},
-                                            0.25};
+  const struct mo_training_step_row step = {
+      {.step = 3, .mean_loss = NAN, .rate = 0.5, .diverged = 2, .skipped = true}, 0.25};
   const struct mo_training_validation_row validation = {
       .step = 0, .mean_score = 1, .standard_error = INFINITY, .rollouts = 8};
   mo_training_csv_step(&text, &step);
@@ -157,7 +166,10 @@ static void tables(void)
 }
 
 static const struct check_case cases[] = {
-    {"a training that is fresh", fresh}, {"one that runs", runs}, {"one that waits for room", waits_for_room},
-    {"one that has ended", ended},       {"tables", tables},
+    {"a training that is fresh", fresh},
+    {"one that runs", runs},
+    {"one that waits for room", waits_for_room},
+    {"one that has ended", ended},
+    {"tables", tables},
 };
 CHECK_MAIN(cases)

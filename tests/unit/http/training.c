@@ -1,4 +1,5 @@
-/* The body of POST /v1/trainings: defaults by kind and preset, each fault at its place, all of them at once. */
+/* The body of POST /v1/trainings: defaults by kind and preset, each fault at its place, all of them
+ * at once. */
 #include "unit/check.h"
 
 #include "http/training_request.h"
@@ -23,34 +24,46 @@ static void defaults(void)
   const struct mo_training_request *r = &parsed.request;
   const struct mo_training_settings *s = &r->record.settings;
   CHECK(s->kind == MO_TRAINING_PRETRAIN && s->n_steps == 1400 && s->batch == 256 && s->seed == 1);
-  CHECK(s->beta1 == 0.9 && s->beta2 == 0.999 && s->epsilon == 1e-8 && s->norm_limit == 1 && s->adjoint_bound == 2);
+  CHECK(s->beta1 == 0.9 && s->beta2 == 0.999 && s->epsilon == 1e-8 && s->norm_limit == 1 &&
+        s->adjoint_bound == 2);
   CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
   CHECK(s->restart_weight == 3);
-  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->sensor == MO_SENSOR_INVERSE_SQRT && s->physics.n_steps == 1000);
-  CHECK(s->held_out_designs == 64 && s->held_out_environments == 8 && r->record.validate_every_steps == 50);
-  CHECK(r->record.checkpoint_every_steps == 0 && r->record.checkpoint_every_s == 60 && r->record.checkpoints_kept == 3);
+  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->sensor == MO_SENSOR_INVERSE_SQRT &&
+        s->physics.n_steps == 1000);
+  CHECK(s->held_out_designs == 64 && s->held_out_environments == 8 &&
+        r->record.validate_every_steps == 50);
+  CHECK(r->record.checkpoint_every_steps == 0 && r->record.checkpoint_every_s == 60 &&
+        r->record.checkpoints_kept == 3);
   CHECK(r->parent == NULL && r->label == NULL && r->priority == MO_BATCH && r->genotypes == NULL);
   CHECK(r->population == 0 && r->record.n_designs == 0);
   CHECK_TEXT(r->record.name, "");
   /* The kind decides, wherever it stands. */
   REQUIRE(parse("{" DESIGNS ",\"seed\":7,\"kind\":\"finetune\"}") == MO_OK);
-  CHECK(s->kind == MO_TRAINING_FINETUNE && s->n_steps == 60 && s->seed == 7 && s->schedule.cycle_steps == 100);
+  CHECK(s->kind == MO_TRAINING_FINETUNE && s->n_steps == 60 && s->seed == 7 &&
+        s->schedule.cycle_steps == 100);
   CHECK_TEXT(r->parent, "default");
   CHECK(r->record.n_designs == 1 && r->genotypes != NULL);
-  REQUIRE(parse("{\"kind\":\"pretrain\",\"controller\":null,\"sensor\":\"inverse_square\"}") == MO_OK);
+  REQUIRE(parse("{\"kind\":\"pretrain\",\"controller\":null,\"sensor\":\"inverse_square\"}") ==
+          MO_OK);
   CHECK(r->parent == NULL && s->sensor == MO_SENSOR_INVERSE_SQUARE);
 }
 
 static void everything(void)
 {
-  REQUIRE(parse("{\"kind\":\"finetune\",\"name\":\"walker.2\",\"controller\":\"walker\",\"population\":{\"evaluation\":"
-                "\"12\",\"best\":64},\"steps\":30,\"batch\":65536,\"seed\":9007199254740991,\"schedule\":{\"peak\":"
-                "0.01,\"kind\":\"restarts\",\"floor\":1e-6,\"decay\":0.5,\"cycle_steps\":5,\"cycle_growth\":3,"
-                "\"warmup_steps\":2},\"adam\":{\"beta1\":0,\"beta2\":0.5,\"epsilon\":1e-6},\"gradient_norm_limit\":0,"
-                "\"adjoint_bound\":8,\"adjoint_rule\":\"restart\",\"restart_weight\":0,\"physics\":{\"n_steps\":200,"
+  REQUIRE(parse("{\"kind\":\"finetune\",\"name\":\"walker.2\",\"controller\":\"walker\","
+                "\"population\":{\"evaluation\":"
+                "\"12\",\"best\":64},\"steps\":30,\"batch\":65536,\"seed\":9007199254740991,"
+                "\"schedule\":{\"peak\":"
+                "0.01,\"kind\":\"restarts\",\"floor\":1e-6,\"decay\":0.5,\"cycle_steps\":5,\"cycle_"
+                "growth\":3,"
+                "\"warmup_steps\":2},\"adam\":{\"beta1\":0,\"beta2\":0.5,\"epsilon\":1e-6},"
+                "\"gradient_norm_limit\":0,"
+                "\"adjoint_bound\":8,\"adjoint_rule\":\"restart\",\"restart_weight\":0,\"physics\":"
+                "{\"n_steps\":200,"
                 "\"impact\":"
                 "\"bisection8\"},\"validation\":{"
-                "\"every_steps\":0,\"designs\":3,\"environments\":4},\"checkpoint\":{\"every_steps\":5,\"every_s\":0,"
+                "\"every_steps\":0,\"designs\":3,\"environments\":4},\"checkpoint\":{\"every_"
+                "steps\":5,\"every_s\":0,"
                 "\"keep\":1},\"priority\":\"batch\",\"label\":\"x\"}") == MO_OK);
   const struct mo_training_request *r = &parsed.request;
   const struct mo_training_settings *s = &r->record.settings;
@@ -59,14 +72,18 @@ static void everything(void)
   CHECK_TEXT(r->label, "x");
   CHECK(r->population == 12 && r->population_best == 64 && r->record.n_designs == 0);
   CHECK(s->n_steps == 30 && s->batch == 65536 && s->seed == UINT64_C(9007199254740991));
-  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 0.01 && s->schedule.floor == 1e-6);
+  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 0.01 &&
+        s->schedule.floor == 1e-6);
   CHECK(s->schedule.decay == 0.5 && s->schedule.cycle_steps == 5 && s->schedule.cycle_growth == 3);
   CHECK(s->schedule.warmup_steps == 2 && s->beta1 == 0 && s->beta2 == 0.5 && s->epsilon == 1e-6);
   CHECK_INT(s->adjoint_rule, MO_ADJOINT_RESTART);
   CHECK(s->restart_weight == 0);
-  CHECK(s->norm_limit == 0 && s->adjoint_bound == 8 && s->physics.n_steps == 200 && s->physics.bisections == 8);
-  CHECK(r->record.validate_every_steps == 0 && s->held_out_designs == 3 && s->held_out_environments == 4);
-  CHECK(r->record.checkpoint_every_steps == 5 && r->record.checkpoint_every_s == 0 && r->record.checkpoints_kept == 1);
+  CHECK(s->norm_limit == 0 && s->adjoint_bound == 8 && s->physics.n_steps == 200 &&
+        s->physics.bisections == 8);
+  CHECK(r->record.validate_every_steps == 0 && s->held_out_designs == 3 &&
+        s->held_out_environments == 4);
+  CHECK(r->record.checkpoint_every_steps == 5 && r->record.checkpoint_every_s == 0 &&
+        r->record.checkpoints_kept == 1);
 }
 
 /* The settings of a preset, wherever it stands, and what is named over them. */
@@ -75,38 +92,51 @@ static void presets(void)
   const struct mo_training_request *r = &parsed.request;
   const struct mo_training_settings *s = &r->record.settings;
   REQUIRE(parse(TRAIN "\"preset\":\"phototaxis\"}") == MO_OK);
-  CHECK(s->n_steps == 1400 && s->batch == 8192 && s->seed == 1 && s->beta1 == 0.8 && s->adjoint_bound == 8);
-  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 2e-3 && s->schedule.floor == 1e-5);
-  CHECK(s->schedule.decay == 0.75 && s->schedule.cycle_steps == 61 && s->schedule.cycle_growth == 22);
-  CHECK(s->schedule.warmup_steps == 5 && s->adjoint_rule == MO_ADJOINT_RESTART && s->restart_weight == 3);
+  CHECK(s->n_steps == 1400 && s->batch == 8192 && s->seed == 1 && s->beta1 == 0.8 &&
+        s->adjoint_bound == 8);
+  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 2e-3 &&
+        s->schedule.floor == 1e-5);
+  CHECK(s->schedule.decay == 0.75 && s->schedule.cycle_steps == 61 &&
+        s->schedule.cycle_growth == 22);
+  CHECK(s->schedule.warmup_steps == 5 && s->adjoint_rule == MO_ADJOINT_RESTART &&
+        s->restart_weight == 3);
   CHECK(r->record.validate_every_steps == 50 && r->record.checkpoint_every_s == 60);
   REQUIRE(parse("{\"preset\":\"paper\",\"kind\":\"pretrain\"}") == MO_OK);
-  CHECK(s->batch == 8192 && s->schedule.peak == 1e-3 && s->schedule.decay == 0.7 && s->adjoint_bound == 0);
+  CHECK(s->batch == 8192 && s->schedule.peak == 1e-3 && s->schedule.decay == 0.7 &&
+        s->adjoint_bound == 0);
   REQUIRE(parse(TUNE "\"preset\":\"paper\"}") == MO_OK);
-  CHECK(s->n_steps == 60 && s->batch == 8192 && s->schedule.peak == 3.5e-4 && s->adjoint_bound == 0);
+  CHECK(s->n_steps == 60 && s->batch == 8192 && s->schedule.peak == 3.5e-4 &&
+        s->adjoint_bound == 0);
   REQUIRE(parse(TUNE "\"preset\":\"workstation\"}") == MO_OK);
   CHECK(s->n_steps == 60 && s->batch == 256 && s->schedule.peak == 3e-4 && s->adjoint_bound == 2);
   /* A word spelt with escapes is that word in both passes. */
   REQUIRE(parse(TRAIN "\"preset\":\"\\u0070aper\"}") == MO_OK);
   CHECK(s->batch == 8192 && s->beta1 == 0.9);
-  /* Given before the preset or behind it, what is named counts; of adam field by field, of the schedule as a whole. */
-  REQUIRE(
-      parse("{\"steps\":10,\"adam\":{\"beta2\":0.99},\"kind\":\"pretrain\",\"restart_weight\":1,\"preset\":"
-            "\"phototaxis\",\"batch\":7,\"adjoint_bound\":4,\"schedule\":{\"kind\":\"restarts\",\"peak\":0.003}}") ==
-      MO_OK);
-  CHECK(s->n_steps == 10 && s->batch == 7 && s->beta1 == 0.8 && s->beta2 == 0.99 && s->adjoint_bound == 4);
+  /* Given before the preset or behind it, what is named counts; of adam field by field, of the
+   * schedule as a whole. */
+  REQUIRE(parse("{\"steps\":10,\"adam\":{\"beta2\":0.99},\"kind\":\"pretrain\",\"restart_weight\":"
+                "1,\"preset\":"
+                "\"phototaxis\",\"batch\":7,\"adjoint_bound\":4,\"schedule\":{\"kind\":"
+                "\"restarts\",\"peak\":0.003}}") == MO_OK);
+  CHECK(s->n_steps == 10 && s->batch == 7 && s->beta1 == 0.8 && s->beta2 == 0.99 &&
+        s->adjoint_bound == 4);
   CHECK(s->adjoint_rule == MO_ADJOINT_RESTART && s->restart_weight == 1);
   CHECK(s->schedule.peak == 0.003 && s->schedule.decay == 0.7 && s->schedule.cycle_steps == 10);
   CHECK(s->schedule.cycle_growth == 2 && s->schedule.warmup_steps == 0);
-  REQUIRE(parse(TRAIN "\"preset\":\"phototaxis\",\"schedule\":\"one-cosine\",\"adjoint_rule\":\"clip\"}") == MO_OK);
-  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->schedule.warmup_steps == 10 && s->batch == 8192);
+  REQUIRE(
+      parse(TRAIN
+            "\"preset\":\"phototaxis\",\"schedule\":\"one-cosine\",\"adjoint_rule\":\"clip\"}") ==
+      MO_OK);
+  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->schedule.warmup_steps == 10 &&
+        s->batch == 8192);
   CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
   /* An unknown one is refused with all names that there are. */
   CHECK_INT(parse(TRAIN "\"preset\":\"laptop\"}"), MO_ERR_INVALID);
   REQUIRE(faults.n == 1);
   CHECK_TEXT(faults.items[0].where, "/preset");
   for (int i = 0; i < 3; i++)
-    CHECK(strstr(faults.items[0].detail, mo_learning_preset_name((enum mo_learning_preset)i)) != NULL);
+    CHECK(strstr(faults.items[0].detail, mo_learning_preset_name((enum mo_learning_preset)i)) !=
+          NULL);
 }
 
 static void schedules(void)
@@ -117,15 +147,18 @@ static void schedules(void)
   REQUIRE(parse(TRAIN "\"schedule\":\"paper-finetune\"}") == MO_OK);
   CHECK(schedule->peak == 3.5e-4);
   REQUIRE(parse(TRAIN "\"schedule\":\"one-cosine\"}") == MO_OK);
-  CHECK(schedule->kind == MO_SCHEDULE_COSINE && schedule->peak == 2e-3 && schedule->warmup_steps == 10);
+  CHECK(schedule->kind == MO_SCHEDULE_COSINE && schedule->peak == 2e-3 &&
+        schedule->warmup_steps == 10);
   REQUIRE(parse(TRAIN "\"schedule\":\"paper-pretrain\"}") == MO_OK);
   CHECK(schedule->kind == MO_SCHEDULE_RESTARTS && schedule->decay == 0.7);
   /* What an object leaves out. A peak below the usual floor lowers the floor. */
   REQUIRE(parse(TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":1e-6}}") == MO_OK);
   CHECK(schedule->kind == MO_SCHEDULE_COSINE && schedule->peak == 1e-6 && schedule->floor == 1e-6);
   CHECK_INT(schedule->warmup_steps, 10);
-  REQUIRE(parse(TRAIN "\"schedule\":{\"kind\":\"constant\",\"peak\":0.5,\"warmup_steps\":0}}") == MO_OK);
-  CHECK(schedule->kind == MO_SCHEDULE_CONSTANT && schedule->peak == 0.5 && schedule->warmup_steps == 0);
+  REQUIRE(parse(TRAIN "\"schedule\":{\"kind\":\"constant\",\"peak\":0.5,\"warmup_steps\":0}}") ==
+          MO_OK);
+  CHECK(schedule->kind == MO_SCHEDULE_CONSTANT && schedule->peak == 0.5 &&
+        schedule->warmup_steps == 0);
   REQUIRE(parse(TRAIN "\"schedule\":{\"kind\":\"restarts\"}}") == MO_OK);
   CHECK(schedule->peak == 1e-3 && schedule->cycle_steps == 10 && schedule->cycle_growth == 2);
 }
@@ -166,11 +199,14 @@ static void places(void)
       {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"\"}}", "/population/evaluation"},
       {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"012\"}}", "/population/evaluation"},
       {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"-1\"}}", "/population/evaluation"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"best\":0}}", "/population/best"},
-      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"worst\":1}}", "/population/worst"},
+      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"best\":0}}",
+       "/population/best"},
+      {"{\"kind\":\"finetune\",\"population\":{\"evaluation\":\"12\",\"worst\":1}}",
+       "/population/worst"},
       {TRAIN "\"name\":\"\"}", "/name"},
       {TRAIN "\"name\":\"A\"}", "/name"},
-      {TRAIN "\"name\":\"12345678901234567890123456789012345678901234567890123456789012345\"}", "/name"},
+      {TRAIN "\"name\":\"12345678901234567890123456789012345678901234567890123456789012345\"}",
+       "/name"},
       {TRAIN "\"name\":null}", "/name"},
       {TRAIN "\"steps\":0}", "/steps"},
       {TRAIN "\"steps\":1000000000}", "/steps"},
@@ -199,7 +235,8 @@ static void places(void)
       {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"decay\":1.5}}", "/schedule/decay"},
       {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_steps\":0}}", "/schedule/cycle_steps"},
       {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_growth\":0}}", "/schedule/cycle_growth"},
-      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_growth\":1001}}", "/schedule/cycle_growth"},
+      {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"cycle_growth\":1001}}",
+       "/schedule/cycle_growth"},
       {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"warmup_steps\":-1}}", "/schedule/warmup_steps"},
       {TRAIN "\"schedule\":{\"kind\":\"restarts\",\"warm\":1}}", "/schedule/warm"},
       {TRAIN "\"adam\":[]}", "/adam"},
@@ -263,13 +300,18 @@ static void digits(void)
   static const struct {
     const char *text, *says;
   } tries[] = {
-      {TRAIN "\"restart_weight\":1000000.0000001}", "1000000.0000001 is given; a number from 0 to 1e+06 is expected"},
-      {TRAIN "\"weight\":1000.0000000001}", "1000.0000000001 is given; a number from 0.001 to 1000 is expected"},
-      {TRAIN "\"gradient_norm_limit\":1000000.0000001}", "1000000.0000001 is given; a number above 0, at most 1e+06"},
-      {TRAIN "\"adam\":{\"epsilon\":1.0000000001}}", "1.0000000001 is given; a number above 0, at most 1, is expected"},
+      {TRAIN "\"restart_weight\":1000000.0000001}",
+       "1000000.0000001 is given; a number from 0 to 1e+06 is expected"},
+      {TRAIN "\"weight\":1000.0000000001}",
+       "1000.0000000001 is given; a number from 0.001 to 1000 is expected"},
+      {TRAIN "\"gradient_norm_limit\":1000000.0000001}",
+       "1000000.0000001 is given; a number above 0, at most 1e+06"},
+      {TRAIN "\"adam\":{\"epsilon\":1.0000000001}}",
+       "1.0000000001 is given; a number above 0, at most 1, is expected"},
       {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":0.5,\"floor\":0.5000000001}}",
        "0.5000000001 is given; at most the peak, which is 0.5, is expected"},
-      {TRAIN "\"physics\":{\"dt_s\":0.1000000001}}", "dt_s is 0.1000000001; it must be at least 1e-07 and at most 0.1"},
+      {TRAIN "\"physics\":{\"dt_s\":0.1000000001}}",
+       "dt_s is 0.1000000001; it must be at least 1e-07 and at most 0.1"},
   };
   for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
     CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);
@@ -283,8 +325,10 @@ static void digits(void)
 
 static void all_at_once(void)
 {
-  static const char *const where[] = {"/steps", "/batch", "/schedule/peak", "/adjoint_bound", "/epochs", "/sensor"};
-  CHECK_INT(parse(TUNE "\"steps\":1e9,\"batch\":0,\"schedule\":{\"kind\":\"cosine\",\"peak\":-1},\"adjoint_bound\":-1,"
+  static const char *const where[] = {"/steps",         "/batch",  "/schedule/peak",
+                                      "/adjoint_bound", "/epochs", "/sensor"};
+  CHECK_INT(parse(TUNE "\"steps\":1e9,\"batch\":0,\"schedule\":{\"kind\":\"cosine\",\"peak\":-1},"
+                       "\"adjoint_bound\":-1,"
                        "\"epochs\":3,\"controller\":\"walker\",\"sensor\":\"inverse_sqrt\"}"),
             MO_ERR_INVALID);
   REQUIRE(faults.n == 6);

@@ -1,4 +1,5 @@
-/* blame.h: a process that dies on the own thread of a job that learns, again and again: the job is blamed, and parked. */
+/* blame.h: a process that dies on the own thread of a job that learns, again and again: the job is
+ * blamed, and parked. */
 #ifndef MORPHO_TESTS_JOBS_BLAME_H
 #define MORPHO_TESTS_JOBS_BLAME_H
 

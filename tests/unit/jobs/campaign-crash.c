@@ -1,7 +1,9 @@
-/* campaign-crash.c: a process that runs a campaign is killed with SIGKILL at random moments, again and again, with another number of
- * workers in every life, until the campaign has ended. Three of four moments come after work that the life has done, counted in rollouts
- * and robots, so that they hit a campaign at work on any machine; the fourth is soon after the submission, by the clock: in every mode its designs, scores, phylogeny, populations and controller are those
- * of plain loops, and each kill cost a block per worker and what waited for its commit, no more.
+/* campaign-crash.c: a process that runs a campaign is killed with SIGKILL at random moments, again
+ * and again, with another number of workers in every life, until the campaign has ended. Three of
+ * four moments come after work that the life has done, counted in rollouts and robots, so that they
+ * hit a campaign at work on any machine; the fourth is soon after the submission, by the clock: in
+ * every mode its designs, scores, phylogeny, populations and controller are those of plain loops,
+ * and each kill cost a block per worker and what waited for its commit, no more.
  *
  * MORPHO_CRASH_KILLS: kills in each mode, at least (default 10). */
 #include <signal.h>
@@ -49,7 +51,8 @@ static void live(const char *path, int mode, uint32_t n_workers)
   }
   id = submit(&service, &request);
   atomic_store(&shared->runs, true);
-  if (id < 1 || mo_jobs_wait(service.jobs, id, 60000, &job) != MO_OK || job.state != MO_JOB_SUCCEEDED)
+  if (id < 1 || mo_jobs_wait(service.jobs, id, 60000, &job) != MO_OK ||
+      job.state != MO_JOB_SUCCEEDED)
     _exit(4);
   service_close(&service);
   _exit(0);
@@ -76,11 +79,14 @@ static void check_end(const char *path, int mode, int kills, const struct fake_c
   rollouts = atomic_load(&count->rollouts) - rollouts;
   robots = atomic_load(&count->robots) - robots;
   printf("# %s: %d kills; %.1f blocks and %.1f learning steps were computed again per kill\n",
-         mo_campaign_mode_name((enum mo_campaign_mode)mode), kills, (double)rollouts / MO_PAPER_TEST_COUNT / kills,
+         mo_campaign_mode_name((enum mo_campaign_mode)mode), kills,
+         (double)rollouts / MO_PAPER_TEST_COUNT / kills,
          (double)robots / request.record.settings.population / kills);
-  /* Two blocks per worker are in flight or wait for their commit; a generation's learning begins anew. */
+  /* Two blocks per worker are in flight or wait for their commit; a generation's learning begins
+   * anew. */
   CHECK(rollouts <= (uint64_t)kills * 2 * 7 * MO_PAPER_TEST_COUNT);
-  CHECK(robots <= (uint64_t)kills * (PARENT_STEPS + CHILD_STEPS) * request.record.settings.population);
+  CHECK(robots <=
+        (uint64_t)kills * (PARENT_STEPS + CHILD_STEPS) * request.record.settings.population);
   free(stored);
   free(expected);
   service_close(&service);
@@ -99,12 +105,14 @@ static void await_start(unsigned random)
   usleep(random % 20000);
 }
 
-/* Until the child has done that much work, and up to a block longer. False: it has ended, or does not get on. */
+/* Until the child has done that much work, and up to a block longer. False: it has ended, or does
+ * not get on. */
 static bool await_work(pid_t child, uint64_t before, uint64_t work, unsigned random)
 {
   siginfo_t ended = {0};
   for (int i = 0; work_done() < before + work; i++) {
-    if (i == 600000 || waitid(P_PID, (id_t)child, &ended, WEXITED | WNOHANG | WNOWAIT) != 0 || ended.si_pid == child)
+    if (i == 600000 || waitid(P_PID, (id_t)child, &ended, WEXITED | WNOHANG | WNOWAIT) != 0 ||
+        ended.si_pid == child)
       return false;
     usleep(100);
   }
@@ -148,7 +156,8 @@ static void loses_nothing(void)
           if ((all + kills) % 4 == 3)
             await_start(random >> 8);
           else
-            awaited = await_work(child, before, 1 + (random >> 8) % ((rollouts + robots) / 4), random >> 4);
+            awaited = await_work(child, before, 1 + (random >> 8) % ((rollouts + robots) / 4),
+                                 random >> 4);
           kill(child, SIGKILL);
         }
         REQUIRE(waitpid(child, &status, 0) == child);

@@ -1,9 +1,11 @@
-/* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found by its lineage, drawn again, left out. */
+/* campaign-excluded.c: the bodies that a campaign's controller was pretrained on: found by its
+ * lineage, drawn again, left out. */
 #include "campaigns.h"
 
 /* ---- controllers ---- */
 
-static int put(struct service *service, const char *name, struct mo_controller *controller, struct mo_sha256 *sha256)
+static int put(struct service *service, const char *name, struct mo_controller *controller,
+               struct mo_sha256 *sha256)
 {
   struct mo_controller_record record;
   uint8_t *bytes = NULL;
@@ -11,7 +13,8 @@ static int put(struct service *service, const char *name, struct mo_controller *
   bool created = false;
   int error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK)
-    error = mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record, &created);
+    error = mo_store_controller_put(service->fixture.store, name, bytes, size, controller, &record,
+                                    &created);
   free(bytes);
   *sha256 = record.sha256;
   return error;
@@ -22,7 +25,8 @@ struct said {
   const char *kind, *parent, *seed, *step, *settings;
 };
 
-static const struct said good = {"pretrain", "random", "31", "40", "{\"steps\":900,\"batch\":64,\"x\":1}"};
+static const struct said good = {"pretrain", "random", "31", "40",
+                                 "{\"steps\":900,\"batch\":64,\"x\":1}"};
 
 /* A controller with the default weights. */
 static int put_saying(struct service *service, const char *name, const struct said *said,
@@ -61,7 +65,8 @@ static int put_family(struct service *service, const char *steps)
   return error == MO_OK ? put_saying(service, "tuned", &said, child) : error;
 }
 
-/* "line": five pretrainings, each from the one before, of which no one has more bodies than can be drawn again, but all together do. */
+/* "line": five pretrainings, each from the one before, of which no one has more bodies than can be
+ * drawn again, but all together do. */
 static int put_line(struct service *service)
 {
   struct mo_controller *controller = NULL;
@@ -103,7 +108,8 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   origin = origin_of(&request);
   without = plain_history(&fake_plain, &origin);
   REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL, excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL,
+                               excluded) == MO_OK);
   CHECK(mo_form_set_count(excluded) > 0);
   origin.excluded = excluded;
   request.controller = "tuned";
@@ -151,15 +157,16 @@ static int told(struct service *service, int64_t id, const char *digits, const c
   snprintf(quoted, sizeof(quoted), "\"field\":\"%s\"", field);
   for (int64_t i = 0; i < n; i++)
     n_told += strcmp(events[i].type, "campaign.lineage_unreadable") == 0 &&
-              (digits == NULL || strstr(events[i].data, digits) != NULL) && strstr(events[i].data, quoted) != NULL;
+              (digits == NULL || strstr(events[i].data, digits) != NULL) &&
+              strstr(events[i].data, quoted) != NULL;
   return n_told;
 }
 
 __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
 {
   static const char settings[] = "{\"steps\":900,\"batch\":64,\"x\":1}";
-  static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed", "morphod.step",
-                                       "morphod.settings"};
+  static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed",
+                                       "morphod.step", "morphod.settings"};
   static const struct {
     struct said said;
     const char *told[3];
@@ -211,9 +218,10 @@ __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
   service_end(&service);
 }
 
-/* "long": so many controllers, each the child of the one before, with `first` at its beginning and `other` after that. */
-static int put_long(struct service *service, int n, const struct said *first, const struct said *other,
-                    char digits[MO_SHA256_DIGITS + 1])
+/* "long": so many controllers, each the child of the one before, with `first` at its beginning and
+ * `other` after that. */
+static int put_long(struct service *service, int n, const struct said *first,
+                    const struct said *other, char digits[MO_SHA256_DIGITS + 1])
 {
   int error = put_saying(service, "long", first, digits);
   for (int i = 1; i < n && error == MO_OK; i++) {
@@ -228,7 +236,8 @@ static int put_long(struct service *service, int n, const struct said *first, co
   return error;
 }
 
-/* A lineage ends where it is too long to be read, which is told; with too many pretrainings it is refused, and the words say of what. */
+/* A lineage ends where it is too long to be read, which is told; with too many pretrainings it is
+ * refused, and the words say of what. */
 __attribute__((unused)) static void tells_of_long_lineages(void)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
@@ -283,7 +292,8 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   origin = origin_of(&request);
   REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL, excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, 64 * 40, request.record.settings.workspace, 1, NULL, NULL,
+                               excluded) == MO_OK);
   origin.excluded = excluded;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
@@ -296,7 +306,8 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
 
 /* ---- while they are drawn ---- */
 
-/* Steps of 64 bodies that take long enough to be met, a second or two; and so many that nobody awaits their end. */
+/* Steps of 64 bodies that take long enough to be met, a second or two; and so many that nobody
+ * awaits their end. */
 #if defined(__SANITIZE_THREAD__) || defined(__SANITIZE_ADDRESS__)
 #define LONG_STEPS 1000
 #else
@@ -308,7 +319,8 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
 #define SEEN             40
 
 /* "tuned", pretrained for so many steps, and a campaign with it, on one worker. */
-static int start_drawing(struct service *service, const char *steps, struct mo_campaign_request *request)
+static int start_drawing(struct service *service, const char *steps,
+                         struct mo_campaign_request *request)
 {
   int error = watch_start(service);
   service->config.max_active_campaigns = 3;
@@ -331,7 +343,8 @@ static struct mo_campaign_live await_drawing(struct service *service, int64_t id
   do {
     usleep(300);
     live = live_of(service, id);
-  } while ((live.phase != MO_CAMPAIGN_PREPARE || live.done == 0 || live.seconds_left < 0) && now_s() < end);
+  } while ((live.phase != MO_CAMPAIGN_PREPARE || live.done == 0 || live.seconds_left < 0) &&
+           now_s() < end);
   return live;
 }
 
@@ -358,7 +371,8 @@ static bool draws_for(struct service *service, int64_t drawer, int64_t other)
   return first.phase == MO_CAMPAIGN_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
-/* What one draws, others wait for, and they are told so; when it is paused or cancelled, the drawing goes on for them. */
+/* What one draws, others wait for, and they are told so; when it is paused or cancelled, the
+ * drawing goes on for them. */
 static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
@@ -385,7 +399,8 @@ static void hands_the_drawing_over(void)
   CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
   REQUIRE(await_phase(&service, ids[0], MO_CAMPAIGN_IDLE));
   CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
-  for (int i = 0; i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
+  for (int i = 0;
+       i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
     usleep(1000); /* one of them takes its place */
   CHECK(draws_for(&service, ids[1], ids[2]) || draws_for(&service, ids[2], ids[1]));
   for (int i = 1; i < 3; i++) {
@@ -395,7 +410,8 @@ static void hands_the_drawing_over(void)
   CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds it under way */
   live = await_drawing(&service, ids[0]);
   CHECK(live.done >= done && live.reason[0] != '\0');
-  CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]), MO_OK);
+  CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]),
+            MO_OK);
   for (uint64_t before = done;; before = live.done) {
     live = live_of(&service, ids[0]);
     if (live.phase != MO_CAMPAIGN_PREPARE || live.total == 0)
@@ -404,13 +420,15 @@ static void hands_the_drawing_over(void)
     usleep(2000);
   }
   REQUIRE(mo_form_set_create(request.record.settings.workspace, &excluded) == MO_OK);
-  REQUIRE(mo_pretraining_forms(31, UINT64_C(64) * LONGER_STEPS, request.record.settings.workspace, 1, NULL, NULL,
-                               excluded) == MO_OK);
+  REQUIRE(mo_pretraining_forms(31, UINT64_C(64) * LONGER_STEPS, request.record.settings.workspace,
+                               1, NULL, NULL, excluded) == MO_OK);
   origin.excluded = excluded;
   CHECK(ends_as_plain(&service, ids[0], &origin));
-  CHECK((state_of(&service, ids[1]) == MO_JOB_CANCELLED) != (state_of(&service, ids[2]) == MO_JOB_CANCELLED));
+  CHECK((state_of(&service, ids[1]) == MO_JOB_CANCELLED) !=
+        (state_of(&service, ids[2]) == MO_JOB_CANCELLED));
   for (int i = 1; i < 3; i++)
-    CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED || ends_as_plain(&service, ids[i], &origin));
+    CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED ||
+          ends_as_plain(&service, ids[i], &origin));
   (void)settled(&service);
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(warnings, 0);
@@ -448,7 +466,8 @@ static void draws_for_nobody(void)
   service_end(&service);
 }
 
-/* The time that is left: of the drawing by its own rate; of the generations, too, once there is one beside the first. */
+/* The time that is left: of the drawing by its own rate; of the generations, too, once there is one
+ * beside the first. */
 __attribute__((unused)) static void tells_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
@@ -490,14 +509,17 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   /* What the first generation's event says of the rest does not count the drawing again. */
   n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
-    if (strcmp(events[i].type, "campaign.generation") == 0 && strstr(events[i].data, "\"generation\":0,") != NULL)
+    if (strcmp(events[i].type, "campaign.generation") == 0 &&
+        strstr(events[i].data, "\"generation\":0,") != NULL)
       CHECK(strtod(strstr(events[i].data, "seconds_left\":") + 14, NULL) <
             LONG_GENERATIONS * (rows[0].seconds - 0.9 * drawing_s));
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   live = await_drawing(&service, id);
-  CHECK(live.done > 0 && live.seconds_left > (double)(LONG_GENERATIONS + 1 - committed) * rows[committed - 1].seconds);
-  REQUIRE(await_place(&service, id, (uint32_t)committed + 2,
-                      MO_CAMPAIGN_SCORE)); /* a commit is written while the next generation is scored */
+  CHECK(live.done > 0 && live.seconds_left > (double)(LONG_GENERATIONS + 1 - committed) *
+                                                 rows[committed - 1].seconds);
+  REQUIRE(
+      await_place(&service, id, (uint32_t)committed + 2,
+                  MO_CAMPAIGN_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
   REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN) > committed);
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */

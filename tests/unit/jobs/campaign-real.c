@@ -1,5 +1,5 @@
-/* campaign-real.c: campaigns with the real back end, for 1, 2 and 7 workers: the bits of rollouts run alone, and of gradients computed
- * by one worker, in plain loops. */
+/* campaign-real.c: campaigns with the real back end, for 1, 2 and 7 workers: the bits of rollouts
+ * run alone, and of gradients computed by one worker, in plain loops. */
 #include "campaign_history.h"
 
 #include "../store/fixture.h"
@@ -18,7 +18,8 @@ struct alone {
   struct mo_gradient_state *gradients;
 };
 
-static double lone_loss(void *context, const struct mo_bits *genotype, const struct mo_controller *controller,
+static double lone_loss(void *context, const struct mo_bits *genotype,
+                        const struct mo_controller *controller,
                         const struct mo_environment *environment, const struct mo_physics *physics)
 {
   struct alone *alone = context;
@@ -27,14 +28,17 @@ static double lone_loss(void *context, const struct mo_bits *genotype, const str
   struct mo_pack *pack = NULL;
   if (mo_pack_create(controller, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK &&
       mo_body_create(alone->lattice, genotype->words, &body) == MO_OK)
-    CHECK_INT(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL, NULL, &outcome), MO_OK);
+    CHECK_INT(mo_rollout_block(alone->memory, pack, body, &environment, 1, physics, NULL, NULL,
+                               NULL, &outcome),
+              MO_OK);
   mo_body_free(body);
   mo_pack_free(pack);
   return outcome.loss;
 }
 
-static void lone_gradient(void *context, const struct mo_controller *controller, const struct mo_robot *robots,
-                          uint32_t n, const struct mo_physics *physics, double *d_parameters,
+static void lone_gradient(void *context, const struct mo_controller *controller,
+                          const struct mo_robot *robots, uint32_t n,
+                          const struct mo_physics *physics, double *d_parameters,
                           struct mo_outcome *outcomes, struct mo_gradient_counts *counts)
 {
   struct alone *alone = context;
@@ -72,7 +76,8 @@ static void close_alone(struct alone *alone)
 
 static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t n_workers)
 {
-  struct mo_campaign_request request = {.record = {.settings = mo_campaign_preset(mode, MO_PRESET_DEMO)}};
+  struct mo_campaign_request request = {
+      .record = {.settings = mo_campaign_preset(mode, MO_PRESET_DEMO)}};
   struct mo_campaign_settings *settings = &request.record.settings;
   struct mo_compute_config compute_config = {.n_workers = n_workers, .isa = mo_isa_best()};
   struct plain plain = {lone_loss, lone_gradient, alone, NULL};
@@ -133,5 +138,6 @@ static void gives_the_bits_of_lone_rollouts(void)
   close_alone(&alone);
 }
 
-static const struct check_case cases[] = {{"gives the bits of lone rollouts", gives_the_bits_of_lone_rollouts}};
+static const struct check_case cases[] = {
+    {"gives the bits of lone rollouts", gives_the_bits_of_lone_rollouts}};
 CHECK_MAIN(cases)

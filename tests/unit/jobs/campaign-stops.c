@@ -1,4 +1,5 @@
-/* campaign-stops.c: whatever people or ends of the process do to a campaign, it ends as it would have without them. */
+/* campaign-stops.c: whatever people or ends of the process do to a campaign, it ends as it would
+ * have without them. */
 #include "blame.h"
 #include "campaigns.h"
 
@@ -123,7 +124,8 @@ static void cancels(void)
   service_end(&service);
 }
 
-/* Extended while it waits, runs, is paused, and when it is over: each time as if it had been asked for at once. */
+/* Extended while it waits, runs, is paused, and when it is over: each time as if it had been asked
+ * for at once. */
 __attribute__((unused)) static void extends(void)
 {
   for (int mode = MO_ZERO_SHOT; mode <= MO_SIMULTANEOUS; mode++) {
@@ -158,7 +160,8 @@ __attribute__((unused)) static void extends(void)
     CHECK(ends_as_plain(&service, id, &origin));
     CHECK_INT(settled(&service).open_jobs, 0);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 0, NULL, NULL), MO_ERR_INVALID);
-    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL, NULL),
+              MO_ERR_RANGE);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, 99, 1, NULL, NULL), MO_ERR_NOT_FOUND);
     service_end(&service);
   }
@@ -176,7 +179,8 @@ __attribute__((unused)) static void does_not_extend_one_cosine(void)
   origin = origin_of(&request);
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, &service.fixture.message), MO_ERR_UNSUPPORTED);
+  CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, &service.fixture.message),
+            MO_ERR_UNSUPPORTED);
   CHECK(strstr(service.fixture.message.text, "cosine") != NULL);
   CHECK(ends_as_plain(&service, id, &origin));
   service_end(&service);

@@ -55,7 +55,8 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.fail_status = MO_ERR_NO_MEMORY;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(status_of(&service, id).job.attempts, 0); /* one, forgiven by the generation that came after it */
+  CHECK_INT(status_of(&service, id).job.attempts,
+            0); /* one, forgiven by the generation that came after it */
   CHECK_INT(warnings, 1);
   CHECK(strstr(warned, "out of memory") != NULL);
   request.record.settings.seed = 9;
@@ -128,7 +129,8 @@ static void waits_for_room(void)
   id = submit(&service, &request);
   REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
   live = live_of(&service, id);
-  CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of generation 0") != NULL);
+  CHECK(strstr(live.reason, "no space") != NULL &&
+        strstr(live.reason, "checkpoint of generation 0") != NULL);
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
   CHECK_INT(waiting[0], id);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK); /* it has nowhere to save to, and waits on */
@@ -162,8 +164,8 @@ static int damage(struct service *service, int64_t id, uint32_t generation, uint
   uint8_t bytes[6];
   char path[512];
   int fd, error = -1;
-  snprintf(path, sizeof(path), "%s/campaigns/%lld/%u-%u.checkpoint", service->fixture.path, (long long)id, generation,
-           step);
+  snprintf(path, sizeof(path), "%s/campaigns/%lld/%u-%u.checkpoint", service->fixture.path,
+           (long long)id, generation, step);
   fd = open(path, O_RDWR);
   if (fd >= 0 && pread(fd, bytes, 6, 5000) == 6) {
     for (int i = 0; i < 6; i++)
@@ -222,7 +224,8 @@ __attribute__((unused)) static void needs_its_controller(void)
   char path[512];
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
-  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service.fixture.path, default_digits());
+  snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", service.fixture.path,
+           default_digits());
   REQUIRE(truncate(path, 1000) == 0);
   id = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
@@ -232,11 +235,13 @@ __attribute__((unused)) static void needs_its_controller(void)
 
 /* ---- submissions ---- */
 
-static int refuse(struct service *service, const struct mo_campaign_request *request, const char *says, uint32_t *fault)
+static int refuse(struct service *service, const struct mo_campaign_request *request,
+                  const char *says, uint32_t *fault)
 {
   int64_t id = 0;
   bool replayed = false;
-  int error = mo_jobs_submit_campaign(service->jobs, request, &id, &replayed, fault, &service->fixture.message);
+  int error = mo_jobs_submit_campaign(service->jobs, request, &id, &replayed, fault,
+                                      &service->fixture.message);
   if (strstr(service->fixture.message.text, says) == NULL) {
     printf("# \"%s\" lacks \"%s\"\n", service->fixture.message.text, says);
     CHECK(0);
@@ -296,7 +301,8 @@ __attribute__((unused)) static void refuses(void)
   REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[0].words, 3, listed[2].words) == MO_OK);
   bad.genotypes = listed;
   bad.record.n_listed = 3;
-  CHECK_INT(refuse(&service, &bad, "design 2 has the form of an earlier one", &fault), MO_ERR_DUPLICATE);
+  CHECK_INT(refuse(&service, &bad, "design 2 has the form of an earlier one", &fault),
+            MO_ERR_DUPLICATE);
   CHECK_INT(fault, 2);
   bad.record.n_listed = 2;
   bad.record.settings.workspace = (struct mo_workspace){2, 2, 1};
@@ -306,7 +312,8 @@ __attribute__((unused)) static void refuses(void)
   bad.genotypes = listed;
   bad.record.n_listed = 3;
   bad.record.settings.population = 2;
-  CHECK_INT(refuse(&service, &bad, "3 designs are listed for a population of 2", &fault), MO_ERR_RANGE);
+  CHECK_INT(refuse(&service, &bad, "3 designs are listed for a population of 2", &fault),
+            MO_ERR_RANGE);
   /* A key is answered with its campaign. */
   good.idempotency_key = "once";
   good.record.replicates = 3;

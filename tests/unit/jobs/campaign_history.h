@@ -1,5 +1,6 @@
-/* campaign_history.h: everything that a campaign did, read from the store, and the same by plain loops over the functions of
- * evolution and learning, without jobs, threads, blocks or store. The two must be equal, bit for bit. */
+/* campaign_history.h: everything that a campaign did, read from the store, and the same by plain
+ * loops over the functions of evolution and learning, without jobs, threads, blocks or store. The
+ * two must be equal, bit for bit. */
 #ifndef MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 #define MORPHO_TESTS_JOBS_CAMPAIGN_HISTORY_H
 
@@ -33,10 +34,12 @@ struct history {
 
 /* How the test computes. */
 struct plain {
-  double (*loss)(void *context, const struct mo_bits *genotype, const struct mo_controller *controller,
-                 const struct mo_environment *environment, const struct mo_physics *physics);
-  void (*gradient)(void *context, const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                   const struct mo_physics *physics, double *d_parameters, struct mo_outcome *outcomes,
+  double (*loss)(void *context, const struct mo_bits *genotype,
+                 const struct mo_controller *controller, const struct mo_environment *environment,
+                 const struct mo_physics *physics);
+  void (*gradient)(void *context, const struct mo_controller *controller,
+                   const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
+                   double *d_parameters, struct mo_outcome *outcomes,
                    struct mo_gradient_counts *counts);
   void *context;
   const char *code_version;
@@ -54,8 +57,9 @@ struct origin {
   const struct mo_form_set *excluded;
 };
 
-static inline void plain_steps(const struct plain *plain, struct mo_training *training, const struct mo_bits *designs,
-                               uint32_t n, uint32_t n_steps, struct history *history, uint32_t generation)
+static inline void plain_steps(const struct plain *plain, struct mo_training *training,
+                               const struct mo_bits *designs, uint32_t n, uint32_t n_steps,
+                               struct history *history, uint32_t generation)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
   struct mo_outcome *outcomes = calloc(settings->batch, sizeof(*outcomes));
@@ -67,8 +71,8 @@ static inline void plain_steps(const struct plain *plain, struct mo_training *tr
     struct mo_gradient_counts counts = {0};
     struct mo_training_report report = {.step = 0};
     CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_OK);
-    plain->gradient(plain->context, mo_training_controller(training), robots, settings->batch, &settings->physics,
-                    gradient, outcomes, &counts);
+    plain->gradient(plain->context, mo_training_controller(training), robots, settings->batch,
+                    &settings->physics, gradient, outcomes, &counts);
     CHECK_INT(mo_training_apply(training, gradient, outcomes, &counts, &report), MO_OK);
     if (history->generations[generation].learning_steps++ == 0)
       history->generations[generation].first_loss = report.mean_loss;
@@ -84,27 +88,31 @@ static inline struct mo_training *plain_training(const struct origin *origin, ui
   struct mo_training_settings settings = mo_campaign_training(&origin->settings, generation);
   struct mo_controller *random = NULL;
   struct mo_training *training = NULL;
-  if (origin->controller == NULL && mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random) == MO_OK)
+  if (origin->controller == NULL &&
+      mo_controller_create(MO_DEFAULT_WORKSPACE, settings.sensor, &random) == MO_OK)
     mo_controller_randomize(random, settings.seed);
-  CHECK_INT(
-      mo_training_create(&settings, random != NULL ? random : origin->controller, designs[0].words, n, &training, NULL),
-      MO_OK);
+  CHECK_INT(mo_training_create(&settings, random != NULL ? random : origin->controller,
+                               designs[0].words, n, &training, NULL),
+            MO_OK);
   mo_controller_free(random);
   return training;
 }
 
-static inline double plain_score(const struct plain *plain, const struct origin *origin, const struct mo_bits *genotype,
+static inline double plain_score(const struct plain *plain, const struct origin *origin,
+                                 const struct mo_bits *genotype,
                                  const struct mo_controller *controller)
 {
   double sum = 0;
   for (uint32_t k = 0; k < origin->n_environments; k++)
-    sum += plain->loss(plain->context, genotype, controller, &origin->environments[k], &origin->settings.physics);
+    sum += plain->loss(plain->context, genotype, controller, &origin->environments[k],
+                       &origin->settings.physics);
   return sum / origin->n_environments;
 }
 
 /* Returns false when the campaign had no more children. */
-static inline bool plain_generation(const struct plain *plain, const struct origin *origin, uint32_t g,
-                                    struct mo_seen *seen, struct mo_training **training, struct history *history)
+static inline bool plain_generation(const struct plain *plain, const struct origin *origin,
+                                    uint32_t g, struct mo_seen *seen, struct mo_training **training,
+                                    struct history *history)
 {
   const struct mo_campaign_settings *settings = &origin->settings;
   const size_t words = mo_workspace_words(settings->workspace);
@@ -118,28 +126,31 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
     n_parents = history->generations[g - 1].n;
   for (uint32_t i = 0; i < n_parents; i++) {
     bits[i] = history->designs[numbers[i]].genotype;
-    CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, bits[i].words, settings->workspace, genotypes + words * i), MO_OK);
+    CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, bits[i].words, settings->workspace,
+                               genotypes + words * i),
+              MO_OK);
   }
   if (g == 0) {
     for (uint32_t i = 0; i < origin->n_given; i++)
-      CHECK_INT(
-          mo_genotype_move(MO_DEFAULT_WORKSPACE, origin->given[i].words, settings->workspace, genotypes + words * i),
-          MO_OK);
-    CHECK_INT(mo_population_initial(settings, seen, genotypes, origin->n_given, &n, NULL, NULL), MO_OK);
+      CHECK_INT(mo_genotype_move(MO_DEFAULT_WORKSPACE, origin->given[i].words, settings->workspace,
+                                 genotypes + words * i),
+                MO_OK);
+    CHECK_INT(mo_population_initial(settings, seen, genotypes, origin->n_given, &n, NULL, NULL),
+              MO_OK);
     for (uint32_t i = 0; i < n; i++)
-      births[i] =
-          (struct mo_birth){i < origin->n_given ? MO_BORN_LISTED : MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
+      births[i] = (struct mo_birth){
+          i < origin->n_given ? MO_BORN_LISTED : MO_BORN_RANDOM, {MO_NO_PARENT, MO_NO_PARENT}, 1};
   } else {
-    CHECK_INT(mo_variation(settings, g, genotypes, n_parents, seen, genotypes + words * n_parents, births, &n,
-                           &history->generations[g].variation, NULL),
+    CHECK_INT(mo_variation(settings, g, genotypes, n_parents, seen, genotypes + words * n_parents,
+                           births, &n, &history->generations[g].variation, NULL),
               MO_OK);
   }
   if (n == 0)
     return false;
   for (uint32_t i = 0; i < n; i++) {
     const uint32_t number = history->n_designs + i;
-    CHECK_INT(mo_genotype_move(settings->workspace, genotypes + words * (n_parents + i), MO_DEFAULT_WORKSPACE,
-                               bits[n_parents + i].words),
+    CHECK_INT(mo_genotype_move(settings->workspace, genotypes + words * (n_parents + i),
+                               MO_DEFAULT_WORKSPACE, bits[n_parents + i].words),
               MO_OK);
     history->designs[number].genotype = bits[n_parents + i];
     history->designs[number].born = g;
@@ -162,14 +173,16 @@ static inline bool plain_generation(const struct plain *plain, const struct orig
   for (uint32_t i = 0; i < n_parents + n; i++) {
     const uint32_t number = i < n_parents ? numbers[i] : history->n_designs + i - n_parents;
     if (settings->mode != MO_ZERO_SHOT || i >= n_parents) {
-      history->designs[number].score =
-          plain_score(plain, origin, &bits[i],
-                      settings->mode == MO_ZERO_SHOT ? origin->controller : mo_training_controller(*training));
+      history->designs[number].score = plain_score(
+          plain, origin, &bits[i],
+          settings->mode == MO_ZERO_SHOT ? origin->controller : mo_training_controller(*training));
       history->generations[g].rollouts += origin->n_environments;
     }
-    candidates[i] = (struct mo_candidate){history->designs[number].score, number, history->designs[number].born};
+    candidates[i] = (struct mo_candidate){history->designs[number].score, number,
+                                          history->designs[number].born};
   }
-  CHECK_INT(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors), MO_OK);
+  CHECK_INT(mo_select(settings, g, genotypes, candidates, n_parents + n, survivors, &n_survivors),
+            MO_OK);
   for (uint32_t i = 0; i < n_parents + n; i++) {
     bool lives = false;
     for (uint32_t k = 0; k < n_survivors; k++)
@@ -201,7 +214,8 @@ static inline struct history *plain_history(const struct plain *plain, const str
     if (!plain_generation(plain, origin, g, seen, &training, history))
       break;
   if (training != NULL &&
-      mo_training_export(training, origin->digits, plain->code_version, NULL, &controller) == MO_OK &&
+      mo_training_export(training, origin->digits, plain->code_version, NULL, &controller) ==
+          MO_OK &&
       mo_controller_encode(controller, &bytes, &size) == MO_OK)
     mo_sha256_of(bytes, size, &history->result);
   free(bytes);
@@ -235,7 +249,8 @@ static inline struct history *stored_history(struct mo_store *store, int64_t id)
   for (int64_t g = 0; g < n; g++) {
     uint32_t size = 0;
     CHECK_INT(rows[g].generation, g);
-    CHECK(mo_store_campaign_population(store, id, g, 0, designs, HISTORY_POPULATION, &size) == (int64_t)size);
+    CHECK(mo_store_campaign_population(store, id, g, 0, designs, HISTORY_POPULATION, &size) ==
+          (int64_t)size);
     history->generations[g].n = size;
     for (uint32_t i = 0; i < size; i++) {
       history->generations[g].numbers[i] = designs[i].number;
@@ -263,8 +278,8 @@ static inline bool same_number(double a, double b)
 static inline bool same_history(const struct history *a, const struct history *b)
 {
   if (a->n_generations != b->n_generations || a->n_designs != b->n_designs) {
-    printf("# %u generations and %u designs, expected %u and %u\n", a->n_generations, a->n_designs, b->n_generations,
-           b->n_designs);
+    printf("# %u generations and %u designs, expected %u and %u\n", a->n_generations, a->n_designs,
+           b->n_generations, b->n_designs);
     return false;
   }
   for (uint32_t i = 0; i < a->n_designs; i++)
@@ -274,28 +289,31 @@ static inline bool same_history(const struct history *a, const struct history *b
         a->designs[i].descent.parents[1] != b->designs[i].descent.parents[1] ||
         a->designs[i].born != b->designs[i].born || a->designs[i].died != b->designs[i].died ||
         !same_number(a->designs[i].score, b->designs[i].score)) {
-      printf("# design %u differs: born %u, died %lld, score %.17g; expected %u, %lld, %.17g\n", i, a->designs[i].born,
-             (long long)a->designs[i].died, a->designs[i].score, b->designs[i].born, (long long)b->designs[i].died,
-             b->designs[i].score);
+      printf("# design %u differs: born %u, died %lld, score %.17g; expected %u, %lld, %.17g\n", i,
+             a->designs[i].born, (long long)a->designs[i].died, a->designs[i].score,
+             b->designs[i].born, (long long)b->designs[i].died, b->designs[i].score);
       return false;
     }
   for (uint32_t g = 0; g < a->n_generations; g++) {
-    bool same = a->generations[g].n == b->generations[g].n &&
-                a->generations[g].learning_steps == b->generations[g].learning_steps &&
-                same_number(a->generations[g].first_loss, b->generations[g].first_loss) &&
-                same_number(a->generations[g].last_loss, b->generations[g].last_loss) &&
-                a->generations[g].variation.mutants == b->generations[g].variation.mutants &&
-                a->generations[g].variation.recombinants == b->generations[g].variation.recombinants &&
-                a->generations[g].rollouts == b->generations[g].rollouts;
+    bool same =
+        a->generations[g].n == b->generations[g].n &&
+        a->generations[g].learning_steps == b->generations[g].learning_steps &&
+        same_number(a->generations[g].first_loss, b->generations[g].first_loss) &&
+        same_number(a->generations[g].last_loss, b->generations[g].last_loss) &&
+        a->generations[g].variation.mutants == b->generations[g].variation.mutants &&
+        a->generations[g].variation.recombinants == b->generations[g].variation.recombinants &&
+        a->generations[g].rollouts == b->generations[g].rollouts;
     for (uint32_t i = 0; same && i < a->generations[g].n; i++)
       same = a->generations[g].numbers[i] == b->generations[g].numbers[i] &&
              same_number(a->generations[g].scores[i], b->generations[g].scores[i]);
     if (!same) {
-      printf("# generation %u differs: n %u/%u, steps %u/%u, losses %g %g/%g %g, rollouts %llu/%llu\n", g,
-             a->generations[g].n, b->generations[g].n, a->generations[g].learning_steps,
-             b->generations[g].learning_steps, a->generations[g].first_loss, a->generations[g].last_loss,
-             b->generations[g].first_loss, b->generations[g].last_loss, (unsigned long long)a->generations[g].rollouts,
-             (unsigned long long)b->generations[g].rollouts);
+      printf(
+          "# generation %u differs: n %u/%u, steps %u/%u, losses %g %g/%g %g, rollouts %llu/%llu\n",
+          g, a->generations[g].n, b->generations[g].n, a->generations[g].learning_steps,
+          b->generations[g].learning_steps, a->generations[g].first_loss,
+          a->generations[g].last_loss, b->generations[g].first_loss, b->generations[g].last_loss,
+          (unsigned long long)a->generations[g].rollouts,
+          (unsigned long long)b->generations[g].rollouts);
       return false;
     }
   }

@@ -1,5 +1,6 @@
-/* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their inputs: every mode end to end,
- * against plain loops (campaign_history.h), and what is told of them. */
+/* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
+ * inputs: every mode end to end, against plain loops (campaign_history.h), and what is told of
+ * them. */
 #include "campaigns.h"
 
 /* For any number of workers; with environments of its own, more than a block takes. */
@@ -63,10 +64,13 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   stats = settled(&service);
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
-  CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1), GENERATIONS + 1);
+  CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1),
+            GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++)
-    CHECK(rows[g].rollouts_cached == rows[g].rollouts && rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
-  REQUIRE(mo_store_campaign_designs(service.fixture.store, id, -1, designs, POPULATION) == POPULATION);
+    CHECK(rows[g].rollouts_cached == rows[g].rollouts &&
+          rows[g].rollouts == rows[g].n_children * MO_PAPER_TEST_COUNT);
+  REQUIRE(mo_store_campaign_designs(service.fixture.store, id, -1, designs, POPULATION) ==
+          POPULATION);
   for (int i = 0; i < POPULATION; i++)
     genotypes[i] = designs[i].genotype;
   evaluation = service_request(genotypes, POPULATION);
@@ -86,7 +90,8 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   service_end(&service);
 }
 
-/* Listed designs, in a smaller workspace; then another campaign that begins with what the first ended with. */
+/* Listed designs, in a smaller workspace; then another campaign that begins with what the first
+ * ended with. */
 __attribute__((unused)) static void begins_with_what_is_given(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
@@ -98,7 +103,8 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   struct origin origin;
   int64_t id;
   uint32_t n = 0;
-  for (uint32_t i = 0; i < 3; i++) { /* columns of 1, 2, 3 voxels along y: only turned do they fit */
+  for (uint32_t i = 0; i < 3;
+       i++) { /* columns of 1, 2, 3 voxels along y: only turned do they fit */
     for (uint32_t y = 0; y <= i; y++)
       listed[i].words[(y * 4) / 64] |= UINT64_C(1) << (y * 4) % 64;
     mo_genotype_place(MO_DEFAULT_WORKSPACE, listed[i].words);
@@ -112,7 +118,8 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   CHECK(ends_as_plain(&service, id, &origin));
   CHECK_INT(mo_store_campaign_designs(service.fixture.store, id, -1, designs, 4), 4);
   CHECK(designs[0].descent.op == MO_BORN_LISTED && designs[3].descent.op == MO_BORN_RANDOM);
-  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, designs, POPULATION, &n) == POPULATION);
+  REQUIRE(mo_store_campaign_population(service.fixture.store, id, -1, 0, designs, POPULATION, &n) ==
+          POPULATION);
   request = campaign(MO_ZERO_SHOT);
   request.record.initial_campaign = id;
   request.record.settings.population = 4; /* the best of them */
@@ -154,7 +161,8 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   fake_plan.delay_us = 2000;
   id = submit(&service, &request);
   REQUIRE(await_place(&service, id, 1, MO_CAMPAIGN_SCORE));
-  CHECK(live_of(&service, id).total == 2 * POPULATION || live_of(&service, id).phase != MO_CAMPAIGN_SCORE);
+  CHECK(live_of(&service, id).total == 2 * POPULATION ||
+        live_of(&service, id).phase != MO_CAMPAIGN_SCORE);
   CHECK_TEXT(mo_campaign_phase_name(MO_CAMPAIGN_SCORE), "scoring");
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
@@ -166,7 +174,8 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   }
   CHECK_INT(generations, GENERATIONS + 1);
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1) == GENERATIONS + 1);
+  REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1) ==
+          GENERATIONS + 1);
   for (int g = 0; g <= GENERATIONS; g++) { /* once of every fall, again only after a new maximum */
     bool falls;
     if (rows[g].stats.diversity > most) {
@@ -177,9 +186,11 @@ __attribute__((unused)) static void tells_of_its_generations(void)
     CHECK_INT(rows[g].collapse, falls);
     warned_since = warned_since || falls;
     expected += falls;
-    CHECK(rows[g].seconds > 0 && rows[g].stats.n == POPULATION && rows[g].stats.species == POPULATION);
+    CHECK(rows[g].seconds > 0 && rows[g].stats.n == POPULATION &&
+          rows[g].stats.species == POPULATION);
     CHECK_INT(rows[g].learning_steps, (g > 0 ? PARENT_STEPS : 0) + CHILD_STEPS);
-    CHECK(isnan(rows[g].mean_parents) == (g == 0) && rows[g].mean_children > 0 && rows[g].first_loss > 0);
+    CHECK(isnan(rows[g].mean_parents) == (g == 0) && rows[g].mean_children > 0 &&
+          rows[g].first_loss > 0);
     CHECK(g == 0 ? rows[g].turnover == 1 : rows[g].turnover < 1);
     CHECK_INT(rows[g].survived_mutants + rows[g].survived_recombinants,
               g > 0 ? (uint32_t)lround(rows[g].turnover * POPULATION) : 0);
@@ -190,7 +201,8 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   service_end(&service);
 }
 
-/* Champions, their recordings, and a training on the population: with the controller that scored them, also before the end. */
+/* Champions, their recordings, and a training on the population: with the controller that scored
+ * them, also before the end. */
 __attribute__((unused)) static void shows_its_champions(void)
 {
   for (int mode = MO_ZERO_SHOT; mode <= MO_FEW_SHOT; mode++) {
@@ -211,14 +223,16 @@ __attribute__((unused)) static void shows_its_champions(void)
     CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
     for (int round = 0; round < 2; round++) {
       bool has_best = false;
-      CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n), MO_OK);
+      CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n),
+                MO_OK);
       CHECK_INT(n, 4);
       for (uint32_t i = 0; i < n; i++) {
         has_best = has_best || rows[i].score == status_of(&service, id).best_score;
         CHECK(distinctiveness[i] > 0 && (i == 0 || distinctiveness[i] <= distinctiveness[i - 1]));
       }
       CHECK(has_best);
-      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation, &service.fixture.message),
+      CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation,
+                                                  &service.fixture.message),
                 MO_OK);
       REQUIRE(mo_jobs_wait(service.jobs, evaluation, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
@@ -231,13 +245,19 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
       REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
     }
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n), MO_OK);
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n),
+              MO_OK);
     CHECK_INT(n, POPULATION);
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n), MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, NULL, &evaluation, NULL), MO_ERR_RANGE);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, NULL, &evaluation, NULL), MO_ERR_NOT_FOUND);
-    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, NULL, &evaluation, NULL), MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 99, 4, rows, distinctiveness, &n),
+              MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_champions(service.jobs, 99, -1, 4, rows, distinctiveness, &n),
+              MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 0, 5, NULL, &evaluation, NULL),
+              MO_ERR_RANGE);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, 99, 4, 5, NULL, &evaluation, NULL),
+              MO_ERR_NOT_FOUND);
+    CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 0, NULL, &evaluation, NULL),
+              MO_ERR_RANGE);
     service_end(&service);
   }
 }
@@ -246,7 +266,8 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct mo_training_request training = {
-      .record = {.settings = mo_training_defaults(MO_TRAINING_FINETUNE), .checkpoints_kept = 1}, .population_best = 3};
+      .record = {.settings = mo_training_defaults(MO_TRAINING_FINETUNE), .checkpoints_kept = 1},
+      .population_best = 3};
   struct mo_campaign_design rows[3];
   struct mo_bits *genotypes = NULL;
   struct service service;
@@ -260,12 +281,14 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
   fake_plan.delay_us = 1000000;
   id = submit(&service, &request);
   training.population = id;
-  CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed, &service.fixture.message),
+  CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
+                                    &service.fixture.message),
             MO_ERR_CONFLICT);
   CHECK(strstr(service.fixture.message.text, "no generation yet") != NULL);
   fake_plan.delay_us = 0;
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
-  REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed, &service.fixture.message) == MO_OK);
+  REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
+                                  &service.fixture.message) == MO_OK);
   REQUIRE(mo_jobs_wait(service.jobs, tuning, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   REQUIRE(mo_store_training_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);

@@ -15,7 +15,8 @@ static struct mo_environment paper[MO_PAPER_TEST_COUNT];
 
 static inline struct mo_campaign_request campaign(enum mo_campaign_mode mode)
 {
-  struct mo_campaign_request request = {.record = {.settings = mo_campaign_preset(mode, MO_PRESET_DEMO)}};
+  struct mo_campaign_request request = {
+      .record = {.settings = mo_campaign_preset(mode, MO_PRESET_DEMO)}};
   struct mo_campaign_settings *settings = &request.record.settings;
   mo_environment_paper_test(paper);
   settings->population = POPULATION;
@@ -31,7 +32,8 @@ static inline struct mo_campaign_request campaign(enum mo_campaign_mode mode)
 }
 
 static inline double fake_plain_loss(void *context, const struct mo_bits *genotype,
-                                     const struct mo_controller *controller, const struct mo_environment *environment,
+                                     const struct mo_controller *controller,
+                                     const struct mo_environment *environment,
                                      const struct mo_physics *physics)
 {
   (void)context;
@@ -39,8 +41,9 @@ static inline double fake_plain_loss(void *context, const struct mo_bits *genoty
 }
 
 static inline void fake_plain_gradient(void *context, const struct mo_controller *controller,
-                                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
-                                       double *d_parameters, struct mo_outcome *outcomes,
+                                       const struct mo_robot *robots, uint32_t n,
+                                       const struct mo_physics *physics, double *d_parameters,
+                                       struct mo_outcome *outcomes,
                                        struct mo_gradient_counts *counts)
 {
   (void)context;
@@ -48,7 +51,8 @@ static inline void fake_plain_gradient(void *context, const struct mo_controller
   fake_gradient(controller, robots, n, d_parameters, outcomes, counts);
 }
 
-static const struct plain fake_plain = {fake_plain_loss, fake_plain_gradient, NULL, "fake gradient"};
+static const struct plain fake_plain = {fake_plain_loss, fake_plain_gradient, NULL,
+                                        "fake gradient"};
 
 /* The file of the default controller, as the fixture stores it. */
 static inline const char *default_digits(void)
@@ -66,15 +70,17 @@ static inline const char *default_digits(void)
 
 static inline struct origin origin_of(const struct mo_campaign_request *request)
 {
-  const bool has_controller = request->controller != NULL || request->record.settings.mode != MO_SIMULTANEOUS;
-  return (struct origin){.settings = request->record.settings,
-                         .environments = request->record.environment_set[0] != '\0' ? paper : request->environments,
-                         .n_environments = request->record.environment_set[0] != '\0' ? MO_PAPER_TEST_COUNT
-                                                                                      : request->record.n_environments,
-                         .controller = has_controller ? default_weights() : NULL,
-                         .digits = has_controller ? default_digits() : NULL,
-                         .given = request->genotypes,
-                         .n_given = request->record.n_listed};
+  const bool has_controller =
+      request->controller != NULL || request->record.settings.mode != MO_SIMULTANEOUS;
+  return (struct origin){
+      .settings = request->record.settings,
+      .environments = request->record.environment_set[0] != '\0' ? paper : request->environments,
+      .n_environments = request->record.environment_set[0] != '\0' ? MO_PAPER_TEST_COUNT
+                                                                   : request->record.n_environments,
+      .controller = has_controller ? default_weights() : NULL,
+      .digits = has_controller ? default_digits() : NULL,
+      .given = request->genotypes,
+      .n_given = request->record.n_listed};
 }
 
 static inline int64_t submit(struct service *service, const struct mo_campaign_request *request)
@@ -82,7 +88,8 @@ static inline int64_t submit(struct service *service, const struct mo_campaign_r
   int64_t id = 0;
   bool replayed = false;
   uint32_t fault = 0;
-  int error = mo_jobs_submit_campaign(service->jobs, request, &id, &replayed, &fault, &service->fixture.message);
+  int error = mo_jobs_submit_campaign(service->jobs, request, &id, &replayed, &fault,
+                                      &service->fixture.message);
   if (error != MO_OK)
     printf("# submission: %s\n", service->fixture.message.text);
   return error != MO_OK ? error : id;
@@ -116,7 +123,8 @@ static inline bool await_phase(struct service *service, int64_t id, enum mo_camp
 }
 
 /* At least so far: a generation that is under way, or a later one, in this phase. */
-static inline bool await_place(struct service *service, int64_t id, uint32_t generation, enum mo_campaign_phase phase)
+static inline bool await_place(struct service *service, int64_t id, uint32_t generation,
+                               enum mo_campaign_phase phase)
 {
   double end = now_s() + 60;
   struct mo_campaign_live live;
@@ -138,8 +146,8 @@ static inline struct mo_campaign_status status_of(struct service *service, int64
 static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
 {
   struct mo_job job;
-  return mo_jobs_wait(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED && job.attempts == 0 &&
-         is_as_plain(service->fixture.store, id, &fake_plain, origin);
+  return mo_jobs_wait(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
+         job.attempts == 0 && is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 
 /* The rollouts and learning robots that a campaign needs, when nothing is computed twice. */

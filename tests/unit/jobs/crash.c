@@ -1,8 +1,10 @@
-/* crash.c: a process is killed with SIGKILL at random moments, again and again, until all its work is done.
+/* crash.c: a process is killed with SIGKILL at random moments, again and again, until all its work
+ * is done.
  *
- * A child opens the state folder, submits evaluations, notes each in a file once it is acknowledged, and computes (with the fake
- * back end). The parent kills it, checks the database, and starts the next child. At the end every acknowledged job has
- * succeeded, its losses are those of an undisturbed run, and no row is there twice.
+ * A child opens the state folder, submits evaluations, notes each in a file once it is
+ * acknowledged, and computes (with the fake back end). The parent kills it, checks the database,
+ * and starts the next child. At the end every acknowledged job has succeeded, its losses are those
+ * of an undisturbed run, and no row is there twice.
  *
  * MORPHO_CRASH_KILLS: how many times at least (default 20). */
 #include <fcntl.h>
@@ -17,7 +19,8 @@
 #define SUBMISSIONS 60
 
 /* What submission number i asks for. */
-static struct mo_evaluation_request request_of(int i, const struct mo_bits *genotypes, char *key, size_t key_size)
+static struct mo_evaluation_request request_of(int i, const struct mo_bits *genotypes, char *key,
+                                               size_t key_size)
 {
   uint32_t n = i % 7 == 0 ? 40 : (uint32_t)(1 + i % 9);
   struct mo_evaluation_request request = service_request(genotypes + (i * 37) % (BODIES - 40), n);
@@ -72,7 +75,8 @@ static int64_t query(const char *path, const char *sql)
   int64_t value = -1;
   snprintf(name, sizeof(name), "%s/morphod.db", path);
   if (sqlite3_open_v2(name, &db, SQLITE_OPEN_READWRITE, NULL) == SQLITE_OK &&
-      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK && sqlite3_step(statement) == SQLITE_ROW)
+      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
+      sqlite3_step(statement) == SQLITE_ROW)
     value = sqlite3_column_type(statement, 0) == SQLITE_TEXT
                 ? strcmp((const char *)sqlite3_column_text(statement, 0), "ok") == 0
                 : sqlite3_column_int64(statement, 0);
@@ -92,15 +96,17 @@ static void check_end(const char *path, const struct mo_bits *genotypes, const c
   REQUIRE(read(log, ids, sizeof(ids)) == (ssize_t)sizeof(ids));
   close(log);
   CHECK_INT(query(path, "PRAGMA integrity_check"), 1);
-  CHECK_INT(query(path, "SELECT count(*) FROM jobs"), SUBMISSIONS); /* a key makes one job, whatever was killed */
+  CHECK_INT(query(path, "SELECT count(*) FROM jobs"),
+            SUBMISSIONS); /* a key makes one job, whatever was killed */
   CHECK_INT(query(path, "SELECT count(*) FROM jobs WHERE state=3"), SUBMISSIONS);
   CHECK_INT(query(path, "SELECT count(*) FROM jobs WHERE attempts>0"), 0);
   CHECK_INT(query(path, "SELECT count(*) FROM events WHERE type='job.created'"), SUBMISSIONS);
   CHECK_INT(query(path, "SELECT count(*) FROM events WHERE type='job.finished'"), SUBMISSIONS);
-  CHECK_INT(query(path, "SELECT count(*) FROM evaluations WHERE done<>n_designs*n_environments"), 0);
-  CHECK_INT(
-      query(path, "SELECT count(*) FROM (SELECT job,position FROM evaluation_designs GROUP BY 1,2 HAVING count(*)>1)"),
-      0);
+  CHECK_INT(query(path, "SELECT count(*) FROM evaluations WHERE done<>n_designs*n_environments"),
+            0);
+  CHECK_INT(query(path, "SELECT count(*) FROM (SELECT job,position FROM evaluation_designs GROUP "
+                        "BY 1,2 HAVING count(*)>1)"),
+            0);
   memset(&service, 0, sizeof(service));
   snprintf(service.fixture.path, sizeof(service.fixture.path), "%s", path);
   REQUIRE(service_open(&service) == MO_OK);
@@ -110,9 +116,12 @@ static void check_end(const char *path, const struct mo_bits *genotypes, const c
     struct mo_evaluation_request request = request_of(i, genotypes, key, sizeof(key));
     struct mo_evaluation_results *results = NULL;
     struct mo_trajectory *trajectory = NULL;
-    CHECK(service_results_right(&service, ids[i], request.genotypes, &physics, MO_FLOAT32, weights));
+    CHECK(
+        service_results_right(&service, ids[i], request.genotypes, &physics, MO_FLOAT32, weights));
     if (request.record_com) {
-      CHECK_INT(mo_store_trajectory(service.fixture.store, ids[i], request.n_designs - 1, 9, &trajectory), MO_OK);
+      CHECK_INT(
+          mo_store_trajectory(service.fixture.store, ids[i], request.n_designs - 1, 9, &trajectory),
+          MO_OK);
       mo_trajectory_free(trajectory);
     }
     if (request.verify && mo_store_results(service.fixture.store, ids[i], &results) == MO_OK) {
@@ -147,7 +156,8 @@ static void loses_nothing(void)
       REQUIRE(child > 0);
       lives++;
       random = random * 1103515245U + 12345U;
-      usleep(5000 + (random >> 8) % (lives % 3 == 0 ? 300000 : 60000)); /* losses of batch jobs wait 100 ms */
+      usleep(5000 + (random >> 8) %
+                        (lives % 3 == 0 ? 300000 : 60000)); /* losses of batch jobs wait 100 ms */
       if (kills < wanted) {
         kill(child, SIGKILL);
         REQUIRE(waitpid(child, &status, 0) == child);

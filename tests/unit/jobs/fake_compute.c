@@ -42,7 +42,8 @@ struct mo_compute_share {
 
 static atomic_int n_shares;
 
-int mo_compute_share_create(struct mo_compute *compute, double weight, struct mo_compute_share **ret)
+int mo_compute_share_create(struct mo_compute *compute, double weight,
+                            struct mo_compute_share **ret)
 {
   (void)compute;
   *ret = calloc(1, sizeof(**ret));
@@ -65,7 +66,8 @@ void mo_compute_share_set_weight(struct mo_compute_share *share, double weight)
   atomic_store(&share->weight, weight);
 }
 
-void mo_compute_share_get_stats(const struct mo_compute_share *share, struct mo_compute_share_stats *stats)
+void mo_compute_share_get_stats(const struct mo_compute_share *share,
+                                struct mo_compute_share_stats *stats)
 {
   *stats = (struct mo_compute_share_stats){.busy_s = 1e-6 * (double)atomic_load(&share->busy_us),
                                            .blocks_done = atomic_load(&share->blocks)};
@@ -85,8 +87,8 @@ static uint64_t mix(uint64_t h, const void *data, size_t size)
 }
 
 struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_controller *controller,
-                               const struct mo_environment *environment, const struct mo_physics *physics,
-                               enum mo_precision precision)
+                               const struct mo_environment *environment,
+                               const struct mo_physics *physics, enum mo_precision precision)
 {
   struct mo_outcome outcome = {.loss = 0};
   uint64_t h = UINT64_C(0xCBF29CE484222325);
@@ -141,12 +143,13 @@ static int run_block(struct mo_block *block)
   }
   if (is_cancelled(block))
     return MO_ERR_CANCELLED;
-  if (atomic_load(&fake_plan.fail_status) != 0 && block->genotype[0] == atomic_load(&fake_plan.fail_word) &&
+  if (atomic_load(&fake_plan.fail_status) != 0 &&
+      block->genotype[0] == atomic_load(&fake_plan.fail_word) &&
       atomic_fetch_sub(&fake_plan.fail_times, 1) > 0)
     return atomic_load(&fake_plan.fail_status);
   for (uint32_t i = 0; i < block->n_environments; i++) {
-    block->outcomes[i] = fake_outcome(block->genotype, block->controller->controller, block->environments[i],
-                                      &block->physics, block->precision);
+    block->outcomes[i] = fake_outcome(block->genotype, block->controller->controller,
+                                      block->environments[i], &block->physics, block->precision);
     if (block->recordings != NULL) {
       uint32_t frames = mo_recording_frames(&block->physics, block->recordings[i].stride);
       if (block->recordings[i].com_m != NULL)
@@ -317,21 +320,26 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
   free(state);
 }
 
-void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                   double *d_parameters, struct mo_outcome *outcomes, struct mo_gradient_counts *counts)
+void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots,
+                   uint32_t n, double *d_parameters, struct mo_outcome *outcomes,
+                   struct mo_gradient_counts *counts)
 {
   uint64_t all = UINT64_C(0xCBF29CE484222325);
-  *counts = (struct mo_gradient_counts){.robots = n, .steps = 100 * (uint64_t)n, .clipped_steps = n};
+  *counts =
+      (struct mo_gradient_counts){.robots = n, .steps = 100 * (uint64_t)n, .clipped_steps = n};
   for (uint32_t i = 0; i < n; i++) {
-    uint64_t h = mix(UINT64_C(0xCBF29CE484222325), robots[i].environment, sizeof(*robots[i].environment));
-    h = mix(h, robots[i].body->mass_lattice, robots[i].body->n_masses * sizeof(*robots[i].body->mass_lattice));
+    uint64_t h =
+        mix(UINT64_C(0xCBF29CE484222325), robots[i].environment, sizeof(*robots[i].environment));
+    h = mix(h, robots[i].body->mass_lattice,
+            robots[i].body->n_masses * sizeof(*robots[i].body->mass_lattice));
     h = mix(h, controller->parameters, 64 * sizeof(float));
     outcomes[i] = (struct mo_outcome){.loss = (double)(h >> 11) * 0x1p-53};
     all = mix(all, &h, sizeof(h));
   }
   for (size_t i = 0; i < controller->n_parameters; i++)
-    d_parameters[i] = 1e-3 * ((double)((all + i * UINT64_C(0x9E3779B97F4A7C15)) >> 11) * 0x1p-53 - 0.5) +
-                      1e-3 * (double)controller->parameters[i];
+    d_parameters[i] =
+        1e-3 * ((double)((all + i * UINT64_C(0x9E3779B97F4A7C15)) >> 11) * 0x1p-53 - 0.5) +
+        1e-3 * (double)controller->parameters[i];
 }
 
 void mo_compute_begin_blocks(struct mo_compute *compute)
@@ -344,8 +352,8 @@ void mo_compute_end_blocks(struct mo_compute *compute)
   (void)compute;
 }
 
-int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots, uint32_t n,
-                                const struct mo_physics *physics)
+int mo_compute_gradient_lay_out(struct mo_gradient_state *state, const struct mo_robot *robots,
+                                uint32_t n, const struct mo_physics *physics)
 {
   (void)state;
   (void)robots;
@@ -376,11 +384,13 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
   charge(batch->share, batch->tag);
   if (atomic_load(&fake_plan.gradient_crash))
     raise(SIGSEGV);
-  if (atomic_load(&fake_plan.gradient_status) != 0 && atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)
+  if (atomic_load(&fake_plan.gradient_status) != 0 &&
+      atomic_fetch_sub(&fake_plan.gradient_fails, 1) > 0)
     return atomic_load(&fake_plan.gradient_status);
   if (fake_count != NULL)
     atomic_fetch_add(&fake_count->robots, batch->n);
-  fake_gradient(batch->controller, batch->robots, batch->n, batch->d_parameters, batch->outcomes, &batch->counts);
+  fake_gradient(batch->controller, batch->robots, batch->n, batch->d_parameters, batch->outcomes,
+                &batch->counts);
   return MO_OK;
 }
 
@@ -429,7 +439,8 @@ uint32_t mo_compute_devices_working(const struct mo_compute *compute)
   return 0;
 }
 
-int mo_compute_device(struct mo_compute *compute, uint32_t position, struct mo_device_status *status)
+int mo_compute_device(struct mo_compute *compute, uint32_t position,
+                      struct mo_device_status *status)
 {
   (void)compute;
   (void)position;

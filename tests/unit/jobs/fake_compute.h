@@ -1,7 +1,7 @@
 /* fake_compute.h: a back end for tests: made-up losses, at once or slowly, wrong on demand.
  *
- * Linked in place of the real one. A loss depends on genotype, environment, physics, precision and the controller's first
- * weights alone, like a real one; one in about 30 "diverges". */
+ * Linked in place of the real one. A loss depends on genotype, environment, physics, precision and
+ * the controller's first weights alone, like a real one; one in about 30 "diverges". */
 #ifndef MORPHO_TESTS_FAKE_COMPUTE_H
 #define MORPHO_TESTS_FAKE_COMPUTE_H
 
@@ -23,7 +23,8 @@ struct fake_plan {
 };
 extern struct fake_plan fake_plan;
 
-/* Counts the rollouts of blocks and of batches of gradients when they are finished; may lie in memory that processes share; NULL: not. */
+/* Counts the rollouts of blocks and of batches of gradients when they are finished; may lie in
+ * memory that processes share; NULL: not. */
 struct fake_count {
   atomic_uint_fast64_t rollouts, robots;
 };
@@ -31,12 +32,14 @@ extern struct fake_count *fake_count;
 
 /* What a block with these inputs gives. */
 struct mo_outcome fake_outcome(const uint64_t *genotype, const struct mo_controller *controller,
-                               const struct mo_environment *environment, const struct mo_physics *physics,
-                               enum mo_precision precision);
+                               const struct mo_environment *environment,
+                               const struct mo_physics *physics, enum mo_precision precision);
 
-/* The fake gradient of a batch: a function of the robots and of the weights, with a loss per robot. */
-void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots, uint32_t n,
-                   double *d_parameters, struct mo_outcome *outcomes, struct mo_gradient_counts *counts);
+/* The fake gradient of a batch: a function of the robots and of the weights, with a loss per robot.
+ */
+void fake_gradient(const struct mo_controller *controller, const struct mo_robot *robots,
+                   uint32_t n, double *d_parameters, struct mo_outcome *outcomes,
+                   struct mo_gradient_counts *counts);
 
 /* Order in which blocks and batches of gradients were started: their tags. */
 size_t fake_history(int64_t *tags, size_t room);

@@ -57,7 +57,8 @@ static void computes_nothing_twice(void)
   request.priority = MO_BATCH;
   second = service_submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, first, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
-  REQUIRE(mo_jobs_wait(service.jobs, second, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(mo_jobs_wait(service.jobs, second, 10000, &job) == MO_OK &&
+          job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(computed(&service), 400);
   CHECK(right(&service, first, genotypes));
   CHECK(right(&service, second, genotypes + 10));
@@ -109,7 +110,8 @@ static void puts_interactive_first_and_shares(void)
   request = service_request(genotypes + 200, 1);
   start = now_s();
   urgent = service_submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, urgent, 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(mo_jobs_wait(service.jobs, urgent, 10000, &job) == MO_OK &&
+          job.state == MO_JOB_SUCCEEDED);
   CHECK_INT(job.priority, MO_INTERACTIVE);
   CHECK(now_s() - start < 0.2); /* the two others take 0.4 s more */
   CHECK(state_of(&service, a) == MO_JOB_RUNNING && state_of(&service, b) == MO_JOB_RUNNING);
@@ -211,7 +213,8 @@ static void cancels_pauses_resumes(void)
   service_end(&service);
 }
 
-/* Whatever kind of job: nothing is computed twice, its own work is not "cached", and its counts never go back. */
+/* Whatever kind of job: nothing is computed twice, its own work is not "cached", and its counts
+ * never go back. */
 static void counts_through_pauses(void)
 {
   enum { DESIGNS = 40, ROLLOUTS = DESIGNS * 10, ROUNDS = 12 };
@@ -276,7 +279,8 @@ static void counts_through_pauses(void)
   }
 }
 
-/* One client pauses, another resumes before the first's call has told the scheduler: the wish finds a job that runs. */
+/* One client pauses, another resumes before the first's call has told the scheduler: the wish finds
+ * a job that runs. */
 static void survives_a_late_wish(void)
 {
   struct service service;
@@ -308,7 +312,8 @@ static void survives_a_late_wish(void)
   service_end(&service);
 }
 
-/* Another process holds the database: what is computed meanwhile has to stay in memory, so it must have an end. */
+/* Another process holds the database: what is computed meanwhile has to stay in memory, so it must
+ * have an end. */
 static void waits_for_a_slow_store(void)
 {
   enum { DESIGNS = 4000, IN_MEMORY = 16384 + 5000 };
@@ -375,7 +380,8 @@ static void parks_and_goes_on(void)
   start = now_s();
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
   CHECK(now_s() - start < 2);
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL), MO_ERR_CANCELLED);
+  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL),
+            MO_ERR_CANCELLED);
   first = computed(&service);
   CHECK(first > 0 && first < 1000);
   REQUIRE(mo_store_job(service.fixture.store, id, &job) == MO_OK);
@@ -466,7 +472,9 @@ static void records(void)
   REQUIRE(fixture_bodies(8, 200, &forms, &genotypes) == MO_OK);
   request.genotypes = genotypes;
   request.n_designs = 200;
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, &service.fixture.message), MO_ERR_LIMIT);
+  CHECK_INT(
+      mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, &service.fixture.message),
+      MO_ERR_LIMIT);
   CHECK(strstr(service.fixture.message.text, "67108864") != NULL);
   free(forms);
   free(genotypes);

@@ -1,4 +1,5 @@
-/* learning.h: a small training with the fake back end, what it must end with, and what the tests of trainings wait for. */
+/* learning.h: a small training with the fake back end, what it must end with, and what the tests of
+ * trainings wait for. */
 #ifndef MORPHO_TESTS_JOBS_LEARNING_H
 #define MORPHO_TESTS_JOBS_LEARNING_H
 
@@ -10,10 +11,11 @@
 
 static inline struct mo_training_request pretraining(const char *name)
 {
-  struct mo_training_request request = {.record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
-                                                   .validate_every_steps = 10,
-                                                   .checkpoint_every_steps = 6,
-                                                   .checkpoints_kept = 2}};
+  struct mo_training_request request = {
+      .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
+                 .validate_every_steps = 10,
+                 .checkpoint_every_steps = 6,
+                 .checkpoints_kept = 2}};
   request.record.settings.n_steps = STEPS;
   request.record.settings.batch = BATCH;
   request.record.settings.held_out_designs = 3;
@@ -26,15 +28,17 @@ static inline int64_t submit(struct service *service, const struct mo_training_r
 {
   int64_t id = 0;
   bool replayed = false;
-  int error = mo_jobs_submit_training(service->jobs, request, &id, &replayed, &service->fixture.message);
+  int error =
+      mo_jobs_submit_training(service->jobs, request, &id, &replayed, &service->fixture.message);
   if (error != MO_OK)
     printf("# submission: %s\n", service->fixture.message.text);
   return error != MO_OK ? error : id;
 }
 
 /* The weights of a training that nothing disturbs, as the hash of its file. */
-static inline bool expect(const struct mo_training_request *request, const struct mo_controller *parent,
-                          const char *parent_digits, const struct mo_bits *designs, uint32_t n,
+static inline bool expect(const struct mo_training_request *request,
+                          const struct mo_controller *parent, const char *parent_digits,
+                          const struct mo_bits *designs, uint32_t n,
                           const struct mo_training_lineage *lineage, struct mo_sha256 *sha256)
 {
   struct mo_training *training = NULL;
@@ -43,8 +47,8 @@ static inline bool expect(const struct mo_training_request *request, const struc
   double *gradient = NULL;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  int error = mo_training_create(&request->record.settings, parent, designs != NULL ? designs[0].words : NULL, n,
-                                 &training, NULL);
+  int error = mo_training_create(&request->record.settings, parent,
+                                 designs != NULL ? designs[0].words : NULL, n, &training, NULL);
   if (error == MO_OK)
     gradient = calloc(mo_training_controller(training)->n_parameters, sizeof(*gradient));
   while (error == MO_OK && mo_training_step(training) < request->record.settings.n_steps) {
@@ -52,8 +56,8 @@ static inline bool expect(const struct mo_training_request *request, const struc
     struct mo_gradient_counts counts;
     error = mo_training_draw(training, NULL, NULL, &robots);
     if (error == MO_OK) {
-      fake_gradient(mo_training_controller(training), robots, request->record.settings.batch, gradient, outcomes,
-                    &counts);
+      fake_gradient(mo_training_controller(training), robots, request->record.settings.batch,
+                    gradient, outcomes, &counts);
       error = mo_training_apply(training, gradient, outcomes, &counts, NULL);
     }
   }
@@ -85,8 +89,9 @@ static inline struct mo_sha256 undisturbed(void)
 static inline bool has_result(struct service *service, int64_t id, const struct mo_sha256 *expected)
 {
   struct mo_training_status status;
-  return mo_store_training(service->fixture.store, id, &status) == MO_OK && status.job.state == MO_JOB_SUCCEEDED &&
-         status.has_result && mo_sha256_equal(&status.result_sha256, expected);
+  return mo_store_training(service->fixture.store, id, &status) == MO_OK &&
+         status.job.state == MO_JOB_SUCCEEDED && status.has_result &&
+         mo_sha256_equal(&status.result_sha256, expected);
 }
 
 static inline bool await_step(struct service *service, int64_t id, uint32_t step)

@@ -1,5 +1,5 @@
-/* real.c: the jobs room with the real back end: the losses of a job are those of its rollouts run alone, for any number of
- * workers, in company or not, and after a restart. */
+/* real.c: the jobs room with the real back end: the losses of a job are those of its rollouts run
+ * alone, for any number of workers, in company or not, and after a restart. */
 #include <stdio.h>
 
 #include "../check.h"
@@ -24,7 +24,8 @@ static int open_real(struct real *real, uint32_t n_workers)
   if (error == MO_OK)
     error = mo_compute_create_cpu(&compute_config, &real->compute);
   if (error == MO_OK)
-    error = mo_jobs_create(real->fixture.store, real->compute, &config, &real->jobs, &real->fixture.message);
+    error = mo_jobs_create(real->fixture.store, real->compute, &config, &real->jobs,
+                           &real->fixture.message);
   return error;
 }
 
@@ -39,16 +40,19 @@ static void close_real(struct real *real)
 }
 
 /* One body in one environment, alone in its block. */
-static double alone(const struct mo_pack *pack, const struct mo_lattice *lattice, const struct mo_bits *genotype,
-                    const struct mo_environment *environment, const struct mo_physics *physics)
+static double alone(const struct mo_pack *pack, const struct mo_lattice *lattice,
+                    const struct mo_bits *genotype, const struct mo_environment *environment,
+                    const struct mo_physics *physics)
 {
   struct mo_workspace_memory *memory = NULL;
   struct mo_body *body = NULL;
   struct mo_bits placed = *genotype;
   struct mo_outcome outcome = {.loss = -1};
   mo_genotype_place(MO_DEFAULT_WORKSPACE, placed.words);
-  if (mo_workspace_memory_create(&memory) == MO_OK && mo_body_create(lattice, placed.words, &body) == MO_OK)
-    (void)mo_rollout_block(memory, pack, body, &environment, 1, physics, NULL, NULL, NULL, &outcome);
+  if (mo_workspace_memory_create(&memory) == MO_OK &&
+      mo_body_create(lattice, placed.words, &body) == MO_OK)
+    (void)mo_rollout_block(memory, pack, body, &environment, 1, physics, NULL, NULL, NULL,
+                           &outcome);
   mo_body_free(body);
   mo_workspace_memory_free(memory);
   return outcome.loss;
@@ -63,7 +67,8 @@ static void gives_the_bits_of_lone_rollouts(void)
   struct mo_pack *pack = NULL;
   struct mo_bits *forms, *genotypes, reversed[BODIES];
   struct mo_environment paper[MO_PAPER_TEST_COUNT];
-  struct mo_evaluation_request request = {.environment_set = "paper-test", .priority = -1, .record_stride = 50};
+  struct mo_evaluation_request request = {
+      .environment_set = "paper-test", .priority = -1, .record_stride = 50};
   struct mo_job job;
   int64_t id;
   bool replayed;
@@ -86,14 +91,16 @@ static void gives_the_bits_of_lone_rollouts(void)
     request.n_designs = round == 0 ? BODIES / 2 : BODIES;
     request.verify = round > 0; /* computed again, in other company */
     request.record_com = round == 2;
-    REQUIRE(mo_jobs_submit_evaluation(real.jobs, &request, &id, &replayed, &real.fixture.message) == MO_OK);
+    REQUIRE(mo_jobs_submit_evaluation(real.jobs, &request, &id, &replayed, &real.fixture.message) ==
+            MO_OK);
     REQUIRE(mo_jobs_wait(real.jobs, id, 60000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
     REQUIRE(mo_store_results(real.fixture.store, id, &results) == MO_OK);
     for (uint32_t n = 0; n < request.n_designs; n++) {
       for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
         double expected = alone(pack, lattice, &request.genotypes[n], &paper[k], &request.physics);
-        CHECK(memcmp(&expected, &results->losses[n * MO_PAPER_TEST_COUNT + k], sizeof(expected)) == 0);
+        CHECK(memcmp(&expected, &results->losses[n * MO_PAPER_TEST_COUNT + k], sizeof(expected)) ==
+              0);
       }
       if (request.verify)
         CHECK_INT(results->agrees[n], 1);
@@ -118,5 +125,6 @@ static void gives_the_bits_of_lone_rollouts(void)
   fixture_remove(real.fixture.path);
 }
 
-static const struct check_case cases[] = {{"gives the bits of lone rollouts", gives_the_bits_of_lone_rollouts}};
+static const struct check_case cases[] = {
+    {"gives the bits of lone rollouts", gives_the_bits_of_lone_rollouts}};
 CHECK_MAIN(cases)

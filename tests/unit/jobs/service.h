@@ -18,16 +18,18 @@ struct service {
 static inline int service_open(struct service *service)
 {
   struct mo_store_config store_config = {.path = service->fixture.path, .vfs = service->vfs};
-  struct mo_compute_config compute_config = {.n_workers = service->n_workers > 0 ? service->n_workers : 2};
+  struct mo_compute_config compute_config = {.n_workers =
+                                                 service->n_workers > 0 ? service->n_workers : 2};
   struct mo_controller_record record;
   int error = mo_store_open(&store_config, &service->fixture.store, &service->fixture.message);
-  if (error == MO_OK && mo_store_controller(service->fixture.store, "default", &record) == MO_ERR_NOT_FOUND)
+  if (error == MO_OK &&
+      mo_store_controller(service->fixture.store, "default", &record) == MO_ERR_NOT_FOUND)
     error = fixture_controller(service->fixture.store, "default", 1, &record);
   if (error == MO_OK)
     error = mo_compute_create_cpu(&compute_config, &service->compute);
   if (error == MO_OK)
-    error = mo_jobs_create(service->fixture.store, service->compute, &service->config, &service->jobs,
-                           &service->fixture.message);
+    error = mo_jobs_create(service->fixture.store, service->compute, &service->config,
+                           &service->jobs, &service->fixture.message);
   return error;
 }
 
@@ -64,7 +66,8 @@ static inline void service_end(struct service *service)
   fixture_remove(service->fixture.path);
 }
 
-static inline struct mo_evaluation_request service_request(const struct mo_bits *genotypes, uint32_t n)
+static inline struct mo_evaluation_request service_request(const struct mo_bits *genotypes,
+                                                           uint32_t n)
 {
   return (struct mo_evaluation_request){.genotypes = genotypes,
                                         .n_designs = n,
@@ -74,11 +77,13 @@ static inline struct mo_evaluation_request service_request(const struct mo_bits 
                                         .record_stride = 100};
 }
 
-static inline int64_t service_submit(struct service *service, const struct mo_evaluation_request *request)
+static inline int64_t service_submit(struct service *service,
+                                     const struct mo_evaluation_request *request)
 {
   int64_t id = 0;
   bool replayed = false;
-  int error = mo_jobs_submit_evaluation(service->jobs, request, &id, &replayed, &service->fixture.message);
+  int error =
+      mo_jobs_submit_evaluation(service->jobs, request, &id, &replayed, &service->fixture.message);
   if (error != MO_OK) {
     printf("# submission: %s\n", service->fixture.message.text);
     return error;
@@ -87,8 +92,10 @@ static inline int64_t service_submit(struct service *service, const struct mo_ev
 }
 
 /* Whether the results of a job are, bit for bit, what the fake back end gives. */
-static inline bool service_results_right(struct service *service, int64_t id, const struct mo_bits *genotypes,
-                                         const struct mo_physics *physics, enum mo_precision precision,
+static inline bool service_results_right(struct service *service, int64_t id,
+                                         const struct mo_bits *genotypes,
+                                         const struct mo_physics *physics,
+                                         enum mo_precision precision,
                                          const struct mo_controller *controller)
 {
   struct mo_evaluation_results *results = NULL;
@@ -101,7 +108,8 @@ static inline bool service_results_right(struct service *service, int64_t id, co
     struct mo_bits placed = genotypes[n];
     mo_genotype_place(MO_DEFAULT_WORKSPACE, placed.words);
     for (uint32_t k = 0; k < results->n_environments; k++) {
-      struct mo_outcome outcome = fake_outcome(placed.words, controller, &paper[k], physics, precision);
+      struct mo_outcome outcome =
+          fake_outcome(placed.words, controller, &paper[k], physics, precision);
       size_t cell = (size_t)n * results->n_environments + k;
       right = right && memcmp(&outcome.loss, &results->losses[cell], sizeof(double)) == 0 &&
               outcome.diverged_step == results->diverged_steps[cell];

@@ -1,5 +1,5 @@
-/* shares.c: a training beside an evaluation on the real back end: the workers' time is divided by weight, and small evaluations do not
- * wait for either. */
+/* shares.c: a training beside an evaluation on the real back end: the workers' time is divided by
+ * weight, and small evaluations do not wait for either. */
 #include <stdio.h>
 #include <time.h>
 #include <unistd.h>
@@ -17,8 +17,9 @@ static double now_s(void)
   return (double)time.tv_sec + 1e-9 * (double)time.tv_nsec;
 }
 
-/* The training's part of the worker seconds from now on: once there were 4 of them, within a tenth of what is wanted. Its blocks take
- * 0.1 s, more on a busy machine: four times as long is waited until that evens out. */
+/* The training's part of the worker seconds from now on: once there were 4 of them, within a tenth
+ * of what is wanted. Its blocks take 0.1 s, more on a busy machine: four times as long is waited
+ * until that evens out. */
 static bool training_gets(struct mo_jobs *jobs, double wanted)
 {
   struct mo_jobs_stats before, now;
@@ -32,7 +33,8 @@ static bool training_gets(struct mo_jobs *jobs, double wanted)
     sum = learned_s + now.worker_s[MO_JOB_EVALUATION] - before.worker_s[MO_JOB_EVALUATION];
     right = fabs(learned_s - wanted * sum) <= 0.1 * wanted * sum;
   }
-  printf("# %.1f worker seconds, of the training %.3f (%.3f)\n", sum, sum > 0 ? learned_s / sum : 0, wanted);
+  printf("# %.1f worker seconds, of the training %.3f (%.3f)\n", sum, sum > 0 ? learned_s / sum : 0,
+         wanted);
   return right;
 }
 
@@ -46,9 +48,10 @@ static void a_training_beside_an_evaluation(void)
   struct mo_controller_record record;
   struct mo_bits *forms, *genotypes;
   struct mo_evaluation_request evaluation = {.environment_set = "paper-test", .priority = MO_BATCH};
-  struct mo_training_request training = {.record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
-                                                    .checkpoint_every_s = 60,
-                                                    .checkpoints_kept = 1}};
+  struct mo_training_request training = {
+      .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
+                 .checkpoint_every_s = 60,
+                 .checkpoints_kept = 1}};
   struct mo_training_live live = {.step = 0};
   struct mo_job job;
   double end, slowest_s = 0;
@@ -66,7 +69,8 @@ static void a_training_beside_an_evaluation(void)
   training.record.settings.physics.n_steps =
       60; /* blocks of about 0.1 s: long beside those of the evaluation, short beside the test */
   training.record.settings.batch = 256;
-  REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &batch, &replayed, &fixture.message) == MO_OK);
+  REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &batch, &replayed, &fixture.message) ==
+          MO_OK);
   REQUIRE(mo_jobs_submit_training(jobs, &training, &learns, &replayed, &fixture.message) == MO_OK);
   for (end = now_s() + 60; live.step < 2 && now_s() < end; usleep(2000))
     REQUIRE(mo_jobs_training_live(jobs, learns, &live) == MO_OK);
@@ -79,7 +83,8 @@ static void a_training_beside_an_evaluation(void)
   for (int i = 0; i < 10; i++) {
     double start = now_s();
     evaluation.genotypes = genotypes + i;
-    REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &small, &replayed, &fixture.message) == MO_OK);
+    REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &small, &replayed, &fixture.message) ==
+            MO_OK);
     REQUIRE(mo_jobs_wait(jobs, small, 20000, &job) == MO_OK);
     CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
     slowest_s = fmax(slowest_s, now_s() - start);
@@ -95,5 +100,6 @@ static void a_training_beside_an_evaluation(void)
   fixture_end(&fixture);
 }
 
-static const struct check_case cases[] = {{"a training beside an evaluation", a_training_beside_an_evaluation}};
+static const struct check_case cases[] = {
+    {"a training beside an evaluation", a_training_beside_an_evaluation}};
 CHECK_MAIN(cases)

@@ -1,4 +1,5 @@
-/* training-stops.c: whatever people or ends of the process do to a training, it ends with the same weights. */
+/* training-stops.c: whatever people or ends of the process do to a training, it ends with the same
+ * weights. */
 #include "blame.h"
 #include "learning.h"
 
@@ -74,7 +75,8 @@ static void stops_and_goes_on(void)
   service_end(&service);
 }
 
-/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage tells every change. */
+/* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage
+ * tells every change. */
 static void tells_of_other_code(void)
 {
   static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};

@@ -1,4 +1,5 @@
-/* training-trouble.c: errors, damage and want of room: a training waits, tries again, and ends with the same weights. */
+/* training-trouble.c: errors, damage and want of room: a training waits, tries again, and ends with
+ * the same weights. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/resource.h>
@@ -31,7 +32,8 @@ static void waits_for_room(void)
   limit_files(8 << 20);
   id = submit(&service, &request);
   REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
-  CHECK(strstr(live.reason, "no space") != NULL && strstr(live.reason, "checkpoint of step 6") != NULL &&
+  CHECK(strstr(live.reason, "no space") != NULL &&
+        strstr(live.reason, "checkpoint of step 6") != NULL &&
         strstr(live.reason, "by itself") != NULL);
   CHECK_INT(live.step, 6);
   CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
@@ -40,7 +42,8 @@ static void waits_for_room(void)
   CHECK_INT(mo_jobs_training_live(service.jobs, id, &live), MO_OK);
   CHECK_INT(live.phase, MO_TRAINING_WAIT);
   CHECK_INT(warnings, 1);
-  /* Somebody pauses it: it has nowhere to save to, and waits on; resumed, it goes on when there is room. */
+  /* Somebody pauses it: it has nowhere to save to, and waits on; resumed, it goes on when there is
+   * room. */
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   limit_files(RLIM_INFINITY);
@@ -102,7 +105,8 @@ static int damage(struct service *service, int64_t id, uint32_t step)
 {
   char path[512];
   int fd, error = -1;
-  snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", service->fixture.path, (long long)id, step);
+  snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", service->fixture.path,
+           (long long)id, step);
   fd = open(path, O_WRONLY);
   if (fd >= 0) {
     error = pwrite(fd, "damage", 6, 5000) == 6 ? 0 : -1;

@@ -1,4 +1,5 @@
-/* trainings.c: trainings with a fake back end, whose gradients are a function of robots and weights: what they ask for, do and leave. */
+/* trainings.c: trainings with a fake back end, whose gradients are a function of robots and
+ * weights: what they ask for, do and leave. */
 #include "learning.h"
 
 static void learns(void)
@@ -33,21 +34,25 @@ static void learns(void)
   CHECK(metadata != NULL && strstr(metadata, "\"morphod.version\":\"fake gradient\"") != NULL &&
         strstr(metadata, "\"morphod.parent\":\"random\"") != NULL);
   free(metadata);
-  /* The curve has every step, the validations those that were asked for, with the first and the last. */
+  /* The curve has every step, the validations those that were asked for, with the first and the
+   * last. */
   CHECK_INT(mo_store_training_steps(service.fixture.store, id, 0, 1, rows, STEPS + 1), STEPS);
-  CHECK(rows[0].report.step == 1 && rows[STEPS - 1].report.step == STEPS && rows[0].report.rate > 0 &&
-        rows[0].report.mean_loss > 0 && rows[0].report.clipped_share > 0);
+  CHECK(rows[0].report.step == 1 && rows[STEPS - 1].report.step == STEPS &&
+        rows[0].report.rate > 0 && rows[0].report.mean_loss > 0 &&
+        rows[0].report.clipped_share > 0);
   n = mo_store_training_validations(service.fixture.store, id, -1, validations, 10);
   CHECK_INT(n, 3);
   CHECK(validations[0].step == 0 && validations[1].step == 10 && validations[2].step == STEPS);
   for (int64_t i = 0; i < n; i++)
-    CHECK(validations[i].rollouts == 60 && validations[i].mean_score > 0 && validations[i].mean_score < 1);
+    CHECK(validations[i].rollouts == 60 && validations[i].mean_score > 0 &&
+          validations[i].mean_score < 1);
   CHECK_INT(mo_store_training_checkpoints(service.fixture.store, id, checkpoints, 10), 2);
   CHECK(checkpoints[0].step == STEPS && checkpoints[1].step == 12);
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     progress += strcmp(events[i].type, "training.progress") == 0;
-  CHECK(progress >= 5 && progress <= 6 + seconds); /* before each checkpoint and validation, and one per second */
+  CHECK(progress >= 5 &&
+        progress <= 6 + seconds); /* before each checkpoint and validation, and one per second */
   CHECK_TEXT(events[0].type, "job.created");
   CHECK_TEXT(events[1].type, "job.started");
   CHECK_TEXT(events[n - 1].type, "job.finished");
@@ -83,7 +88,8 @@ static void takes_turns(void)
   for (int i = 0; i < 4; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 4; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
+            job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 4 * STEPS + 1);
   CHECK_INT(n, 4 * STEPS);
   for (size_t i = 0; i < n; i++) {
@@ -99,7 +105,8 @@ static void takes_turns(void)
   for (int i = 0; i < 3; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 3; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
+            job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 3 * STEPS);
   for (size_t i = 1; i < n; i++) {
     changes += tags[i] != tags[i - 1];
@@ -128,15 +135,17 @@ __attribute__((unused)) static void validates_as_an_evaluation_does(void)
   REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK && status.has_result);
   row = status.validation;
-  REQUIRE(mo_store_controller_bytes(service.fixture.store, &status.result_sha256, &bytes, &size) == MO_OK);
+  REQUIRE(mo_store_controller_bytes(service.fixture.store, &status.result_sha256, &bytes, &size) ==
+          MO_OK);
   REQUIRE(mo_controller_decode(bytes, size, &controller, NULL) == MO_OK);
   REQUIRE(mo_jobs_training_held_out(service.jobs, id, &held_out) == MO_OK);
   for (uint32_t d = 0; d < 3; d++) {
     uint32_t before = diverged;
     double sum = 0;
     for (uint32_t k = 0; k < 20; k++) {
-      struct mo_outcome outcome = fake_outcome(held_out.genotypes[d].words, controller, &held_out.environments[k],
-                                               &request.record.settings.physics, MO_FLOAT32);
+      struct mo_outcome outcome =
+          fake_outcome(held_out.genotypes[d].words, controller, &held_out.environments[k],
+                       &request.record.settings.physics, MO_FLOAT32);
       diverged += outcome.diverged_step != 0;
       sum += outcome.loss;
     }
@@ -192,7 +201,8 @@ __attribute__((unused)) static void tunes_a_population(void)
   REQUIRE(expect(&request, default_weights(), digits, best, n, &one_code, &expected));
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
-  CHECK(status.record.population == scored && status.record.n_designs == 5 && status.record.has_parent);
+  CHECK(status.record.population == scored && status.record.n_designs == 5 &&
+        status.record.has_parent);
   CHECK_TEXT(status.record.parent_name, "default");
   CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
@@ -232,7 +242,8 @@ __attribute__((unused)) static void refuses(void)
   CHECK_INT(mo_jobs_submit_training(service.jobs, &request, &again, &replayed, message), MO_OK);
   CHECK(replayed && again == id);
   mo_sha256_of("x", 1, &request.body_sha256);
-  CHECK_INT(mo_jobs_submit_training(service.jobs, &request, &again, &replayed, message), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_submit_training(service.jobs, &request, &again, &replayed, message),
+            MO_ERR_CONFLICT);
   bad = pretraining("");
   CHECK_INT(mo_jobs_submit_training(service.jobs, &bad, &again, &replayed, message), MO_ERR_BUSY);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);

@@ -1,4 +1,5 @@
-/* trouble.c: the scheduler with a fake back end: what it refuses, and what becomes of jobs when something breaks. */
+/* trouble.c: the scheduler with a fake back end: what it refuses, and what becomes of jobs when
+ * something breaks. */
 #include <fcntl.h>
 #include <math.h>
 #include <pthread.h>
@@ -30,7 +31,9 @@ static void refuses(void)
   request.idempotency_key = "k";
   CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &id, &replayed, NULL), MO_OK);
   bad = service_request(genotypes + 20, 20);
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message), MO_ERR_BUSY);
+  CHECK_INT(
+      mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message),
+      MO_ERR_BUSY);
   bad.n_designs = 1;
   CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, NULL), MO_OK);
   CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, NULL), MO_ERR_BUSY);
@@ -38,17 +41,20 @@ static void refuses(void)
   CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &again, &replayed, NULL), MO_OK);
   CHECK(replayed && again == id);
   mo_sha256_of("x", 1, &request.body_sha256);
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &again, &replayed, NULL), MO_ERR_CONFLICT);
+  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &again, &replayed, NULL),
+            MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
   bad = service_request(genotypes, 1);
   bad.controller = "nobody";
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message),
-            MO_ERR_NOT_FOUND);
+  CHECK_INT(
+      mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message),
+      MO_ERR_NOT_FOUND);
   CHECK(strstr(service.fixture.message.text, "nobody") != NULL);
   bad = service_request(genotypes, 1);
   bad.environment_set = "elsewhere";
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message),
-            MO_ERR_NOT_FOUND);
+  CHECK_INT(
+      mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, &service.fixture.message),
+      MO_ERR_NOT_FOUND);
   bad = service_request(genotypes, 0);
   CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &bad, &again, &replayed, NULL), MO_ERR_RANGE);
   bad = service_request(&apart, 1);
@@ -263,12 +269,13 @@ static void blames_crashes_on_their_job(void)
     close(fd);
     service_close(&service);
     {
-      /* As if it had been killed: running in the file, or still queued: the start of a job is written some time after it. */
+      /* As if it had been killed: running in the file, or still queued: the start of a job is
+       * written some time after it. */
       char path[512], sql[128];
       sqlite3 *db = NULL;
       snprintf(path, sizeof(path), "%s/morphod.db", service.fixture.path);
-      snprintf(sql, sizeof(sql), "UPDATE jobs SET state=%d WHERE id IN (%lld,%lld)", round == 2 ? 0 : 1, (long long)id,
-               (long long)other);
+      snprintf(sql, sizeof(sql), "UPDATE jobs SET state=%d WHERE id IN (%lld,%lld)",
+               round == 2 ? 0 : 1, (long long)id, (long long)other);
       REQUIRE(sqlite3_open(path, &db) == SQLITE_OK);
       CHECK_INT(sqlite3_exec(db, sql, NULL, NULL, NULL), SQLITE_OK);
       sqlite3_close(db);
@@ -319,7 +326,8 @@ static void waits_for_room(void)
   }
   CHECK(stats.no_space);
   request = service_request(genotypes + 50, 10);
-  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &other, &replayed, &service.fixture.message),
+  CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &other, &replayed,
+                                      &service.fixture.message),
             MO_ERR_NO_SPACE);
   CHECK_INT(state_of(&service, id), MO_JOB_RUNNING); /* reading goes on */
   usleep(300000);
@@ -357,7 +365,8 @@ static void answers_from_its_cache_of_controllers(void)
   REQUIRE(fixture_bodies(14, 10, &forms, &genotypes) == MO_OK);
   for (int i = 0; i < 5; i++) {
     snprintf(names[i], sizeof(names[i]), "seed-%d", i);
-    REQUIRE(fixture_controller(service.fixture.store, names[i], (uint64_t)(100 + i), &record) == MO_OK);
+    REQUIRE(fixture_controller(service.fixture.store, names[i], (uint64_t)(100 + i), &record) ==
+            MO_OK);
   }
   for (int i = 0; i < 5; i++) {
     request = service_request(genotypes, 10);
@@ -369,8 +378,10 @@ static void answers_from_its_cache_of_controllers(void)
   for (int i = 0; i < 5; i++) {
     struct mo_controller *controller = NULL;
     struct mo_physics physics = mo_default_physics();
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 10000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 10000, &job) == MO_OK &&
+            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &controller) ==
+            MO_OK);
     mo_controller_randomize(controller, (uint64_t)(100 + i));
     CHECK(service_results_right(&service, ids[i], genotypes, &physics, MO_FLOAT64, controller));
     mo_controller_free(controller);
@@ -394,7 +405,8 @@ static void *be_a_client(void *context)
 {
   struct client *client = context;
   for (uint32_t i = 0; i < 12; i++) {
-    struct mo_evaluation_request request = service_request(client->genotypes + (client->seed * 7 + i * 3) % 80, 10);
+    struct mo_evaluation_request request =
+        service_request(client->genotypes + (client->seed * 7 + i * 3) % 80, 10);
     struct mo_job job;
     int64_t id = 0;
     bool replayed = false;
@@ -411,8 +423,8 @@ static void *be_a_client(void *context)
       (void)mo_jobs_pause(client->service->jobs, id);
       (void)mo_jobs_resume(client->service->jobs, id);
     }
-    if (mo_jobs_wait(client->service->jobs, id, 20000, &job) != MO_OK || job.state != MO_JOB_SUCCEEDED ||
-        !right(client->service, id, request.genotypes))
+    if (mo_jobs_wait(client->service->jobs, id, 20000, &job) != MO_OK ||
+        job.state != MO_JOB_SUCCEEDED || !right(client->service, id, request.genotypes))
       client->failures++;
   }
   return NULL;

@@ -14,7 +14,8 @@ static struct mo_controller *weights;
 /* The weights that fixture_controller stores with a seed. */
 static inline const struct mo_controller *default_weights(void)
 {
-  if (weights == NULL && mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &weights) == MO_OK)
+  if (weights == NULL &&
+      mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &weights) == MO_OK)
     mo_controller_randomize(weights, 1);
   return weights;
 }
@@ -46,7 +47,8 @@ static inline enum mo_job_state state_of(struct service *service, int64_t id)
   return job.state;
 }
 
-static inline bool await_state(struct service *service, int64_t id, enum mo_job_state state, double seconds)
+static inline bool await_state(struct service *service, int64_t id, enum mo_job_state state,
+                               double seconds)
 {
   double end = now_s() + seconds;
   while (state_of(service, id) != state) {
@@ -65,7 +67,8 @@ static inline struct mo_jobs_stats settled(struct service *service)
   do {
     mo_jobs_get_stats(service->jobs, &stats);
     usleep(1000);
-  } while ((stats.open_jobs > 0 || stats.active_campaigns > 0) && now_s() < end); /* a runner ends after its job */
+  } while ((stats.open_jobs > 0 || stats.active_campaigns > 0) &&
+           now_s() < end); /* a runner ends after its job */
   return stats;
 }
 

@@ -1,5 +1,5 @@
-/* weights.c: what jobs weigh, with a fake back end: among evaluations, in the shares of the back end, changed while they run, wait and
- * come back. */
+/* weights.c: what jobs weigh, with a fake back end: among evaluations, in the shares of the back
+ * end, changed while they run, wait and come back. */
 #include "learning.h"
 
 enum { BODIES = 160 };
@@ -143,10 +143,12 @@ static void wrong_weights(void)
   for (int i = 0; i < 5; i++) {
     int64_t other = 0;
     request.weight = training.weight = wrong[i];
-    CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &other, &replayed, &service.fixture.message),
+    CHECK_INT(mo_jobs_submit_evaluation(service.jobs, &request, &other, &replayed,
+                                        &service.fixture.message),
               MO_ERR_RANGE);
     CHECK(strstr(service.fixture.message.text, "weight") != NULL);
-    CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &other, &replayed, &service.fixture.message),
+    CHECK_INT(mo_jobs_submit_training(service.jobs, &training, &other, &replayed,
+                                      &service.fixture.message),
               MO_ERR_RANGE);
     CHECK_INT(mo_jobs_set_weight(service.jobs, id, wrong[i]), MO_ERR_RANGE);
   }
@@ -197,7 +199,8 @@ static void the_newest_weight_counts(void)
       changers[i] = (struct changer){service.jobs, id, 1 + 100 * i + 30 * round};
       REQUIRE(pthread_create(&threads[i], NULL, change, &changers[i]) == 0);
     }
-    CHECK_INT(round % 2 == 0 ? mo_jobs_pause(service.jobs, id) : mo_jobs_resume(service.jobs, id), MO_OK);
+    CHECK_INT(round % 2 == 0 ? mo_jobs_pause(service.jobs, id) : mo_jobs_resume(service.jobs, id),
+              MO_OK);
     for (int i = 0; i < 3; i++) {
       pthread_join(threads[i], &failed);
       CHECK(failed == NULL);

@@ -14,8 +14,10 @@ struct plain {
 
 static int plain_create(struct plain *plain, const float *weights, size_t n)
 {
-  *plain = (struct plain){
-      .n = n, .m = calloc(n, sizeof(double)), .v = calloc(n, sizeof(double)), .w = calloc(n, sizeof(double))};
+  *plain = (struct plain){.n = n,
+                          .m = calloc(n, sizeof(double)),
+                          .v = calloc(n, sizeof(double)),
+                          .w = calloc(n, sizeof(double))};
   for (size_t i = 0; plain->w != NULL && i < n; i++)
     plain->w[i] = weights[i];
   return plain->m != NULL && plain->v != NULL && plain->w != NULL ? 0 : -1;
@@ -116,7 +118,8 @@ static void clip(void)
     memset(made_up.gradient, 0, made_up.n * sizeof(double));
     made_up.gradient[3] = 6.0;
     made_up.gradient[made_up.n - 1] = -8.0;
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              &report) == MO_OK);
     CHECK(report.gradient_norm == 10.0); /* as it was */
     CHECK_NEAR(training->adam.first[3], limited ? 0.06 : 0.6, 1e-15);
     CHECK_NEAR(training->adam.second[made_up.n - 1], limited ? 0.00064 : 0.064, 1e-16);
@@ -134,7 +137,8 @@ struct state {
 static struct state copy_state(const struct mo_training *training)
 {
   const size_t n = training->controller->n_parameters;
-  struct state s = {n, malloc(n * sizeof(float)), malloc(n * sizeof(double)), malloc(n * sizeof(double))};
+  struct state s = {n, malloc(n * sizeof(float)), malloc(n * sizeof(double)),
+                    malloc(n * sizeof(double))};
   if (s.weights == NULL || s.first == NULL || s.second == NULL)
     exit(1);
   memcpy(s.weights, training->controller->parameters, n * sizeof(float));
@@ -175,19 +179,23 @@ static void skipped(void)
     REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
     make_up(&made_up, training, robots);
     if (kind < 4)
-      made_up.gradient[kind == 3 ? 0 : made_up.n - 1] = (const double[]){NAN, INFINITY, -INFINITY, 1e300}[kind];
+      made_up.gradient[kind == 3 ? 0 : made_up.n - 1] =
+          (const double[]){NAN, INFINITY, -INFINITY, 1e300}[kind];
     for (int i = 0; i < 5; i++)
       if (kind == 4 || (kind == 5 && i < 2))
         made_up.outcomes[i] = (struct mo_outcome){.loss = INFINITY, .diverged_step = 3};
     if (kind == 5)
       made_up.counts.zeroed_robots = 3;
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              &report) == MO_OK);
     CHECK(report.skipped && report.gradient_norm == 0.0 && report.bounded == 0);
     CHECK_INT(report.step, kind + 2);
     CHECK_INT(mo_training_skipped(training), kind + 1);
     CHECK(same_state(training, &before) && training->adam.beta2_power == power);
     CHECK_INT(report.diverged, kind == 4 ? 5 : kind == 5 ? 2 : 0);
-    CHECK(kind == 4 ? isnan(report.mean_loss) : kind == 5 ? fabs(report.mean_loss - 0.8) < 1e-15 : true);
+    CHECK(kind == 4   ? isnan(report.mean_loss)
+          : kind == 5 ? fabs(report.mean_loss - 0.8) < 1e-15
+                      : true);
   }
   REQUIRE(advance(training, &made_up, &report) == MO_OK); /* and it goes on */
   CHECK(!report.skipped && !same_state(training, &before));
@@ -204,17 +212,23 @@ static void reported(void)
   REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
   REQUIRE(made_up_create(&made_up, training) == 0);
   struct mo_training_report report;
-  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  CHECK_INT(
+      mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report),
+      MO_ERR_CONFLICT);
   REQUIRE(advance(training, &made_up, &report) == MO_OK);
   CHECK_NEAR(report.mean_loss, 0.7, 1e-15);
   CHECK_NEAR(report.clipped_share, 20.0 / 5000.0, 1e-18);
   CHECK_NEAR(report.clipped_robots_share, 0.4, 1e-15);
-  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  CHECK_INT(
+      mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report),
+      MO_ERR_CONFLICT);
   while (mo_training_step(training) < settings.n_steps)
     REQUIRE(advance(training, &made_up, NULL) == MO_OK);
   const struct mo_robot *robots;
   CHECK_INT(mo_training_draw(training, NULL, NULL, &robots), MO_ERR_CONFLICT);
-  CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report), MO_ERR_CONFLICT);
+  CHECK_INT(
+      mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report),
+      MO_ERR_CONFLICT);
   made_up_free(&made_up);
   mo_training_free(training);
 }
@@ -223,8 +237,12 @@ static void reported(void)
 static void bounded(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
-  settings.schedule = (struct mo_schedule){
-      .kind = MO_SCHEDULE_CONSTANT, .peak = 1, .floor = 1, .decay = 1, .cycle_steps = 1, .cycle_growth = 1};
+  settings.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
+                                           .peak = 1,
+                                           .floor = 1,
+                                           .decay = 1,
+                                           .cycle_steps = 1,
+                                           .cycle_growth = 1};
   struct mo_training *training = finetuning(&settings, 3, 1.0F);
   REQUIRE(training != NULL);
   struct made_up made_up;
@@ -240,10 +258,12 @@ static void bounded(void)
   made_up.gradient[0] = -1e-3; /* up */
   made_up.gradient[1] = 1e-3;  /* down */
   made_up.gradient[2] = 1e-3;  /* down, into the bounds */
-  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
+  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                            &report) == MO_OK);
   CHECK(!report.skipped);
   CHECK_INT(report.bounded, 2);
-  CHECK(weights[0] == MO_WEIGHT_LIMIT && weights[1] == -MO_WEIGHT_LIMIT && weights[2] < MO_WEIGHT_LIMIT);
+  CHECK(weights[0] == MO_WEIGHT_LIMIT && weights[1] == -MO_WEIGHT_LIMIT &&
+        weights[2] < MO_WEIGHT_LIMIT);
   made_up_free(&made_up);
   mo_training_free(training);
 }
@@ -268,16 +288,18 @@ static void weights_times_100(void)
     memset(made_up.gradient, 0, made_up.n * sizeof(double));
     made_up.counts = (struct mo_gradient_counts){0};
     for (int i = 0; i < 2; i++)
-      REQUIRE(mo_gradient_reference(robots[i].body, training->controller, robots[i].environment, &settings.physics,
-                                    &options, &made_up.outcomes[i], made_up.gradient, &made_up.counts) == MO_OK);
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, &report) == MO_OK);
-    printf("# norm %g, skipped %d, diverged %u, zeroed %u\n", report.gradient_norm, report.skipped, report.diverged,
-           report.zeroed);
+      REQUIRE(mo_gradient_reference(robots[i].body, training->controller, robots[i].environment,
+                                    &settings.physics, &options, &made_up.outcomes[i],
+                                    made_up.gradient, &made_up.counts) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              &report) == MO_OK);
+    printf("# norm %g, skipped %d, diverged %u, zeroed %u\n", report.gradient_norm, report.skipped,
+           report.diverged, report.zeroed);
   }
   bool finite = true;
   for (size_t i = 0; i < made_up.n; i++)
-    finite &= fabsf(training->controller->parameters[i]) <= MO_WEIGHT_LIMIT && isfinite(training->adam.first[i]) &&
-              isfinite(training->adam.second[i]);
+    finite &= fabsf(training->controller->parameters[i]) <= MO_WEIGHT_LIMIT &&
+              isfinite(training->adam.first[i]) && isfinite(training->adam.second[i]);
   CHECK(finite);
   made_up_free(&made_up);
   mo_training_free(training);

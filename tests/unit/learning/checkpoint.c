@@ -1,4 +1,5 @@
-/* checkpoint.c: a training saved at any step goes on to the same bytes; nothing damaged is read; files; lineage. */
+/* checkpoint.c: a training saved at any step goes on to the same bytes; nothing damaged is read;
+ * files; lineage. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -66,7 +67,8 @@ static int advance_one(struct mo_training *training, struct made_up *made_up)
 static void resume(void)
 {
   for (int kind = 0; kind < 2; kind++) {
-    struct mo_training *whole = begin((enum mo_training_kind)kind), *broken = begin((enum mo_training_kind)kind);
+    struct mo_training *whole = begin((enum mo_training_kind)kind),
+                       *broken = begin((enum mo_training_kind)kind);
     struct made_up made_up;
     REQUIRE(whole != NULL && broken != NULL && made_up_create(&made_up, whole) == 0);
     const uint32_t n = mo_training_settings_of(whole)->n_steps;
@@ -117,9 +119,12 @@ static void settings_kept(void)
                                    .sensor = MO_SENSOR_INVERSE_SQUARE,
                                    .held_out_designs = 12,
                                    .held_out_environments = 13};
-  s.physics.dt_s = 0.003, s.physics.n_steps = 77, s.physics.stiffness_n_per_m = 1e4, s.physics.mass_kg = 1.25;
-  s.physics.drag_per_s = 14, s.physics.gravity_m_per_s2 = 9, s.physics.actuation = 0.15, s.physics.friction = 0.8;
-  s.physics.friction_cap = 0.9, s.physics.drop_height_m = 0.5, s.physics.impact = MO_IMPACT_BISECTION;
+  s.physics.dt_s = 0.003, s.physics.n_steps = 77, s.physics.stiffness_n_per_m = 1e4,
+  s.physics.mass_kg = 1.25;
+  s.physics.drag_per_s = 14, s.physics.gravity_m_per_s2 = 9, s.physics.actuation = 0.15,
+  s.physics.friction = 0.8;
+  s.physics.friction_cap = 0.9, s.physics.drop_height_m = 0.5,
+  s.physics.impact = MO_IMPACT_BISECTION;
   s.physics.bisections = 9;
   struct mo_training *training = NULL;
   REQUIRE(mo_training_create(&s, NULL, NULL, 0, &training, NULL) == MO_OK);
@@ -131,21 +136,28 @@ static void settings_kept(void)
   CHECK(k->kind == s.kind && k->seed == s.seed && k->n_steps == s.n_steps && k->batch == s.batch);
   CHECK(k->schedule.kind == s.schedule.kind && k->schedule.peak == s.schedule.peak);
   CHECK(k->schedule.floor == s.schedule.floor && k->schedule.decay == s.schedule.decay);
-  CHECK(k->schedule.cycle_steps == 11 && k->schedule.cycle_growth == 3 && k->schedule.warmup_steps == 4);
+  CHECK(k->schedule.cycle_steps == 11 && k->schedule.cycle_growth == 3 &&
+        k->schedule.warmup_steps == 4);
   CHECK(k->beta1 == s.beta1 && k->beta2 == s.beta2 && k->epsilon == s.epsilon);
-  CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound && k->sensor == s.sensor);
+  CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound &&
+        k->sensor == s.sensor);
   CHECK_INT(k->adjoint_rule, MO_ADJOINT_RESTART);
   CHECK(k->restart_weight == 2.25);
   CHECK(k->held_out_designs == 12 && k->held_out_environments == 13);
   const struct mo_physics *p = &k->physics, *q = &s.physics;
-  CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps && p->stiffness_n_per_m == q->stiffness_n_per_m);
-  CHECK(p->mass_kg == q->mass_kg && p->drag_per_s == q->drag_per_s && p->gravity_m_per_s2 == q->gravity_m_per_s2);
-  CHECK(p->actuation == q->actuation && p->friction == q->friction && p->friction_cap == q->friction_cap);
-  CHECK(p->drop_height_m == q->drop_height_m && p->impact == q->impact && p->bisections == q->bisections);
+  CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps &&
+        p->stiffness_n_per_m == q->stiffness_n_per_m);
+  CHECK(p->mass_kg == q->mass_kg && p->drag_per_s == q->drag_per_s &&
+        p->gravity_m_per_s2 == q->gravity_m_per_s2);
+  CHECK(p->actuation == q->actuation && p->friction == q->friction &&
+        p->friction_cap == q->friction_cap);
+  CHECK(p->drop_height_m == q->drop_height_m && p->impact == q->impact &&
+        p->bisections == q->bisections);
   struct mo_controller *exported = NULL;
   REQUIRE(mo_training_export(training, NULL, "1.2.3", NULL, &exported) == MO_OK);
   CHECK(strstr(mo_controller_get_metadata(exported, "morphod.settings"),
-               "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"restart_weight\":2.25,\"physics\"") != NULL);
+               "\"adjoint_bound\":3.5,\"adjoint_rule\":\"restart\",\"restart_weight\":2.25,"
+               "\"physics\"") != NULL);
   mo_controller_free(exported);
   free(blob.bytes);
   mo_training_free(training);
@@ -163,7 +175,8 @@ static void as_version_1(struct blob *blob)
   memcpy(blob->bytes + blob->size - 8, &sum, 8);
 }
 
-/* One of version 1 goes on as what it was, and clips; what is written of it is of the new version. */
+/* One of version 1 goes on as what it was, and clips; what is written of it is of the new version.
+ */
 static void first_version(void)
 {
   for (int kind = MO_TRAINING_PRETRAIN; kind <= MO_TRAINING_FINETUNE; kind++) {
@@ -237,7 +250,8 @@ static void damaged(void)
   mo_training_free(training);
 }
 
-/* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile file. */
+/* A checksum can be right and the contents wrong all the same: a program that errs, or a hostile
+ * file. */
 static void wrong_contents(void)
 {
   enum {
@@ -391,23 +405,29 @@ static void lineage(void)
   struct mo_controller *c = NULL;
   struct mo_training_lineage code = {3, {{0, ""}, {1, "later"}, {2, "latest"}}};
   REQUIRE(mo_training_export(training, "ab12", "1.2.3", &code, &c) == MO_OK);
-  CHECK(memcmp(c->parameters, mo_training_controller(training)->parameters, c->n_parameters * sizeof(float)) == 0);
+  CHECK(memcmp(c->parameters, mo_training_controller(training)->parameters,
+               c->n_parameters * sizeof(float)) == 0);
   CHECK_INT(c->sensor, MO_SENSOR_INVERSE_SQUARE);
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.kind"), "finetune");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.parent"), "ab12");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.seed"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.step"), "1");
   CHECK_TEXT(mo_controller_get_metadata(c, "morphod.version"), "1.2.3");
-  CHECK_TEXT(
-      mo_controller_get_metadata(c, "morphod.settings"),
-      "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":1e-06,\"decay\":1,"
-      "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,\"beta2\":0.999,"
-      "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":\"clip\",\"restart_weight\":3,"
-      "\"physics\":{"
-      "\"dt_s\":0.004,\"n_steps\":1000,"
-      "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,\"actuation\":0.2,"
-      "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"},\"designs\":4}");
-  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.code"), "[{\"from_step\":0,\"fingerprint\":null}]");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.settings"),
+             "{\"steps\":9,\"batch\":5,\"schedule\":{\"kind\":\"cosine\",\"peak\":0.0003,\"floor\":"
+             "1e-06,\"decay\":1,"
+             "\"cycle_steps\":100,\"cycle_growth\":1,\"warmup_steps\":2},\"adam\":{\"beta1\":0.9,"
+             "\"beta2\":0.999,"
+             "\"epsilon\":1e-08},\"gradient_norm_limit\":1,\"adjoint_bound\":2,\"adjoint_rule\":"
+             "\"clip\",\"restart_weight\":3,"
+             "\"physics\":{"
+             "\"dt_s\":0.004,\"n_steps\":1000,"
+             "\"stiffness_n_per_m\":15000,\"mass_kg\":1,\"drag_per_s\":15,\"gravity_m_per_s2\":9.8,"
+             "\"actuation\":0.2,"
+             "\"friction\":0.9,\"friction_cap\":0.95,\"drop_height_m\":0,\"impact\":\"bisection8\"}"
+             ",\"designs\":4}");
+  CHECK_TEXT(mo_controller_get_metadata(c, "morphod.code"),
+             "[{\"from_step\":0,\"fingerprint\":null}]");
   const char *designs = mo_controller_get_metadata(c, "morphod.designs_crc64");
   CHECK(designs != NULL && strlen(designs) == 16);
   /* The file reads back, and equal trainings give equal files. */
@@ -425,8 +445,9 @@ static void lineage(void)
   /* Which code it was computed by, as far as it has come. */
   REQUIRE(advance_one(training, &made_up) == MO_OK &&
           mo_training_export(training, "ab12", "1.2.3", &code, &again) == MO_OK);
-  CHECK_TEXT(mo_controller_get_metadata(again, "morphod.code"),
-             "[{\"from_step\":0,\"fingerprint\":null},{\"from_step\":1,\"fingerprint\":\"later\"}]");
+  CHECK_TEXT(
+      mo_controller_get_metadata(again, "morphod.code"),
+      "[{\"from_step\":0,\"fingerprint\":null},{\"from_step\":1,\"fingerprint\":\"later\"}]");
   mo_controller_free(again);
   again = NULL;
   for (const char *bad = "\"\\\n\x7f"; *bad != '\0'; bad++) {

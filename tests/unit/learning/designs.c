@@ -1,4 +1,5 @@
-/* designs.c: a finetuning whose designs change between its steps, and one that goes on for longer, as campaigns need them. */
+/* designs.c: a finetuning whose designs change between its steps, and one that goes on for longer,
+ * as campaigns need them. */
 #include "fixture.h"
 
 #define W    MO_DEFAULT_WORDS
@@ -12,7 +13,8 @@ static struct mo_training *begin(uint32_t n_steps, enum mo_schedule_kind kind)
   struct mo_controller *parent = NULL;
   struct mo_training *training = NULL;
   settings.n_steps = n_steps;
-  settings.schedule = kind == MO_SCHEDULE_COSINE ? mo_schedule_finetune() : mo_schedule_paper_simultaneous();
+  settings.schedule =
+      kind == MO_SCHEDULE_COSINE ? mo_schedule_finetune() : mo_schedule_paper_simultaneous();
   if (mo_held_out_designs(3, 3, first) == MO_OK && mo_held_out_designs(4, MANY, second) == MO_OK &&
       mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &parent) == MO_OK) {
     mo_controller_randomize(parent, 7);
@@ -27,9 +29,11 @@ static bool is_body_of(const struct mo_robot *robot, const uint64_t *design)
   struct mo_lattice *lattice = NULL;
   struct mo_body *body = NULL;
   bool same = false;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK && mo_body_create(lattice, design, &body) == MO_OK)
+  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK &&
+      mo_body_create(lattice, design, &body) == MO_OK)
     same = body->n_springs == robot->body->n_springs &&
-           memcmp(body->spring_lattice, robot->body->spring_lattice, body->n_springs * sizeof(uint32_t)) == 0;
+           memcmp(body->spring_lattice, robot->body->spring_lattice,
+                  body->n_springs * sizeof(uint32_t)) == 0;
   mo_body_free(body);
   mo_lattice_free(lattice);
   return same;
@@ -39,8 +43,9 @@ static int same_state(const struct mo_training *a, const struct mo_training *b)
 {
   uint8_t *one = NULL, *other = NULL;
   size_t n_one = 0, n_other = 1;
-  const int same = mo_training_encode(a, &one, &n_one) == MO_OK && mo_training_encode(b, &other, &n_other) == MO_OK &&
-                   n_one == n_other && memcmp(one, other, n_one) == 0;
+  const int same = mo_training_encode(a, &one, &n_one) == MO_OK &&
+                   mo_training_encode(b, &other, &n_other) == MO_OK && n_one == n_other &&
+                   memcmp(one, other, n_one) == 0;
   free(one);
   free(other);
   return same;
@@ -59,14 +64,15 @@ static void takes_them_in_turn(void)
       REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
       CHECK(is_body_of(&robots[0], first + (size_t)W * (4 * 5 % 3)));
       CHECK_INT(mo_training_set_designs(training, second, MANY, NULL), MO_OK);
-      CHECK_INT(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL),
-                MO_ERR_CONFLICT); /* it is forgotten */
+      CHECK_INT(
+          mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL),
+          MO_ERR_CONFLICT); /* it is forgotten */
     }
     REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
     for (uint32_t i = 0; i < 5; i++) {
       struct mo_environment environment;
-      CHECK(is_body_of(&robots[i],
-                       late ? second + (size_t)W * ((step * 5 + i) % MANY) : first + (size_t)W * ((step * 5 + i) % 3)));
+      CHECK(is_body_of(&robots[i], late ? second + (size_t)W * ((step * 5 + i) % MANY)
+                                        : first + (size_t)W * ((step * 5 + i) % 3)));
       mo_environment_training(mo_training_settings_of(training)->seed, step, i, &environment);
       CHECK(memcmp(robots[i].environment, &environment, sizeof(environment)) == 0);
     }
@@ -76,15 +82,18 @@ static void takes_them_in_turn(void)
   mo_training_free(training);
 }
 
-/* They are part of the checkpoint, and weights and moments go on: saved and restored, or not, the end is the same. */
+/* They are part of the checkpoint, and weights and moments go on: saved and restored, or not, the
+ * end is the same. */
 static void goes_on(void)
 {
-  struct mo_training *whole = begin(9, MO_SCHEDULE_RESTARTS), *other = begin(9, MO_SCHEDULE_RESTARTS);
+  struct mo_training *whole = begin(9, MO_SCHEDULE_RESTARTS),
+                     *other = begin(9, MO_SCHEDULE_RESTARTS);
   struct mo_training *unchanged = begin(9, MO_SCHEDULE_RESTARTS), *restored = NULL;
   struct made_up made_up;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  REQUIRE(whole != NULL && other != NULL && unchanged != NULL && made_up_create(&made_up, whole) == 0);
+  REQUIRE(whole != NULL && other != NULL && unchanged != NULL &&
+          made_up_create(&made_up, whole) == 0);
   for (int step = 0; step < 3; step++)
     REQUIRE(advance(whole, &made_up, NULL) == MO_OK && advance(other, &made_up, NULL) == MO_OK &&
             advance(unchanged, &made_up, NULL) == MO_OK);
@@ -92,16 +101,16 @@ static void goes_on(void)
   CHECK_INT(mo_training_set_designs(whole, second, MANY, NULL), MO_OK);
   CHECK_INT(mo_training_set_designs(other, second, MANY, NULL), MO_OK);
   CHECK(!same_state(whole, unchanged));
-  CHECK(memcmp(mo_training_controller(whole)->parameters, mo_training_controller(unchanged)->parameters,
-               made_up.n * sizeof(float)) == 0);
+  CHECK(memcmp(mo_training_controller(whole)->parameters,
+               mo_training_controller(unchanged)->parameters, made_up.n * sizeof(float)) == 0);
   REQUIRE(mo_training_encode(other, &bytes, &size) == MO_OK);
   REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
   for (int step = 3; step < 9; step++)
     REQUIRE(advance(whole, &made_up, NULL) == MO_OK && advance(restored, &made_up, NULL) == MO_OK &&
             advance(unchanged, &made_up, NULL) == MO_OK);
   CHECK(same_state(whole, restored));
-  CHECK(memcmp(mo_training_controller(whole)->parameters, mo_training_controller(unchanged)->parameters,
-               made_up.n * sizeof(float)) != 0);
+  CHECK(memcmp(mo_training_controller(whole)->parameters,
+               mo_training_controller(unchanged)->parameters, made_up.n * sizeof(float)) != 0);
   free(bytes);
   made_up_free(&made_up);
   mo_training_free(whole);
@@ -112,7 +121,8 @@ static void goes_on(void)
 
 static void refused(void)
 {
-  struct mo_training *training = begin(9, MO_SCHEDULE_RESTARTS), *same = begin(9, MO_SCHEDULE_RESTARTS);
+  struct mo_training *training = begin(9, MO_SCHEDULE_RESTARTS),
+                     *same = begin(9, MO_SCHEDULE_RESTARTS);
   const struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
   struct mo_training *pretraining = NULL;
   struct mo_message message = {""};
@@ -140,7 +150,8 @@ static void refused(void)
 /* A training of 4 steps that is made one of 9 ends where one of 9 does. */
 static void longer(void)
 {
-  struct mo_training *training = begin(4, MO_SCHEDULE_RESTARTS), *whole = begin(9, MO_SCHEDULE_RESTARTS);
+  struct mo_training *training = begin(4, MO_SCHEDULE_RESTARTS),
+                     *whole = begin(9, MO_SCHEDULE_RESTARTS);
   struct made_up made_up;
   const struct mo_robot *robots = NULL;
   REQUIRE(training != NULL && whole != NULL && made_up_create(&made_up, whole) == 0);
@@ -162,7 +173,8 @@ static void longer(void)
 
 static void shorter_and_never(void)
 {
-  struct mo_training *training = begin(9, MO_SCHEDULE_RESTARTS), *cosine = begin(9, MO_SCHEDULE_COSINE);
+  struct mo_training *training = begin(9, MO_SCHEDULE_RESTARTS),
+                     *cosine = begin(9, MO_SCHEDULE_COSINE);
   struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
   struct mo_training *pretraining = NULL;
   struct made_up made_up;

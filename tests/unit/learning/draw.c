@@ -1,4 +1,5 @@
-/* draw.c: which robots a step gets: distinct, never held out, the same whenever they are drawn; and what stops a draw. */
+/* draw.c: which robots a step gets: distinct, never held out, the same whenever they are drawn; and
+ * what stops a draw. */
 #include "fixture.h"
 
 #include "learning/internal.h"
@@ -16,13 +17,15 @@ int __wrap_mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bit
   return __real_mo_body_stream_next_form(stream, bits, form);
 }
 
-static bool is_body_of(const struct mo_body *body, const struct mo_lattice *lattice, const uint64_t *design)
+static bool is_body_of(const struct mo_body *body, const struct mo_lattice *lattice,
+                       const uint64_t *design)
 {
   struct mo_body *made = NULL;
   if (mo_body_create(lattice, design, &made) != MO_OK)
     return false;
-  const bool same = body->n_springs == made->n_springs && body->n_masses == made->n_masses &&
-                    memcmp(body->spring_lattice, made->spring_lattice, made->n_springs * sizeof(uint32_t)) == 0;
+  const bool same =
+      body->n_springs == made->n_springs && body->n_masses == made->n_masses &&
+      memcmp(body->spring_lattice, made->spring_lattice, made->n_springs * sizeof(uint32_t)) == 0;
   mo_body_free(made);
   return same;
 }
@@ -43,7 +46,8 @@ static struct mo_training *pretraining(uint64_t seed, uint32_t batch, uint32_t n
   return mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK ? training : NULL;
 }
 
-/* 20,000 bodies over several steps: all forms differ, none is held out; environments are those promised. */
+/* 20,000 bodies over several steps: all forms differ, none is held out; environments are those
+ * promised. */
 static void distinct(void)
 {
   struct mo_training *training = pretraining(3, 2500, 8);
@@ -67,13 +71,15 @@ static void distinct(void)
       mo_environment_training(3, step, i, &environment);
       other += memcmp(&environment, robots[i].environment, sizeof(environment)) != 0;
     }
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              NULL) == MO_OK);
   }
   CHECK_INT(held_out, 0);
   CHECK_INT(again, 0);
   CHECK_INT(other, 0);
   CHECK_INT(mo_form_set_count(seen), 20000);
-  printf("# %llu draws; %zu bytes held\n", (unsigned long long)training->draws, mo_training_bytes(training));
+  printf("# %llu draws; %zu bytes held\n", (unsigned long long)training->draws,
+         mo_training_bytes(training));
   CHECK(mo_training_bytes(training) > 20000 * 18 + 20 * made_up.n);
   mo_form_set_free(seen);
   made_up_free(&made_up);
@@ -83,7 +89,8 @@ static void distinct(void)
 static void held_out_designs(void)
 {
   enum { N = 400 };
-  static uint64_t designs[N * MO_DEFAULT_WORDS], few[10 * MO_DEFAULT_WORDS], others[N * MO_DEFAULT_WORDS];
+  static uint64_t designs[N * MO_DEFAULT_WORDS], few[10 * MO_DEFAULT_WORDS],
+      others[N * MO_DEFAULT_WORDS];
   struct mo_form_set *seen = NULL;
   REQUIRE(mo_form_set_create(MO_DEFAULT_WORKSPACE, &seen) == MO_OK);
   REQUIRE(mo_held_out_designs(1, N, designs) == MO_OK && mo_held_out_designs(1, 10, few) == MO_OK);
@@ -103,7 +110,8 @@ static void held_out_designs(void)
   mo_form_set_free(seen);
 }
 
-/* One form in 16 is held out, and it is always the same ones: the choice is part of what a comparison means. */
+/* One form in 16 is held out, and it is always the same ones: the choice is part of what a
+ * comparison means. */
 static void held_out_share(void)
 {
   uint32_t held_out = 0;
@@ -130,8 +138,10 @@ static void held_out_environments(void)
   mo_held_out_environments(1, 64, held_out);
   int known = 0, odd = 0;
   for (uint32_t i = 0; i < 64; i++) {
-    const double x = held_out[i].light_xy_m[0] - MO_WORLD_CENTRE_M, y = held_out[i].light_xy_m[1] - MO_WORLD_CENTRE_M;
-    odd += !(hypot(x, y) >= 0.4 && hypot(x, y) <= 2.0) || mo_environment_check(&held_out[i], NULL) != MO_OK;
+    const double x = held_out[i].light_xy_m[0] - MO_WORLD_CENTRE_M,
+                 y = held_out[i].light_xy_m[1] - MO_WORLD_CENTRE_M;
+    odd += !(hypot(x, y) >= 0.4 && hypot(x, y) <= 2.0) ||
+           mo_environment_check(&held_out[i], NULL) != MO_OK;
     for (uint32_t k = 0; k < 64; k++) {
       mo_environment_training(1, 0, k, &training);
       known += training.light_xy_m[0] == held_out[i].light_xy_m[0] ||
@@ -160,13 +170,15 @@ static void finetuning_turns(void)
       mo_environment_training(1, step, i, &environment);
       CHECK(memcmp(&environment, robots[i].environment, sizeof(environment)) == 0);
     }
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              NULL) == MO_OK);
   }
   made_up_free(&made_up);
   mo_training_free(training);
 }
 
-/* No bodies left: the draw says so, again and again, nothing is lost, and with new bodies it goes on as if nothing had been. */
+/* No bodies left: the draw says so, again and again, nothing is lost, and with new bodies it goes
+ * on as if nothing had been. */
 static void exhausted(void)
 {
   struct mo_training *training = pretraining(4, 300, 3), *other = pretraining(4, 300, 3);
@@ -182,13 +194,15 @@ static void exhausted(void)
   REQUIRE(mo_training_draw(other, NULL, NULL, &expected) == MO_OK);
   int different = 0;
   for (uint32_t i = 0; i < 300; i++)
-    different += !is_body_of(robots[i].body, other->lattice, drawn(other) + (size_t)MO_DEFAULT_WORDS * i);
+    different +=
+        !is_body_of(robots[i].body, other->lattice, drawn(other) + (size_t)MO_DEFAULT_WORDS * i);
   CHECK_INT(different, 0);
   mo_training_free(training);
   mo_training_free(other);
 }
 
-/* The same where the step's first draws were held out: no body of it is there yet, but the stream has moved on. */
+/* The same where the step's first draws were held out: no body of it is there yet, but the stream
+ * has moved on. */
 static void exhausted_at_a_held_out_form(void)
 {
   struct mo_training *training = pretraining(5, 2, 100), *other = pretraining(5, 2, 100);
@@ -206,9 +220,12 @@ static void exhausted_at_a_held_out_form(void)
     left = -1;
     REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
     REQUIRE(mo_training_draw(other, NULL, NULL, &robots) == MO_OK);
-    different += memcmp(drawn(training), drawn(other), 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
-    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
-    REQUIRE(mo_training_apply(other, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+    different +=
+        memcmp(drawn(training), drawn(other), 2 * MO_DEFAULT_WORDS * sizeof(uint64_t)) != 0;
+    REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                              NULL) == MO_OK);
+    REQUIRE(mo_training_apply(other, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
+            MO_OK);
   }
   printf("# %u of 100 steps began with a form that is held out\n", held_out);
   CHECK(held_out > 0);
@@ -243,8 +260,10 @@ static void replay(void)
   REQUIRE(mo_training_draw(training, NULL, NULL, &expected) == MO_OK);
   int different = 0;
   for (uint32_t i = 0; i < 200; i++)
-    different += !is_body_of(robots[i].body, training->lattice, drawn(training) + (size_t)MO_DEFAULT_WORDS * i) ||
-                 memcmp(robots[i].environment, expected[i].environment, sizeof(struct mo_environment)) != 0;
+    different +=
+        !is_body_of(robots[i].body, training->lattice,
+                    drawn(training) + (size_t)MO_DEFAULT_WORDS * i) ||
+        memcmp(robots[i].environment, expected[i].environment, sizeof(struct mo_environment)) != 0;
   CHECK_INT(different, 0);
   mo_training_free(restored);
   REQUIRE(mo_training_decode(bytes, size, &restored, NULL) == MO_OK);
@@ -257,24 +276,27 @@ static void replay(void)
   mo_training_free(training);
 }
 
-static int differences(const struct mo_training *a, const struct mo_robot *x, const struct mo_robot *y, uint32_t n)
+static int differences(const struct mo_training *a, const struct mo_robot *x,
+                       const struct mo_robot *y, uint32_t n)
 {
   int different = 0;
   for (uint32_t i = 0; i < n; i++)
-    different +=
-        !is_body_of(x[i].body, a->lattice, drawn(a) + (size_t)MO_DEFAULT_WORDS * i) ||
-        x[i].body->n_springs != y[i].body->n_springs ||
-        memcmp(x[i].body->spring_lattice, y[i].body->spring_lattice, y[i].body->n_springs * sizeof(uint32_t)) != 0 ||
-        memcmp(x[i].environment, y[i].environment, sizeof(struct mo_environment)) != 0;
+    different += !is_body_of(x[i].body, a->lattice, drawn(a) + (size_t)MO_DEFAULT_WORDS * i) ||
+                 x[i].body->n_springs != y[i].body->n_springs ||
+                 memcmp(x[i].body->spring_lattice, y[i].body->spring_lattice,
+                        y[i].body->n_springs * sizeof(uint32_t)) != 0 ||
+                 memcmp(x[i].environment, y[i].environment, sizeof(struct mo_environment)) != 0;
   return different;
 }
 
-/* Robots drawn ahead, on several threads, with stops on the way, and checkpoints between, are those of a plain draw; the present ones stay. */
+/* Robots drawn ahead, on several threads, with stops on the way, and checkpoints between, are those
+ * of a plain draw; the present ones stay. */
 static void ahead(void)
 {
   enum { N = 700, STEPS = 6 };
   for (uint32_t threads = 1; threads <= 5; threads += 2) {
-    struct mo_training *plain = pretraining(8, N, STEPS), *training = pretraining(8, N, STEPS), *restored = NULL;
+    struct mo_training *plain = pretraining(8, N, STEPS), *training = pretraining(8, N, STEPS),
+                       *restored = NULL;
     struct made_up made_up;
     uint8_t *bytes = NULL, *expected_bytes = NULL;
     size_t size = 0, expected_size = 0;
@@ -310,8 +332,10 @@ static void ahead(void)
       }
       free(bytes);
       free(expected_bytes);
-      REQUIRE(mo_training_apply(plain, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
-      REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+      REQUIRE(mo_training_apply(plain, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
+              MO_OK);
+      REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts,
+                                NULL) == MO_OK);
     }
     CHECK_INT(different, 0);
     CHECK_INT(mo_training_draw_ahead(training, NULL), MO_ERR_CONFLICT);
@@ -331,7 +355,8 @@ static void ahead_of_new_designs(void)
   REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
   REQUIRE(mo_training_draw(training, NULL, NULL, &robots) == MO_OK);
   REQUIRE(mo_training_draw_ahead(training, NULL) == MO_OK);
-  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) == MO_OK);
+  REQUIRE(mo_training_apply(training, made_up.gradient, made_up.outcomes, &made_up.counts, NULL) ==
+          MO_OK);
   uint64_t design[MO_DEFAULT_WORDS];
   memcpy(design, training->designs + (size_t)2 * MO_DEFAULT_WORDS, sizeof(design));
   REQUIRE(mo_training_set_designs(training, design, 1, NULL) == MO_OK);

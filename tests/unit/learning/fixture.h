@@ -1,4 +1,5 @@
-/* fixture.h: trainings whose gradients are made up: a training takes any gradient, and these tests are about the rest. */
+/* fixture.h: trainings whose gradients are made up: a training takes any gradient, and these tests
+ * are about the rest. */
 #ifndef MORPHO_TESTS_LEARNING_FIXTURE_H
 #define MORPHO_TESTS_LEARNING_FIXTURE_H
 
@@ -40,8 +41,10 @@ static inline int made_up_create(struct made_up *made_up, const struct mo_traini
   return -1;
 }
 
-/* A gradient that depends on the weights, the robots and the step: what is lost of any of them shows. */
-static inline void make_up(struct made_up *made_up, const struct mo_training *training, const struct mo_robot *robots)
+/* A gradient that depends on the weights, the robots and the step: what is lost of any of them
+ * shows. */
+static inline void make_up(struct made_up *made_up, const struct mo_training *training,
+                           const struct mo_robot *robots)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
   double of_robots = 0.0;
@@ -59,21 +62,26 @@ static inline void make_up(struct made_up *made_up, const struct mo_training *tr
   mo_random_init(&random, 5, MO_PURPOSE_CHECK, mo_training_step(training), 0);
   const float *weights = mo_training_controller(training)->parameters;
   for (size_t i = 0; i < made_up->n; i++)
-    made_up->gradient[i] = 1e-3 * (mo_random_uniform(&random) - 0.5) + 1e-2 * weights[i] + 1e-6 * of_robots;
+    made_up->gradient[i] =
+        1e-3 * (mo_random_uniform(&random) - 0.5) + 1e-2 * weights[i] + 1e-6 * of_robots;
 }
 
-static inline int advance(struct mo_training *training, struct made_up *made_up, struct mo_training_report *report)
+static inline int advance(struct mo_training *training, struct made_up *made_up,
+                          struct mo_training_report *report)
 {
   const struct mo_robot *robots = NULL;
   const int r = mo_training_draw(training, NULL, NULL, &robots);
   if (r < 0)
     return r;
   make_up(made_up, training, robots);
-  return mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts, report);
+  return mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts,
+                           report);
 }
 
-/* A finetuning on the first n held-out designs, from random weights times `factor`. NULL: failed. */
-static inline struct mo_training *finetuning(const struct mo_training_settings *settings, uint32_t n, float factor)
+/* A finetuning on the first n held-out designs, from random weights times `factor`. NULL: failed.
+ */
+static inline struct mo_training *finetuning(const struct mo_training_settings *settings,
+                                             uint32_t n, float factor)
 {
   struct mo_controller *parent = NULL;
   struct mo_training *training = NULL;

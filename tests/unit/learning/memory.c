@@ -1,5 +1,6 @@
-/* memory.c: every allocation of this room fails once; each time the function says so, leaves its outputs alone, leaks nothing
- * (the address sanitizer looks), and what was begun goes on when there is memory again. */
+/* memory.c: every allocation of this room fails once; each time the function says so, leaves its
+ * outputs alone, leaks nothing (the address sanitizer looks), and what was begun goes on when there
+ * is memory again. */
 #include "fixture.h"
 
 #include "../failing.h"

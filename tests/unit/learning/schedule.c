@@ -6,7 +6,8 @@
 static void paper_pretraining(void)
 {
   const struct mo_schedule s = mo_schedule_paper_pretrain();
-  /* Cycles of 10, 20, 40, … steps start at steps 0, 10, 30, 70, 150, 310, 630, 1270, each with a peak of 0.7 times the last. */
+  /* Cycles of 10, 20, 40, … steps start at steps 0, 10, 30, 70, 150, 310, 630, 1270, each with a
+   * peak of 0.7 times the last. */
   const struct {
     uint32_t step;
     double rate;
@@ -14,11 +15,14 @@ static void paper_pretraining(void)
                 {150, 2.401e-4}, {310, 1.6807e-4}, {630, 1.17649e-4}, {1270, 8.23543e-5}};
   for (size_t i = 0; i < sizeof(starts) / sizeof(starts[0]); i++)
     CHECK_NEAR(mo_schedule_rate(&s, starts[i].step, 1400), starts[i].rate, 1e-17);
-  CHECK_NEAR(mo_schedule_rate(&s, 5, 1400), 5.05e-4, 1e-17); /* half way: the mean of peak and floor */
+  CHECK_NEAR(mo_schedule_rate(&s, 5, 1400), 5.05e-4,
+             1e-17); /* half way: the mean of peak and floor */
   CHECK_NEAR(mo_schedule_rate(&s, 20, 1400), 3.55e-4, 1e-17);
-  CHECK_NEAR(mo_schedule_rate(&s, 40, 1400), 1e-5 + 4.8e-4 * (1.0 + sqrt(0.5)) / 2.0, 1e-17); /* a quarter */
+  CHECK_NEAR(mo_schedule_rate(&s, 40, 1400), 1e-5 + 4.8e-4 * (1.0 + sqrt(0.5)) / 2.0,
+             1e-17); /* a quarter */
   CHECK_NEAR(mo_schedule_rate(&s, 60, 1400), 1e-5 + 4.8e-4 * (1.0 - sqrt(0.5)) / 2.0, 1e-17);
-  CHECK(mo_schedule_rate(&s, 9, 1400) < 1e-5 + 0.03 * 1e-3); /* nearly at the floor before it restarts */
+  CHECK(mo_schedule_rate(&s, 9, 1400) <
+        1e-5 + 0.03 * 1e-3); /* nearly at the floor before it restarts */
   CHECK(mo_schedule_rate(&s, 9, 10) == mo_schedule_rate(&s, 9, 1400));
 }
 
@@ -27,7 +31,8 @@ static void paper_finetuning(void)
   const struct mo_schedule s = mo_schedule_paper_finetune();
   CHECK_NEAR(mo_schedule_rate(&s, 0, 60), 3.5e-4, 1e-18);
   CHECK_NEAR(mo_schedule_rate(&s, 50, 60), 1.925e-4, 1e-17);
-  CHECK_NEAR(mo_schedule_rate(&s, 59, 60), 1.5e-4, 0.05e-4); /* the paper's "effective minimum learning rate" */
+  CHECK_NEAR(mo_schedule_rate(&s, 59, 60), 1.5e-4,
+             0.05e-4); /* the paper's "effective minimum learning rate" */
   CHECK_NEAR(mo_schedule_rate(&s, 100, 200), 3.5e-4, 1e-18);
 }
 
@@ -75,7 +80,8 @@ static void corners(void)
   CHECK_NEAR(mo_schedule_rate(&s, 0, 10), 5e-4, 1e-18);
   CHECK(mo_schedule_rate(&s, 2, 10) == 1e-3);
   CHECK(mo_schedule_rate(&s, 9, 10) == 1e-3);
-  s.kind = MO_SCHEDULE_RESTARTS; /* cycles of one step: only peaks, until they are below the floor */
+  s.kind =
+      MO_SCHEDULE_RESTARTS; /* cycles of one step: only peaks, until they are below the floor */
   CHECK_NEAR(mo_schedule_rate(&s, 3, 10), 5e-4, 1e-18);
   CHECK_NEAR(mo_schedule_rate(&s, 8, 10), 1e-3 / 64, 1e-18);
   CHECK(mo_schedule_rate(&s, 9, 10) == 1e-5);
@@ -125,29 +131,53 @@ static void refused(void)
     int code;
     const char *says;
   } cases[] = {
-      {{.kind = (enum mo_schedule_kind)3, .peak = 1, .floor = 1, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+      {{.kind = (enum mo_schedule_kind)3,
+        .peak = 1,
+        .floor = 1,
+        .decay = 1,
+        .cycle_steps = 1,
+        .cycle_growth = 1},
        MO_ERR_INVALID,
        "schedule kind is 3"},
       {{.peak = NAN, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
        MO_ERR_INVALID,
        "peak is not finite"},
-      {{.peak = -1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "peak is -0.001"},
-      {{.peak = 1.5, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "at most 1"},
-      {{.peak = 1e-3, .floor = 0, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "floor is 0"},
+      {{.peak = -1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "peak is -0.001"},
+      {{.peak = 1.5, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "at most 1"},
+      {{.peak = 1e-3, .floor = 0, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "floor is 0"},
       {{.peak = 1e-3, .floor = INFINITY, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
        MO_ERR_INVALID,
        "floor is not finite"},
-      {{.peak = 1e-3, .floor = 2e-3, .decay = 1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "lower the floor"},
-      {{.peak = 1e-3, .floor = 1e-5, .decay = 0, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "decay is 0"},
-      {{.peak = 1e-3, .floor = 1e-5, .decay = 1.1, .cycle_steps = 1, .cycle_growth = 1}, MO_ERR_RANGE, "decay is 1.1"},
+      {{.peak = 1e-3, .floor = 2e-3, .decay = 1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "lower the floor"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 0, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "decay is 0"},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1.1, .cycle_steps = 1, .cycle_growth = 1},
+       MO_ERR_RANGE,
+       "decay is 1.1"},
       {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 0, .cycle_growth = 1},
        MO_ERR_RANGE,
        "cycle_steps is 0"},
       {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 0},
        MO_ERR_RANGE,
        "cycle_growth is 0"},
-      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1001}, MO_ERR_RANGE, "1 to 1000"},
-      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1, .warmup_steps = 1000001},
+      {{.peak = 1e-3, .floor = 1e-5, .decay = 1, .cycle_steps = 1, .cycle_growth = 1001},
+       MO_ERR_RANGE,
+       "1 to 1000"},
+      {{.peak = 1e-3,
+        .floor = 1e-5,
+        .decay = 1,
+        .cycle_steps = 1,
+        .cycle_growth = 1,
+        .warmup_steps = 1000001},
        MO_ERR_RANGE,
        "warmup_steps is 1000001"},
   };
@@ -172,7 +202,8 @@ static void names(void)
   CHECK_INT(mo_schedule_from_name("linear", &kind), MO_ERR_NOT_FOUND);
   CHECK_TEXT(mo_schedule_name((enum mo_schedule_kind)7), "unknown");
   const struct mo_schedule all[] = {mo_schedule_paper_pretrain(), mo_schedule_paper_finetune(),
-                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine(), mo_schedule_finetune()};
+                                    mo_schedule_paper_simultaneous(), mo_schedule_one_cosine(),
+                                    mo_schedule_finetune()};
   for (int i = 0; i < 5; i++)
     CHECK_INT(mo_schedule_check(&all[i], NULL), MO_OK);
 }

@@ -8,7 +8,8 @@ static void defaults(void)
   CHECK_INT(mo_training_settings_check(&pretrain, NULL), MO_OK);
   CHECK_INT(mo_training_settings_check(&finetune, NULL), MO_OK);
   CHECK(pretrain.n_steps == 1400 && pretrain.batch == 256 && finetune.n_steps == 60);
-  CHECK(pretrain.schedule.kind == MO_SCHEDULE_COSINE && pretrain.adjoint_bound == 2.0 && pretrain.norm_limit == 1.0);
+  CHECK(pretrain.schedule.kind == MO_SCHEDULE_COSINE && pretrain.adjoint_bound == 2.0 &&
+        pretrain.norm_limit == 1.0);
   CHECK(pretrain.adjoint_rule == MO_ADJOINT_CLIP && finetune.adjoint_rule == MO_ADJOINT_CLIP);
   CHECK(pretrain.restart_weight == 3.0 && finetune.restart_weight == 3.0);
   CHECK(pretrain.beta1 == 0.9 && pretrain.beta2 == 0.999);
@@ -18,9 +19,11 @@ static void defaults(void)
 
 static void check_schedule(const struct mo_schedule *actual, struct mo_schedule expected)
 {
-  CHECK(actual->kind == expected.kind && actual->peak == expected.peak && actual->floor == expected.floor);
+  CHECK(actual->kind == expected.kind && actual->peak == expected.peak &&
+        actual->floor == expected.floor);
   CHECK(actual->decay == expected.decay && actual->cycle_steps == expected.cycle_steps);
-  CHECK(actual->cycle_growth == expected.cycle_growth && actual->warmup_steps == expected.warmup_steps);
+  CHECK(actual->cycle_growth == expected.cycle_growth &&
+        actual->warmup_steps == expected.warmup_steps);
 }
 
 static void check_preset(enum mo_training_kind kind, enum mo_learning_preset preset,
@@ -28,12 +31,16 @@ static void check_preset(enum mo_training_kind kind, enum mo_learning_preset pre
 {
   const struct mo_training_settings s = mo_training_preset(kind, preset);
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
-  CHECK(s.kind == kind && s.seed == 1 && s.n_steps == expected.n_steps && s.batch == expected.batch);
+  CHECK(s.kind == kind && s.seed == 1 && s.n_steps == expected.n_steps &&
+        s.batch == expected.batch);
   check_schedule(&s.schedule, expected.schedule);
   CHECK(s.beta1 == expected.beta1 && s.beta2 == 0.999 && s.epsilon == 1e-8 && s.norm_limit == 1);
-  CHECK(s.adjoint_bound == expected.adjoint_bound && s.adjoint_rule == expected.adjoint_rule && s.restart_weight == 3);
-  CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 && s.physics.impact == MO_IMPACT_EXACT);
-  CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 && s.held_out_environments == 8);
+  CHECK(s.adjoint_bound == expected.adjoint_bound && s.adjoint_rule == expected.adjoint_rule &&
+        s.restart_weight == 3);
+  CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
+        s.physics.impact == MO_IMPACT_EXACT);
+  CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
+        s.held_out_environments == 8);
 }
 
 static void presets(void)
@@ -64,13 +71,25 @@ static void presets(void)
        {.n_steps = 1400, .batch = 8192, .schedule = paper, .beta1 = 0.9, .adjoint_bound = 0}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_WORKSTATION,
-       {.n_steps = 60, .batch = 256, .schedule = finetune_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+       {.n_steps = 60,
+        .batch = 256,
+        .schedule = finetune_cosine,
+        .beta1 = 0.9,
+        .adjoint_bound = 2}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_PHOTOTAXIS, /* has none */
-       {.n_steps = 60, .batch = 256, .schedule = finetune_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+       {.n_steps = 60,
+        .batch = 256,
+        .schedule = finetune_cosine,
+        .beta1 = 0.9,
+        .adjoint_bound = 2}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_PAPER,
-       {.n_steps = 60, .batch = 8192, .schedule = paper_finetune, .beta1 = 0.9, .adjoint_bound = 0}},
+       {.n_steps = 60,
+        .batch = 8192,
+        .schedule = paper_finetune,
+        .beta1 = 0.9,
+        .adjoint_bound = 0}},
   };
   for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
     check_preset(all[i].kind, all[i].preset, all[i].expected);
@@ -93,16 +112,19 @@ static void preset_names(void)
   CHECK_TEXT(mo_learning_preset_name((enum mo_learning_preset)3), "unknown");
 }
 
-/* The shipped controller says of itself what its preset would make it say. It is older than restart_weight, which was 3. */
+/* The shipped controller says of itself what its preset would make it say. It is older than
+ * restart_weight, which was 3. */
 static void shipped(void)
 {
-  const struct mo_training_settings settings = mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
+  const struct mo_training_settings settings =
+      mo_training_preset(MO_TRAINING_PRETRAIN, MO_LEARNING_PRESET_PHOTOTAXIS);
   static const char weight[] = ",\"restart_weight\":3";
   const char *root = getenv("MORPHO_SOURCE_DIR");
   char path[1024], expected[2048];
   struct mo_controller *file = NULL, *made = NULL;
   struct mo_training *training = NULL;
-  snprintf(path, sizeof(path), "%s/data/controllers/phototaxis.safetensors", root != NULL ? root : ".");
+  snprintf(path, sizeof(path), "%s/data/controllers/phototaxis.safetensors",
+           root != NULL ? root : ".");
   REQUIRE(mo_controller_read(path, &file, NULL) == MO_OK);
   REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
   REQUIRE(mo_training_export(training, NULL, "", NULL, &made) == MO_OK);
@@ -118,7 +140,8 @@ static void shipped(void)
   CHECK_TEXT(is, expected);
   static const char *const same[] = {"morphod.kind", "morphod.parent", "morphod.seed"};
   for (int i = 0; i < 3; i++)
-    CHECK_TEXT(mo_controller_get_metadata(file, same[i]), mo_controller_get_metadata(made, same[i]));
+    CHECK_TEXT(mo_controller_get_metadata(file, same[i]),
+               mo_controller_get_metadata(made, same[i]));
   CHECK_TEXT(mo_controller_get_metadata(file, "morphod.step"), "1400");
   CHECK_INT(file->sensor, settings.sensor);
   mo_training_free(training);
@@ -181,7 +204,8 @@ static void refused_settings(void)
       {RULE, -1, MO_ERR_INVALID, "adjoint_rule is -1"},
       {RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
-      {WEIGHT, 1000000.0000001, MO_ERR_RANGE, "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
+      {WEIGHT, 1000000.0000001, MO_ERR_RANGE,
+       "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
       {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
       {WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
       {WEIGHT, 0, MO_OK, ""},
@@ -226,7 +250,8 @@ static void refused_settings(void)
   s.n_steps = MO_TRAINING_STEPS_MAX;
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
   s.batch = 8192;
-  expect(mo_training_settings_check(&s, &message), MO_ERR_RANGE, &message, "steps × batch is 8192000000");
+  expect(mo_training_settings_check(&s, &message), MO_ERR_RANGE, &message,
+         "steps × batch is 8192000000");
   s.kind = MO_TRAINING_FINETUNE; /* draws no bodies */
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
 }
@@ -241,35 +266,40 @@ static void refused_requests(void)
   uint64_t designs[2 * MO_DEFAULT_WORDS];
   REQUIRE(mo_held_out_designs(1, 2, designs) == MO_OK);
   REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &parent) == MO_OK);
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT, &tiny) == MO_OK);
-  expect(mo_training_create(&finetune, NULL, designs, 2, &training, &message), MO_ERR_INVALID, &message,
-         "needs a controller to start from");
-  expect(mo_training_create(&finetune, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message,
-         "needs 1 to 10000 designs");
-  expect(mo_training_create(&finetune, parent, designs, 10001, &training, &message), MO_ERR_RANGE, &message,
-         "10001 designs");
-  expect(mo_training_create(&pretrain, NULL, designs, 2, &training, &message), MO_ERR_INVALID, &message,
-         "draws its own bodies");
-  expect(mo_training_create(&pretrain, tiny, NULL, 0, &training, &message), MO_ERR_UNSUPPORTED, &message,
-         "1x2x3 voxels; trainings need one for 6x6x4");
-  expect(mo_training_create(&finetune, tiny, designs, 2, &training, &message), MO_ERR_UNSUPPORTED, &message, "1x2x3");
+  REQUIRE(mo_controller_create((struct mo_workspace){1, 2, 3}, MO_SENSOR_INVERSE_SQRT, &tiny) ==
+          MO_OK);
+  expect(mo_training_create(&finetune, NULL, designs, 2, &training, &message), MO_ERR_INVALID,
+         &message, "needs a controller to start from");
+  expect(mo_training_create(&finetune, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
+         &message, "needs 1 to 10000 designs");
+  expect(mo_training_create(&finetune, parent, designs, 10001, &training, &message), MO_ERR_RANGE,
+         &message, "10001 designs");
+  expect(mo_training_create(&pretrain, NULL, designs, 2, &training, &message), MO_ERR_INVALID,
+         &message, "draws its own bodies");
+  expect(mo_training_create(&pretrain, tiny, NULL, 0, &training, &message), MO_ERR_UNSUPPORTED,
+         &message, "1x2x3 voxels; trainings need one for 6x6x4");
+  expect(mo_training_create(&finetune, tiny, designs, 2, &training, &message), MO_ERR_UNSUPPORTED,
+         &message, "1x2x3");
   const uint64_t good = designs[MO_DEFAULT_WORDS];
   memset(designs + MO_DEFAULT_WORDS, 0, MO_DEFAULT_WORDS * sizeof(uint64_t));
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
-         "design 1 is empty or not in one piece");
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
+         &message, "design 1 is empty or not in one piece");
   designs[MO_DEFAULT_WORDS] = UINT64_C(1); /* a corner of the workspace */
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
-         "design 1 is not placed");
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
+         &message, "design 1 is not placed");
   designs[2 * MO_DEFAULT_WORDS - 1] = UINT64_C(1) << 63;
-  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID, &message,
-         "design 1 has bits past the last voxel");
+  expect(mo_training_create(&finetune, parent, designs, 2, &training, &message), MO_ERR_INVALID,
+         &message, "design 1 has bits past the last voxel");
   designs[MO_DEFAULT_WORDS] = good;
   parent->parameters[17] = NAN;
-  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message, "parameter 17");
+  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
+         &message, "parameter 17");
   parent->parameters[17] = -2e6F;
-  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID, &message, "parameter 17");
+  expect(mo_training_create(&pretrain, parent, NULL, 0, &training, &message), MO_ERR_INVALID,
+         &message, "parameter 17");
   CHECK(training == NULL);
-  parent->parameters[17] = 0.25F; /* a good one keeps its weights and its sensor, whatever the settings say */
+  parent->parameters[17] =
+      0.25F; /* a good one keeps its weights and its sensor, whatever the settings say */
   REQUIRE(mo_training_create(&pretrain, parent, NULL, 0, &training, &message) == MO_OK);
   CHECK(mo_training_controller(training)->parameters[17] == 0.25F);
   CHECK_INT(mo_training_controller(training)->sensor, MO_SENSOR_INVERSE_SQUARE);
@@ -289,7 +319,8 @@ static void initial_weights(void)
     s.seed = i == 2 ? 9 : 8;
     REQUIRE(mo_training_create(&s, NULL, NULL, 0, &trainings[i], NULL) == MO_OK);
   }
-  const struct mo_controller *c[3] = {mo_training_controller(trainings[0]), mo_training_controller(trainings[1]),
+  const struct mo_controller *c[3] = {mo_training_controller(trainings[0]),
+                                      mo_training_controller(trainings[1]),
                                       mo_training_controller(trainings[2])};
   CHECK(memcmp(c[0]->parameters, c[1]->parameters, c[0]->n_parameters * sizeof(float)) == 0);
   CHECK(memcmp(c[0]->parameters, c[2]->parameters, c[0]->n_parameters * sizeof(float)) != 0);

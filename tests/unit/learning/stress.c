@@ -1,5 +1,6 @@
-/* stress.c: trainings under settings far outside of what the physics is made for. Whatever the robots do, weights, moments and
- * scores stay finite, and every robot that diverged is reported as such. */
+/* stress.c: trainings under settings far outside of what the physics is made for. Whatever the
+ * robots do, weights, moments and scores stay finite, and every robot that diverged is reported as
+ * such. */
 #include <morpho/compute.h>
 #include <morpho/learning.h>
 
@@ -14,9 +15,10 @@ enum { ROBOTS = 32, SCORED = 4, PHASES_MAX = MO_HIDDEN, SPRINGS_SHOWN = 16 };
 
 /* ---- a controller that reverses every spring at every step ---- */
 
-/* The generator's phase θ = 10 t dt turns by one part in n per step. Neuron i of the first layer is above 0 only while θ is
- * within 0.8 of a part of its own part's middle: its input is cos(θ − ψ_i), and as the ψ_i are spread evenly, the LayerNorm's
- * mean and deviation over the neurons are the same at every θ: it is an affine map, undone by its gain and shift. The second layer tells even
+/* The generator's phase θ = 10 t dt turns by one part in n per step. Neuron i of the first layer is
+ * above 0 only while θ is within 0.8 of a part of its own part's middle: its input is cos(θ − ψ_i),
+ * and as the ψ_i are spread evenly, the LayerNorm's mean and deviation over the neurons are the
+ * same at every θ: it is an affine map, undone by its gain and shift. The second layer tells even
  * parts from odd ones, and its LayerNorm makes that a sign. The third passes it on, and each
  * spring gets tanh(±3.84): as good as an end of its range, and still with a gradient. */
 static void make_reverser(struct mo_controller *c, double dt_s)
@@ -25,9 +27,11 @@ static void make_reverser(struct mo_controller *c, double dt_s)
   const double part = 2 * PI / parts, threshold = cos(0.8 * part);
   memset(c->parameters, 0, c->n_parameters * sizeof(float));
   for (uint32_t i = 0; i < parts && i < PHASES_MAX; i++)
-    for (uint32_t k = 0; k < MO_CPG_INPUTS; k++) { /* cos(θ − ψ) = 2/5 Σ sin(θ + 2πk/5) sin(ψ + 2πk/5) */
+    for (uint32_t k = 0; k < MO_CPG_INPUTS;
+         k++) { /* cos(θ − ψ) = 2/5 Σ sin(θ + 2πk/5) sin(ψ + 2πk/5) */
       const double shift = 2 * PI * k / MO_CPG_INPUTS;
-      c->weight[0][(size_t)i * c->n_inputs + c->n_masses + k] = (float)(0.4 * sin(part * i + shift));
+      c->weight[0][(size_t)i * c->n_inputs + c->n_masses + k] =
+          (float)(0.4 * sin(part * i + shift));
     }
   /* Over 256 neurons, `parts` of which are cosines: mean 0, mean square parts/512. */
   const double deviation = sqrt(parts / 512.0 + MO_LAYERNORM_EPSILON);
@@ -62,14 +66,16 @@ static void the_reverser_reverses(void)
     REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &c) == MO_OK);
     const double dt_s = whole_parts(dts_s[d]);
     make_reverser(c, dt_s);
-    double inputs[MO_DEFAULT_MASSES + MO_CPG_INPUTS] = {0}, outputs[SPRINGS_SHOWN], before[SPRINGS_SHOWN] = {0};
+    double inputs[MO_DEFAULT_MASSES + MO_CPG_INPUTS] = {0}, outputs[SPRINGS_SHOWN],
+                                      before[SPRINGS_SHOWN] = {0};
     double scratch[2 * MO_HIDDEN], least = 1;
     uint32_t springs[SPRINGS_SHOWN], kept = 0;
     for (uint32_t s = 0; s < SPRINGS_SHOWN; s++)
       springs[s] = 101 * s;
     for (uint32_t step = 0; step < 1000; step++) {
       for (uint32_t k = 0; k < MO_CPG_INPUTS; k++)
-        inputs[MO_DEFAULT_MASSES + k] = sin(MO_CPG_RAD_PER_S * step * dt_s + 2 * PI * k / MO_CPG_INPUTS);
+        inputs[MO_DEFAULT_MASSES + k] =
+            sin(MO_CPG_RAD_PER_S * step * dt_s + 2 * PI * k / MO_CPG_INPUTS);
       mo_controller_forward(c, inputs, springs, SPRINGS_SHOWN, outputs, scratch);
       for (int s = 0; s < SPRINGS_SHOWN; s++) {
         least = fmin(least, fabs(outputs[s]));
@@ -77,8 +83,8 @@ static void the_reverser_reverses(void)
         before[s] = outputs[s];
       }
     }
-    printf("# dt %.5f ms: least |activation| %.6f, %u of %d not reversed\n", 1e3 * dt_s, least, kept,
-           999 * SPRINGS_SHOWN);
+    printf("# dt %.5f ms: least |activation| %.6f, %u of %d not reversed\n", 1e3 * dt_s, least,
+           kept, 999 * SPRINGS_SHOWN);
     CHECK(least > 0.999);
     CHECK_INT(kept, 0);
     mo_controller_free(c);
@@ -147,8 +153,12 @@ static bool start(const struct stress *s, enum mo_sensor sensor, double bound, u
   settings.batch = ROBOTS;
   settings.held_out_designs = 0;
   settings.adjoint_bound = bound;
-  settings.schedule = (struct mo_schedule){
-      .kind = MO_SCHEDULE_CONSTANT, .peak = 1e-2, .floor = 1e-2, .decay = 1, .cycle_steps = 1, .cycle_growth = 1};
+  settings.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
+                                           .peak = 1e-2,
+                                           .floor = 1e-2,
+                                           .decay = 1,
+                                           .cycle_steps = 1,
+                                           .cycle_growth = 1};
   settings.physics.n_steps = n_steps;
   settings.physics.stiffness_n_per_m *= s->stiffness_factor;
   settings.physics.dt_s = s->reverser ? whole_parts(s->dt_s) : s->dt_s;
@@ -161,7 +171,8 @@ static bool start(const struct stress *s, enum mo_sensor sensor, double bound, u
       run->start->parameters[i] *= (float)s->weight_factor;
   }
   run->gradient = calloc(run->start->n_parameters, sizeof(double));
-  const int status = mo_training_create(&settings, run->start, run->designs[0], ROBOTS, &run->training, &message);
+  const int status =
+      mo_training_create(&settings, run->start, run->designs[0], ROBOTS, &run->training, &message);
   if (status != MO_OK)
     printf("# %s: %s\n", s->name, message.text);
   return run->gradient != NULL && status == MO_OK;
@@ -175,7 +186,8 @@ static void finish(struct training_run *run)
 }
 
 /* The robots that the training drew, in the worlds of the condition. */
-static void move_house(const struct stress *s, const struct mo_robot *drawn, uint32_t step, struct training_run *run)
+static void move_house(const struct stress *s, const struct mo_robot *drawn, uint32_t step,
+                       struct training_run *run)
 {
   for (uint32_t i = 0; i < ROBOTS; i++) {
     const struct mo_body *body = drawn[i].body;
@@ -187,8 +199,10 @@ static void move_house(const struct stress *s, const struct mo_robot *drawn, uin
       for (uint32_t m = 0; m < body->n_masses; m++)
         for (int axis = 0; axis < 2; axis++)
           com[axis] += MO_VOXEL_M * body->mass_xyz[3 * m + (uint32_t)axis] / body->n_masses;
-      run->environments[i].light_xy_m[0] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx + com[0];
-      run->environments[i].light_xy_m[1] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny + com[1];
+      run->environments[i].light_xy_m[0] =
+          MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.nx + com[0];
+      run->environments[i].light_xy_m[1] =
+          MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * body->workspace.ny + com[1];
     }
     run->robots[i] = (struct mo_robot){body, run->environments + i};
   }
@@ -209,7 +223,8 @@ static bool is_told_truly(const struct mo_outcome *outcome, uint32_t n_steps)
   for (int axis = 0; axis < 3; axis++)
     if (!isfinite(outcome->com_start_m[axis]) || !isfinite(outcome->com_end_m[axis]))
       return false;
-  return diverged ? isinf(outcome->loss) && outcome->loss > 0 && outcome->diverged_step <= (int32_t)n_steps
+  return diverged ? isinf(outcome->loss) && outcome->loss > 0 &&
+                        outcome->diverged_step <= (int32_t)n_steps
                   : isfinite(outcome->loss) && outcome->loss >= 0;
 }
 
@@ -218,8 +233,8 @@ struct tally {
   double largest_m, largest_weight, largest_norm;
 };
 
-static void one_step(const struct stress *s, struct mo_gradient_state *state, struct training_run *run,
-                     struct tally *tally)
+static void one_step(const struct stress *s, struct mo_gradient_state *state,
+                     struct training_run *run, struct tally *tally)
 {
   const struct mo_robot *drawn = NULL;
   const struct mo_training_settings *settings = mo_training_settings_of(run->training);
@@ -247,7 +262,8 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state, st
   CHECK_INT(not_finite(run->gradient, n), 0);
   CHECK(isfinite(batch.counts.largest));
   struct mo_training_report report;
-  REQUIRE(mo_training_apply(run->training, run->gradient, run->outcomes, &batch.counts, &report) == MO_OK);
+  REQUIRE(mo_training_apply(run->training, run->gradient, run->outcomes, &batch.counts, &report) ==
+          MO_OK);
   CHECK_INT(report.diverged, diverged);
   CHECK_INT(report.zeroed, batch.counts.zeroed_robots);
   CHECK(diverged == ROBOTS ? isnan(report.mean_loss) : isfinite(report.mean_loss));
@@ -259,7 +275,8 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state, st
     tally->largest_weight = fmax(tally->largest_weight, fabs((double)now->parameters[i]));
   }
   CHECK_INT(bad, 0);
-  CHECK_INT(not_finite(run->training->adam.first, n) + not_finite(run->training->adam.second, n), 0);
+  CHECK_INT(not_finite(run->training->adam.first, n) + not_finite(run->training->adam.second, n),
+            0);
   if (diverged + batch.counts.zeroed_robots == ROBOTS)
     CHECK(report.skipped);
   tally->robots += ROBOTS;
@@ -279,15 +296,17 @@ static void score(struct mo_compute *compute, struct training_run *run, struct t
   struct mo_lattice *lattice = NULL;
   struct mo_block blocks[SCORED];
   const struct mo_training_settings *settings = mo_training_settings_of(run->training);
-  REQUIRE(mo_compute_controller_create(compute, mo_training_controller(run->training), &brain) == MO_OK);
+  REQUIRE(mo_compute_controller_create(compute, mo_training_controller(run->training), &brain) ==
+          MO_OK);
   REQUIRE(mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK);
   for (uint32_t i = 0; i < SCORED; i++) {
-    blocks[i] = (struct mo_block){.lattice = lattice,
-                                  .genotype = run->designs[i],
-                                  .controller = brain,
-                                  .n_environments = 2,
-                                  .environments = {run->environments + i, run->environments + ROBOTS - 1 - i},
-                                  .physics = settings->physics};
+    blocks[i] = (struct mo_block){
+        .lattice = lattice,
+        .genotype = run->designs[i],
+        .controller = brain,
+        .n_environments = 2,
+        .environments = {run->environments + i, run->environments + ROBOTS - 1 - i},
+        .physics = settings->physics};
   }
   CHECK_INT(mo_compute_run(compute, blocks, SCORED), MO_OK);
   for (uint32_t i = 0; i < SCORED; i++)
@@ -305,18 +324,21 @@ static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
   struct mo_compute *compute = NULL;
   struct mo_gradient_state *state = NULL;
   const struct mo_compute_config config = {.n_workers = 2, .isa = mo_isa_best()};
-  REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK && mo_gradient_state_create(compute, &state) == MO_OK);
+  REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK &&
+          mo_gradient_state_create(compute, &state) == MO_OK);
   static struct training_run run;
   uint64_t diverged = 0, contributed = 0;
-  printf("# %u steps of training on %d robots of %u steps, each with both sensors%s\n", training_steps, ROBOTS, n_steps,
+  printf("# %u steps of training on %d robots of %u steps, each with both sensors%s\n",
+         training_steps, ROBOTS, n_steps,
          thorough ? ", bound 2 and off" : "; bound off with inverse_square");
-  printf(
-      "# %-31s robots diverged zeroed clipped%%  largest m  largest norm  largest weight  skipped  scores diverged\n",
-      "");
+  printf("# %-31s robots diverged zeroed clipped%%  largest m  largest norm  largest weight  "
+         "skipped  scores diverged\n",
+         "");
   for (int k = 0; k < STRESSES; k++) {
     struct tally tally = {0};
     for (int variant = 0; variant < 4; variant++) {
-      const enum mo_sensor sensor = variant % 2 == 0 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE;
+      const enum mo_sensor sensor =
+          variant % 2 == 0 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE;
       const bool off = variant == 1 || variant == 2;
       if (!thorough && variant > 1)
         continue;
@@ -326,14 +348,17 @@ static void run_all(uint32_t n_steps, uint32_t training_steps, bool thorough)
         one_step(&stresses[k], state, &run, &tally);
       score(compute, &run, &tally);
       if (check_failures > failures)
-        printf("# in \"%s\", %s, bound %s\n", stresses[k].name, mo_sensor_name(sensor), off ? "off" : "2");
+        printf("# in \"%s\", %s, bound %s\n", stresses[k].name, mo_sensor_name(sensor),
+               off ? "off" : "2");
       finish(&run);
     }
-    printf("# %-31s %6llu %8llu %6llu %7.2f %11.1e %13.1e %15.1e %8llu %7llu/%llu\n", stresses[k].name,
-           (unsigned long long)tally.robots, (unsigned long long)tally.diverged, (unsigned long long)tally.zeroed,
-           tally.steps > 0 ? 100.0 * (double)tally.clipped_steps / (double)tally.steps : 0.0, tally.largest_m,
-           tally.largest_norm, tally.largest_weight, (unsigned long long)tally.skipped,
-           (unsigned long long)tally.scores_diverged, (unsigned long long)tally.scores);
+    printf("# %-31s %6llu %8llu %6llu %7.2f %11.1e %13.1e %15.1e %8llu %7llu/%llu\n",
+           stresses[k].name, (unsigned long long)tally.robots, (unsigned long long)tally.diverged,
+           (unsigned long long)tally.zeroed,
+           tally.steps > 0 ? 100.0 * (double)tally.clipped_steps / (double)tally.steps : 0.0,
+           tally.largest_m, tally.largest_norm, tally.largest_weight,
+           (unsigned long long)tally.skipped, (unsigned long long)tally.scores_diverged,
+           (unsigned long long)tally.scores);
     diverged += tally.diverged;
     contributed += tally.robots - tally.diverged - tally.zeroed;
   }

@@ -1,12 +1,13 @@
-/* train.c: a tiny training with real gradients: three designs, 80 time steps, 10 steps of learning. The mean loss of all its robots
- * goes down, and an interrupted training ends with the same bytes. */
+/* train.c: a tiny training with real gradients: three designs, 80 time steps, 10 steps of learning.
+ * The mean loss of all its robots goes down, and an interrupted training ends with the same bytes.
+ */
 #include "fixture.h"
 
 enum { DESIGNS = 3, STEPS = 10, BATCH = 4 };
 
 /* Mean loss of the robots of all steps with these weights. */
-static double loss_of(const struct mo_controller *controller, const struct mo_body *const bodies[DESIGNS],
-                      const struct mo_physics *physics)
+static double loss_of(const struct mo_controller *controller,
+                      const struct mo_body *const bodies[DESIGNS], const struct mo_physics *physics)
 {
   double sum = 0.0;
   for (uint32_t step = 0; step < STEPS; step++)
@@ -14,7 +15,8 @@ static double loss_of(const struct mo_controller *controller, const struct mo_bo
       struct mo_environment environment;
       struct mo_outcome outcome = {.loss = NAN};
       mo_environment_training(1, step, i, &environment);
-      mo_rollout_reference(bodies[(step * BATCH + i) % DESIGNS], controller, &environment, physics, NULL, &outcome);
+      mo_rollout_reference(bodies[(step * BATCH + i) % DESIGNS], controller, &environment, physics,
+                           NULL, &outcome);
       sum += outcome.loss / (STEPS * BATCH);
     }
   return sum;
@@ -34,21 +36,23 @@ static struct mo_training *begin(void)
 static int learn(struct mo_training *training, struct made_up *made_up, bool save)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
-  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch, settings->adjoint_rule,
-                                              settings->restart_weight};
+  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch,
+                                              settings->adjoint_rule, settings->restart_weight};
   const struct mo_robot *robots;
   int r = mo_training_draw(training, NULL, NULL, &robots);
   memset(made_up->gradient, 0, made_up->n * sizeof(double));
   made_up->counts = (struct mo_gradient_counts){0};
   for (uint32_t i = 0; i < settings->batch && r == MO_OK; i++)
-    r = mo_gradient_reference(robots[i].body, mo_training_controller(training), robots[i].environment,
-                              &settings->physics, &options, &made_up->outcomes[i], made_up->gradient, &made_up->counts);
+    r = mo_gradient_reference(robots[i].body, mo_training_controller(training),
+                              robots[i].environment, &settings->physics, &options,
+                              &made_up->outcomes[i], made_up->gradient, &made_up->counts);
   struct mo_training_report report = {0};
   if (r == MO_OK)
-    r = mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts, &report);
+    r = mo_training_apply(training, made_up->gradient, made_up->outcomes, &made_up->counts,
+                          &report);
   if (save)
-    printf("# step %u: loss %.6f, gradient norm %.3g, rate %.3g\n", report.step, report.mean_loss, report.gradient_norm,
-           report.rate);
+    printf("# step %u: loss %.6f, gradient norm %.3g, rate %.3g\n", report.step, report.mean_loss,
+           report.gradient_norm, report.rate);
   return report.skipped ? MO_ERR_INVALID : r;
 }
 
@@ -65,7 +69,8 @@ static void learns(void)
   for (int i = 0; i < DESIGNS; i++)
     REQUIRE(mo_body_create(lattice, designs + (size_t)MO_DEFAULT_WORDS * i, &bodies[i]) == MO_OK);
   const struct mo_physics *physics = &mo_training_settings_of(training)->physics;
-  const double before = loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  const double before =
+      loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
   for (uint32_t step = 0; step < STEPS; step++) {
     REQUIRE(learn(training, &made_up, true) == MO_OK);
     if (step == 4) { /* the other one is interrupted here and there */
@@ -79,12 +84,14 @@ static void learns(void)
     }
     REQUIRE(learn(again, &made_up, false) == MO_OK);
   }
-  const double after = loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
+  const double after =
+      loss_of(mo_training_controller(training), (const struct mo_body *const *)bodies, physics);
   printf("# loss of all %d robots: %.6f before, %.6f after\n", STEPS * BATCH, before, after);
   CHECK(after < before - 0.001);
   uint8_t *a = NULL, *b = NULL;
   size_t n = 0, m = 0;
-  REQUIRE(mo_training_encode(training, &a, &n) == MO_OK && mo_training_encode(again, &b, &m) == MO_OK);
+  REQUIRE(mo_training_encode(training, &a, &n) == MO_OK &&
+          mo_training_encode(again, &b, &m) == MO_OK);
   CHECK(n == m && memcmp(a, b, n) == 0);
   free(a);
   free(b);

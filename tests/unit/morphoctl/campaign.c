@@ -42,34 +42,39 @@ static void texts(void)
                                    .voxels = 23.04,
                                    .seconds = 1.25};
   campaign_row_text(&row, text, sizeof(text));
-  CHECK_TEXT(text,
-             "mean 0.4123  best 0.2000  diversity 0.2100  survived: mutants 12 % recombinants –  voxels 23.0  1.2 s");
-  json_t *campaign = json_loads("{\"phase\": \"scoring\", \"progress\": {\"under_way\": 5, \"done\": 34, \"total\": "
-                                "64, \"rollouts_per_s\": 210.4,"
-                                "\"seconds_left\": 192}}",
-                                0, NULL);
+  CHECK_TEXT(text, "mean 0.4123  best 0.2000  diversity 0.2100  survived: mutants 12 % "
+                   "recombinants –  voxels 23.0  1.2 s");
+  json_t *campaign = json_loads(
+      "{\"phase\": \"scoring\", \"progress\": {\"under_way\": 5, \"done\": 34, \"total\": "
+      "64, \"rollouts_per_s\": 210.4,"
+      "\"seconds_left\": 192}}",
+      0, NULL);
   campaign_progress_text(campaign, text, sizeof(text));
   CHECK_TEXT(text, "generation 5: scoring 34 of 64 designs  210 rollouts/s  0:03:12 left");
   json_object_set_new(campaign, "phase", json_string("preparing"));
   campaign_progress_text(campaign, text, sizeof(text));
-  CHECK_TEXT(
-      text, "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 until they are drawn");
+  CHECK_TEXT(text, "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  "
+                   "0:03:12 until they are drawn");
   json_object_set_new(json_object_get(campaign, "progress"), "generation", json_integer(4));
   campaign_progress_text(campaign, text, sizeof(text));
-  CHECK_TEXT(text, "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 left");
+  CHECK_TEXT(
+      text,
+      "generation 5: preparing 34 of 64 bodies of the pretraining  210 rollouts/s  0:03:12 left");
   json_object_set_new(campaign, "phase", json_string("idle"));
   campaign_progress_text(campaign, text, sizeof(text));
   CHECK(*text == 0);
   json_decref(campaign);
-  json_t *data = json_loads(
-      "{\"generation\": 7, \"generations\": 30, \"mean\": 0.5, \"best\": null, \"diversity\": 0.25}", 0, NULL);
+  json_t *data = json_loads("{\"generation\": 7, \"generations\": 30, \"mean\": 0.5, \"best\": "
+                            "null, \"diversity\": 0.25}",
+                            0, NULL);
   campaign_event_text("campaign.generation", data, text, sizeof(text));
   CHECK_TEXT(text, "  generation 7 of 30  mean 0.5000  best –  diversity 0.2500");
   campaign_event_text("job.started", data, text, sizeof(text));
   CHECK(*text == 0);
   json_decref(data);
-  data = json_loads("{\"controller\": \"0123456789abcdef\", \"field\": \"morphod.seed\", \"detail\": \"no number\"}", 0,
-                    NULL);
+  data = json_loads("{\"controller\": \"0123456789abcdef\", \"field\": \"morphod.seed\", "
+                    "\"detail\": \"no number\"}",
+                    0, NULL);
   campaign_event_text("campaign.lineage_unreadable", data, text, sizeof(text));
   CHECK_TEXT(text, "  morphod.seed of controller 0123456789ab: no number");
   json_decref(data);
@@ -126,5 +131,6 @@ static void view(void)
   CHECK(n_drawn == 0);
 }
 
-static const struct check_case cases[] = {{"sparklines", sparks}, {"texts", texts}, {"the view", view}};
+static const struct check_case cases[] = {
+    {"sparklines", sparks}, {"texts", texts}, {"the view", view}};
 CHECK_MAIN(cases)

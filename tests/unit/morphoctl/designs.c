@@ -34,12 +34,13 @@ static void every_form(void)
   struct designs designs = {0};
   char voxels[VOXELS + 1], text[2048], expected[200];
   voxels_of('1', voxels);
-  snprintf(text, sizeof(text),
-           "# a comment\n{\"cells\": [[0,0,0],\n [1,0,0]], \"name\": "
-           "\"two\"}\n%s\n0123456789abcdef0123456789ABCDEF0123, %s\n"
-           "[[2,2,0],[2,3,0]]\n[{\"id\":\"x\"}, [[1,1,1]], \"0123456789abcdef0123456789abcdef0123\"]\n"
-           "{\"designs\": [{\"cells\": [[3,3,3]]}], \"controller\": \"ignored\"}",
-           voxels, voxels);
+  snprintf(
+      text, sizeof(text),
+      "# a comment\n{\"cells\": [[0,0,0],\n [1,0,0]], \"name\": "
+      "\"two\"}\n%s\n0123456789abcdef0123456789ABCDEF0123, %s\n"
+      "[[2,2,0],[2,3,0]]\n[{\"id\":\"x\"}, [[1,1,1]], \"0123456789abcdef0123456789abcdef0123\"]\n"
+      "{\"designs\": [{\"cells\": [[3,3,3]]}], \"controller\": \"ignored\"}",
+      voxels, voxels);
   CHECK_INT(add(&designs, text), STATUS_OK);
   REQUIRE(designs.n == 9);
   CHECK(equals(&designs, 0, "{\"cells\":[[0,0,0],[1,0,0]]}"));
@@ -118,8 +119,8 @@ static size_t reached(const char *voxels, bool *seen, int x, int y, int z)
     return 0;
   seen[i] = true;
   return 1 + reached(voxels, seen, x + 1, y, z) + reached(voxels, seen, x - 1, y, z) +
-         reached(voxels, seen, x, y + 1, z) + reached(voxels, seen, x, y - 1, z) + reached(voxels, seen, x, y, z + 1) +
-         reached(voxels, seen, x, y, z - 1);
+         reached(voxels, seen, x, y + 1, z) + reached(voxels, seen, x, y - 1, z) +
+         reached(voxels, seen, x, y, z + 1) + reached(voxels, seen, x, y, z - 1);
 }
 
 static void random_bodies(void)
@@ -180,7 +181,12 @@ static void ids(void)
 }
 
 static const struct check_case cases[] = {
-    {"every form of input", every_form}, {"what is refused", refused}, {"the limit", limit}, {"operands", operands},
-    {"random bodies", random_bodies},    {"drawing", drawing},         {"ids", ids},
+    {"every form of input", every_form},
+    {"what is refused", refused},
+    {"the limit", limit},
+    {"operands", operands},
+    {"random bodies", random_bodies},
+    {"drawing", drawing},
+    {"ids", ids},
 };
 CHECK_MAIN(cases)

@@ -10,15 +10,17 @@ static int parse(struct ctl *ctl, int argc, const char *const *argv)
   *ctl = (struct ctl){0};
   return options_parse(ctl, argc, argv);
 }
-#define PARSE(ctl, ...)                                                                                                \
-  parse((ctl), (int)(sizeof((const char *[]){__VA_ARGS__}) / sizeof(char *)), (const char *[]){__VA_ARGS__})
+#define PARSE(ctl, ...)                                                                            \
+  parse((ctl), (int)(sizeof((const char *[]){__VA_ARGS__}) / sizeof(char *)),                      \
+        (const char *[]){__VA_ARGS__})
 
 static void commands_are_sound(void)
 {
   for (size_t i = 0; i < n_commands; i++) {
     CHECK(commands[i].run != NULL && commands[i].max_operands >= commands[i].min_operands);
     CHECK(commands[i].summary[strlen(commands[i].summary) - 1] == '.');
-    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL; spec++)
+    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL;
+         spec++)
       for (const struct option_spec *other = common_options; other->name != NULL; other++) {
         CHECK(strcmp(spec->name, other->name) != 0);
         CHECK(spec->letter == 0 || spec->letter != other->letter);
@@ -29,7 +31,9 @@ static void commands_are_sound(void)
 static void forms(void)
 {
   struct ctl ctl;
-  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "a", "--controller=x", "-c", "y", "-q", "--", "--b", "-"), -1);
+  CHECK_INT(
+      PARSE(&ctl, "morphoctl", "eval", "a", "--controller=x", "-c", "y", "-q", "--", "--b", "-"),
+      -1);
   CHECK_TEXT(ctl.command->name, "eval");
   CHECK_INT(ctl.n_operands, 3);
   CHECK_TEXT(ctl.operands[1], "--b");
@@ -43,7 +47,9 @@ static void forms(void)
   CHECK_INT(n, 7);
   CHECK(!option_number(&ctl, "limit", 8, 10, &n));
   options_free(&ctl);
-  CHECK_INT(PARSE(&ctl, "morphoctl", "--server", "unix:/x", "-j", "--retry=3", "job", "list", "-q", "-s", "y"), -1);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "--server", "unix:/x", "-j", "--retry=3", "job", "list", "-q",
+                  "-s", "y"),
+            -1);
   CHECK_TEXT(ctl.command->name, "job list");
   CHECK(option_is_set(&ctl, "json") && option_is_set(&ctl, "quiet"));
   CHECK_TEXT(option_text(&ctl, "retry", ""), "3");
@@ -99,14 +105,13 @@ static void request(void)
 {
   struct ctl ctl;
   json_t *object = json_object();
-  CHECK_INT(
-      PARSE(&ctl, "morphoctl", "eval", "-c", "sha", "--precision", "float64", "-p", "n_steps=9", "-e", "paper-test"),
-      -1);
+  CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "-c", "sha", "--precision", "float64", "-p",
+                  "n_steps=9", "-e", "paper-test"),
+            -1);
   CHECK_INT(request_fill(&ctl, object), STATUS_OK);
   char *text = json_dumps(object, JSON_COMPACT | JSON_SORT_KEYS);
-  CHECK_TEXT(
-      text,
-      "{\"controller\":\"sha\",\"environments\":\"paper-test\",\"physics\":{\"n_steps\":9},\"precision\":\"float64\"}");
+  CHECK_TEXT(text, "{\"controller\":\"sha\",\"environments\":\"paper-test\",\"physics\":{\"n_"
+                   "steps\":9},\"precision\":\"float64\"}");
   free(text);
   options_free(&ctl);
   CHECK_INT(PARSE(&ctl, "morphoctl", "eval", "--precision", "float16"), -1);
@@ -131,7 +136,8 @@ static void help_and_manual(void)
     if (strstr(manual, needle) == NULL)
       printf("# not in the manual: %s\n", needle);
     CHECK(strstr(manual, needle) != NULL);
-    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL; spec++) {
+    for (const struct option_spec *spec = commands[i].options; spec != NULL && spec->name != NULL;
+         spec++) {
       snprintf(needle, sizeof(needle), "Fl -%s", spec->name);
       if (strstr(manual, needle) == NULL)
         printf("# not in the manual: %s of %s\n", needle, commands[i].name);

@@ -56,27 +56,36 @@ static void falls(void)
 static void marks(void)
 {
   const struct plot_point curve[] = {{1, 0.5}, {50, 0.5}}, marks[] = {{0, 1.0}, {50, 0.0}};
-  struct plot plot = {
-      .curve = curve, .n_curve = 2, .marks = marks, .n_marks = 2, .x_end = 50, .width = 40, .height = 8};
+  struct plot plot = {.curve = curve,
+                      .n_curve = 2,
+                      .marks = marks,
+                      .n_marks = 2,
+                      .x_end = 50,
+                      .width = 40,
+                      .height = 8};
   draw(&plot);
   REQUIRE(n_lines == 8);
-  CHECK(strchr(lines[0], 'o') != NULL && strchr(lines[5], 'o') != NULL && strchr(lines[2], 'o') == NULL);
+  CHECK(strchr(lines[0], 'o') != NULL && strchr(lines[5], 'o') != NULL &&
+        strchr(lines[2], 'o') == NULL);
   plot.colour = plot.utf8 = true;
   draw(&plot);
   CHECK(strstr(lines[0], "\033[33m" PLOT_MARK_UTF8 "\033[0m") != NULL);
 }
 
-/* Nothing, one point, a constant, gaps, huge numbers, a field too small: always a drawing of the size asked for. */
+/* Nothing, one point, a constant, gaps, huge numbers, a field too small: always a drawing of the
+ * size asked for. */
 static void odd(void)
 {
   const struct plot_point nothing[] = {{1, NAN}, {2, INFINITY}}, one[] = {{7, 3}},
-                          flat[] = {{1, 2}, {2, 2}, {3, NAN}, {4, 2}}, huge[] = {{1, -1e300}, {1e9, 1e300}, {2e9, 0}},
+                          flat[] = {{1, 2}, {2, 2}, {3, NAN}, {4, 2}},
+                          huge[] = {{1, -1e300}, {1e9, 1e300}, {2e9, 0}},
                           beyond[] = {{-5, 1}, {1000, 2}};
   const struct {
     const struct plot_point *points;
     size_t n;
     double end;
-  } tries[] = {{NULL, 0, 0}, {nothing, 2, 2}, {one, 1, 7}, {flat, 4, 4}, {huge, 3, 2e9}, {beyond, 2, 10}};
+  } tries[] = {{NULL, 0, 0}, {nothing, 2, 2}, {one, 1, 7},
+               {flat, 4, 4}, {huge, 3, 2e9},  {beyond, 2, 10}};
   for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++)
     for (int utf8 = 0; utf8 < 2; utf8++) {
       struct plot plot = {.curve = tries[i].points,
@@ -95,5 +104,6 @@ static void odd(void)
   drawn = NULL;
 }
 
-static const struct check_case cases[] = {{"a falling line", falls}, {"marks", marks}, {"odd curves", odd}};
+static const struct check_case cases[] = {
+    {"a falling line", falls}, {"marks", marks}, {"odd curves", odd}};
 CHECK_MAIN(cases)

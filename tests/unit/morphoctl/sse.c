@@ -14,10 +14,11 @@ static int note(void *context, const char *type, const char *id, const char *dat
   return strcmp(data, "stop") == 0;
 }
 
-static const char stream[] =
-    ": hello\n\nid: 1\nevent: job.created\ndata: {\"a\":1}\n\n"
-    "id: 2\r\ndata: one\r\ndata:two\r\n\r\n: heartbeat\r\n\r\nid: 3\rdata: \r\rdata: last\n\nid: 4\ndata: half";
-static const char expected[] = "job.created|1|{\"a\":1};message|2|one\ntwo;message|3|;message||last;";
+static const char stream[] = ": hello\n\nid: 1\nevent: job.created\ndata: {\"a\":1}\n\n"
+                             "id: 2\r\ndata: one\r\ndata:two\r\n\r\n: heartbeat\r\n\r\nid: "
+                             "3\rdata: \r\rdata: last\n\nid: 4\ndata: half";
+static const char expected[] =
+    "job.created|1|{\"a\":1};message|2|one\ntwo;message|3|;message||last;";
 
 static void every_cut(void)
 {
@@ -26,7 +27,8 @@ static void every_cut(void)
     int count = 0;
     *seen = 0;
     CHECK_INT(sse_feed(&sse, stream, cut, note, &count), 0);
-    CHECK_INT(sse_feed(&sse, stream + cut, sizeof(stream) - 1 - (cut < sizeof(stream) - 1 ? cut : sizeof(stream) - 1),
+    CHECK_INT(sse_feed(&sse, stream + cut,
+                       sizeof(stream) - 1 - (cut < sizeof(stream) - 1 ? cut : sizeof(stream) - 1),
                        note, &count),
               0);
     CHECK_TEXT(seen, expected);

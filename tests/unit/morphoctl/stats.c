@@ -1,5 +1,5 @@
-/* Student's t and paired comparisons. The reference quantiles are those of printed tables (three places and more agree), and of the
- * closed forms for one and two degrees of freedom. */
+/* Student's t and paired comparisons. The reference quantiles are those of printed tables (three
+ * places and more agree), and of the closed forms for one and two degrees of freedom. */
 #include "stats.h"
 #include "../check.h"
 
@@ -44,5 +44,6 @@ static void pairs(void)
   CHECK(paired.n == 0 && isnan(paired.mean_a) && isnan(paired.difference));
 }
 
-static const struct check_case cases[] = {{"quantiles of Student's t", quantiles}, {"pairs", pairs}};
+static const struct check_case cases[] = {{"quantiles of Student's t", quantiles},
+                                          {"pairs", pairs}};
 CHECK_MAIN(cases)

@@ -68,9 +68,12 @@ static void ids_and_states(void)
 {
   CHECK(check_job_id("12") && !check_job_id("") && !check_job_id("012") && !check_job_id("1x") &&
         !check_job_id("1234567890123456789"));
-  CHECK(is_final("succeeded") && is_final("failed") && is_final("cancelled") && !is_final("paused") && !is_final(""));
+  CHECK(is_final("succeeded") && is_final("failed") && is_final("cancelled") &&
+        !is_final("paused") && !is_final(""));
 }
 
-static const struct check_case cases[] = {
-    {"columns", columns}, {"a column less", a_column_less}, {"numbers", numbers}, {"ids and states", ids_and_states}};
+static const struct check_case cases[] = {{"columns", columns},
+                                          {"a column less", a_column_less},
+                                          {"numbers", numbers},
+                                          {"ids and states", ids_and_states}};
 CHECK_MAIN(cases)

@@ -1,8 +1,8 @@
 /* distinct.c: the statistics of a large distinct stream, and bodies of more than a million springs.
  *
- * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels, 32 % of draws being new. By default
- * a smaller stream is drawn, whose averages are smaller too, because the small bodies run out slowly; the full size is drawn
- * when MORPHO_TEST_FULL is set. */
+ * 1.43 million distinct bodies are known to average 79 masses, 389 springs and 23 voxels, 32 % of
+ * draws being new. By default a smaller stream is drawn, whose averages are smaller too, because
+ * the small bodies run out slowly; the full size is drawn when MORPHO_TEST_FULL is set. */
 #include "../check.h"
 
 #include "base/clock.h"
@@ -19,7 +19,8 @@ static int figures_of(uint32_t n, struct figures *figures)
 {
   struct mo_lattice *lattice = NULL;
   struct mo_body_stream *stream = NULL;
-  if (mo_lattice_create(home, &lattice) != MO_OK || mo_body_stream_create(home, 1, &stream) != MO_OK) {
+  if (mo_lattice_create(home, &lattice) != MO_OK ||
+      mo_body_stream_create(home, 1, &stream) != MO_OK) {
     mo_lattice_free(lattice);
     return -1;
   }
@@ -29,7 +30,8 @@ static int figures_of(uint32_t n, struct figures *figures)
   for (uint32_t i = 0; i < n && !failed; i++) {
     uint64_t bits[MO_DEFAULT_WORDS];
     struct mo_body *body = NULL;
-    failed = mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &body) != MO_OK;
+    failed =
+        mo_body_stream_next(stream, bits) != MO_OK || mo_body_create(lattice, bits, &body) != MO_OK;
     if (!failed) {
       figures->masses += (double)body->n_masses / n;
       figures->springs += (double)body->n_springs / n;
@@ -38,10 +40,10 @@ static int figures_of(uint32_t n, struct figures *figures)
     mo_body_free(body);
   }
   figures->new_share = (double)n / (double)mo_body_stream_draws(stream);
-  printf(
-      "# %u distinct bodies in %.2f s: %.2f masses, %.2f springs, %.2f voxels on average; %.2f %% of draws are new\n",
-      n, (double)(mo_clock_ns() - start) * 1e-9, figures->masses, figures->springs, figures->voxels,
-      100.0 * figures->new_share);
+  printf("# %u distinct bodies in %.2f s: %.2f masses, %.2f springs, %.2f voxels on average; %.2f "
+         "%% of draws are new\n",
+         n, (double)(mo_clock_ns() - start) * 1e-9, figures->masses, figures->springs,
+         figures->voxels, 100.0 * figures->new_share);
   mo_body_stream_free(stream);
   mo_lattice_free(lattice);
   return failed ? -1 : 0;
@@ -87,8 +89,8 @@ static void million_springs(void)
   struct mo_body *body = NULL;
   start = mo_clock_ns();
   REQUIRE(mo_body_create(lattice, bits, &body) == MO_OK);
-  printf("# %u masses, %u springs: lattice %.1f ms, body %.1f ms\n", body->n_masses, body->n_springs, lattice_ms,
-         (double)(mo_clock_ns() - start) * 1e-6);
+  printf("# %u masses, %u springs: lattice %.1f ms, body %.1f ms\n", body->n_masses,
+         body->n_springs, lattice_ms, (double)(mo_clock_ns() - start) * 1e-6);
   CHECK(body->n_springs > 1000000);
   CHECK_INT(body->n_springs, lattice->n_springs);
   CHECK_INT(body->n_masses, lattice->n_masses);
@@ -137,7 +139,8 @@ static void largest_workspaces(void)
     struct mo_body *body = NULL;
     CHECK_INT(mo_genotype_is_contiguous(several[i], bits), 1);
     CHECK_INT(mo_body_create(lattice, bits, &body), MO_OK);
-    CHECK(body != NULL && body->n_springs == lattice->n_springs && body->n_masses == lattice->n_masses);
+    CHECK(body != NULL && body->n_springs == lattice->n_springs &&
+          body->n_masses == lattice->n_masses);
     CHECK(body != NULL && body->mass_xyz[3 * body->n_masses - 3] == several[i].nx &&
           body->mass_xyz[3 * body->n_masses - 2] == several[i].ny &&
           body->mass_xyz[3 * body->n_masses - 1] == several[i].nz);

@@ -1,4 +1,5 @@
-/* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies. */
+/* forms.c: the set of forms against a sorted list, its memory, and the stream of distinct bodies.
+ */
 #include "../check.h"
 
 #include "morphospace/form_set.h"
@@ -41,7 +42,8 @@ static void set_is_exact(void)
 
 static void set_of_other_workspaces(void)
 {
-  static const struct mo_workspace several[] = {{1, 1, 1}, {2, 2, 2}, {4, 4, 4}, {5, 5, 5}, {12, 12, 8}};
+  static const struct mo_workspace several[] = {
+      {1, 1, 1}, {2, 2, 2}, {4, 4, 4}, {5, 5, 5}, {12, 12, 8}};
   for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
     struct mo_form_set *set = NULL;
     REQUIRE(mo_form_set_create(several[i], &set) == MO_OK);

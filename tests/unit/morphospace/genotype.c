@@ -102,7 +102,8 @@ static void bytes(void)
   CHECK_INT(stored[17], 0x01);
   struct mo_random random;
   mo_random_init(&random, 4, MO_PURPOSE_CHECK, 0, 0);
-  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1}, {2, 1, 1}, {4, 4, 4}, {3, 3, 3}};
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
+                                                {2, 1, 1}, {4, 4, 4}, {3, 3, 3}};
   for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
     uint32_t voxels = mo_workspace_voxels(several[i]);
     for (int round = 0; round < 100; round++) {
@@ -128,7 +129,8 @@ static void ids(void)
 {
   struct mo_random random;
   mo_random_init(&random, 5, MO_PURPOSE_CHECK, 0, 0);
-  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1}, {2, 1, 1}, {7, 3, 1}, {12, 11, 10}};
+  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
+                                                {2, 1, 1}, {7, 3, 1}, {12, 11, 10}};
   for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
     struct mo_workspace w = several[i];
     size_t digits = (mo_workspace_voxels(w) + 3) / 4;
@@ -156,10 +158,14 @@ static void bad_ids(void)
   uint64_t form[3] = {7, 7, 7};
   const char *one = "800000000000000000000000000000000000";
   CHECK_INT(mo_genotype_from_id(home, one, 35, form), MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "8000000000000000000000000000000000000", 37, form), MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "80000000000000000000000000000000000g", 36, form), MO_ERR_FORMAT);
-  CHECK_INT(mo_genotype_from_id(home, "000000000000000000000000000000000000", 36, form), MO_ERR_EMPTY);
-  CHECK_INT(mo_genotype_from_id(home, "a00000000000000000000000000000000000", 36, form), MO_ERR_NOT_CONTIGUOUS);
+  CHECK_INT(mo_genotype_from_id(home, "8000000000000000000000000000000000000", 37, form),
+            MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_id(home, "80000000000000000000000000000000000g", 36, form),
+            MO_ERR_FORMAT);
+  CHECK_INT(mo_genotype_from_id(home, "000000000000000000000000000000000000", 36, form),
+            MO_ERR_EMPTY);
+  CHECK_INT(mo_genotype_from_id(home, "a00000000000000000000000000000000000", 36, form),
+            MO_ERR_NOT_CONTIGUOUS);
   CHECK_INT(mo_genotype_from_id(home, "400000000000000000000000000000000000", 36, form),
             MO_ERR_FORMAT); /* not aligned */
   CHECK_INT(mo_genotype_from_id(home, "800000800000000000000000000000000000", 36, form),

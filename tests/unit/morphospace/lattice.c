@@ -3,8 +3,9 @@
 
 #include <morpho/morphospace.h>
 
-static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1}, {1, 1, 2},  {1, 2, 1},
-                                                 {3, 5, 2}, {6, 4, 4}, {2, 3, 7}, {12, 9, 10}};
+static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
+                                                 {1, 1, 2}, {1, 2, 1}, {3, 5, 2},
+                                                 {6, 4, 4}, {2, 3, 7}, {12, 9, 10}};
 #define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
 
 static void full_default(void)
@@ -87,8 +88,8 @@ static void springs_in_order(void)
       for (uint32_t b = a + 1; b < lattice->n_masses; b++) {
         int kind = relation(w, a, b);
         if (kind != 0) {
-          wrong += s >= lattice->n_springs || lattice->spring_a[s] != a || lattice->spring_b[s] != b ||
-                   lattice->spring_diagonal[s] != kind - 1;
+          wrong += s >= lattice->n_springs || lattice->spring_a[s] != a ||
+                   lattice->spring_b[s] != b || lattice->spring_diagonal[s] != kind - 1;
           s++;
         }
       }
@@ -153,7 +154,8 @@ static void bodies(void)
     static uint8_t mass[2000];
     static uint8_t spring[14000];
     uint64_t bits[20] = {0};
-    REQUIRE(lattice->n_masses <= sizeof(mass) && lattice->n_springs <= sizeof(spring) && lattice->n_voxels <= 1280);
+    REQUIRE(lattice->n_masses <= sizeof(mass) && lattice->n_springs <= sizeof(spring) &&
+            lattice->n_voxels <= 1280);
     memset(mass, 0, sizeof(mass));
     memset(spring, 0, sizeof(spring));
     struct mo_body *body = NULL;
@@ -179,8 +181,9 @@ static void bodies(void)
       if (mass[m]) {
         int at[3];
         coordinates(w, m, at);
-        wrong += n >= body->n_masses || body->mass_lattice[n] != m || body->mass_xyz[3 * n] != at[0] ||
-                 body->mass_xyz[3 * n + 1] != at[1] || body->mass_xyz[3 * n + 2] != at[2];
+        wrong += n >= body->n_masses || body->mass_lattice[n] != m ||
+                 body->mass_xyz[3 * n] != at[0] || body->mass_xyz[3 * n + 1] != at[1] ||
+                 body->mass_xyz[3 * n + 2] != at[2];
         n++;
       }
     }
@@ -188,8 +191,9 @@ static void bodies(void)
     n = 0;
     for (uint32_t s = 0; s < lattice->n_springs; s++) {
       if (spring[s]) {
-        wrong += n >= body->n_springs || body->spring_lattice[n] != s || body->spring_a[n] >= body->n_masses ||
-                 body->spring_b[n] >= body->n_masses || body->mass_lattice[body->spring_a[n]] != lattice->spring_a[s] ||
+        wrong += n >= body->n_springs || body->spring_lattice[n] != s ||
+                 body->spring_a[n] >= body->n_masses || body->spring_b[n] >= body->n_masses ||
+                 body->mass_lattice[body->spring_a[n]] != lattice->spring_a[s] ||
                  body->mass_lattice[body->spring_b[n]] != lattice->spring_b[s] ||
                  body->spring_diagonal[n] != lattice->spring_diagonal[s];
         n++;

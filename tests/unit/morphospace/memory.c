@@ -1,5 +1,6 @@
-/* memory.c: every allocation of the room fails once, in turn. The call must say so, leave its outputs as they were, leak nothing
- * (the address sanitizer looks), and succeed when memory is back. Linked with --wrap for the allocating functions. */
+/* memory.c: every allocation of the room fails once, in turn. The call must say so, leave its
+ * outputs as they were, leak nothing (the address sanitizer looks), and succeed when memory is
+ * back. Linked with --wrap for the allocating functions. */
 #include "../check.h"
 
 #include <morpho/morphospace.h>
@@ -36,7 +37,8 @@ void *__wrap_aligned_alloc(size_t alignment, size_t size)
 static const struct mo_workspace large = {13, 12, 11}; /* beyond what fits the stack */
 #define WORDS 27
 
-/* Runs `call` with its first, second, … allocation failing until it succeeds; returns how many could fail. */
+/* Runs `call` with its first, second, … allocation failing until it succeeds; returns how many
+ * could fail. */
 static int exhaust(int (*call)(void))
 {
   for (int k = 0; k < 1000; k++) {

@@ -5,8 +5,9 @@
 
 #include <stdbool.h>
 
-static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1}, {1, 2, 1}, {3, 5, 2},  {6, 3, 4},
-                                                 {3, 6, 4}, {8, 2, 9}, {9, 9, 9}, {2, 2, 2}, {40, 3, 70}};
+static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},  {1, 2, 1},
+                                                 {3, 5, 2}, {6, 3, 4}, {3, 6, 4},  {8, 2, 9},
+                                                 {9, 9, 9}, {2, 2, 2}, {40, 3, 70}};
 #define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
 #define WORDS_MAX  160
 
@@ -38,7 +39,8 @@ static void list(struct mo_workspace w, const uint64_t *bits, struct cells *cell
 }
 
 /* Cell by cell: as it is, or turned about the z axis by 90°: x → −y, y → x. */
-static int by_cells(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to, uint64_t *moved)
+static int by_cells(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                    uint64_t *moved)
 {
   static struct cells cells;
   list(from, bits, &cells);
@@ -67,7 +69,8 @@ static void random_bodies(void)
   for (size_t a = 0; a < WORKSPACES; a++)
     for (size_t b = 0; b < WORKSPACES; b++)
       for (uint32_t i = 0; i < 40; i++) {
-        uint64_t body[WORDS_MAX], moved[WORDS_MAX] = {0}, expected[WORDS_MAX] = {0}, again[WORDS_MAX];
+        uint64_t body[WORDS_MAX], moved[WORDS_MAX] = {0}, expected[WORDS_MAX] = {0},
+                                  again[WORDS_MAX];
         struct mo_random random;
         mo_random_init(&random, 5, MO_PURPOSE_CHECK, i, a * WORKSPACES + b);
         REQUIRE(mo_genotype_random(workspaces[a], &random, body) == MO_OK);

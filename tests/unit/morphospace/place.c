@@ -3,8 +3,9 @@
 
 #include <morpho/morphospace.h>
 
-static const struct mo_workspace workspaces[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},   {3, 5, 2},  {6, 4, 4}, {2, 3, 7},
-                                                 {5, 8, 8}, {9, 9, 9}, {64, 2, 31}, {1, 1, 70}, {3, 70, 1}};
+static const struct mo_workspace workspaces[] = {{6, 6, 4},   {1, 1, 1},  {2, 1, 1}, {3, 5, 2},
+                                                 {6, 4, 4},   {2, 3, 7},  {5, 8, 8}, {9, 9, 9},
+                                                 {64, 2, 31}, {1, 1, 70}, {3, 70, 1}};
 #define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
 #define WORDS_MAX  64
 
@@ -14,7 +15,8 @@ static int get(const uint64_t *bits, uint32_t v)
 }
 
 /* The genotype moved by (dx, dy, dz); 0 if a voxel would leave the workspace. */
-static int move(struct mo_workspace w, const uint64_t *bits, int dx, int dy, int dz, uint64_t *moved)
+static int move(struct mo_workspace w, const uint64_t *bits, int dx, int dy, int dz,
+                uint64_t *moved)
 {
   memset(moved, 0, mo_workspace_words(w) * sizeof(uint64_t));
   for (int x = 0; x < w.nx; x++) {

@@ -1,14 +1,16 @@
-/* shape.c: components, contiguity and canonical forms against slow and plain versions, in small, odd and large workspaces;
- * and the two implementations (words of voxels, single voxels) against each other. */
+/* shape.c: components, contiguity and canonical forms against slow and plain versions, in small,
+ * odd and large workspaces; and the two implementations (words of voxels, single voxels) against
+ * each other. */
 #include "../check.h"
 
 #include "morphospace/grid.h"
 
 #include <morpho/morphospace.h>
 
-static const struct mo_workspace workspaces[] = {{6, 6, 4},  {1, 1, 1},  {2, 1, 1},  {1, 2, 1}, {1, 1, 5},  {3, 5, 2},
-                                                 {6, 4, 4},  {4, 6, 4},  {2, 3, 7},  {8, 8, 8}, {64, 1, 1}, {1, 64, 1},
-                                                 {1, 1, 64}, {1, 1, 63}, {3, 33, 2}, {9, 9, 9}, {70, 2, 2}, {5, 13, 5}};
+static const struct mo_workspace workspaces[] = {
+    {6, 6, 4},  {1, 1, 1},  {2, 1, 1},  {1, 2, 1}, {1, 1, 5},  {3, 5, 2},
+    {6, 4, 4},  {4, 6, 4},  {2, 3, 7},  {8, 8, 8}, {64, 1, 1}, {1, 64, 1},
+    {1, 1, 64}, {1, 1, 63}, {3, 33, 2}, {9, 9, 9}, {70, 2, 2}, {5, 13, 5}};
 #define WORKSPACES (sizeof(workspaces) / sizeof(workspaces[0]))
 #define VOXELS     1024
 #define WORDS      16
@@ -37,7 +39,8 @@ static void pack(struct mo_workspace w, const struct cells *cells, uint64_t *bit
 {
   memset(bits, 0, mo_workspace_words(w) * sizeof(uint64_t));
   for (int i = 0; i < cells->n; i++) {
-    uint32_t v = ((uint32_t)cells->at[i][0] * w.ny + (uint32_t)cells->at[i][1]) * w.nz + (uint32_t)cells->at[i][2];
+    uint32_t v = ((uint32_t)cells->at[i][0] * w.ny + (uint32_t)cells->at[i][1]) * w.nz +
+                 (uint32_t)cells->at[i][2];
     bits[v / 64] |= UINT64_C(1) << v % 64;
   }
 }
@@ -128,7 +131,8 @@ static void components(void)
 }
 
 /* Image k by moving cells about; 0 if it does not fit. */
-static int image_by_cells(struct mo_workspace w, const uint64_t *bits, unsigned k, uint64_t *image, int side[3])
+static int image_by_cells(struct mo_workspace w, const uint64_t *bits, unsigned k, uint64_t *image,
+                          int side[3])
 {
   struct cells cells = unpack(w, bits);
   int low[3] = {VOXELS, VOXELS, VOXELS};

@@ -16,7 +16,8 @@ static int is_placed(struct mo_workspace w, const uint64_t *bits)
 
 static void random_bodies(void)
 {
-  static const struct mo_workspace several[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1}, {3, 5, 2}, {6, 4, 4}, {10, 10, 9}};
+  static const struct mo_workspace several[] = {{6, 6, 4}, {1, 1, 1}, {2, 1, 1},
+                                                {3, 5, 2}, {6, 4, 4}, {10, 10, 9}};
   for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
     struct mo_workspace w = several[i];
     struct mo_random random;
@@ -51,7 +52,8 @@ static void averages(void)
     voxels += (double)body->n_voxels / n;
     mo_body_free(body);
   }
-  printf("# %d draws: %.2f masses, %.2f springs, %.2f voxels on average\n", n, masses, springs, voxels);
+  printf("# %d draws: %.2f masses, %.2f springs, %.2f voxels on average\n", n, masses, springs,
+         voxels);
   CHECK_NEAR(masses, 37.0, 1.5);
   CHECK_NEAR(springs, 171.0, 8.0);
   CHECK_NEAR(voxels, 10.0, 0.6);
@@ -93,8 +95,8 @@ static void mutation(void)
   CHECK_INT(mo_genotype_mutate(home, parent, NAN, &random, child), MO_ERR_RANGE);
 }
 
-/* A body in the middle of a wide workspace grows by what is added at its faces; from a full one, what is missing counts the
- * flips: no flip of a few can part it. */
+/* A body in the middle of a wide workspace grows by what is added at its faces; from a full one,
+ * what is missing counts the flips: no flip of a few can part it. */
 static void mutation_rate(void)
 {
   const uint64_t full[3] = {UINT64_MAX, UINT64_MAX, 0xffff};
@@ -123,7 +125,8 @@ static void crossover(void)
     uint64_t b[3];
     uint64_t child[3] = {9, 9, 9};
     uint64_t reverse[3];
-    REQUIRE(mo_genotype_random(home, &random, a) == MO_OK && mo_genotype_random(home, &random, b) == MO_OK);
+    REQUIRE(mo_genotype_random(home, &random, a) == MO_OK &&
+            mo_genotype_random(home, &random, b) == MO_OK);
     CHECK_INT(mo_genotype_crossover(home, a, a, child), MO_ERR_EMPTY);
     CHECK(child[0] == 9 && child[1] == 9 && child[2] == 9);
     int code = mo_genotype_crossover(home, a, b, child);

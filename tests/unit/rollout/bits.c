@@ -1,6 +1,7 @@
-/* The bits themselves. Stored scores are compared bit by bit with later ones, under a fingerprint that names the kernels' version.
- * So a change of any bit, wanted or not, must be seen here: 50 lives per instruction set and precision, hashed. Whoever changes
- * bits on purpose raises MO_KERNEL_VERSION and writes the hashes that this test prints into the table. */
+/* The bits themselves. Stored scores are compared bit by bit with later ones, under a fingerprint
+ * that names the kernels' version. So a change of any bit, wanted or not, must be seen here: 50
+ * lives per instruction set and precision, hashed. Whoever changes bits on purpose raises
+ * MO_KERNEL_VERSION and writes the hashes that this test prints into the table. */
 #include <morpho/rollout.h>
 
 #include "../check.h"
@@ -19,7 +20,13 @@ static const uint64_t kernel_hashes[MO_ISA_COUNT][2] = {
 };
 static const uint64_t reference_hash = UINT64_C(0x882fab95a9e24546);
 
-enum { BODIES = 5, ENVIRONMENTS = MO_PAPER_TEST_COUNT, STEPS = 200, STRIDE = 50, FRAMES = STEPS / STRIDE + 1 };
+enum {
+  BODIES = 5,
+  ENVIRONMENTS = MO_PAPER_TEST_COUNT,
+  STEPS = 200,
+  STRIDE = 50,
+  FRAMES = STEPS / STRIDE + 1
+};
 
 static struct mo_controller *controller;
 static struct mo_lattice *lattice;
@@ -31,7 +38,8 @@ static int setup(void)
     return 1;
   char path[4096];
   const char *root = getenv("MORPHO_SOURCE_DIR");
-  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors", root != NULL ? root : ".");
+  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
+           root != NULL ? root : ".");
   mo_environment_paper_test(environments);
   return mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK &&
          mo_controller_read(path, &controller, NULL) == MO_OK;
@@ -48,7 +56,9 @@ static struct mo_body *body_number(uint32_t number)
   do {
     memset(bits, 0, sizeof(bits));
     for (uint32_t v = 0; v < MO_DEFAULT_VOXELS; v++)
-      if (size[number] == 1 ? v == 0 : mo_random_below(&random, MO_DEFAULT_VOXELS) < 36 + 3 * size[number] / 4)
+      if (size[number] == 1
+              ? v == 0
+              : mo_random_below(&random, MO_DEFAULT_VOXELS) < 36 + 3 * size[number] / 4)
         bits[v >> 6] |= UINT64_C(1) << (v & 63);
     mo_genotype_keep_largest(workspace, bits);
   } while (mo_genotype_count(workspace, bits) < size[number]);
@@ -80,7 +90,8 @@ static void hash(uint64_t *h, const void *bytes, size_t n)
     *h = (*h ^ ((const uint8_t *)bytes)[i]) * UINT64_C(0x100000001b3);
 }
 
-static void hash_outcome(uint64_t *h, const struct mo_outcome *outcome, const double com[FRAMES * 3])
+static void hash_outcome(uint64_t *h, const struct mo_outcome *outcome,
+                         const double com[FRAMES * 3])
 {
   hash(h, &outcome->diverged_step, sizeof(outcome->diverged_step));
   hash(h, outcome->com_start_m, sizeof(outcome->com_start_m));
@@ -116,9 +127,10 @@ static void kernels(void)
         struct mo_pack *pack = NULL;
         controller->sensor = sensor_number(number);
         REQUIRE(body != NULL);
-        REQUIRE(mo_pack_create(controller, (enum mo_isa)isa, (enum mo_precision)precision, &pack) == MO_OK);
-        REQUIRE(mo_rollout_block(memory, pack, body, list, ENVIRONMENTS, &physics, recordings, NULL, NULL, outcomes) ==
+        REQUIRE(mo_pack_create(controller, (enum mo_isa)isa, (enum mo_precision)precision, &pack) ==
                 MO_OK);
+        REQUIRE(mo_rollout_block(memory, pack, body, list, ENVIRONMENTS, &physics, recordings, NULL,
+                                 NULL, outcomes) == MO_OK);
         for (uint32_t e = 0; e < ENVIRONMENTS; e++) {
           hash_outcome(&h, outcomes + e, com[e]);
           const float loss = (float)outcomes[e].loss; /* hypot's last bits are the C library's */
@@ -130,15 +142,16 @@ static void kernels(void)
       }
       if (h != kernel_hashes[isa][precision])
         printf("# %s, %s: the bits hash to 0x%016" PRIx64 ", version %d had 0x%016" PRIx64 "\n",
-               mo_isa_name((enum mo_isa)isa), precision == MO_FLOAT32 ? "float32" : "float64", h, HASHED_VERSION,
-               kernel_hashes[isa][precision]);
+               mo_isa_name((enum mo_isa)isa), precision == MO_FLOAT32 ? "float32" : "float64", h,
+               HASHED_VERSION, kernel_hashes[isa][precision]);
       CHECK(h == kernel_hashes[isa][precision]);
       CHECK(diverged > 0 && diverged <= ENVIRONMENTS);
     }
   mo_workspace_memory_free(memory);
 }
 
-/* The reference calls sin, exp and tanh of the C library, which has variants with and without fused operations. */
+/* The reference calls sin, exp and tanh of the C library, which has variants with and without fused
+ * operations. */
 static void reference(void)
 {
   REQUIRE(setup());
@@ -156,7 +169,8 @@ static void reference(void)
       struct mo_outcome outcome;
       double com[FRAMES * 3];
       const struct mo_recording recording = {.stride = STRIDE, .com_m = com};
-      REQUIRE(mo_rollout_reference(body, controller, environments + e, &physics, &recording, &outcome) == MO_OK);
+      REQUIRE(mo_rollout_reference(body, controller, environments + e, &physics, &recording,
+                                   &outcome) == MO_OK);
       hash_outcome(&h, &outcome, com);
       hash(&h, &outcome.loss, sizeof(outcome.loss));
     }

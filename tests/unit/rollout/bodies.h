@@ -22,7 +22,8 @@ static inline struct mo_body *full_body(struct mo_workspace workspace, struct mo
   return body;
 }
 
-static inline struct mo_environment flat_environment(double height_m, double light_x_m, double light_y_m)
+static inline struct mo_environment flat_environment(double height_m, double light_x_m,
+                                                     double light_y_m)
 {
   struct mo_environment environment = {.light_xy_m = {light_x_m, light_y_m}};
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)

@@ -1,4 +1,5 @@
-/* contact.c: one mass against the terrain: impact times against a fine search, the strike against closed forms. */
+/* contact.c: one mass against the terrain: impact times against a fine search, the strike against
+ * closed forms. */
 #include "../check.h"
 
 #include <morpho/random.h>
@@ -24,7 +25,8 @@ static double gap(const double *heights_m, const double p[3], const double v[3],
 }
 
 /* The first time at which the gap turns negative, by walking in small steps, then halving. */
-static double search(const double *heights_m, const double p[3], const double v[3], double dt, int n)
+static double search(const double *heights_m, const double p[3], const double v[3], double dt,
+                     int n)
 {
   for (int i = 1; i <= n; i++) {
     if (gap(heights_m, p, v, dt * i / n) < 0) {
@@ -42,8 +44,9 @@ static double search(const double *heights_m, const double p[3], const double v[
   return dt;
 }
 
-/* Segments of all lengths, up to many cells, in and out of the map, over rough terrain. The walk may step over a dip that
- * lasts less than one of its steps; then the gap at the closed form's time must vanish, and what follows must be below. */
+/* Segments of all lengths, up to many cells, in and out of the map, over rough terrain. The walk
+ * may step over a dip that lasts less than one of its steps; then the gap at the closed form's time
+ * must vanish, and what follows must be below. */
 static void exact_against_search(void)
 {
   mo_random_init(&random_numbers, 5, MO_PURPOSE_CHECK, 0, 0);
@@ -55,11 +58,13 @@ static void exact_against_search(void)
       heights_m[k] = uniform(0, 0.5);
     const double dt = 0.1, reach = tried % 3 == 0 ? 0.02 : tried % 3 == 1 ? 1.0 : 6.0;
     const double p[3] = {uniform(-0.5, 5.5), uniform(-0.5, 5.5), uniform(0, 1)};
-    const double v[3] = {uniform(-reach, reach) / dt, uniform(-reach, reach) / dt, uniform(-1, 0.3) / dt};
+    const double v[3] = {uniform(-reach, reach) / dt, uniform(-reach, reach) / dt,
+                         uniform(-1, 0.3) / dt};
     if (gap(heights_m, p, v, 0) < 0 || !(gap(heights_m, p, v, dt) < 0))
       continue;
     tried++;
-    const double exact = mo_impact_exact(heights_m, p, v, dt), found = search(heights_m, p, v, dt, 3000);
+    const double exact = mo_impact_exact(heights_m, p, v, dt),
+                 found = search(heights_m, p, v, dt, 3000);
     REQUIRE(exact >= 0 && exact <= dt);
     worst_gap = fmax(worst_gap, fabs(gap(heights_m, p, v, exact)));
     crossing += hypot(v[0], v[1]) * dt > 1;
@@ -70,7 +75,8 @@ static void exact_against_search(void)
       worst = fmax(worst, fabs(exact - found));
     }
   }
-  printf("# %d segments, %d longer than a metre: largest difference %.1e s, largest gap %.1e m, %d dips that the walk "
+  printf("# %d segments, %d longer than a metre: largest difference %.1e s, largest gap %.1e m, %d "
+         "dips that the walk "
          "missed\n",
          tried, crossing, worst, worst_gap, earlier);
   CHECK(worst < 1e-9);
@@ -84,7 +90,8 @@ static void exact_at_limits(void)
   double heights_m[MO_TERRAIN_HEIGHTS];
   flat(heights_m, 0.25);
   const double dt = 0.004;
-  const double resting[3] = {2.5, 2.5, 0.25}, below[3] = {2.5, 2.5, 0.25 - 1e-17}, down[3] = {0.3, -0.2, -1};
+  const double resting[3] = {2.5, 2.5, 0.25}, below[3] = {2.5, 2.5, 0.25 - 1e-17},
+               down[3] = {0.3, -0.2, -1};
   CHECK_NEAR(mo_impact_exact(heights_m, resting, down, dt), 0, 0);
   CHECK_NEAR(mo_impact_exact(heights_m, below, down, dt), 0, 0);
   const double line = 3 * MO_TERRAIN_SIZE_M / 7, on_line[3] = {line, line, 0.252};
@@ -92,18 +99,22 @@ static void exact_at_limits(void)
     const double v[3] = {k & 1 ? 1.0 : -1.0, k & 2 ? 1.0 : -1.0, -1};
     CHECK_NEAR(mo_impact_exact(heights_m, on_line, v, dt), 0.002, 1e-15);
   }
-  const double corners[][2] = {{0, 0}, {5, 5}, {-1, 2}, {6, 2}, {2, -1}, {2, 6}, {5, 0}, {1e6, -1e6}};
+  const double corners[][2] = {{0, 0},  {5, 5}, {-1, 2}, {6, 2},
+                               {2, -1}, {2, 6}, {5, 0},  {1e6, -1e6}};
   for (size_t i = 0; i < sizeof(corners) / sizeof(corners[0]); i++)
     for (int k = 0; k < 4; k++) {
-      const double p[3] = {corners[i][0], corners[i][1], 0.252}, v[3] = {k & 1 ? 500.0 : -500.0, k & 2 ? 1.0 : 0.0, -1};
+      const double p[3] = {corners[i][0], corners[i][1], 0.252},
+                   v[3] = {k & 1 ? 500.0 : -500.0, k & 2 ? 1.0 : 0.0, -1};
       CHECK_NEAR(mo_impact_exact(heights_m, p, v, dt), 0.002, 1e-15);
     }
   /* A ridge along x = line: the segment starts and ends on its two sides, and meets the far one. */
   for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
     heights_m[k] = k % 8 >= 4 ? 0.5 : 0.1;
   const double left[3] = {line - 0.01, 2.2, 0.1 + 0.01}, right[3] = {10, 0, 0};
-  /* Flat up to x = line, then a rise of 0.4 m in 5/7 m: z = 0.11 is met after 0.01 + 0.01 · (5/7)/0.4 m. */
-  CHECK_NEAR(mo_impact_exact(heights_m, left, right, dt), (0.01 + 0.01 * (5.0 / 7) / 0.4) / 10, 1e-15);
+  /* Flat up to x = line, then a rise of 0.4 m in 5/7 m: z = 0.11 is met after 0.01 + 0.01 ·
+   * (5/7)/0.4 m. */
+  CHECK_NEAR(mo_impact_exact(heights_m, left, right, dt), (0.01 + 0.01 * (5.0 / 7) / 0.4) / 10,
+             1e-15);
 }
 
 static void bisection(void)
@@ -116,7 +127,8 @@ static void bisection(void)
     const double cell = dt / (double)(1U << n);
     CHECK_NEAR(mo_impact_bisection(heights_m, p, v, dt, n), floor(0.0013 / cell) * cell, 1e-15);
   }
-  CHECK_NEAR(mo_impact_bisection(heights_m, p, v, dt, 52), mo_impact_exact(heights_m, p, v, dt), 1e-15);
+  CHECK_NEAR(mo_impact_bisection(heights_m, p, v, dt, 52), mo_impact_exact(heights_m, p, v, dt),
+             1e-15);
 }
 
 static void strike_flat(void)
@@ -155,7 +167,8 @@ static void strike_flat(void)
   CHECK_NEAR(d[1], 2, 0);
 }
 
-/* On a plane of slope 0.3 along x the velocity after the strike is tangential, and slowed by the right amount. */
+/* On a plane of slope 0.3 along x the velocity after the strike is tangential, and slowed by the
+ * right amount. */
 static void strike_slope(void)
 {
   struct mo_physics physics = mo_default_physics();
@@ -189,7 +202,8 @@ static void never_below(void)
       for (int k = 0; k < MO_TERRAIN_HEIGHTS; k++)
         heights_m[k] = uniform(0, trial % 3 ? 0.5 : 5);
     physics.impact = trial % 2 ? MO_IMPACT_EXACT : MO_IMPACT_BISECTION;
-    double p[3] = {uniform(-1, 6), uniform(-1, 6), 0}, v[3] = {uniform(-30, 30), uniform(-30, 30), uniform(-30, 5)};
+    double p[3] = {uniform(-1, 6), uniform(-1, 6), 0},
+           v[3] = {uniform(-30, 30), uniform(-30, 30), uniform(-30, 5)};
     p[2] = mo_terrain_height(heights_m, p[0], p[1]) + (trial % 5 ? uniform(0, 0.05) : 0);
     const double before = v[0] * v[0] + v[1] * v[1] + v[2] * v[2], vz = v[2];
     mo_contact_move(&physics, heights_m, mo_terrain_highest(heights_m), p, v);
@@ -200,10 +214,11 @@ static void never_below(void)
   CHECK(struck > 20000);
 }
 
-static const struct check_case cases[] = {{"exact impact times against a search", exact_against_search},
-                                          {"exact impact times at borders and limits", exact_at_limits},
-                                          {"bisection keeps the lower end", bisection},
-                                          {"a strike on flat ground", strike_flat},
-                                          {"a strike on a slope", strike_slope},
-                                          {"never below the ground, never faster", never_below}};
+static const struct check_case cases[] = {
+    {"exact impact times against a search", exact_against_search},
+    {"exact impact times at borders and limits", exact_at_limits},
+    {"bisection keeps the lower end", bisection},
+    {"a strike on flat ground", strike_flat},
+    {"a strike on a slope", strike_slope},
+    {"never below the ground, never faster", never_below}};
 CHECK_MAIN(cases)

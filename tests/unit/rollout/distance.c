@@ -1,4 +1,5 @@
-/* The distance that losses are made of: right to the last place, and the same bits whatever the C library's hypot. */
+/* The distance that losses are made of: right to the last place, and the same bits whatever the C
+ * library's hypot. */
 #include <inttypes.h>
 #include <math.h>
 #include <morpho/random.h>
@@ -36,7 +37,8 @@ static void exact(void)
   CHECK(isnan(mo_scene_distance(NAN, 1)) && isnan(mo_scene_distance(0, NAN)));
 }
 
-/* Distances as robots have them, in metres; one in eight pairs has numbers of very different size. */
+/* Distances as robots have them, in metres; one in eight pairs has numbers of very different size.
+ */
 static void frozen(void)
 {
   uint64_t h = UINT64_C(0xcbf29ce484222325);
@@ -45,16 +47,19 @@ static void frozen(void)
   mo_random_init(&random, 5, MO_PURPOSE_CHECK, 0, 0);
   for (uint64_t i = 0; i < PAIRS; i++) {
     const double x = 8 * mo_random_uniform(&random) - 4;
-    const double y = (8 * mo_random_uniform(&random) - 4) * (i % 8 == 0 ? ldexp(1, -(int)(i / 8 % 60)) : 1);
+    const double y =
+        (8 * mo_random_uniform(&random) - 4) * (i % 8 == 0 ? ldexp(1, -(int)(i / 8 % 60)) : 1);
     const double d = mo_scene_distance(x, y);
     const long double right = sqrtl((long double)x * x + (long double)y * y);
-    worst = fmax(worst, (double)(fabsl((long double)d - right) / ((long double)nextafter(d, INFINITY) - d)));
+    worst = fmax(
+        worst, (double)(fabsl((long double)d - right) / ((long double)nextafter(d, INFINITY) - d)));
     uint64_t bits;
     memcpy(&bits, &d, sizeof(bits));
     h = (h ^ bits) * UINT64_C(0x100000001b3);
     h ^= h >> 29;
   }
-  printf("# at most %.3f units of the last place off; the bits hash to 0x%016" PRIx64 "\n", worst, h);
+  printf("# at most %.3f units of the last place off; the bits hash to 0x%016" PRIx64 "\n", worst,
+         h);
   CHECK(worst > 0.5 && worst < 0.56);
   CHECK(h == UINT64_C(0x16c7aedc72a64049));
 }

@@ -1,4 +1,5 @@
-/* dual.c: the second implementation on dual numbers v + Σ t[k] ε_k, ε_j ε_k = 0: every operation carries its derivatives along. */
+/* dual.c: the second implementation on dual numbers v + Σ t[k] ε_k, ε_j ε_k = 0: every operation
+ * carries its derivatives along. */
 #include "second.h"
 
 #include <math.h>
@@ -7,9 +8,9 @@
 #define NAME(x) dual_##x
 typedef struct dual num;
 
-#define LANES(expression)                                                                                              \
-  for (int k = 0; k < SECOND_LANES; k++)                                                                               \
-    r.t[k] = (expression);                                                                                             \
+#define LANES(expression)                                                                          \
+  for (int k = 0; k < SECOND_LANES; k++)                                                           \
+    r.t[k] = (expression);                                                                         \
   return r
 
 static inline num con(double x)
@@ -65,10 +66,11 @@ static num parameter(const struct second_parameters *theta, size_t at, int lane)
   return r;
 }
 
-/* Σ_j weights[j] · in[j]: values in order, and for each lane Σ_j weights[j] · in[j].t. The compiler picks the widest
- * vectors of this machine at run time; lanes never mix, so that the result is the same. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && !defined(__SANITIZE_ADDRESS__) &&               \
-    !defined(__SANITIZE_THREAD__)
+/* Σ_j weights[j] · in[j]: values in order, and for each lane Σ_j weights[j] · in[j].t. The compiler
+ * picks the widest vectors of this machine at run time; lanes never mix, so that the result is the
+ * same. */
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) &&                             \
+    !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 __attribute__((target_clones("avx512f", "avx2", "default")))
 #endif
 static void
@@ -86,8 +88,8 @@ weigh(const double *weights, const num *in, uint32_t width, num *sum)
 }
 
 /* As in plain.c. Lane `lane` moves the matrix, lane + 1 its biases. */
-static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height, const uint32_t *rows,
-                  uint32_t n, uint32_t width, const num *in, num *out)
+static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height,
+                  const uint32_t *rows, uint32_t n, uint32_t width, const num *in, num *out)
 {
   const size_t biases = at + (size_t)height * width;
   for (uint32_t i = 0; i < n; i++) {

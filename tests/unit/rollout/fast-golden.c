@@ -1,5 +1,6 @@
-/* The fast path over whole lives, against the stored float64 rollouts. A single float32 life may bifurcate at a contact, so the
- * losses are compared by distribution, and the cases that part are named. */
+/* The fast path over whole lives, against the stored float64 rollouts. A single float32 life may
+ * bifurcate at a contact, so the losses are compared by distribution, and the cases that part are
+ * named. */
 #include "../check.h"
 #include "golden.h"
 
@@ -31,19 +32,20 @@ static void compare(enum mo_isa isa, enum mo_precision precision, int mode)
   REQUIRE(mo_pack_create(golden.controller, isa, precision, &pack) == MO_OK);
   REQUIRE(mo_workspace_memory_create(&memory) == MO_OK);
   char name[64];
-  snprintf(name, sizeof(name), "%s %s %s", mo_isa_name(isa), precision == MO_FLOAT32 ? "float32" : "float64",
-           mode == 0 ? "exact" : "bisection8");
+  snprintf(name, sizeof(name), "%s %s %s", mo_isa_name(isa),
+           precision == MO_FLOAT32 ? "float32" : "float64", mode == 0 ? "exact" : "bisection8");
   for (size_t i = 0; i < golden.n; i++) {
     const struct golden_case *golden_case = golden.cases + i;
     const struct mo_environment *list[1] = {&golden_case->environment};
     double com[6][3];
     const struct mo_recording recording = {.stride = 200, .com_m = com[0]};
     struct mo_outcome outcome;
-    REQUIRE(mo_rollout_block(memory, pack, golden_case->body, list, 1, &physics, &recording, NULL, NULL, &outcome) ==
-            0);
+    REQUIRE(mo_rollout_block(memory, pack, golden_case->body, list, 1, &physics, &recording, NULL,
+                             NULL, &outcome) == 0);
     loss_error[i] = fabs(outcome.loss - golden_case->loss[mode]);
     if (precision == MO_FLOAT32 && loss_error[i] > 1e-2)
-      printf("# %s: case %zu bifurcates: loss %.6f, golden %.6f\n", name, i, outcome.loss, golden_case->loss[mode]);
+      printf("# %s: case %zu bifurcates: loss %.6f, golden %.6f\n", name, i, outcome.loss,
+             golden_case->loss[mode]);
     com_error[i] = 0;
     for (int axis = 0; axis < 3; axis++)
       com_error[i] = fmax(com_error[i], fabs(com[1][axis] - golden_case->com_m[mode][4][axis]));
@@ -54,9 +56,11 @@ static void compare(enum mo_isa isa, enum mo_precision precision, int mode)
   qsort(com_error, golden.n, sizeof(double), ascending);
   const double median = 0.5 * (loss_error[(golden.n - 1) / 2] + loss_error[golden.n / 2]);
   const double com_median = 0.5 * (com_error[(golden.n - 1) / 2] + com_error[golden.n / 2]);
-  printf("# %s: |Δloss| median %.2g, 90 %% %.2g, max %.2g; mean %.6f, golden %.6f; centre of mass at step 200 within "
+  printf("# %s: |Δloss| median %.2g, 90 %% %.2g, max %.2g; mean %.6f, golden %.6f; centre of mass "
+         "at step 200 within "
          "%.2g m\n",
-         name, median, loss_error[golden.n * 9 / 10], loss_error[golden.n - 1], mean, golden_mean, com_median);
+         name, median, loss_error[golden.n * 9 / 10], loss_error[golden.n - 1], mean, golden_mean,
+         com_median);
   CHECK(median <= (precision == MO_FLOAT32 ? 1e-4 : 1e-8));
   CHECK(com_median <= (precision == MO_FLOAT32 ? 1e-4 : 1e-8));
   CHECK_NEAR(mean, golden_mean, 0.02);

@@ -1,4 +1,5 @@
-/* The fast path: its parts against plain arithmetic, its bits against themselves, its results against the reference. */
+/* The fast path: its parts against plain arithmetic, its bits against themselves, its results
+ * against the reference. */
 #include <morpho/rollout.h>
 
 #include "../check.h"
@@ -25,7 +26,8 @@ static int setup(void)
     return 1;
   mo_environment_paper_test(environments);
   return mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) == MO_OK &&
-         mo_controller_read(source_path("data/controllers/bootstrap.safetensors"), &controller, NULL) == MO_OK;
+         mo_controller_read(source_path("data/controllers/bootstrap.safetensors"), &controller,
+                            NULL) == MO_OK;
 }
 
 /* A body of about `size` voxels, always the same for the same number. */
@@ -47,9 +49,9 @@ static struct mo_body *body_number(uint64_t number, uint32_t size)
   return mo_body_create(lattice, bits, &body) == MO_OK ? body : NULL;
 }
 
-static int run_block(enum mo_isa isa, enum mo_precision precision, const struct mo_body *body, const int *lanes,
-                     uint32_t n, const struct mo_physics *physics, const struct mo_recording *recordings,
-                     struct mo_outcome *outcomes)
+static int run_block(enum mo_isa isa, enum mo_precision precision, const struct mo_body *body,
+                     const int *lanes, uint32_t n, const struct mo_physics *physics,
+                     const struct mo_recording *recordings, struct mo_outcome *outcomes)
 {
   struct mo_pack *pack = NULL;
   struct mo_workspace_memory *memory = NULL;
@@ -60,14 +62,15 @@ static int run_block(enum mo_isa isa, enum mo_precision precision, const struct 
   if (status == MO_OK)
     status = mo_workspace_memory_create(&memory);
   if (status == MO_OK)
-    status = mo_rollout_block(memory, pack, body, list, n, physics, recordings, NULL, NULL, outcomes);
+    status =
+        mo_rollout_block(memory, pack, body, list, n, physics, recordings, NULL, NULL, outcomes);
   mo_workspace_memory_free(memory);
   mo_pack_free(pack);
   return status;
 }
 
-#define EACH_KERNEL(isa, precision)                                                                                    \
-  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)                                                                  \
+#define EACH_KERNEL(isa, precision)                                                                \
+  for (int isa = 0; isa <= (int)mo_isa_best(); isa++)                                              \
     for (int precision = MO_FLOAT32; precision <= MO_FLOAT64; precision++)
 
 /* ---- parts ---- */
@@ -85,13 +88,15 @@ static void tanh_float(void)
   static float x[N] __attribute__((aligned(64))), y[N] __attribute__((aligned(64)));
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     double worst = 0;
-    for (uint32_t high = 0; high < 256; high += 1) { /* every exponent, both signs, mantissas spread over all bits */
+    for (uint32_t high = 0; high < 256;
+         high += 1) { /* every exponent, both signs, mantissas spread over all bits */
       for (uint32_t i = 0; i < N; i++) {
         const uint32_t bits = (high << 23) | ((i * 2654435761u) & 0x7fffff) | (i << 31);
         memcpy(&x[i], &bits, 4);
       }
       memcpy(y, x, sizeof(y));
-      mo_fast_probe_find((enum mo_isa)isa, MO_FLOAT32)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
+      mo_fast_probe_find((enum mo_isa)isa,
+                         MO_FLOAT32)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
       for (uint32_t i = 0; i < N; i++) {
         if (isnan(x[i])) {
           if (!(fabsf(y[i]) <= 1))
@@ -121,7 +126,8 @@ static void tanh_double(void)
         memcpy(&x[i], &bits, 8);
       }
       memcpy(y, x, sizeof(y));
-      mo_fast_probe_find((enum mo_isa)isa, MO_FLOAT64)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
+      mo_fast_probe_find((enum mo_isa)isa,
+                         MO_FLOAT64)(&(struct mo_fast_probe){.tanh_values = y, .n_tanh = N});
       for (uint32_t i = 0; i < N; i++) {
         if (isnan(x[i])) {
           if (!(fabs(y[i]) <= 1))
@@ -129,7 +135,8 @@ static void tanh_double(void)
           continue;
         }
         const long double exact = tanhl((long double)x[i]);
-        const double spacing = exact == 0 ? 0x1p-1074 : ldexp(1.0, (int)fmax(ilogb((double)exact), -1022) - 52);
+        const double spacing =
+            exact == 0 ? 0x1p-1074 : ldexp(1.0, (int)fmax(ilogb((double)exact), -1022) - 52);
         const double error = (double)(fabsl((long double)y[i] - exact) / (long double)spacing);
         worst = error <= worst ? worst : error;
         if (!(fabs(y[i]) <= 1) || signbit(y[i]) != signbit(x[i]))
@@ -152,8 +159,8 @@ static void sin_and_exp(void)
   CHECK(mo_fast_exp(-800.0) == 0.0);
 }
 
-/* The product of every tile height against the same sum written plainly: k ascending, one fused operation per term where the
- * instruction set has it, so the bits must agree. */
+/* The product of every tile height against the same sum written plainly: k ascending, one fused
+ * operation per term where the instruction set has it, so the bits must agree. */
 static void products(void)
 {
   enum { K = 83, ROWS = MO_BLOCK_LANES, PANEL_MAX = 32 };
@@ -169,16 +176,25 @@ static void products(void)
     init[i] = (float)mo_random_uniform(&random);
   EACH_KERNEL(isa, precision)
   {
-    const uint32_t real = precision == MO_FLOAT64 ? 8 : 4, panel = 2 * mo_isa_vector_bytes((enum mo_isa)isa) / real;
+    const uint32_t real = precision == MO_FLOAT64 ? 8 : 4,
+                   panel = 2 * mo_isa_vector_bytes((enum mo_isa)isa) / real;
     for (uint32_t rows = 1; rows <= ROWS; rows++) {
       for (uint32_t i = 0; i < ROWS * K; i++)
-        precision == MO_FLOAT64 ? (void)(storage[0][i] = x[i]) : (void)(((float *)storage[0])[i] = (float)x[i]);
+        precision == MO_FLOAT64 ? (void)(storage[0][i] = x[i])
+                                : (void)(((float *)storage[0])[i] = (float)x[i]);
       for (uint32_t i = 0; i < K * panel; i++)
-        precision == MO_FLOAT64 ? (void)(storage[1][i] = w[i]) : (void)(((float *)storage[1])[i] = (float)w[i]);
+        precision == MO_FLOAT64 ? (void)(storage[1][i] = w[i])
+                                : (void)(((float *)storage[1])[i] = (float)w[i]);
       for (uint32_t i = 0; i < panel; i++)
-        precision == MO_FLOAT64 ? (void)(storage[2][i] = init[i]) : (void)(((float *)storage[2])[i] = (float)init[i]);
-      mo_fast_probe_find((enum mo_isa)isa, (enum mo_precision)precision)(&(struct mo_fast_probe){
-          .rows = rows, .k = K, .x = storage[0], .w = storage[1], .init = storage[2], .c = storage[3]});
+        precision == MO_FLOAT64 ? (void)(storage[2][i] = init[i])
+                                : (void)(((float *)storage[2])[i] = (float)init[i]);
+      mo_fast_probe_find((enum mo_isa)isa,
+                         (enum mo_precision)precision)(&(struct mo_fast_probe){.rows = rows,
+                                                                               .k = K,
+                                                                               .x = storage[0],
+                                                                               .w = storage[1],
+                                                                               .init = storage[2],
+                                                                               .c = storage[3]});
       int wrong = 0;
       for (uint32_t r = 0; r < rows; r++)
         for (uint32_t o = 0; o < panel; o++) {
@@ -206,7 +222,8 @@ static void products(void)
 
 /* ---- bits ---- */
 
-/* A lane alone, and among others at every place, in any mixture: the same outcome and the same path, bit for bit. */
+/* A lane alone, and among others at every place, in any mixture: the same outcome and the same
+ * path, bit for bit. */
 static void lanes_keep_to_themselves(void)
 {
   REQUIRE(setup());
@@ -223,8 +240,8 @@ static void lanes_keep_to_themselves(void)
         path[MO_BLOCK_LANES][FRAMES * MO_DEFAULT_MASSES * 3];
     for (int e = 0; e < MO_PAPER_TEST_COUNT; e++) {
       const struct mo_recording recording = {.stride = STRIDE, .mass_m = paths[e]};
-      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &e, 1, &physics, &recording, &alone[e]) ==
-              0);
+      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &e, 1, &physics,
+                        &recording, &alone[e]) == 0);
     }
     for (uint32_t n = 2; n <= MO_BLOCK_LANES; n += n == 2 ? 1 : 3) {
       int lanes[MO_BLOCK_LANES];
@@ -233,8 +250,8 @@ static void lanes_keep_to_themselves(void)
         lanes[l] = (int)(l * 3 + n) % MO_PAPER_TEST_COUNT;
         recordings[l] = (struct mo_recording){.stride = STRIDE, .mass_m = path[l]};
       }
-      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, n, &physics, recordings,
-                        outcomes) == 0);
+      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, n, &physics,
+                        recordings, outcomes) == 0);
       for (uint32_t l = 0; l < n; l++) {
         CHECK(memcmp(&outcomes[l], &alone[lanes[l]], sizeof(outcomes[l])) == 0);
         CHECK(memcmp(path[l], paths[lanes[l]], sizeof(float) * FRAMES * body->n_masses * 3) == 0);
@@ -273,22 +290,24 @@ static double worst_difference(const struct lives *a, const struct lives *b)
 }
 
 /* Every kernel against the one reference of a body. */
-static void compare_kernels(const struct mo_body *body, const struct mo_physics *physics, int variant)
+static void compare_kernels(const struct mo_body *body, const struct mo_physics *physics,
+                            int variant)
 {
   static const int lanes[LANES] = {0, 4, 7};
   struct lives reference, lives;
   prepare_lives(&reference);
   for (int l = 0; l < LANES; l++)
-    REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], physics, &reference.recordings[l],
-                                 &reference.outcomes[l]) == 0);
+    REQUIRE(mo_rollout_reference(body, controller, environments + lanes[l], physics,
+                                 &reference.recordings[l], &reference.outcomes[l]) == 0);
   EACH_KERNEL(isa, precision)
   {
     prepare_lives(&lives);
-    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, LANES, physics, lives.recordings,
-                      lives.outcomes) == 0);
+    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, LANES, physics,
+                      lives.recordings, lives.outcomes) == 0);
     const double worst = worst_difference(&lives, &reference);
     if (!(worst <= (precision == MO_FLOAT64 ? 1e-10 : 1e-3)))
-      printf("# %s precision %d variant %d: %g\n", mo_isa_name((enum mo_isa)isa), precision, variant, worst);
+      printf("# %s precision %d variant %d: %g\n", mo_isa_name((enum mo_isa)isa), precision,
+             variant, worst);
     CHECK(worst <= (precision == MO_FLOAT64 ? 1e-10 : 1e-3));
   }
 }
@@ -326,7 +345,8 @@ static void passive_bodies(void)
     const struct mo_environment *list[1] = {environments};
     REQUIRE(mo_pack_create(NULL, (enum mo_isa)isa, (enum mo_precision)precision, &pack) == MO_OK);
     REQUIRE(mo_workspace_memory_create(&memory) == MO_OK && body != NULL);
-    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, NULL, &outcome) == MO_OK);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, NULL, &outcome) ==
+            MO_OK);
     REQUIRE(mo_rollout_reference(body, NULL, environments, &physics, NULL, &reference) == MO_OK);
     const double tolerance = precision == MO_FLOAT64 ? 1e-11 : 1e-4;
     for (int axis = 0; axis < 3; axis++)
@@ -339,8 +359,8 @@ static void passive_bodies(void)
   }
 }
 
-/* Stiff springs blow up in some environments sooner than in others: each lane ends by itself, at the reference's step, and
- * nothing that is not finite leaves the block. */
+/* Stiff springs blow up in some environments sooner than in others: each lane ends by itself, at
+ * the reference's step, and nothing that is not finite leaves the block. */
 static void divergence_stays_in_its_lane(void)
 {
   REQUIRE(setup());
@@ -361,8 +381,8 @@ static void divergence_stays_in_its_lane(void)
       lanes[l] = l;
       recordings[l] = (struct mo_recording){.stride = 10, .com_m = com[l], .mass_m = mass[l]};
     }
-    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, N, &physics, recordings, outcomes) ==
-            0);
+    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, N, &physics,
+                      recordings, outcomes) == 0);
     for (int l = 0; l < N; l++) {
       diverged += outcomes[l].diverged_step > 0;
       CHECK(outcomes[l].diverged_step > 0 ? isinf(outcomes[l].loss) : isfinite(outcomes[l].loss));
@@ -374,21 +394,23 @@ static void divergence_stays_in_its_lane(void)
       for (int axis = 0; axis < 3; axis++)
         wild += !isfinite(outcomes[l].com_end_m[axis]);
       CHECK_INT(wild, 0);
-      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &physics, NULL, &alone) == 0);
+      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &physics, NULL,
+                        &alone) == 0);
       CHECK(memcmp(&alone, &outcomes[l], sizeof(alone)) == 0);
       /* It stays where a life that ends a step earlier ends: at the last finite state. */
       struct mo_physics shorter = physics;
       shorter.n_steps = (uint32_t)outcomes[l].diverged_step - 1;
       if (outcomes[l].diverged_step <= 1)
         continue;
-      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &shorter, NULL, &alone) == 0);
+      REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, &l, 1, &shorter, NULL,
+                        &alone) == 0);
       CHECK_INT(alone.diverged_step, 0);
       CHECK(memcmp(alone.com_end_m, outcomes[l].com_end_m, sizeof(alone.com_end_m)) == 0);
       for (int frame = (outcomes[l].diverged_step + 9) / 10; frame < FRAMES; frame++)
         CHECK(memcmp(com[l] + 3 * (size_t)frame, alone.com_end_m, sizeof(alone.com_end_m)) == 0);
     }
-    printf("# %s precision %d: %d of %d diverged, first at step %d\n", mo_isa_name((enum mo_isa)isa), precision,
-           diverged, N, outcomes[0].diverged_step);
+    printf("# %s precision %d: %d of %d diverged, first at step %d\n",
+           mo_isa_name((enum mo_isa)isa), precision, diverged, N, outcomes[0].diverged_step);
     CHECK(diverged > 0 && diverged < N);
     mo_body_free(body);
   }
@@ -413,15 +435,17 @@ static void no_mass_below_the_terrain(void)
     int lanes[N];
     for (int l = 0; l < N; l++) {
       lanes[l] = l;
-      recordings[l] = (struct mo_recording){.stride = 1, .mass_m = mass + (size_t)l * 201 * body->n_masses * 3};
+      recordings[l] =
+          (struct mo_recording){.stride = 1, .mass_m = mass + (size_t)l * 201 * body->n_masses * 3};
     }
-    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, N, &physics, recordings, outcomes) ==
-            0);
+    REQUIRE(run_block((enum mo_isa)isa, (enum mo_precision)precision, body, lanes, N, &physics,
+                      recordings, outcomes) == 0);
     double deepest = 0;
     for (int l = 0; l < N; l++)
       for (size_t i = 0; i < 201 * (size_t)body->n_masses; i++) {
         const float *p = recordings[l].mass_m + 3 * i;
-        deepest = fmax(deepest, mo_terrain_height(environments[l].terrain_heights_m, p[0], p[1]) - p[2]);
+        deepest =
+            fmax(deepest, mo_terrain_height(environments[l].terrain_heights_m, p[0], p[1]) - p[2]);
       }
     CHECK(deepest <= 1e-6); /* recordings are float32, whatever the precision of the life */
   }
@@ -429,7 +453,8 @@ static void no_mass_below_the_terrain(void)
   mo_body_free(body);
 }
 
-/* Bodies far beyond the default workspace: a controlled one against the reference, and a passive one of over a million springs. */
+/* Bodies far beyond the default workspace: a controlled one against the reference, and a passive
+ * one of over a million springs. */
 static void large_bodies(void)
 {
   const struct mo_workspace middle = {14, 11, 9}, huge = {48, 48, 48};
@@ -458,7 +483,8 @@ static void large_bodies(void)
     }
     REQUIRE(mo_pack_create(brain, mo_isa_best(), MO_FLOAT32, &pack) == MO_OK);
     REQUIRE(mo_workspace_memory_create(&memory) == MO_OK);
-    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL, NULL, outcomes) == MO_OK);
+    REQUIRE(mo_rollout_block(memory, pack, body, list, large ? 1 : 2, &physics, NULL, NULL, NULL,
+                             outcomes) == MO_OK);
     REQUIRE(mo_rollout_reference(body, brain, &environment, &physics, NULL, &reference) == MO_OK);
     for (int axis = 0; axis < 3; axis++)
       CHECK_NEAR(outcomes[0].com_end_m[axis], reference.com_end_m[axis], 1e-5);
@@ -491,19 +517,24 @@ static void pauses_and_faults(void)
   REQUIRE(mo_workspace_memory_create(&memory) == MO_OK && body != NULL);
   int calls = 0;
   struct mo_pause_point pause = {.interval = 10, .reached = stop_after_three, .context = &calls};
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome), MO_ERR_CANCELLED);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome),
+            MO_ERR_CANCELLED);
   CHECK_INT(calls, 3);
   calls = 3;
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome), MO_OK);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, &pause, NULL, &outcome),
+            MO_OK);
   CHECK_INT(calls, 13);
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, NULL, &outcome), MO_ERR_RANGE);
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, MO_BLOCK_LANES + 1, &physics, NULL, NULL, NULL, &outcome),
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 0, &physics, NULL, NULL, NULL, &outcome),
+            MO_ERR_RANGE);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, MO_BLOCK_LANES + 1, &physics, NULL, NULL,
+                             NULL, &outcome),
             MO_ERR_RANGE);
   struct mo_rollout_profile profile = {0};
-  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &profile, &outcome), MO_OK);
+  CHECK_INT(mo_rollout_block(memory, pack, body, list, 1, &physics, NULL, NULL, &profile, &outcome),
+            MO_OK);
   CHECK_INT(profile.rollout_steps, 100);
-  CHECK(profile.control_s > 0 && profile.spring_s > 0 && profile.contact_s > 0 && profile.sense_s > 0 &&
-        profile.pack_s > 0);
+  CHECK(profile.control_s > 0 && profile.spring_s > 0 && profile.contact_s > 0 &&
+        profile.sense_s > 0 && profile.pack_s > 0);
   struct mo_pack *other = NULL;
   CHECK_INT(mo_pack_create(controller, MO_ISA_COUNT, MO_FLOAT32, &other), MO_ERR_INVALID);
   struct mo_lattice *small = NULL;
@@ -511,7 +542,8 @@ static void pauses_and_faults(void)
   const uint64_t one = 1;
   REQUIRE(mo_lattice_create((struct mo_workspace){2, 1, 1}, &small) == MO_OK &&
           mo_body_create(small, &one, &voxel) == MO_OK);
-  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, NULL, &outcome), MO_ERR_INVALID);
+  CHECK_INT(mo_rollout_block(memory, pack, voxel, list, 1, &physics, NULL, NULL, NULL, &outcome),
+            MO_ERR_INVALID);
   mo_body_free(voxel);
   mo_lattice_free(small);
   mo_body_free(body);

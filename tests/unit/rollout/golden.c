@@ -18,9 +18,11 @@ static int read_case(struct golden *golden, const json_t *item, struct golden_ca
 {
   static const char *const modes[GOLDEN_MODES] = {"exact", "bisection8"};
   const char *voxels = json_string_value(json_object_get(item, "voxels"));
-  const json_t *heights = json_object_get(item, "terrain_heights_m"), *light = json_object_get(item, "light_xy_m");
+  const json_t *heights = json_object_get(item, "terrain_heights_m"),
+               *light = json_object_get(item, "light_xy_m");
   uint64_t bits[MO_DEFAULT_WORDS];
-  if (voxels == NULL || json_array_size(heights) != MO_TERRAIN_HEIGHTS || json_array_size(light) != 2 ||
+  if (voxels == NULL || json_array_size(heights) != MO_TERRAIN_HEIGHTS ||
+      json_array_size(light) != 2 ||
       mo_genotype_from_text(MO_DEFAULT_WORKSPACE, voxels, strlen(voxels), bits, NULL) < 0 ||
       mo_body_create(golden->lattice, bits, &out->body) < 0)
     return -1;
@@ -65,7 +67,8 @@ int golden_load(struct golden *golden)
   json_error_t error = {.text = ""};
   json_t *root = cases != NULL ? json_load_file(cases, JSON_REJECT_DUPLICATES, &error) : NULL;
   int r = -1;
-  if (root != NULL && weights != NULL && mo_lattice_create(MO_DEFAULT_WORKSPACE, &golden->lattice) == 0 &&
+  if (root != NULL && weights != NULL &&
+      mo_lattice_create(MO_DEFAULT_WORKSPACE, &golden->lattice) == 0 &&
       mo_controller_read(weights, &golden->controller, &message) == 0)
     r = load_cases(golden, root);
   if (r < 0) {

@@ -1,6 +1,7 @@
-/* The bits of the fast gradient, as bits.c does it for scores: a training that goes on after an upgrade must go on with the same
- * weights, or its fingerprint must say that it does not. Whoever changes bits on purpose raises MO_GRADIENT_VERSION and writes the hashes
- * that this test prints into the table. */
+/* The bits of the fast gradient, as bits.c does it for scores: a training that goes on after an
+ * upgrade must go on with the same weights, or its fingerprint must say that it does not. Whoever
+ * changes bits on purpose raises MO_GRADIENT_VERSION and writes the hashes that this test prints
+ * into the table. */
 #include <morpho/gradient.h>
 
 #include "../check.h"
@@ -65,7 +66,8 @@ static void hash(uint64_t *h, const void *bytes, size_t n)
     *h = (*h ^ ((const uint8_t *)bytes)[i]) * UINT64_C(0x100000001b3);
 }
 
-/* Both sensors, both impact modes, a bound and none, whole and cut blocks, and one in which robots diverge. */
+/* Both sensors, both impact modes, a bound and none, whole and cut blocks, and one in which robots
+ * diverge. */
 static int run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradient_counts *counts)
 {
   struct mo_controller *controller = NULL;
@@ -73,26 +75,31 @@ static int run_block(enum mo_isa isa, int block, uint64_t *h, struct mo_gradient
   struct mo_gradient_memory *memory = NULL;
   struct mo_outcome outcomes[ROBOTS];
   const uint32_t n = block == 1 ? 7 : ROBOTS;
-  const struct mo_gradient_options options = {.adjoint_bound = block == 2 ? 0 : MO_ADJOINT_BOUND, .weight = 1.0 / n};
+  const struct mo_gradient_options options = {.adjoint_bound = block == 2 ? 0 : MO_ADJOINT_BOUND,
+                                              .weight = 1.0 / n};
   struct mo_physics physics = mo_default_physics();
   physics.n_steps = STEPS;
   physics.impact = block % 2 == 1 ? MO_IMPACT_BISECTION : MO_IMPACT_EXACT;
   if (block == 3)
     physics.stiffness_n_per_m = 25000; /* unstable for large bodies */
-  if (mo_controller_create(MO_DEFAULT_WORKSPACE, block < 2 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE,
+  if (mo_controller_create(MO_DEFAULT_WORKSPACE,
+                           block < 2 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE,
                            &controller) != MO_OK)
     return -1;
   mo_controller_randomize(controller, 41 + (uint64_t)block);
   float *gradient = malloc(controller->n_parameters * sizeof(float));
-  int status = gradient != NULL ? mo_gradient_pack_create(controller, isa, &pack) : MO_ERR_NO_MEMORY;
+  int status =
+      gradient != NULL ? mo_gradient_pack_create(controller, isa, &pack) : MO_ERR_NO_MEMORY;
   if (status == MO_OK)
     status = mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory);
   if (status == MO_OK)
-    status = mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes, gradient, counts);
+    status = mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes,
+                               gradient, counts);
   if (status == MO_OK) {
     hash(h, gradient, controller->n_parameters * sizeof(float));
     for (uint32_t i = 0; i < n; i++) {
-      const float loss = (float)outcomes[i].loss; /* as it was when its last bits were the C library's */
+      const float loss =
+          (float)outcomes[i].loss; /* as it was when its last bits were the C library's */
       hash(h, &loss, sizeof(loss));
       hash(h, &outcomes[i].diverged_step, sizeof(outcomes[i].diverged_step));
       hash(h, outcomes[i].com_start_m, sizeof(outcomes[i].com_start_m));
@@ -123,12 +130,14 @@ static void gradients(void)
       printf("# %s: the bits hash to 0x%016" PRIx64 ", version %d had 0x%016" PRIx64 "\n",
              mo_isa_name((enum mo_isa)isa), h, HASHED_VERSION, gradient_hashes[isa]);
     CHECK(h == gradient_hashes[isa]);
-    CHECK(counts.diverged_robots > 0 && counts.diverged_robots < ROBOTS && counts.clipped_steps > 0);
+    CHECK(counts.diverged_robots > 0 && counts.diverged_robots < ROBOTS &&
+          counts.clipped_steps > 0);
   }
 }
 
-/* Robots slide down a mountain side that is rough, and over the edges of many cells: down slopes that bend, into pits, up and over
- * ridges. Life 1 begins with a fall from 10 m, life 2 goes across roofs with a ridge or a valley along every edge. */
+/* Robots slide down a mountain side that is rough, and over the edges of many cells: down slopes
+ * that bend, into pits, up and over ridges. Life 1 begins with a fall from 10 m, life 2 goes across
+ * roofs with a ridge or a valley along every edge. */
 static int run_rare(enum mo_isa isa, int life, uint64_t *h, uint32_t *n_finite)
 {
   enum { N = 12 };
@@ -159,11 +168,13 @@ static int run_rare(enum mo_isa isa, int life, uint64_t *h, uint32_t *n_finite)
     return -1;
   mo_controller_randomize(controller, 51);
   float *gradient = malloc(controller->n_parameters * sizeof(float));
-  int status = gradient != NULL ? mo_gradient_pack_create(controller, isa, &pack) : MO_ERR_NO_MEMORY;
+  int status =
+      gradient != NULL ? mo_gradient_pack_create(controller, isa, &pack) : MO_ERR_NO_MEMORY;
   if (status == MO_OK)
     status = mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory);
   if (status == MO_OK)
-    status = mo_gradient_block(memory, pack, own, N, &physics, &options, NULL, NULL, outcomes, gradient, &counts);
+    status = mo_gradient_block(memory, pack, own, N, &physics, &options, NULL, NULL, outcomes,
+                               gradient, &counts);
   if (status == MO_OK) {
     hash(h, gradient, controller->n_parameters * sizeof(float));
     hash(h, &counts.clipped_steps, sizeof(counts.clipped_steps));
@@ -188,8 +199,8 @@ static void rare_contacts(void)
     uint32_t n_finite = 0;
     for (int life = 0; life < 3; life++)
       CHECK_INT(run_rare((enum mo_isa)isa, life, &h, &n_finite), MO_OK);
-    printf("# %s: %u of 36 lives end well; the bits hash to 0x%016" PRIx64 "\n", mo_isa_name((enum mo_isa)isa),
-           n_finite, h);
+    printf("# %s: %u of 36 lives end well; the bits hash to 0x%016" PRIx64 "\n",
+           mo_isa_name((enum mo_isa)isa), n_finite, h);
     CHECK(h == rare_hashes[isa]);
     CHECK(n_finite >= 24);
   }

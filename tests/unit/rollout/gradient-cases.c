@@ -33,7 +33,8 @@ static int make_body(uint32_t k, struct mo_workspace workspace, struct gradient_
     struct mo_random random;
     mo_random_init(&random, 77, MO_PURPOSE_CHECK, 1, k);
     uint32_t voxels = 0; /* the smallest draws are uninteresting where there is room */
-    for (int tries = 0; tries < 50 && (voxels == 0 || voxels < mo_workspace_voxels(workspace) / 6); tries++) {
+    for (int tries = 0; tries < 50 && (voxels == 0 || voxels < mo_workspace_voxels(workspace) / 6);
+         tries++) {
       if (mo_genotype_random(workspace, &random, bits) < 0)
         return -1;
       voxels = mo_genotype_count(workspace, bits);
@@ -43,12 +44,14 @@ static int make_body(uint32_t k, struct mo_workspace workspace, struct gradient_
 }
 
 /* Xavier weights; biases, gains and shifts off their initial values too. */
-static int make_controller(uint32_t k, struct mo_workspace workspace, enum mo_sensor sensor, struct gradient_case *c)
+static int make_controller(uint32_t k, struct mo_workspace workspace, enum mo_sensor sensor,
+                           struct gradient_case *c)
 {
   if (k % 5 == 2) {
     struct mo_message message;
     char *path = golden_path("data/controllers/bootstrap.safetensors");
-    const int r = path != NULL ? mo_controller_read(path, &c->controller, &message) : MO_ERR_NO_MEMORY;
+    const int r =
+        path != NULL ? mo_controller_read(path, &c->controller, &message) : MO_ERR_NO_MEMORY;
     if (r < 0)
       printf("# %s: %s\n", path != NULL ? path : "(no memory)", mo_error_text(r));
     free(path);
@@ -72,7 +75,8 @@ int gradient_case_create(uint32_t k, struct gradient_case *c)
   static const struct mo_workspace others[] = {{3, 3, 2}, {2, 2, 2}, {1, 1, 1}, {4, 2, 3}};
   static const double sigmas[] = {0.05, 0.0, 0.1, 0.02, 0.3, 0.08, 1.0};
   *c = (struct gradient_case){.sigma_m = sigmas[k % 7], .physics = mo_default_physics()};
-  const struct mo_workspace workspace = k % 5 == 1 || k % 5 == 3 ? others[k / 2 % 4] : MO_DEFAULT_WORKSPACE;
+  const struct mo_workspace workspace =
+      k % 5 == 1 || k % 5 == 3 ? others[k / 2 % 4] : MO_DEFAULT_WORKSPACE;
   const enum mo_sensor sensor = k % 2 == 0 ? MO_SENSOR_INVERSE_SQRT : MO_SENSOR_INVERSE_SQUARE;
   if (make_body(k, workspace, c) < 0 || make_controller(k, workspace, sensor, c) < 0) {
     gradient_case_free(c);

@@ -18,8 +18,9 @@ struct gradient_case {
   double *theta; /* (n_parameters) the controller's parameters as doubles */
 };
 
-/* Case k: a random body (one of them all 144 voxels) of one of several workspaces, mostly the default one, a random
- * controller or the shipped one, terrain from flat to 1 m, both sensors, both impact modes. 0, or −1 with a diagnostic. */
+/* Case k: a random body (one of them all 144 voxels) of one of several workspaces, mostly the
+ * default one, a random controller or the shipped one, terrain from flat to 1 m, both sensors, both
+ * impact modes. 0, or −1 with a diagnostic. */
 int gradient_case_create(uint32_t k, struct gradient_case *out);
 void gradient_case_free(struct gradient_case *c);
 

@@ -1,5 +1,6 @@
-/* gradient-clip.c: what the adjoint's bound does, what is done about numbers that are not finite, memory and time, and the
- * contract's edges. Linked with calloc wrapped, so that allocations can be counted and made to fail. */
+/* gradient-clip.c: what the adjoint's bound does, what is done about numbers that are not finite,
+ * memory and time, and the contract's edges. Linked with calloc wrapped, so that allocations can be
+ * counted and made to fail. */
 #include <math.h>
 #include <stdbool.h>
 #include <time.h>
@@ -32,8 +33,10 @@ struct watch {
   double weight;                  /* of what begins anew */
   double com_m[STEPS_MAX + 1][2]; /* after so many steps */
   double scale_m, bound, largest_before, largest_after, factor;
-  double kept[2][3 * MO_DEFAULT_MASSES];    /* what the adjoint is to be after it was held against the bound */
-  uint32_t calls, above, astray, inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0: none */
+  double kept[2][3 * MO_DEFAULT_MASSES]; /* what the adjoint is to be after it was held against the
+                                            bound */
+  uint32_t calls, above, astray,
+      inject_at; /* inject_at: step at which a NaN is put into the adjoint; 0: none */
 };
 
 static double size_of(const struct watch *w, const double *dx, const double *dv)
@@ -57,7 +60,8 @@ static void before(void *context, uint32_t step, double *dx, double *dv)
   const uint32_t n = w->c->body->n_masses;
   memcpy(w->kept[0], dx, 3 * n * sizeof(double));
   memcpy(w->kept[1], dv, 3 * n * sizeof(double));
-  if (w->factor < 1 && w->rule == MO_ADJOINT_RESTART) { /* as at the end of a rollout that stops there */
+  if (w->factor < 1 &&
+      w->rule == MO_ADJOINT_RESTART) { /* as at the end of a rollout that stops there */
     const double *light = w->c->environment.light_xy_m, *com = w->com_m[step - 1];
     const double far = hypot(com[0] - light[0], com[1] - light[1]);
     w->factor = 1;
@@ -75,7 +79,8 @@ static void after(void *context, uint32_t step, double *dx, double *dv)
   struct watch *w = context;
   (void)step;
   w->largest_after = fmax(w->largest_after, size_of(w, dx, dv));
-  for (uint32_t i = 0; i < 3 * w->c->body->n_masses; i++) { /* one factor for all of it; 1e-7: d0 + 1e-8 m against d0 */
+  for (uint32_t i = 0; i < 3 * w->c->body->n_masses;
+       i++) { /* one factor for all of it; 1e-7: d0 + 1e-8 m against d0 */
     const double x = w->factor * w->kept[0][i], v = w->factor * w->kept[1][i];
     w->astray += !(fabs(dx[i] - x) <= 1e-7 * fabs(x)) + !(fabs(dv[i] - v) <= 1e-7 * fabs(v));
   }
@@ -86,7 +91,8 @@ static bool go(struct watch *w)
 {
   const struct gradient_case *c = w->c;
   struct mo_reference r;
-  if (c->physics.n_steps > STEPS_MAX || mo_reference_init(&r, c->body, c->controller, &c->environment, &c->physics) < 0)
+  if (c->physics.n_steps > STEPS_MAX ||
+      mo_reference_init(&r, c->body, c->controller, &c->environment, &c->physics) < 0)
     return false;
   for (uint32_t step = 0; step <= c->physics.n_steps; step++) {
     for (uint32_t i = 0; i < c->body->n_masses; i++)
@@ -95,26 +101,29 @@ static bool go(struct watch *w)
     mo_reference_step(&r, step);
   }
   mo_reference_done(&r);
-  w->scale_m = hypot(w->com_m[0][0] - c->environment.light_xy_m[0], w->com_m[0][1] - c->environment.light_xy_m[1]);
+  w->scale_m = hypot(w->com_m[0][0] - c->environment.light_xy_m[0],
+                     w->com_m[0][1] - c->environment.light_xy_m[1]);
   return true;
 }
 
-static int run_by(enum mo_adjoint_rule rule, double weight, const struct gradient_case *c, double bound,
-                  uint32_t inject_at, struct watch *w, double *gradient, struct mo_gradient_counts *counts)
+static int run_by(enum mo_adjoint_rule rule, double weight, const struct gradient_case *c,
+                  double bound, uint32_t inject_at, struct watch *w, double *gradient,
+                  struct mo_gradient_counts *counts)
 {
   struct mo_outcome outcome;
   const struct mo_gradient_options options = {
       .adjoint_bound = bound, .weight = 0.25, .adjoint_rule = rule, .restart_weight = weight};
   const struct mo_gradient_probe probe = {before, after, w};
-  *w = (struct watch){.c = c, .rule = rule, .weight = weight, .bound = bound, .inject_at = inject_at};
+  *w = (struct watch){
+      .c = c, .rule = rule, .weight = weight, .bound = bound, .inject_at = inject_at};
   if (!go(w))
     return -1;
-  return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome, gradient,
-                            counts);
+  return mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe,
+                            &outcome, gradient, counts);
 }
 
-static int run(const struct gradient_case *c, double bound, uint32_t inject_at, struct watch *w, double *gradient,
-               struct mo_gradient_counts *counts)
+static int run(const struct gradient_case *c, double bound, uint32_t inject_at, struct watch *w,
+               double *gradient, struct mo_gradient_counts *counts)
 {
   return run_by(MO_ADJOINT_CLIP, 1, c, bound, inject_at, w, gradient, counts);
 }
@@ -144,14 +153,15 @@ static void bounds_every_step(void)
   double *gradient = malloc(n * sizeof(double));
   REQUIRE(gradient != NULL);
   printf("# unbounded: m up to %g\n", free_run.largest_before);
-  const double bounds[] = {2 * free_run.largest_before, 0.5 * free_run.largest_before, 0.1 * free_run.largest_before};
+  const double bounds[] = {2 * free_run.largest_before, 0.5 * free_run.largest_before,
+                           0.1 * free_run.largest_before};
   for (int k = 0; k < 3; k++) {
     struct mo_gradient_counts counts = {0};
     memset(gradient, 0, n * sizeof(double));
     REQUIRE(run(&c, bounds[k], 0, &bounded, gradient, &counts) == MO_OK);
     printf("# bound %g: %llu of %llu steps scaled, m up to %g before and %g after\n", bounds[k],
-           (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps, bounded.largest_before,
-           bounded.largest_after);
+           (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps,
+           bounded.largest_before, bounded.largest_after);
     CHECK(bounded.largest_after <= bounds[k] * (1 + 1e-7)); /* d0 + 1e-8 m against d0 */
     CHECK_INT(counts.steps, 200);
     CHECK_INT(bounded.calls, 200);
@@ -160,7 +170,8 @@ static void bounds_every_step(void)
     CHECK_INT(counts.clipped_robots, k > 0);
     CHECK_INT(counts.robots, 1);
     CHECK_INT(counts.zeroed_robots, 0);
-    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) == (k == 0)); /* out of reach: the same bits as off */
+    CHECK((memcmp(gradient, unbounded, n * sizeof(double)) == 0) ==
+          (k == 0)); /* out of reach: the same bits as off */
   }
   free(gradient);
   free(unbounded);
@@ -190,11 +201,13 @@ static void begins_anew(void)
   for (size_t k = 0; k < sizeof(list) / sizeof(list[0]); k++) {
     struct mo_gradient_counts counts = {0};
     memset(gradient, 0, n * sizeof(double));
-    REQUIRE(run_by(MO_ADJOINT_RESTART, list[k].weight, &c, list[k].bound, 0, &bounded, gradient, &counts) == MO_OK);
-    printf("# bound %g, weight %g: %llu of %llu steps begin anew, m up to %g before and %g after\n", list[k].bound,
-           list[k].weight, (unsigned long long)counts.clipped_steps, (unsigned long long)counts.steps,
-           bounded.largest_before, bounded.largest_after);
-    CHECK(bounded.largest_after <= fmax(list[k].bound, fmax(1, list[k].weight) * fresh) * (1 + 1e-7));
+    REQUIRE(run_by(MO_ADJOINT_RESTART, list[k].weight, &c, list[k].bound, 0, &bounded, gradient,
+                   &counts) == MO_OK);
+    printf("# bound %g, weight %g: %llu of %llu steps begin anew, m up to %g before and %g after\n",
+           list[k].bound, list[k].weight, (unsigned long long)counts.clipped_steps,
+           (unsigned long long)counts.steps, bounded.largest_before, bounded.largest_after);
+    CHECK(bounded.largest_after <=
+          fmax(list[k].bound, fmax(1, list[k].weight) * fresh) * (1 + 1e-7));
     CHECK_INT(counts.steps, 200);
     CHECK_INT(counts.clipped_steps, bounded.above);
     CHECK_INT(bounded.astray, 0);
@@ -234,7 +247,8 @@ static void zeroes_what_is_not_finite(void)
   gradient_case_free(&c);
 }
 
-/* Adds weight · gradient to what is there, in the same bits each time; the outcome is the rollout's own. */
+/* Adds weight · gradient to what is there, in the same bits each time; the outcome is the rollout's
+ * own. */
 static void adds_up(void)
 {
   struct gradient_case c;
@@ -248,14 +262,15 @@ static void adds_up(void)
   struct mo_gradient_counts counts = {0};
   CHECK_NEAR(options.adjoint_bound, 2.0, 0);
   CHECK_NEAR(options.weight, 1.0, 0);
-  REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, once, &counts) ==
+  REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
+                                &outcome, once, &counts) == MO_OK);
+  REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &plain) ==
           MO_OK);
-  REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &plain) == MO_OK);
   CHECK(memcmp(&outcome, &plain, sizeof(plain)) == 0);
   options.weight = 0.5;
   for (int k = 0; k < 2; k++)
-    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, twice,
-                                  &counts) == MO_OK);
+    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
+                                  &outcome, twice, &counts) == MO_OK);
   CHECK(memcmp(once, twice, n * sizeof(double)) == 0);
   CHECK_INT(counts.robots, 3);
   CHECK_INT(counts.steps, 3 * 37);
@@ -319,8 +334,8 @@ static void refuses(void)
                                                 .weight = faults[k].weight,
                                                 .adjoint_rule = faults[k].rule,
                                                 .restart_weight = faults[k].restart_weight};
-    CHECK_INT(mo_gradient_reference(c.body, faults[k].controller, &c.environment, &c.physics, &options, &outcome,
-                                    gradient, &counts),
+    CHECK_INT(mo_gradient_reference(c.body, faults[k].controller, &c.environment, &c.physics,
+                                    &options, &outcome, gradient, &counts),
               faults[k].code);
   }
   CHECK_INT(counts.robots, 0);
@@ -333,7 +348,8 @@ static void refuses(void)
   gradient_case_free(&c);
 }
 
-/* All 144 voxels, 1000 steps; too stiff, so that the rollout diverges soon after everything was allocated. */
+/* All 144 voxels, 1000 steps; too stiff, so that the rollout diverges soon after everything was
+ * allocated. */
 static void memory(void)
 {
   struct gradient_case c;
@@ -349,7 +365,8 @@ static void memory(void)
   for (int r = MO_ERR_NO_MEMORY; r == MO_ERR_NO_MEMORY && failures < 100; failures++) {
     allocated = 0;
     calls_left = failures;
-    r = mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, gradient, &counts);
+    r = mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome,
+                              gradient, &counts);
     calls_left = -1;
     if (r == MO_OK)
       break;
@@ -357,8 +374,8 @@ static void memory(void)
     CHECK_NEAR(outcome.loss, -7, 0);
     CHECK_INT(counts.robots, 0);
   }
-  printf("# %ld allocations, %.2f MB for %u masses, %u springs, 1000 steps\n", failures, (double)allocated / 1e6,
-         c.body->n_masses, c.body->n_springs);
+  printf("# %ld allocations, %.2f MB for %u masses, %u springs, 1000 steps\n", failures,
+         (double)allocated / 1e6, c.body->n_masses, c.body->n_springs);
   CHECK(failures >= 5);
   CHECK(allocated > 1000000 && allocated < 10000000);
   CHECK(outcome.diverged_step > 0 && isinf(outcome.loss));
@@ -391,13 +408,16 @@ static void cost(void)
     const struct mo_gradient_options options = mo_default_gradient_options();
     struct mo_outcome outcome;
     const double start_s = now_s();
-    REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL, &outcome) == MO_OK);
+    REQUIRE(mo_rollout_reference(c.body, c.controller, &c.environment, &c.physics, NULL,
+                                 &outcome) == MO_OK);
     const double rollout_s = now_s() - start_s;
-    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, gradient,
-                                  NULL) == MO_OK);
+    REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
+                                  &outcome, gradient, NULL) == MO_OK);
     const double gradient_s = now_s() - start_s - rollout_s;
-    printf("# %u masses, %u springs: a step takes %.3f ms forward alone, %.3f ms with its gradient: %.1f times\n",
-           c.body->n_masses, c.body->n_springs, rollout_s * 10, gradient_s * 10, gradient_s / rollout_s);
+    printf("# %u masses, %u springs: a step takes %.3f ms forward alone, %.3f ms with its "
+           "gradient: %.1f times\n",
+           c.body->n_masses, c.body->n_springs, rollout_s * 10, gradient_s * 10,
+           gradient_s / rollout_s);
     CHECK(rollout_s > 0 && gradient_s > 0);
     free(gradient);
     gradient_case_free(&c);

@@ -1,11 +1,14 @@
-/* gradient-differences.c: the adjoint against central differences, (L(θ + h u) − L(θ − h u)) / 2h, with exact times of impact.
+/* gradient-differences.c: the adjoint against central differences, (L(θ + h u) − L(θ − h u)) / 2h,
+ * with exact times of impact.
  *
- * u: normal numbers, each scaled by the root mean square of its tensor, so that h is a relative step. The loss comes from the
- * second implementation on doubles (second.h), because float32 parameters cannot be moved by less than their last bit.
+ * u: normal numbers, each scaled by the root mean square of its tensor, so that h is a relative
+ * step. The loss comes from the second implementation on doubles (second.h), because float32
+ * parameters cannot be moved by less than their last bit.
  *
- * The loss has kinks: a ReLU that switches, a contact more or less, friction that reaches its cap, another terrain cell. A
- * difference across a kink does not converge. plain.c returns a signature of all those choices per step; where the two ends'
- * signatures differ the direction is counted as crossing at that h, and reported apart. Convergence is asserted for the others. */
+ * The loss has kinks: a ReLU that switches, a contact more or less, friction that reaches its cap,
+ * another terrain cell. A difference across a kink does not converge. plain.c returns a signature
+ * of all those choices per step; where the two ends' signatures differ the direction is counted as
+ * crossing at that h, and reported apart. Convergence is asserted for the others. */
 #include <math.h>
 #include <stdbool.h>
 
@@ -51,9 +54,11 @@ static void make_direction(const struct gradient_case *c, uint32_t k, uint32_t n
   }
 }
 
-/* One end: the losses after each of `at`, and one hash per reported length of all signatures up to there. */
-static int run_end(const struct gradient_case *c, const double *u, double h, const uint32_t *at, uint32_t n_at,
-                   double *moved, uint64_t *signatures, double *losses, uint64_t *hashes)
+/* One end: the losses after each of `at`, and one hash per reported length of all signatures up to
+ * there. */
+static int run_end(const struct gradient_case *c, const double *u, double h, const uint32_t *at,
+                   uint32_t n_at, double *moved, uint64_t *signatures, double *losses,
+                   uint64_t *hashes)
 {
   for (size_t i = 0; i < c->controller->n_parameters; i++)
     moved[i] = c->theta[i] + h * u[i];
@@ -76,8 +81,8 @@ struct buffers {
   uint64_t *signatures;
 };
 
-static void compare_direction(struct gradient_case *c, struct buffers *b, const uint32_t *at, uint32_t n_at,
-                              struct comparison *out)
+static void compare_direction(struct gradient_case *c, struct buffers *b, const uint32_t *at,
+                              uint32_t n_at, struct comparison *out)
 {
   for (int s = 0; s < STEP_SIZES; s++) {
     const double h = step_sizes[s];
@@ -97,7 +102,8 @@ static void compare_direction(struct gradient_case *c, struct buffers *b, const 
     out[a].n++;
 }
 
-static int prepare(const struct gradient_case *c, const uint32_t *at, uint32_t n_at, struct buffers *b)
+static int prepare(const struct gradient_case *c, const uint32_t *at, uint32_t n_at,
+                   struct buffers *b)
 {
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = 1};
   const size_t n = c->controller->n_parameters;
@@ -111,8 +117,8 @@ static int prepare(const struct gradient_case *c, const uint32_t *at, uint32_t n
     physics.n_steps = at[a];
     b->gradient[a] = calloc(n, sizeof(double));
     if (b->gradient[a] == NULL ||
-        mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options, &outcome, b->gradient[a],
-                              &counts) < 0 ||
+        mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options, &outcome,
+                              b->gradient[a], &counts) < 0 ||
         counts.zeroed_robots + counts.diverged_robots != 0)
       return -1;
   }
@@ -128,7 +134,8 @@ static void release(struct buffers *b)
   free(b->signatures);
 }
 
-/* The table; returns the smallest median error of directions that cross nothing, where at least 4 of them are left. */
+/* The table; returns the smallest median error of directions that cross nothing, where at least 4
+ * of them are left. */
 static double print_table(uint32_t steps, struct comparison *c)
 {
   double best = (double)INFINITY;
@@ -155,8 +162,8 @@ static double print_table(uint32_t steps, struct comparison *c)
   return best;
 }
 
-static void run_cases(const uint32_t *numbers, uint32_t n_cases, uint32_t n_directions, const uint32_t *at,
-                      uint32_t n_at, const double *tolerances)
+static void run_cases(const uint32_t *numbers, uint32_t n_cases, uint32_t n_directions,
+                      const uint32_t *at, uint32_t n_at, const double *tolerances)
 {
   struct comparison *comparisons = calloc(n_at, sizeof(*comparisons));
   REQUIRE(comparisons != NULL);

@@ -1,5 +1,6 @@
-/* gradient-dual.c: the adjoint against forward-mode dual numbers in an implementation of its own (second.h). Every case has 16
- * random directions: one in each of the 14 tensors, and two in all parameters. */
+/* gradient-dual.c: the adjoint against forward-mode dual numbers in an implementation of its own
+ * (second.h). Every case has 16 random directions: one in each of the 14 tensors, and two in all
+ * parameters. */
 #include <math.h>
 #include <stdbool.h>
 
@@ -10,8 +11,9 @@
 #include "rollout/contact.h"
 
 #define TOLERANCE 1e-10
-#define NO_TOUCH                                                                                                       \
-  1e-15 /* before the first contact the gradient is 0, and on dual numbers the rounding of a sum that cancels */
+#define NO_TOUCH                                                                                   \
+  1e-15 /* before the first contact the gradient is 0, and on dual numbers the rounding of a sum   \
+           that cancels */
 
 struct directions {
   double *memory;
@@ -33,8 +35,8 @@ static int make_directions(const struct gradient_case *c, uint32_t k, struct dir
 }
 
 /* gradient · each of the directions */
-static void project(const struct gradient_case *c, const struct directions *d, const double *gradient,
-                    double along[SECOND_LANES])
+static void project(const struct gradient_case *c, const struct directions *d,
+                    const double *gradient, double along[SECOND_LANES])
 {
   size_t first[MO_CONTROLLER_TENSORS], count[MO_CONTROLLER_TENSORS];
   gradient_tensors(c->controller, first, count);
@@ -49,10 +51,10 @@ static void project(const struct gradient_case *c, const struct directions *d, c
   }
 }
 
-/* One length of one case: the largest relative error over the directions, or −1 if no mass has struck anything yet. Zero
- * tensors are counted. */
-static double compare(struct gradient_case *c, const struct directions *d, uint32_t steps, const struct dual *dual,
-                      double *gradient, uint32_t *zeros)
+/* One length of one case: the largest relative error over the directions, or −1 if no mass has
+ * struck anything yet. Zero tensors are counted. */
+static double compare(struct gradient_case *c, const struct directions *d, uint32_t steps,
+                      const struct dual *dual, double *gradient, uint32_t *zeros)
 {
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = 1};
   struct mo_physics physics = c->physics;
@@ -60,8 +62,8 @@ static double compare(struct gradient_case *c, const struct directions *d, uint3
   struct mo_gradient_counts counts = {0};
   physics.n_steps = steps;
   memset(gradient, 0, c->controller->n_parameters * sizeof(double));
-  const int r =
-      mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options, &outcome, gradient, &counts);
+  const int r = mo_gradient_reference(c->body, c->controller, &c->environment, &physics, &options,
+                                      &outcome, gradient, &counts);
   if (r < 0 || counts.zeroed_robots != 0 || counts.diverged_robots != 0)
     return (double)INFINITY;
   if (!(fabs(outcome.loss - dual->v) <= 1e-13)) {
@@ -88,8 +90,8 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
 {
   double worst_of_all = 0;
   uint32_t untouched = 0;
-  printf(
-      "# case masses springs sigma_m sensor         impact    | largest relative error (largest |derivative|) after");
+  printf("# case masses springs sigma_m sensor         impact    | largest relative error (largest "
+         "|derivative|) after");
   for (uint32_t a = 0; a < n_at; a++)
     printf(" %u", at[a]);
   printf(" steps\n");
@@ -105,7 +107,8 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
     struct dual losses[4];
     REQUIRE(dual_rollout(&setup, &d.along, at, n_at, losses, NULL) == 0);
     printf("# %4u %6u %7u %7.2f %-14s %-9s |", k, c.body->n_masses, c.body->n_springs, c.sigma_m,
-           mo_sensor_name(c.controller->sensor), c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
+           mo_sensor_name(c.controller->sensor),
+           c.physics.impact == MO_IMPACT_EXACT ? "exact" : "bisection");
     for (uint32_t a = 0; a < n_at; a++) {
       uint32_t zeros = 0;
       const double worst = compare(&c, &d, at[a], &losses[a], gradient, &zeros);
@@ -113,7 +116,8 @@ static void run_cases(const uint32_t *at, uint32_t n_at)
       for (int lane = 0; lane < SECOND_LANES; lane++)
         largest = fmax(largest, fabs(losses[a].t[lane]));
       CHECK(worst <= TOLERANCE);
-      CHECK(zeros == 0); /* every tensor has a gradient, and it is not orthogonal to its direction */
+      CHECK(zeros ==
+            0); /* every tensor has a gradient, and it is not orthogonal to its direction */
       if (worst < 0) {
         printf(" - (no contact)");
         CHECK(at[a] <= 10);
@@ -145,7 +149,8 @@ static void long_runs(void)
   run_cases(at, 1);
 }
 
-/* One mass anywhere on, above and beyond the map: the transposed derivative of one step against dual numbers, input by input. */
+/* One mass anywhere on, above and beyond the map: the transposed derivative of one step against
+ * dual numbers, input by input. */
 static void contact(void)
 {
   struct mo_random random;
@@ -182,8 +187,9 @@ static void contact(void)
       for (int i = 0; i < 3; i++)
         forward[lane] += back_p[i] * dp[i].t[lane] + back_v[i] * dv[i].t[lane];
     double size = 0;
-    mo_contact_move_adjoint(&physics, environment.terrain_heights_m, mo_terrain_highest(environment.terrain_heights_m),
-                            p, v, back_p, back_v);
+    mo_contact_move_adjoint(&physics, environment.terrain_heights_m,
+                            mo_terrain_highest(environment.terrain_heights_m), p, v, back_p,
+                            back_v);
     for (int lane = 0; lane < 6; lane++)
       size = fmax(size, fabs(forward[lane]));
     for (int i = 0; i < 3; i++) {
@@ -195,14 +201,16 @@ static void contact(void)
     crossed += branch != 0 && branch >> 16 != (branch >> 4 & 4095);
     outside += branch != 0 && (branch >> 4 & 3) != 0;
   }
-  printf("# 20000 states: %u struck, %u of them at the friction cap, %u changed cells, %u beyond the map; error %.1e\n",
+  printf("# 20000 states: %u struck, %u of them at the friction cap, %u changed cells, %u beyond "
+         "the map; error %.1e\n",
          struck, capped, crossed, outside, worst);
   CHECK(worst <= 1e-9); /* a grazing impact divides by a small closing speed */
   CHECK(struck > 5000 && capped > 300 && struck - capped > 300 && crossed > 100 && outside > 100);
 }
 
-/* One mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it: the closing speed is next to 0, but nothing
- * grows by that, because the mass lies on the ground wherever it is. */
+/* One mass that lies on the ground and leaves it so slowly that the ground soon rises to meet it:
+ * the closing speed is next to 0, but nothing grows by that, because the mass lies on the ground
+ * wherever it is. */
 static void lying(void)
 {
   struct mo_random random;
@@ -234,7 +242,8 @@ static void lying(void)
     }
     const uint64_t branch = dual_move(&setup, dp, dv);
     const double cell_m = MO_TERRAIN_SIZE_M / (MO_TERRAIN_SIDE - 1);
-    bool same_cell = branch != 0 && impact_s > 0; /* dual.c lets go of the ground at the border of a cell */
+    bool same_cell =
+        branch != 0 && impact_s > 0; /* dual.c lets go of the ground at the border of a cell */
     for (int i = 0; i < 2; i++)
       same_cell = same_cell && floor(p[i] / cell_m) == floor((p[i] + impact_s * v[i]) / cell_m);
     if (!same_cell)
@@ -246,14 +255,17 @@ static void lying(void)
         forward[lane] += back_p[i] * dp[i].t[lane] + back_v[i] * dv[i].t[lane];
       size = fmax(size, fabs(forward[lane]));
     }
-    mo_contact_move_adjoint(&physics, heights_m, mo_terrain_highest(heights_m), p, v, back_p, back_v);
+    mo_contact_move_adjoint(&physics, heights_m, mo_terrain_highest(heights_m), p, v, back_p,
+                            back_v);
     for (int i = 0; i < 3; i++) {
-      worst = fmax(worst, fmax(fabs(back_p[i] - forward[i]), fabs(back_v[i] - forward[3 + i])) / size);
+      worst =
+          fmax(worst, fmax(fabs(back_p[i] - forward[i]), fabs(back_v[i] - forward[3 + i])) / size);
       largest = fmax(largest, fabs(back_p[i]));
     }
   }
-  printf("# %u masses met the ground again within a cell; error %.1e, largest adjoint %.2f of inputs up to 1\n", met,
-         worst, largest);
+  printf("# %u masses met the ground again within a cell; error %.1e, largest adjoint %.2f of "
+         "inputs up to 1\n",
+         met, worst, largest);
   CHECK(met > 1000);
   CHECK(worst <= 1e-9);
   CHECK(largest < 10);

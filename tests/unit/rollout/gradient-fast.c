@@ -12,7 +12,8 @@ enum { ROBOTS = MO_GRADIENT_ROBOTS };
 static struct mo_lattice *lattice;
 static struct mo_controller *shipped, *fresh;
 static struct mo_environment environments[ROBOTS];
-static struct mo_robot robots[ROBOTS]; /* random distinct bodies; the first has one voxel, the last all of them */
+static struct mo_robot
+    robots[ROBOTS]; /* random distinct bodies; the first has one voxel, the last all of them */
 
 static int setup(void)
 {
@@ -20,9 +21,11 @@ static int setup(void)
     return 1;
   char path[4096];
   const char *root = getenv("MORPHO_SOURCE_DIR");
-  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors", root != NULL ? root : ".");
+  snprintf(path, sizeof(path), "%s/data/controllers/bootstrap.safetensors",
+           root != NULL ? root : ".");
   struct mo_body_stream *stream = NULL;
-  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK || mo_controller_read(path, &shipped, NULL) != MO_OK ||
+  if (mo_lattice_create(MO_DEFAULT_WORKSPACE, &lattice) != MO_OK ||
+      mo_controller_read(path, &shipped, NULL) != MO_OK ||
       mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQUARE, &fresh) != MO_OK ||
       mo_body_stream_create(MO_DEFAULT_WORKSPACE, 4, &stream) != MO_OK)
     return 0;
@@ -65,9 +68,11 @@ struct result {
   int status;
 };
 
-static struct result block(const struct mo_controller *controller, enum mo_isa isa, const struct mo_robot *list,
-                           uint32_t n, const struct mo_physics *physics, const struct mo_gradient_options *options,
-                           size_t budget, const struct mo_pause_point *pause)
+static struct result block(const struct mo_controller *controller, enum mo_isa isa,
+                           const struct mo_robot *list, uint32_t n,
+                           const struct mo_physics *physics,
+                           const struct mo_gradient_options *options, size_t budget,
+                           const struct mo_pause_point *pause)
 {
   struct result result = {.status = MO_ERR_NO_MEMORY};
   struct mo_gradient_pack *pack = NULL;
@@ -75,8 +80,8 @@ static struct result block(const struct mo_controller *controller, enum mo_isa i
   result.d = calloc(controller->n_parameters, sizeof(float));
   if (result.d != NULL && mo_gradient_pack_create(controller, isa, &pack) == MO_OK &&
       mo_gradient_memory_create(budget, &memory) == MO_OK)
-    result.status = mo_gradient_block(memory, pack, list, n, physics, options, pause, &result.profile, result.outcomes,
-                                      result.d, &result.counts);
+    result.status = mo_gradient_block(memory, pack, list, n, physics, options, pause,
+                                      &result.profile, result.outcomes, result.d, &result.counts);
   mo_gradient_memory_free(memory);
   mo_gradient_pack_free(pack);
   return result;
@@ -117,7 +122,8 @@ static void tensors(const struct mo_controller *c, struct tensor *list)
 {
   struct tensor *t = list;
   for (int l = 0; l <= MO_HIDDEN_LAYERS; l++) {
-    const size_t rows = l < MO_HIDDEN_LAYERS ? MO_HIDDEN : c->n_springs, width = l == 0 ? c->n_inputs : MO_HIDDEN;
+    const size_t rows = l < MO_HIDDEN_LAYERS ? MO_HIDDEN : c->n_springs,
+                 width = l == 0 ? c->n_inputs : MO_HIDDEN;
     *t++ = (struct tensor){(size_t)(c->weight[l] - c->parameters), rows * width};
     *t++ = (struct tensor){(size_t)(c->bias[l] - c->parameters), rows};
     if (l == MO_HIDDEN_LAYERS)
@@ -156,11 +162,13 @@ struct comparison {
 /* Each tensor of the block's gradient against the sum of the robots' references. */
 static void compare_on(enum mo_isa isa, const struct comparison *c)
 {
-  const struct mo_gradient_options options = {
-      .adjoint_bound = c->bound, .weight = 0.25, .adjoint_rule = c->rule, .restart_weight = MO_RESTART_WEIGHT};
+  const struct mo_gradient_options options = {.adjoint_bound = c->bound,
+                                              .weight = 0.25,
+                                              .adjoint_rule = c->rule,
+                                              .restart_weight = MO_RESTART_WEIGHT};
   struct tensor list_of[MO_CONTROLLER_TENSORS];
-  struct result fast =
-      block(c->controller, isa, c->robots, c->n, c->physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result fast = block(c->controller, isa, c->robots, c->n, c->physics, &options,
+                             MO_GRADIENT_DEFAULT_BYTES, NULL);
   CHECK_INT(fast.status, MO_OK);
   for (uint32_t i = 0; i < c->n; i++) {
     CHECK_INT(fast.outcomes[i].diverged_step, c->outcomes[i].diverged_step);
@@ -192,13 +200,15 @@ static void compare_on(enum mo_isa isa, const struct comparison *c)
 /* On the instruction sets from `first` on. */
 static void compare(enum mo_isa first, struct comparison c)
 {
-  const struct mo_gradient_options options = {
-      .adjoint_bound = c.bound, .weight = 0.25, .adjoint_rule = c.rule, .restart_weight = MO_RESTART_WEIGHT};
+  const struct mo_gradient_options options = {.adjoint_bound = c.bound,
+                                              .weight = 0.25,
+                                              .adjoint_rule = c.rule,
+                                              .restart_weight = MO_RESTART_WEIGHT};
   c.d = calloc(c.controller->n_parameters, sizeof(double));
   REQUIRE(c.d != NULL);
   for (uint32_t i = 0; i < c.n; i++)
-    REQUIRE(mo_gradient_reference(c.robots[i].body, c.controller, c.robots[i].environment, c.physics, &options,
-                                  &c.outcomes[i], c.d, &c.counts) == MO_OK);
+    REQUIRE(mo_gradient_reference(c.robots[i].body, c.controller, c.robots[i].environment,
+                                  c.physics, &options, &c.outcomes[i], c.d, &c.counts) == MO_OK);
   for (int isa = (int)first; isa <= (int)mo_isa_best(); isa++)
     compare_on((enum mo_isa)isa, &c);
   free(c.d);
@@ -206,21 +216,27 @@ static void compare(enum mo_isa first, struct comparison c)
 
 static void agrees_on_few_steps(void)
 {
-  struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1), bisection = physics_of(40),
-                    forty_steps = physics_of(40);
+  struct mo_physics chunk_and_part = physics_of(13), one_step = physics_of(1),
+                    bisection = physics_of(40), forty_steps = physics_of(40);
   bisection.impact = MO_IMPACT_BISECTION;
   REQUIRE(setup());
   const struct comparison list[] = {
-      {"32 robots, random weights", fresh, robots, ROBOTS, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"32 robots, random weights", fresh, robots, ROBOTS, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
+       MO_ADJOINT_CLIP},
       {"32 robots, trained", shipped, robots, ROBOTS, &chunk_and_part, 0, 2e-4, MO_ADJOINT_CLIP},
       {"one voxel", fresh, robots, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
-      {"all voxels", fresh, robots + ROBOTS - 1, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
-      {"5 robots", shipped, robots + 7, 5, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
+      {"all voxels", fresh, robots + ROBOTS - 1, 1, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
+       MO_ADJOINT_CLIP},
+      {"5 robots", shipped, robots + 7, 5, &chunk_and_part, MO_ADJOINT_BOUND, 2e-4,
+       MO_ADJOINT_CLIP},
       {"1 step", fresh, robots, 17, &one_step, MO_ADJOINT_BOUND, 2e-4, MO_ADJOINT_CLIP},
       {"bisection", shipped, robots + 3, 4, &bisection, MO_ADJOINT_BOUND, 2e-2, MO_ADJOINT_CLIP},
-      {"beginning anew at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4, MO_ADJOINT_RESTART},
-      {"beginning anew now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4, MO_ADJOINT_RESTART},
-      {"beginning anew, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3, MO_ADJOINT_RESTART}};
+      {"beginning anew at each step", shipped, robots, ROBOTS, &chunk_and_part, 0.01, 2e-4,
+       MO_ADJOINT_RESTART},
+      {"beginning anew now and then", fresh, robots + 5, 9, &chunk_and_part, 0.5, 2e-4,
+       MO_ADJOINT_RESTART},
+      {"beginning anew, 40 steps", shipped, robots + 3, 4, &forty_steps, 0.7, 2e-3,
+       MO_ADJOINT_RESTART}};
   for (size_t i = 0; i < sizeof(list) / sizeof(list[0]); i++)
     compare(MO_ISA_BASELINE, list[i]);
 }
@@ -237,8 +253,8 @@ static double cosine(const float *a, const double *b, size_t n)
   return ab / sqrt(aa * bb);
 }
 
-/* A longer rollout touches the ground a step earlier or later in float32, and its adjoint then takes another way; of most robots, and of
- * the batch, the direction stays. */
+/* A longer rollout touches the ground a step earlier or later in float32, and its adjoint then
+ * takes another way; of most robots, and of the batch, the direction stays. */
 static void agrees_over_hundreds_of_steps(void)
 {
   REQUIRE(setup());
@@ -252,10 +268,10 @@ static void agrees_over_hundreds_of_steps(void)
   for (uint32_t i = FIRST; i < FIRST + N; i++) {
     struct mo_outcome outcome;
     memset(one, 0, n * sizeof(double));
-    REQUIRE(mo_gradient_reference(robots[i].body, shipped, robots[i].environment, &physics, &options, &outcome, one,
-                                  NULL) == MO_OK);
-    struct result fast =
-        block(shipped, mo_isa_best(), robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    REQUIRE(mo_gradient_reference(robots[i].body, shipped, robots[i].environment, &physics,
+                                  &options, &outcome, one, NULL) == MO_OK);
+    struct result fast = block(shipped, mo_isa_best(), robots + i, 1, &physics, &options,
+                               MO_GRADIENT_DEFAULT_BYTES, NULL);
     CHECK_INT(fast.status, MO_OK);
     CHECK_NEAR(fast.outcomes[0].loss, outcome.loss, 1e-3);
     alike += cosine(fast.d, one, n) > 0.9999;
@@ -263,10 +279,11 @@ static void agrees_over_hundreds_of_steps(void)
       sum[k] += one[k];
     free(fast.d);
   }
-  struct result fast =
-      block(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result fast = block(shipped, mo_isa_best(), robots + FIRST, N, &physics, &options,
+                             MO_GRADIENT_DEFAULT_BYTES, NULL);
   const double together = cosine(fast.d, sum, n);
-  printf("# 200 steps: %u of %d robots alike, the batch: 1 - cosine %.2g\n", alike, N, 1 - together);
+  printf("# 200 steps: %u of %d robots alike, the batch: 1 - cosine %.2g\n", alike, N,
+         1 - together);
   CHECK(alike >= N * 3 / 4);
   CHECK(together > 0.999);
   free(fast.d);
@@ -291,13 +308,16 @@ static void neighbours_do_not_matter(void)
     struct mo_robot reversed[ROBOTS];
     for (uint32_t i = 0; i < ROBOTS; i++)
       reversed[i] = robots[ROBOTS - 1 - i];
-    struct result all = block(shipped, isa, robots, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
-    struct result back = block(shipped, isa, reversed, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result all =
+        block(shipped, isa, robots, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result back =
+        block(shipped, isa, reversed, ROBOTS, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
     for (uint32_t i = 0; i < ROBOTS; i++) {
       CHECK(same_outcome(all.outcomes + i, back.outcomes + ROBOTS - 1 - i));
       if (i % 7 != 0)
         continue;
-      struct result alone = block(shipped, isa, robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+      struct result alone =
+          block(shipped, isa, robots + i, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
       CHECK(same_outcome(all.outcomes + i, alone.outcomes));
       free(alone.d);
     }
@@ -306,9 +326,11 @@ static void neighbours_do_not_matter(void)
   }
 }
 
-static bool same_bits(const struct result *a, const struct result *b, uint32_t n, size_t n_parameters)
+static bool same_bits(const struct result *a, const struct result *b, uint32_t n,
+                      size_t n_parameters)
 {
-  bool same = memcmp(a->d, b->d, n_parameters * sizeof(float)) == 0 && a->counts.steps == b->counts.steps &&
+  bool same = memcmp(a->d, b->d, n_parameters * sizeof(float)) == 0 &&
+              a->counts.steps == b->counts.steps &&
               a->counts.clipped_steps == b->counts.clipped_steps &&
               a->counts.clipped_robots == b->counts.clipped_robots &&
               memcmp(&a->counts.largest, &b->counts.largest, sizeof(double)) == 0;
@@ -325,10 +347,12 @@ static void budgets_do_not_matter(void)
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++)
     for (uint32_t n_steps = 30; n_steps <= 77; n_steps += 47) {
       const struct mo_physics physics = physics_of(n_steps);
-      struct result whole = block(shipped, isa, robots + 20, 9, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+      struct result whole =
+          block(shipped, isa, robots + 20, 9, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
       CHECK(whole.profile.repeat_s == 0 && whole.counts.clipped_steps > 0);
       for (size_t k = 0; k < sizeof(budgets) / sizeof(budgets[0]); k++) {
-        struct result part = block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], NULL);
+        struct result part =
+            block(shipped, isa, robots + 20, 9, &physics, &options, budgets[k], NULL);
         CHECK(same_bits(&whole, &part, 9, shipped->n_parameters));
         CHECK(part.profile.repeat_s > 0 || budgets[k] > 2000000);
         free(part.d);
@@ -354,9 +378,11 @@ static void budgets_are_kept(void)
   /* The largest bodies, and stopped once the tape has been laid out. */
   struct stop stop = {.after = 1};
   const struct mo_pause_point pause = {.interval = 1, .reached = count_down, .context = &stop};
-  CHECK_INT(mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, NULL, outcomes, d, NULL),
+  CHECK_INT(mo_gradient_block(memory, pack, large, ROBOTS, &physics, &options, &pause, NULL,
+                              outcomes, d, NULL),
             MO_ERR_CANCELLED);
-  printf("# 32 robots of 144 voxels, 1000 steps: %.1f MiB\n", (double)mo_gradient_memory_bytes(memory) / (1 << 20));
+  printf("# 32 robots of 144 voxels, 1000 steps: %.1f MiB\n",
+         (double)mo_gradient_memory_bytes(memory) / (1 << 20));
   CHECK(mo_gradient_memory_bytes(memory) > MO_GRADIENT_DEFAULT_BYTES / 2);
   CHECK(mo_gradient_memory_bytes(memory) < MO_GRADIENT_DEFAULT_BYTES + ((size_t)32 << 20));
   mo_gradient_memory_free(memory);
@@ -364,7 +390,8 @@ static void budgets_are_kept(void)
   free(d);
 }
 
-/* With springs 2.5 times as stiff as usual a single voxel is stable, and everything larger blows up. */
+/* With springs 2.5 times as stiff as usual a single voxel is stable, and everything larger blows
+ * up. */
 static void diverged_robots_contribute_nothing(void)
 {
   REQUIRE(setup());
@@ -375,9 +402,11 @@ static void diverged_robots_contribute_nothing(void)
   struct mo_robot list[2][N];
   for (uint32_t i = 0; i < N; i++)
     for (uint32_t k = 0; k < 2; k++) /* every other robot diverges, in another world each time */
-      list[k][i] = (struct mo_robot){robots[i % 2 == 0 ? 0 : 12 + i].body, environments + i + (i % 2 == 0 ? 0 : N * k)};
+      list[k][i] = (struct mo_robot){robots[i % 2 == 0 ? 0 : 12 + i].body,
+                                     environments + i + (i % 2 == 0 ? 0 : N * k)};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
-    struct result a = block(shipped, isa, list[0], N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result a =
+        block(shipped, isa, list[0], N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
     struct result b = block(shipped, isa, list[1], N, &physics, &options, 100000, NULL);
     CHECK_INT(a.counts.diverged_robots, N / 2);
     CHECK_INT(b.counts.diverged_robots, N / 2);
@@ -394,7 +423,8 @@ static void diverged_robots_contribute_nothing(void)
     CHECK(memcmp(a.d, b.d, shipped->n_parameters * sizeof(float)) == 0);
     free(a.d);
     free(b.d);
-    struct result none = block(shipped, isa, robots + 12, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result none =
+        block(shipped, isa, robots + 12, N, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
     CHECK_INT(none.counts.diverged_robots, N);
     CHECK_INT(none.counts.steps, 0);
     CHECK(largest(none.d, shipped->n_parameters) == 0);
@@ -402,8 +432,8 @@ static void diverged_robots_contribute_nothing(void)
   }
 }
 
-/* One body in several worlds. Without a bound its adjoint grows to 1e8 and more in one or two of them, and to a few hundred at most in
- * others; in which may change with any bit of the rollout. */
+/* One body in several worlds. Without a bound its adjoint grows to 1e8 and more in one or two of
+ * them, and to a few hundred at most in others; in which may change with any bit of the rollout. */
 enum { CANDIDATES = 8 };
 static const uint32_t candidates[CANDIDATES] = {26, 18, 0, 1, 7, 23, 25, 29};
 
@@ -422,7 +452,8 @@ static struct explosion find_explosion(enum mo_isa isa)
   struct mo_robot worst = {0};
   for (uint32_t i = 0; i < CANDIDATES; i++) {
     const struct mo_robot robot = {robots[27].body, environments + candidates[i]};
-    struct result r = block(shipped, isa, &robot, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    struct result r =
+        block(shipped, isa, &robot, 1, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
     free(r.d);
     if (r.counts.largest < 300 && e.n_calm < 3)
       e.calm[e.n_calm++] = robot;
@@ -440,13 +471,15 @@ static struct explosion find_explosion(enum mo_isa isa)
   return e;
 }
 
-/* Checks that the block with the robot that explodes has the gradient of the block without it, to the bit. */
-static void explosion_is_zeroed(const struct explosion *e, const struct mo_controller *controller, enum mo_isa isa,
-                                double weight)
+/* Checks that the block with the robot that explodes has the gradient of the block without it, to
+ * the bit. */
+static void explosion_is_zeroed(const struct explosion *e, const struct mo_controller *controller,
+                                enum mo_isa isa, double weight)
 {
   const struct mo_physics physics = physics_of(1000);
   const struct mo_gradient_options options = {.adjoint_bound = 0, .weight = weight};
-  struct result a = block(controller, isa, e->all, e->n_all, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result a =
+      block(controller, isa, e->all, e->n_all, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
   struct result b = block(controller, isa, e->calm, e->n_calm, &physics, &options, 20000000, NULL);
   CHECK_INT(a.counts.zeroed_robots, 1);
   CHECK_INT(b.counts.zeroed_robots, 0);
@@ -461,8 +494,8 @@ static void explosion_is_zeroed(const struct explosion *e, const struct mo_contr
   free(b.d);
 }
 
-/* The shipped controller with the last layer's weights times 2^exponent and what they multiply over it: the same rollouts to the
- * bit, but on the way back there are larger numbers between. */
+/* The shipped controller with the last layer's weights times 2^exponent and what they multiply over
+ * it: the same rollouts to the bit, but on the way back there are larger numbers between. */
 static struct mo_controller *steep(int exponent)
 {
   struct mo_controller *controller = NULL;
@@ -472,7 +505,8 @@ static struct mo_controller *steep(int exponent)
   float *last = controller->weight[MO_HIDDEN_LAYERS];
   for (size_t i = 0; i < (size_t)controller->n_springs * MO_HIDDEN; i++)
     last[i] = ldexpf(last[i], exponent);
-  float *gain = controller->norm_gain[MO_HIDDEN_LAYERS - 1], *shift = controller->norm_shift[MO_HIDDEN_LAYERS - 1];
+  float *gain = controller->norm_gain[MO_HIDDEN_LAYERS - 1],
+        *shift = controller->norm_shift[MO_HIDDEN_LAYERS - 1];
   for (int i = 0; i < MO_HIDDEN; i++) {
     gain[i] = ldexpf(gain[i], -exponent);
     shift[i] = ldexpf(shift[i], -exponent);
@@ -480,7 +514,8 @@ static struct mo_controller *steep(int exponent)
   return controller;
 }
 
-/* First an adjoint leaves float32's range; then every adjoint is in range, but the gradient times the weight is not. */
+/* First an adjoint leaves float32's range; then every adjoint is in range, but the gradient times
+ * the weight is not. */
 static void explosions_are_zeroed(void)
 {
   REQUIRE(setup());
@@ -501,7 +536,8 @@ static void gradients_out_of_range_are_zeroed(void)
   REQUIRE(setup());
   const struct mo_physics physics = physics_of(60); /* all of them have pushed off */
   const struct mo_gradient_options options = {.adjoint_bound = MO_ADJOINT_BOUND, .weight = 1e300};
-  struct result none = block(fresh, mo_isa_best(), robots, 12, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+  struct result none =
+      block(fresh, mo_isa_best(), robots, 12, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
   CHECK_INT(none.counts.zeroed_robots, 12);
   CHECK(largest(none.d, fresh->n_parameters) == 0);
   free(none.d);
@@ -517,27 +553,31 @@ static void pauses_and_ends(void)
   struct mo_gradient_memory *memory = NULL;
   struct mo_outcome outcomes[N];
   struct mo_gradient_counts counts = {0};
-  float *d[2] = {calloc(shipped->n_parameters, sizeof(float)), calloc(shipped->n_parameters, sizeof(float))};
+  float *d[2] = {calloc(shipped->n_parameters, sizeof(float)),
+                 calloc(shipped->n_parameters, sizeof(float))};
   REQUIRE(d[0] != NULL && d[1] != NULL);
   REQUIRE(mo_gradient_pack_create(shipped, mo_isa_best(), &pack) == MO_OK);
   REQUIRE(mo_gradient_memory_create(1000000, &memory) == MO_OK);
   struct stop stop = {.after = UINT32_MAX};
   struct mo_pause_point pause = {.interval = 7, .reached = count_down, .context = &stop};
-  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[0], &counts),
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
+                              d[0], &counts),
             MO_OK);
   const uint32_t calls = stop.calls;
   CHECK(calls >= 2 * physics.n_steps / pause.interval); /* forth and back, and segments again */
   for (uint32_t after = 1; after <= calls; after += 3) {
     stop = (struct stop){.after = after};
     counts = (struct mo_gradient_counts){0};
-    CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[1], &counts),
+    CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
+                                d[1], &counts),
               MO_ERR_CANCELLED);
     CHECK_INT(stop.calls, after);
     CHECK_INT(counts.robots, 0);
   }
   stop = (struct stop){.after = UINT32_MAX};
   pause.interval = 0; /* never */
-  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes, d[1], &counts),
+  CHECK_INT(mo_gradient_block(memory, pack, robots, N, &physics, &options, &pause, NULL, outcomes,
+                              d[1], &counts),
             MO_OK);
   CHECK_INT(stop.calls, 0);
   CHECK(memcmp(d[0], d[1], shipped->n_parameters * sizeof(float)) == 0);
@@ -557,7 +597,8 @@ static void packs_can_be_updated(void)
   struct mo_gradient_memory *memory = NULL;
   struct mo_outcome outcomes[ROBOTS];
   float *d = calloc(shipped->n_parameters, sizeof(float));
-  REQUIRE(d != NULL && mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &other) == MO_OK);
+  REQUIRE(d != NULL &&
+          mo_controller_create(MO_DEFAULT_WORKSPACE, shipped->sensor, &other) == MO_OK);
   mo_controller_randomize(other, 99);
   REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
   REQUIRE(mo_gradient_memory_create(MO_GRADIENT_DEFAULT_BYTES, &memory) == MO_OK);
@@ -565,8 +606,11 @@ static void packs_can_be_updated(void)
   CHECK(mo_gradient_pack_bytes(pack) > shipped->n_parameters * sizeof(float));
   /* The memory has seen other blocks, too. */
   for (uint32_t n = 1; n <= ROBOTS; n += 9)
-    CHECK_INT(mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes, d, NULL), MO_OK);
-  struct result again = block(shipped, mo_isa_best(), robots, 28, &physics, &options, MO_GRADIENT_DEFAULT_BYTES, NULL);
+    CHECK_INT(mo_gradient_block(memory, pack, robots, n, &physics, &options, NULL, NULL, outcomes,
+                                d, NULL),
+              MO_OK);
+  struct result again = block(shipped, mo_isa_best(), robots, 28, &physics, &options,
+                              MO_GRADIENT_DEFAULT_BYTES, NULL);
   CHECK(memcmp(d, again.d, shipped->n_parameters * sizeof(float)) == 0);
   free(again.d);
   CHECK_INT(mo_gradient_pack_update(pack, fresh), MO_ERR_UNSUPPORTED); /* another sensor */
@@ -574,18 +618,22 @@ static void packs_can_be_updated(void)
   REQUIRE(mo_controller_create((struct mo_workspace){6, 6, 3}, shipped->sensor, &other) == MO_OK);
   CHECK_INT(mo_gradient_pack_update(pack, other), MO_ERR_UNSUPPORTED);
 
-  CHECK_INT(mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, NULL, outcomes, d, NULL),
-            MO_ERR_INVALID);
-  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
+  CHECK_INT(
+      mo_gradient_block(memory, pack, robots, 0, &physics, &options, NULL, NULL, outcomes, d, NULL),
+      MO_ERR_INVALID);
+  CHECK_INT(mo_gradient_block(memory, pack, robots, ROBOTS + 1, &physics, &options, NULL, NULL,
+                              outcomes, d, NULL),
             MO_ERR_INVALID);
   const struct mo_gradient_options bad[] = {{-1, 1}, {(double)NAN, 1}, {2, (double)INFINITY}};
   for (int i = 0; i < 3; i++)
-    CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, NULL, outcomes, d, NULL),
+    CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, bad + i, NULL, NULL, outcomes, d,
+                                NULL),
               MO_ERR_INVALID);
   mo_gradient_pack_free(pack);
   REQUIRE(mo_gradient_pack_create(other, mo_isa_best(), &pack) == MO_OK);
-  CHECK_INT(mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
-            MO_ERR_INVALID);
+  CHECK_INT(
+      mo_gradient_block(memory, pack, robots, 1, &physics, &options, NULL, NULL, outcomes, d, NULL),
+      MO_ERR_INVALID);
   mo_gradient_pack_free(pack);
   CHECK_INT(mo_gradient_pack_create(shipped, MO_ISA_COUNT, &pack), MO_ERR_UNSUPPORTED);
   mo_gradient_memory_free(memory);
@@ -612,8 +660,8 @@ static void large_bodies(void)
   mo_controller_randomize(controller, 3);
   const struct mo_robot list[] = {{whole, environments}, {part, environments + 1}};
   const struct mo_physics physics = physics_of(5);
-  compare(mo_isa_best(),
-          (struct comparison){"large bodies", controller, list, 2, &physics, MO_ADJOINT_BOUND, 2e-4, .d = NULL});
+  compare(mo_isa_best(), (struct comparison){"large bodies", controller, list, 2, &physics,
+                                             MO_ADJOINT_BOUND, 2e-4, .d = NULL});
   mo_controller_free(controller);
   mo_body_free(whole);
   mo_body_free(part);

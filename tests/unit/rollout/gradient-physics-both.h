@@ -1,4 +1,5 @@
-/* gradient-physics-both.h: the float32 physics of the fast gradient beside the float64 reference, for their tests. */
+/* gradient-physics-both.h: the float32 physics of the fast gradient beside the float64 reference,
+ * for their tests. */
 #ifndef MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 #define MORPHO_TESTS_GRADIENT_PHYSICS_BOTH_H
 
@@ -10,8 +11,8 @@
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
-static const struct physics_functions *const functions[MO_ISA_COUNT] = {&physics_baseline, &physics_avx2,
-                                                                        &physics_avx512};
+static const struct physics_functions *const functions[MO_ISA_COUNT] = {
+    &physics_baseline, &physics_avx2, &physics_avx512};
 
 /* Reference and fast path side by side. All arrays are (n_masses, 3) but the last three. */
 struct both {
@@ -23,9 +24,9 @@ struct both {
   double *position, *velocity, *d_position, *d_velocity;
   struct physics_step fast;
   double *d_sensors, *fast_sensors, *fast_d_activation;
-  bool *at_kink; /* (n_masses) */
-  double *shift_m,
-      *shift_m_per_s; /* where the reference's contact takes the branch that float32 took; 0 but at kinks */
+  bool *at_kink;                   /* (n_masses) */
+  double *shift_m, *shift_m_per_s; /* where the reference's contact takes the branch that float32
+                                      took; 0 but at kinks */
   double *memory;
 };
 
@@ -62,8 +63,8 @@ static inline bool both_create(const struct gradient_case *c, struct both *b)
   b->adjoint.d_activation = at;
   b->fast_d_activation = at + springs;
   b->adjoint.d_input = at + 2 * springs;
-  b->tape.control =
-      mo_controller_tape_place(c->controller, c->body->n_springs, at + 2 * springs + c->controller->n_inputs);
+  b->tape.control = mo_controller_tape_place(c->controller, c->body->n_springs,
+                                             at + 2 * springs + c->controller->n_inputs);
   b->reference.tape = &b->tape;
   return true;
 }

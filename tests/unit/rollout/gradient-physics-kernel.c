@@ -32,8 +32,8 @@ static bool create(struct machine *k, const struct physics_scene *scene, size_t 
     return false;
   struct phys_robot *r = &k->robot;
   phys_prepare(r, scene->body, scene->environment, scene->physics, scene->sensor, k->memory);
-  const size_t reals = r->n_sensor_reals + 2 * (size_t)r->n_slot_reals + 2 * r->n_state_reals + r->n_scratch_reals +
-                       n_records * r->n_record_reals;
+  const size_t reals = r->n_sensor_reals + 2 * (size_t)r->n_slot_reals + 2 * r->n_state_reals +
+                       r->n_scratch_reals + n_records * r->n_record_reals;
   k->arrays = aligned_alloc(64, (reals * sizeof(REAL) + 63) / 64 * 64);
   if (k->arrays == NULL) {
     free(k->memory);
@@ -63,14 +63,16 @@ static void put(const struct machine *k, const double *from, double centre, REAL
 {
   for (uint32_t m = 0; m < k->robot.n_masses; m++)
     for (uint32_t axis = 0; axis < 3; axis++)
-      to[axis * k->robot.n_sites + k->robot.mass_site[m]] = (REAL)(from[3 * m + axis] - (axis < 2 ? centre : 0));
+      to[axis * k->robot.n_sites + k->robot.mass_site[m]] =
+          (REAL)(from[3 * m + axis] - (axis < 2 ? centre : 0));
 }
 
 static void get(const struct machine *k, const REAL *from, double centre, double *to)
 {
   for (uint32_t m = 0; m < k->robot.n_masses; m++)
     for (uint32_t axis = 0; axis < 3; axis++)
-      to[3 * m + axis] = from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? centre : 0);
+      to[3 * m + axis] =
+          from[axis * k->robot.n_sites + k->robot.mass_site[m]] + (axis < 2 ? centre : 0);
 }
 
 static void put_slots(const struct machine *k, const float *activation)
@@ -121,8 +123,8 @@ static bool step(const struct physics_scene *scene, struct physics_step *s)
   /* Sites without a mass stay out of it. */
   for (uint32_t i = 0; i < 3 * r->n_sites; i++)
     if ((r->present[i % r->n_sites / MO_VL].mask >> i % MO_VL & 1) == 0)
-      s->sane &=
-          k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && velocity[i] == 0 && k.state[i] == r->start[i];
+      s->sane &= k.adjoint[i] == 0 && k.adjoint[i + 3 * r->n_sites] == 0 && velocity[i] == 0 &&
+                 k.state[i] == r->start[i];
   destroy(&k);
   return true;
 }
@@ -178,8 +180,8 @@ static bool live(const struct physics_scene *scene, struct physics_life *life)
   return true;
 }
 
-static bool clip(const struct physics_scene *scene, double bound, double *d_position, double *d_velocity, double *m,
-                 bool *clipped, bool *finite)
+static bool clip(const struct physics_scene *scene, double bound, double *d_position,
+                 double *d_velocity, double *m, bool *clipped, bool *finite)
 {
   struct machine k;
   if (!create(&k, scene, 1))
@@ -195,7 +197,8 @@ static bool clip(const struct physics_scene *scene, double bound, double *d_posi
   return true;
 }
 
-static bool start(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m, double *d_position)
+static bool start(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m,
+                  double *d_position)
 {
   struct machine k;
   if (!create(&k, scene, 1))
@@ -210,8 +213,8 @@ static bool start(const struct physics_scene *scene, struct mo_outcome *outcome,
 }
 
 /* A rollout's averages; the least of several rounds. */
-static bool time_functions(const struct physics_scene *scene, const float *activation, struct physics_times *times,
-                           uint32_t counts[4])
+static bool time_functions(const struct physics_scene *scene, const float *activation,
+                           struct physics_times *times, uint32_t counts[4])
 {
   struct machine k;
   const uint32_t n_steps = scene->physics->n_steps;
@@ -225,7 +228,8 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
     counts[2] += r->arrivals[i] != 0;
   }
   counts[3] = (uint32_t)r->n_record_reals;
-  double *const each[5] = {&times->sense, &times->step, &times->clip, &times->step_back, &times->sense_back};
+  double *const each[5] = {&times->sense, &times->step, &times->clip, &times->step_back,
+                           &times->sense_back};
   for (int i = 0; i < 5; i++)
     *each[i] = INFINITY;
   for (int round = 0; round < 5; round++) {
@@ -268,4 +272,5 @@ static bool time_functions(const struct physics_scene *scene, const float *activ
   return true;
 }
 
-const struct physics_functions MO_JOIN(physics_, MO_FAST_ISA, ) = {step, live, clip, start, time_functions};
+const struct physics_functions MO_JOIN(physics_, MO_FAST_ISA, ) = {step, live, clip, start,
+                                                                   time_functions};

@@ -1,5 +1,5 @@
-/* gradient-physics-rollouts.c: whole rollouts of the fast gradient's float32 physics, and the way back, against the float64 reference;
- * what each function costs. */
+/* gradient-physics-rollouts.c: whole rollouts of the fast gradient's float32 physics, and the way
+ * back, against the float64 reference; what each function costs. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,8 +12,9 @@
 
 /* ---- whole rollouts ---- */
 
-/* Both ways along rollouts whose activations do not depend on the state: the weights of the sensors are 0, so that the reference's
- * gradient has nothing that the physics does not. The adjoints of all velocities, at every 10th step, are one long vector. */
+/* Both ways along rollouts whose activations do not depend on the state: the weights of the sensors
+ * are 0, so that the reference's gradient has nothing that the physics does not. The adjoints of
+ * all velocities, at every 10th step, are one long vector. */
 #define KEPT_EVERY 10
 
 struct walk {
@@ -38,7 +39,8 @@ static bool open_loop(const struct gradient_case *c, float *activation)
     return false;
   double *output = input + controller->n_inputs + 2 * MO_HIDDEN;
   for (uint32_t o = 0; o < MO_HIDDEN; o++)
-    memset(controller->weight[0] + (size_t)o * controller->n_inputs, 0, controller->n_masses * sizeof(float));
+    memset(controller->weight[0] + (size_t)o * controller->n_inputs, 0,
+           controller->n_masses * sizeof(float));
   for (uint32_t step = 0; step < c->physics.n_steps; step++) {
     for (int i = 0; i < MO_CPG_INPUTS; i++)
       input[controller->n_masses + (uint32_t)i] =
@@ -52,7 +54,8 @@ static bool open_loop(const struct gradient_case *c, float *activation)
   return true;
 }
 
-static int whole_rollout(struct gradient_case *c, double bound, const struct physics_functions *f, double sums[3])
+static int whole_rollout(struct gradient_case *c, double bound, const struct physics_functions *f,
+                         double sums[3])
 {
   int result = -1;
   const size_t kept = c->physics.n_steps / KEPT_EVERY * 3 * (size_t)c->body->n_masses;
@@ -65,10 +68,11 @@ static int whole_rollout(struct gradient_case *c, double bound, const struct phy
   const struct mo_gradient_probe probe = {.before = keep, .context = &reference};
   struct mo_outcome outcome;
   struct mo_gradient_counts counts = {0};
-  struct physics_life life = {.activation = activation, .bound = bound, .adjoint = keep, .context = &fast};
+  struct physics_life life = {
+      .activation = activation, .bound = bound, .adjoint = keep, .context = &fast};
   const struct physics_scene scene = {c->body, &c->environment, &c->physics, c->controller->sensor};
-  if (mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe, &outcome,
-                         memory + 2 * kept, &counts) < 0 ||
+  if (mo_gradient_probed(c->body, c->controller, &c->environment, &c->physics, &options, &probe,
+                         &outcome, memory + 2 * kept, &counts) < 0 ||
       !f->live(&scene, &life))
     goto done;
   double dot = 0, a = 0, b = 0;
@@ -80,9 +84,10 @@ static int whole_rollout(struct gradient_case *c, double bound, const struct phy
   sums[0] += dot;
   sums[1] += a;
   sums[2] += b;
-  printf("#   %u masses: cosine %.6f, size %.4f, losses %.6f %.6f, largest %.3g %.3g, clipped %u %u\n",
-         c->body->n_masses, dot / sqrt(a * b), sqrt(b / a), outcome.loss, life.outcome.loss, counts.largest,
-         life.largest, (unsigned)counts.clipped_steps, life.clipped);
+  printf(
+      "#   %u masses: cosine %.6f, size %.4f, losses %.6f %.6f, largest %.3g %.3g, clipped %u %u\n",
+      c->body->n_masses, dot / sqrt(a * b), sqrt(b / a), outcome.loss, life.outcome.loss,
+      counts.largest, life.largest, (unsigned)counts.clipped_steps, life.clipped);
   result = life.finite ? 0 : 1;
 done:
   free(activation);
@@ -108,8 +113,8 @@ static void rollouts(uint32_t n_steps, uint32_t least_close, double least_cosine
     gradient_case_free(&c);
   }
   const double cosine = sums[0] / sqrt(sums[1] * sums[2]);
-  printf("# %s, %u steps: cosine of all %.6f; %u of %d are above 0.9999\n", mo_isa_name(isa), n_steps, cosine, close,
-         GRADIENT_CASES);
+  printf("# %s, %u steps: cosine of all %.6f; %u of %d are above 0.9999\n", mo_isa_name(isa),
+         n_steps, cosine, close, GRADIENT_CASES);
   CHECK(close >= least_close);
   CHECK(cosine >= least_cosine);
 }
@@ -166,15 +171,19 @@ static void times(void)
       free(activation);
       mo_body_free(body);
     }
-    printf("# %s: %.0f masses, %.0f springs in %.1f vectors, %.1f tiles, %.1f arrivals; a record has %.0f bytes\n",
-           mo_isa_name((enum mo_isa)isa), masses, springs, counts[0], counts[1], counts[2], 4 * counts[3]);
-    printf("#   ticks per step: sense %.0f, step %.0f; clip %.0f, step back %.0f, sense back %.0f\n", sum[0], sum[1],
-           sum[2], sum[3], sum[4]);
+    printf("# %s: %.0f masses, %.0f springs in %.1f vectors, %.1f tiles, %.1f arrivals; a record "
+           "has %.0f bytes\n",
+           mo_isa_name((enum mo_isa)isa), masses, springs, counts[0], counts[1], counts[2],
+           4 * counts[3]);
+    printf(
+        "#   ticks per step: sense %.0f, step %.0f; clip %.0f, step back %.0f, sense back %.0f\n",
+        sum[0], sum[1], sum[2], sum[3], sum[4]);
     mo_body_stream_free(stream);
   }
   mo_lattice_free(lattice);
 }
 
-static const struct check_case cases[] = {
-    {"rollouts of 100 steps", rollouts_100}, {"rollouts of 1000 steps", rollouts_1000}, {"times", times}};
+static const struct check_case cases[] = {{"rollouts of 100 steps", rollouts_100},
+                                          {"rollouts of 1000 steps", rollouts_1000},
+                                          {"times", times}};
 CHECK_MAIN(cases)

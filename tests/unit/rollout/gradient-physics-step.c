@@ -1,9 +1,12 @@
-/* gradient-physics-step.c: a step of the fast gradient's float32 physics, and the way back, against the float64 reference.
+/* gradient-physics-step.c: a step of the fast gradient's float32 physics, and the way back, against
+ * the float64 reference.
  *
- * The two may disagree about a comparison whose sides differ by less than float32 resolves: whether a mass strikes, in which
- * cell, which friction applies, whether an impact comes at once. Float64 alone decides whether a mass is at such a kink: the reference's
- * own contact, from a state that is off by no more than NEAR_M and NEAR_M_PER_S, must come to what float32 came to, both ways. There must be few
- * such masses; all others, and all that hangs on their branch, must agree without exception. */
+ * The two may disagree about a comparison whose sides differ by less than float32 resolves: whether
+ * a mass strikes, in which cell, which friction applies, whether an impact comes at once. Float64
+ * alone decides whether a mass is at such a kink: the reference's own contact, from a state that is
+ * off by no more than NEAR_M and NEAR_M_PER_S, must come to what float32 came to, both ways. There
+ * must be few such masses; all others, and all that hangs on their branch, must agree without
+ * exception. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,11 +17,14 @@
 #include "gradient-physics-both.h"
 #include "rollout/contact.h"
 
-/* Some digits of float32 at the edge of the map, and what the springs' rounding makes of velocities. */
-#define NEAR_M           5e-7
-#define NEAR_M_PER_S     1e-4
-#define NEAR_TRIES       4000
-#define POSITION_M       2e-6 /* tolerances of a step: of positions and velocities; of adjoints, by the robot's largest */
+/* Some digits of float32 at the edge of the map, and what the springs' rounding makes of
+ * velocities. */
+#define NEAR_M       5e-7
+#define NEAR_M_PER_S 1e-4
+#define NEAR_TRIES   4000
+#define POSITION_M                                                                                 \
+  2e-6 /* tolerances of a step: of positions and velocities; of adjoints, by the robot's largest   \
+        */
 #define VELOCITY_M_PER_S 5e-5
 #define D_VELOCITY       2e-4
 #define D_POSITION       2e-4
@@ -68,9 +74,9 @@ static void shift(struct both *b, uint32_t m)
                   r->velocity_m_per_s + at);
 }
 
-/* Moves masses by as little as springs bear to where float32 hardly tells sides apart, or where contact is rare: one in four each on the
- * edge of a cell and on the ground; where it will end on the ground; sliding fast; falling
- * beside an edge, which the slope pushes it over. */
+/* Moves masses by as little as springs bear to where float32 hardly tells sides apart, or where
+ * contact is rare: one in four each on the edge of a cell and on the ground; where it will end on
+ * the ground; sliding fast; falling beside an edge, which the slope pushes it over. */
 static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
 {
   const struct gradient_case *c = b->c;
@@ -80,7 +86,8 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
   for (uint32_t m = 0; m < n; m++) {
     double *p = b->position + 3 * (size_t)m, *v = b->velocity + 3 * (size_t)m;
     const uint32_t axis = mo_random_below(random, 2);
-    const double edge = cell_m * round(p[axis] / cell_m), beside = m % 4 == 3 ? 0.001 * mo_random_normal(random) : 0;
+    const double edge = cell_m * round(p[axis] / cell_m),
+                 beside = m % 4 == 3 ? 0.001 * mo_random_normal(random) : 0;
     if ((m % 4 == 0 || m % 4 == 3) && fabs(edge - p[axis]) < bear_m)
       p[axis] = rounded(edge + beside - MO_WORLD_CENTRE_M) + MO_WORLD_CENTRE_M;
     const double ground = mo_terrain_height(heights_m, p[0], p[1]);
@@ -91,7 +98,8 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
     if (m % 4 == 3)
       v[2] = rounded(-8 * mo_random_uniform(random));
   }
-  /* Where the springs take them: their velocity before contact is on the tape. Moving them changes it a little. */
+  /* Where the springs take them: their velocity before contact is on the tape. Moving them changes
+   * it a little. */
   for (int round = 0; round < 4; round++) {
     memcpy(b->reference.position_m, b->position, 3 * n * sizeof(double));
     memcpy(b->reference.velocity_m_per_s, b->velocity, 3 * n * sizeof(double));
@@ -100,7 +108,8 @@ static void go_to_kinks(struct both *b, struct mo_random *random, uint32_t step)
     for (uint32_t m = 1; m < n; m += 4) {
       double *p = b->position + 3 * (size_t)m;
       const double *v = b->tape.velocity_m_per_s + 3 * (size_t)m;
-      const double lift = mo_terrain_height(heights_m, p[0] + dt * v[0], p[1] + dt * v[1]) - (p[2] + dt * v[2]);
+      const double lift =
+          mo_terrain_height(heights_m, p[0] + dt * v[0], p[1] + dt * v[1]) - (p[2] + dt * v[2]);
       if (fabs(lift) < 0.004)
         p[2] = rounded(p[2] + lift);
     }
@@ -140,10 +149,11 @@ struct tally {
   double sensor, velocity, position, d_velocity, d_position, d_activation; /* largest errors */
 };
 
-/* Where the reference's contact of mass m, a little off, comes to what the fast path made of it: state, ∂loss/∂ velocity and, with `rest`,
- * ∂loss/∂ position, of which `rest` is missing. Sets the shift; false: nowhere near. */
-static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_velocity, double d_position,
-                      struct mo_random *random)
+/* Where the reference's contact of mass m, a little off, comes to what the fast path made of it:
+ * state, ∂loss/∂ velocity and, with `rest`, ∂loss/∂ position, of which `rest` is missing. Sets the
+ * shift; false: nowhere near. */
+static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_velocity,
+                      double d_position, struct mo_random *random)
 {
   const struct mo_reference *r = &b->reference;
   const double *heights_m = r->environment->terrain_heights_m;
@@ -153,9 +163,10 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
   for (int n = -1; n < NEAR_TRIES; n++) { /* the first time at the state itself */
     double p[3], v[3], next[3], speed[3], dp[3], dv[3], wanted[3];
     for (size_t i = 0; i < 3; i++) {
-      p[i] = next[i] = b->tape.position_m[at + i] + (n < 0 ? 0 : NEAR_M * (2 * mo_random_uniform(random) - 1));
-      v[i] = speed[i] =
-          b->tape.velocity_m_per_s[at + i] + (n < 0 ? 0 : NEAR_M_PER_S * (2 * mo_random_uniform(random) - 1));
+      p[i] = next[i] =
+          b->tape.position_m[at + i] + (n < 0 ? 0 : NEAR_M * (2 * mo_random_uniform(random) - 1));
+      v[i] = speed[i] = b->tape.velocity_m_per_s[at + i] +
+                        (n < 0 ? 0 : NEAR_M_PER_S * (2 * mo_random_uniform(random) - 1));
       dp[i] = b->d_position[at + i];
       dv[i] = b->d_velocity[at + i];
     }
@@ -181,7 +192,8 @@ static bool find_kink(struct both *b, uint32_t m, const double *rest, double d_v
   return false;
 }
 
-/* What is off in the robot's largest adjoints, after the fast path has run with the reference's branches. */
+/* What is off in the robot's largest adjoints, after the fast path has run with the reference's
+ * branches. */
 struct scales {
   double d_velocity, d_position, d_activation;
 };
@@ -197,15 +209,19 @@ static bool agrees(const struct both *b, uint32_t m, const struct scales *size, 
 {
   const size_t at = 3 * (size_t)m;
   return distance(b->fast.next_m + at, b->reference.position_m + at) < POSITION_M &&
-         distance(b->fast.next_m_per_s + at, b->reference.velocity_m_per_s + at) < VELOCITY_M_PER_S &&
-         distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) < D_VELOCITY * size->d_velocity &&
-         (!with_positions ||
-          distance(b->fast.d_position + at, b->adjoint.d_position + at) < D_POSITION * size->d_position);
+         distance(b->fast.next_m_per_s + at, b->reference.velocity_m_per_s + at) <
+             VELOCITY_M_PER_S &&
+         distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) <
+             D_VELOCITY * size->d_velocity &&
+         (!with_positions || distance(b->fast.d_position + at, b->adjoint.d_position + at) <
+                                 D_POSITION * size->d_position);
 }
 
-/* Runs both; then again with the reference on the other side of the kinks that masses are at. First those that velocities tell of: springs
- * carry their adjoints on to the positions of others. Then those that positions alone tell of: impacts at time 0, or just after it. */
-static bool run_to_agreement(struct both *b, const struct physics_functions *f, uint32_t step, struct mo_random *random)
+/* Runs both; then again with the reference on the other side of the kinks that masses are at. First
+ * those that velocities tell of: springs carry their adjoints on to the positions of others. Then
+ * those that positions alone tell of: impacts at time 0, or just after it. */
+static bool run_to_agreement(struct both *b, const struct physics_functions *f, uint32_t step,
+                             struct mo_random *random)
 {
   const uint32_t n = b->c->body->n_masses;
   memset(b->at_kink, 0, n * sizeof(bool));
@@ -245,8 +261,10 @@ static void compare(struct both *b, const char *where, struct tally *t)
     const double sensor = b->tape.control.input[body->mass_lattice[m]];
     const double moved = distance(b->fast.next_m + at, r->position_m + at);
     const double turned = distance(b->fast.next_m_per_s + at, r->velocity_m_per_s + at);
-    const double pulled = distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) / size.d_velocity;
-    const double pushed = distance(b->fast.d_position + at, b->adjoint.d_position + at) / size.d_position;
+    const double pulled =
+        distance(b->fast.d_velocity + at, b->adjoint.d_velocity + at) / size.d_velocity;
+    const double pushed =
+        distance(b->fast.d_position + at, b->adjoint.d_position + at) / size.d_position;
     t->kinks += b->at_kink[m];
     t->sensor = fmax(t->sensor, fabs(b->fast_sensors[m] - sensor) / fmax(1, fabs(sensor)));
     t->position = fmax(t->position, moved);
@@ -254,12 +272,13 @@ static void compare(struct both *b, const char *where, struct tally *t)
     t->d_velocity = fmax(t->d_velocity, pulled);
     t->d_position = fmax(t->d_position, pushed);
     if (!agrees(b, m, &size, true) && t->faults++ < 10)
-      printf("# %s, mass %u: off by %.1e m, %.1e m/s; adjoints %.1e, %.1e%s\n", where, m, moved, turned, pulled, pushed,
-             b->at_kink[m] ? ", at a kink" : "");
+      printf("# %s, mass %u: off by %.1e m, %.1e m/s; adjoints %.1e, %.1e%s\n", where, m, moved,
+             turned, pulled, pushed, b->at_kink[m] ? ", at a kink" : "");
   }
   for (uint32_t s = 0; s < body->n_springs; s++)
     t->d_activation =
-        fmax(t->d_activation, fabs(b->fast_d_activation[s] - b->adjoint.d_activation[s]) / size.d_activation);
+        fmax(t->d_activation,
+             fabs(b->fast_d_activation[s] - b->adjoint.d_activation[s]) / size.d_activation);
 }
 
 static void one_step(void)
@@ -283,18 +302,20 @@ static void one_step(void)
           continue;
         }
         char where[64];
-        snprintf(where, sizeof(where), "%s, case %u, state %u", mo_isa_name((enum mo_isa)isa), k, i);
+        snprintf(where, sizeof(where), "%s, case %u, state %u", mo_isa_name((enum mo_isa)isa), k,
+                 i);
         compare(&b, where, &t);
       }
       both_free(&b);
       gradient_case_free(&c);
     }
-    printf("# %s: %u steps, %u masses, %u of them struck, %u of those at a kink\n", mo_isa_name((enum mo_isa)isa),
-           t.steps, t.masses, t.hits, t.kinks);
-    printf("#   largest errors: sensors %.1e, velocities %.1e m/s, positions %.1e m\n", t.sensor, t.velocity,
-           t.position);
-    printf("#   adjoints, of the robot's largest: velocities %.1e, positions %.1e, activations %.1e\n", t.d_velocity,
-           t.d_position, t.d_activation);
+    printf("# %s: %u steps, %u masses, %u of them struck, %u of those at a kink\n",
+           mo_isa_name((enum mo_isa)isa), t.steps, t.masses, t.hits, t.kinks);
+    printf("#   largest errors: sensors %.1e, velocities %.1e m/s, positions %.1e m\n", t.sensor,
+           t.velocity, t.position);
+    printf(
+        "#   adjoints, of the robot's largest: velocities %.1e, positions %.1e, activations %.1e\n",
+        t.d_velocity, t.d_position, t.d_activation);
     CHECK(t.hits > t.masses / 50);
     CHECK_INT(t.faults, 0);
     CHECK(t.kinks > t.hits / 100 && t.kinks < t.hits / 8);

@@ -1,5 +1,6 @@
-/* gradient-physics.c: the float32 physics of the fast gradient, function by function, against the float64 reference: many bodies, the start,
- * the bound of the adjoint, divergence. A step is in gradient-physics-step.c, whole rollouts are in gradient-physics-rollouts.c. */
+/* gradient-physics.c: the float32 physics of the fast gradient, function by function, against the
+ * float64 reference: many bodies, the start, the bound of the adjoint, divergence. A step is in
+ * gradient-physics-step.c, whole rollouts are in gradient-physics-rollouts.c. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,9 +13,10 @@
 
 /* ---- many bodies ---- */
 
-/* A step and the sensors of one body without actuation. Returns the number of masses that took another branch, or −1. */
-static int passive_step(const struct mo_body *body, const struct mo_environment *environment, uint64_t seed,
-                        const struct physics_functions *f)
+/* A step and the sensors of one body without actuation. Returns the number of masses that took
+ * another branch, or −1. */
+static int passive_step(const struct mo_body *body, const struct mo_environment *environment,
+                        uint64_t seed, const struct physics_functions *f)
 {
   const struct mo_physics physics = mo_default_physics();
   const struct physics_scene scene = {body, environment, &physics, MO_SENSOR_INVERSE_SQRT};
@@ -41,7 +43,8 @@ static int passive_step(const struct mo_body *body, const struct mo_environment 
   for (size_t i = 0; i < n; i++) {
     const double centre = i % 3 < 2 ? MO_WORLD_CENTRE_M : 0;
     reference.position_m[i] =
-        rounded(reference.position_m[i] - centre + 0.002 * (mo_random_uniform(&random) - 0.5)) + centre;
+        rounded(reference.position_m[i] - centre + 0.002 * (mo_random_uniform(&random) - 0.5)) +
+        centre;
     reference.velocity_m_per_s[i] = rounded(0.1 * mo_random_normal(&random));
     memory[i] = reference.position_m[i];
     memory[n + i] = reference.velocity_m_per_s[i];
@@ -78,7 +81,8 @@ static int passive_step(const struct mo_body *body, const struct mo_environment 
 
 static void many_bodies(void)
 {
-  static const struct mo_workspace workspaces[] = {{6, 6, 4}, {6, 6, 4}, {1, 5, 2}, {9, 2, 3}, {2, 7, 5}};
+  static const struct mo_workspace workspaces[] = {
+      {6, 6, 4}, {6, 6, 4}, {1, 5, 2}, {9, 2, 3}, {2, 7, 5}};
   for (int isa = 0; isa <= (int)mo_isa_best(); isa++) {
     int astray = 0, masses = 0;
     for (size_t w = 0; w < sizeof(workspaces) / sizeof(workspaces[0]); w++) {
@@ -110,8 +114,8 @@ static void many_bodies(void)
     const int result = passive_step(body, &environment, 1, functions[isa]);
     CHECK(result >= 0);
     astray += result;
-    printf("# %s: %d of %d masses at a kink, and of a body of %u springs\n", mo_isa_name((enum mo_isa)isa), astray,
-           masses, body->n_springs);
+    printf("# %s: %d of %d masses at a kink, and of a body of %u springs\n",
+           mo_isa_name((enum mo_isa)isa), astray, masses, body->n_springs);
     CHECK(body->n_springs > 20000);
     CHECK(astray <= masses / 1000);
     mo_body_free(body);
@@ -149,7 +153,8 @@ static void start_and_clip(void)
       for (int axis = 0; axis < 3; axis++)
         CHECK(outcome.com_start_m[axis] == com[axis]);
 
-      const double scale_m = hypot(com[0] - c.environment.light_xy_m[0], com[1] - c.environment.light_xy_m[1]) + 1e-8;
+      const double scale_m =
+          hypot(com[0] - c.environment.light_xy_m[0], com[1] - c.environment.light_xy_m[1]) + 1e-8;
       mo_random_init(&random, 6, MO_PURPOSE_CHECK, 1, k);
       for (uint32_t round = 0; round < 8; round++) {
         static const double sizes[] = {1e-3, 1, 1e3, 1e25, 1e-25};
@@ -157,23 +162,29 @@ static void start_and_clip(void)
         double x = 0, v = 0, m;
         bool clipped, finite;
         for (uint32_t i = 0; i < 3 * n; i++) {
-          b.fast.d_position[i] = b.d_position[i] = rounded(sizes[round % 5] * mo_random_normal(&random));
-          b.fast.d_velocity[i] = b.d_velocity[i] = rounded(sizes[round * 2 % 5] * mo_random_normal(&random));
+          b.fast.d_position[i] = b.d_position[i] =
+              rounded(sizes[round % 5] * mo_random_normal(&random));
+          b.fast.d_velocity[i] = b.d_velocity[i] =
+              rounded(sizes[round * 2 % 5] * mo_random_normal(&random));
           x += b.d_position[i] * b.d_position[i];
           v += b.d_velocity[i] * b.d_velocity[i];
         }
         const double expected = scale_m * fmax(sqrt(x), MO_ADJOINT_RATE_PER_S * sqrt(v));
-        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m, &clipped, &finite));
+        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m,
+                                     &clipped, &finite));
         CHECK(finite);
         CHECK_NEAR(m, expected, 1e-5 * expected);
         CHECK(clipped == (bound > 0 && expected > bound));
         const double factor = clipped ? bound / expected : 1;
         for (uint32_t i = 0; i < 3 * n; i++) {
-          CHECK_NEAR(b.fast.d_position[i], factor * b.d_position[i], 1e-5 * fabs(factor * b.d_position[i]) + 1e-37);
-          CHECK_NEAR(b.fast.d_velocity[i], factor * b.d_velocity[i], 1e-5 * fabs(factor * b.d_velocity[i]) + 1e-37);
+          CHECK_NEAR(b.fast.d_position[i], factor * b.d_position[i],
+                     1e-5 * fabs(factor * b.d_position[i]) + 1e-37);
+          CHECK_NEAR(b.fast.d_velocity[i], factor * b.d_velocity[i],
+                     1e-5 * fabs(factor * b.d_velocity[i]) + 1e-37);
         }
         b.fast.d_velocity[round % n] = round % 2 == 0 ? (double)NAN : (double)INFINITY;
-        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m, &clipped, &finite));
+        REQUIRE(functions[isa]->clip(&b.scene, bound, b.fast.d_position, b.fast.d_velocity, &m,
+                                     &clipped, &finite));
         CHECK(!finite);
       }
       both_free(&b);
@@ -227,7 +238,8 @@ static void divergence(void)
   }
 }
 
-static const struct check_case cases[] = {{"many bodies", many_bodies},
-                                          {"the start, its derivative and the bound", start_and_clip},
-                                          {"divergence", divergence}};
+static const struct check_case cases[] = {
+    {"many bodies", many_bodies},
+    {"the start, its derivative and the bound", start_and_clip},
+    {"divergence", divergence}};
 CHECK_MAIN(cases)

@@ -1,5 +1,5 @@
-/* gradient-physics.h: src/rollout/gradient_physics.inc, compiled once per instruction set for its test, behind plain doubles in the
- * order of the body's masses and springs. */
+/* gradient-physics.h: src/rollout/gradient_physics.inc, compiled once per instruction set for its
+ * test, behind plain doubles in the order of the body's masses and springs. */
 #ifndef MORPHO_TESTS_GRADIENT_PHYSICS_H
 #define MORPHO_TESTS_GRADIENT_PHYSICS_H
 
@@ -16,19 +16,21 @@ struct physics_scene {
 
 /* One step from a given state and back. Vectors are (n_masses, 3). */
 struct physics_step {
-  const double *position_m, *velocity_m_per_s, *activation; /* before the step; float32 rounds them */
-  double *sensors;                                          /* (n_masses) */
+  const double *position_m, *velocity_m_per_s,
+      *activation; /* before the step; float32 rounds them */
+  double *sensors; /* (n_masses) */
   double *next_m, *next_m_per_s;
   bool sane;
   uint32_t hits;
-  /* In: ∂loss/∂ the state after the step, and ∂loss/∂ the sensors (n_masses). Out: ∂loss/∂ the state before it. */
+  /* In: ∂loss/∂ the state after the step, and ∂loss/∂ the sensors (n_masses). Out: ∂loss/∂ the
+   * state before it. */
   double *d_position, *d_velocity;
   const double *d_sensors;
   double *d_activation; /* (n_springs) out */
 };
 
-/* A rollout from the start with given activations (n_steps, n_springs), and back. `adjoint`: NULL, or called as
- * mo_gradient_probe's `before` is. */
+/* A rollout from the start with given activations (n_steps, n_springs), and back. `adjoint`: NULL,
+ * or called as mo_gradient_probe's `before` is. */
 struct physics_life {
   const float *activation;
   double bound;
@@ -49,10 +51,12 @@ struct physics_times {
 struct physics_functions {
   bool (*step)(const struct physics_scene *scene, struct physics_step *step); /* false: no memory */
   bool (*live)(const struct physics_scene *scene, struct physics_life *life);
-  bool (*clip)(const struct physics_scene *scene, double bound, double *d_position, double *d_velocity, double *m,
-               bool *clipped, bool *finite);
-  bool (*start)(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m, double *d_position);
-  bool (*time)(const struct physics_scene *scene, const float *activation, struct physics_times *times,
+  bool (*clip)(const struct physics_scene *scene, double bound, double *d_position,
+               double *d_velocity, double *m, bool *clipped, bool *finite);
+  bool (*start)(const struct physics_scene *scene, struct mo_outcome *outcome, double *position_m,
+                double *d_position);
+  bool (*time)(const struct physics_scene *scene, const float *activation,
+               struct physics_times *times,
                uint32_t counts[4]); /* vectors, tiles, vectors of arrivals, reals of a record */
 };
 extern const struct physics_functions physics_baseline, physics_avx2, physics_avx512;

@@ -1,5 +1,5 @@
-/* gradient-stress.c: settings far outside of what the physics is made for. Whatever happens, no number that is not finite
- * reaches the gradient, and each robot is accounted for. */
+/* gradient-stress.c: settings far outside of what the physics is made for. Whatever happens, no
+ * number that is not finite reaches the gradient, and each robot is accounted for. */
 #include <math.h>
 
 #include <morpho/gradient.h>
@@ -44,16 +44,20 @@ static void apply(const struct stress *s, uint32_t n_steps, struct gradient_case
     for (uint32_t i = 0; i < c->body->n_masses; i++)
       for (int axis = 0; axis < 2; axis++)
         com[axis] += MO_VOXEL_M * c->body->mass_xyz[3 * i + (uint32_t)axis] / c->body->n_masses;
-    c->environment.light_xy_m[0] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * c->body->workspace.nx + com[0];
-    c->environment.light_xy_m[1] = MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * c->body->workspace.ny + com[1];
+    c->environment.light_xy_m[0] =
+        MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * c->body->workspace.nx + com[0];
+    c->environment.light_xy_m[1] =
+        MO_WORLD_CENTRE_M - 0.5 * MO_VOXEL_M * c->body->workspace.ny + com[1];
   }
 }
 
 static void run(const uint32_t *numbers, uint32_t n_cases, uint32_t n_steps)
 {
   uint64_t diverged = 0, contributed = 0;
-  printf("# robots of each line: %u, half of them without a bound; %u steps\n", 2 * n_cases, n_steps);
-  printf("# %-26s diverged zeroed clipped steps  largest m   largest |gradient|, bound 2 and off\n", "");
+  printf("# robots of each line: %u, half of them without a bound; %u steps\n", 2 * n_cases,
+         n_steps);
+  printf("# %-26s diverged zeroed clipped steps  largest m   largest |gradient|, bound 2 and off\n",
+         "");
   for (size_t s = 0; s < STRESSES; s++) {
     struct mo_gradient_counts counts = {0};
     double largest[2] = {0, 0};
@@ -64,12 +68,13 @@ static void run(const uint32_t *numbers, uint32_t n_cases, uint32_t n_steps)
       double *gradient = malloc(c.controller->n_parameters * sizeof(double));
       REQUIRE(gradient != NULL);
       for (int off = 0; off < 2; off++) {
-        const struct mo_gradient_options options = {.adjoint_bound = off ? 0 : MO_ADJOINT_BOUND, .weight = 1};
+        const struct mo_gradient_options options = {.adjoint_bound = off ? 0 : MO_ADJOINT_BOUND,
+                                                    .weight = 1};
         struct mo_gradient_counts one = counts;
         struct mo_outcome outcome;
         memset(gradient, 0, c.controller->n_parameters * sizeof(double));
-        REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options, &outcome, gradient,
-                                      &counts) == MO_OK);
+        REQUIRE(mo_gradient_reference(c.body, c.controller, &c.environment, &c.physics, &options,
+                                      &outcome, gradient, &counts) == MO_OK);
         double size = 0;
         size_t bad = 0;
         for (size_t i = 0; i < c.controller->n_parameters; i++) {

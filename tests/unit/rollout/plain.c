@@ -50,9 +50,10 @@ static double parameter(const struct second_parameters *theta, size_t at, int la
   return theta->value[at];
 }
 
-/* The matrix starts at parameter `at` and has `height` rows, its biases follow; `rows` (NULL: 0 …) are wanted, n of them. */
-static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height, const uint32_t *rows,
-                  uint32_t n, uint32_t width, const double *in, double *out)
+/* The matrix starts at parameter `at` and has `height` rows, its biases follow; `rows` (NULL: 0 …)
+ * are wanted, n of them. */
+static void dense(const struct second_parameters *theta, size_t at, int lane, uint32_t height,
+                  const uint32_t *rows, uint32_t n, uint32_t width, const double *in, double *out)
 {
   (void)lane;
   const double *bias = theta->value + at + (size_t)height * width;

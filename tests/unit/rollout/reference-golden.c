@@ -1,5 +1,6 @@
-/* reference-golden.c: the float64 reference against the stored rollouts, which have 9 digits. A rollout bifurcates where a
- * mass touches the ground or not by a rounding error, so the comparison is by distribution (docs/model.md). */
+/* reference-golden.c: the float64 reference against the stored rollouts, which have 9 digits. A
+ * rollout bifurcates where a mass touches the ground or not by a rounding error, so the comparison
+ * is by distribution (docs/model.md). */
 #include "../check.h"
 #include "golden.h"
 
@@ -11,7 +12,8 @@ static int by_value(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Smallest value that at least `share` of the sorted values do not exceed; the middle pair's mean for the median. */
+/* Smallest value that at least `share` of the sorted values do not exceed; the middle pair's mean
+ * for the median. */
 static double quantile(double *values, size_t n, double share)
 {
   qsort(values, n, sizeof(*values), by_value);
@@ -34,7 +36,9 @@ static void compare(enum mo_impact mode)
   for (size_t i = 0; i < golden.n; i++) {
     const struct golden_case *c = &golden.cases[i];
     struct mo_outcome outcome;
-    CHECK_INT(mo_rollout_reference(c->body, golden.controller, &c->environment, &physics, &recording, &outcome), MO_OK);
+    CHECK_INT(mo_rollout_reference(c->body, golden.controller, &c->environment, &physics,
+                                   &recording, &outcome),
+              MO_OK);
     CHECK_INT(outcome.diverged_step, 0);
     loss_error[i] = fabs(outcome.loss - c->loss[mode]);
     mean += outcome.loss / (double)golden.n;
@@ -44,12 +48,13 @@ static void compare(enum mo_impact mode)
       com_error[s][i] = hypot(hypot(here[0] - there[0], here[1] - there[1]), here[2] - there[2]);
     }
     if (loss_error[i] > 1e-6)
-      printf("# case %zu bifurcates: loss %.9f, stored %.9f; com off by %.1e m at step 200\n", i, outcome.loss,
-             c->loss[mode], com_error[4][i]);
+      printf("# case %zu bifurcates: loss %.9f, stored %.9f; com off by %.1e m at step 200\n", i,
+             outcome.loss, c->loss[mode], com_error[4][i]);
   }
-  const double median = quantile(loss_error, golden.n, 0.5), most = quantile(loss_error, golden.n, 0.9);
-  printf("# |loss error|: median %.2e, 90%% %.2e, max %.2e; mean loss %.9f, stored %.9f\n", median, most,
-         loss_error[golden.n - 1], mean, golden_mean);
+  const double median = quantile(loss_error, golden.n, 0.5),
+               most = quantile(loss_error, golden.n, 0.9);
+  printf("# |loss error|: median %.2e, 90%% %.2e, max %.2e; mean loss %.9f, stored %.9f\n", median,
+         most, loss_error[golden.n - 1], mean, golden_mean);
   for (int s = 0; s < GOLDEN_STEPS; s++)
     printf("# com error at step %4d: median %.2e m, 90%% %.2e m, max %.2e m\n", golden_steps[s],
            quantile(com_error[s], golden.n, 0.5), quantile(com_error[s], golden.n, 0.9),
@@ -76,7 +81,8 @@ static void bisection(void)
 
 int main(int argc, char **argv)
 {
-  static const struct check_case cases[] = {{"exact impact times", exact}, {"8 bisections", bisection}};
+  static const struct check_case cases[] = {{"exact impact times", exact},
+                                            {"8 bisections", bisection}};
   if (golden_load(&golden) < 0) {
     printf("Bail out! no golden rollouts\n");
     return 1;

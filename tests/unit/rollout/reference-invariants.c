@@ -1,4 +1,5 @@
-/* reference-invariants.c: what holds for any body on any ground: random bodies and environments, step by step. */
+/* reference-invariants.c: what holds for any body on any ground: random bodies and environments,
+ * step by step. */
 #include "../check.h"
 
 #include "bodies.h"
@@ -19,12 +20,14 @@ static struct mo_body *random_body(uint64_t index)
   uint64_t bits[MO_DEFAULT_WORDS];
   struct mo_body *body = NULL;
   mo_random_init(&random, 77, MO_PURPOSE_CHECK, 0, index);
-  if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits) < 0 || mo_body_create(lattice, bits, &body) < 0)
+  if (mo_genotype_random(MO_DEFAULT_WORKSPACE, &random, bits) < 0 ||
+      mo_body_create(lattice, bits, &body) < 0)
     return NULL;
   return body;
 }
 
-/* Every step, every mass: on or above the ground. Rough terrain, some of it far rougher than in training. */
+/* Every step, every mass: on or above the ground. Rough terrain, some of it far rougher than in
+ * training. */
 static void never_below_ground(void)
 {
   uint64_t checked = 0, touching = 0;
@@ -67,22 +70,23 @@ static struct energy measure(const struct mo_reference *r)
   struct energy e = {0};
   const double *x = r->position_m, *v = r->velocity_m_per_s;
   for (uint32_t i = 0; i < r->body->n_masses; i++) {
-    e.kinetic +=
-        0.5 * r->physics->mass_kg * (v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]);
+    e.kinetic += 0.5 * r->physics->mass_kg *
+                 (v[3 * i] * v[3 * i] + v[3 * i + 1] * v[3 * i + 1] + v[3 * i + 2] * v[3 * i + 2]);
     e.weight += r->physics->mass_kg * r->physics->gravity_m_per_s2 * x[3 * i + 2];
   }
   for (uint32_t s = 0; s < r->body->n_springs; s++) {
     const double *a = x + 3 * r->body->spring_a[s], *b = x + 3 * r->body->spring_b[s];
-    const double length =
-        sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) + (a[2] - b[2]) * (a[2] - b[2]));
+    const double length = sqrt((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1]) +
+                               (a[2] - b[2]) * (a[2] - b[2]));
     const double rest = r->body->spring_diagonal[s] ? MO_VOXEL_M * sqrt(2) : MO_VOXEL_M;
     e.spring += 0.5 * r->physics->stiffness_n_per_m * (length - rest) * (length - rest);
   }
   return e;
 }
 
-/* With the actuators off a body falls, settles and stops: its energy never exceeds what it began with, and in the end next to
- * nothing moves. (From step to step the energy of a symplectic integrator swings, so single steps say nothing.) */
+/* With the actuators off a body falls, settles and stops: its energy never exceeds what it began
+ * with, and in the end next to nothing moves. (From step to step the energy of a symplectic
+ * integrator swings, so single steps say nothing.) */
 static void no_energy_gain(void)
 {
   double highest = -INFINITY, fastest = 0;
@@ -110,7 +114,8 @@ static void no_energy_gain(void)
     mo_reference_done(&r);
     mo_body_free(body);
   }
-  printf("# highest energy above the start: %.2e of all that can be lost; at most %.1e J per mass move in the end\n",
+  printf("# highest energy above the start: %.2e of all that can be lost; at most %.1e J per mass "
+         "move in the end\n",
          highest, fastest);
   CHECK(highest <= 1e-9);
   CHECK(fastest < 1e-4);
@@ -142,7 +147,8 @@ static void translation(void)
       continue;
     struct mo_body *a = NULL, *b = NULL;
     struct mo_outcome here, there;
-    REQUIRE(mo_body_create(lattice, aligned, &a) == MO_OK && mo_body_create(lattice, moved, &b) == MO_OK);
+    REQUIRE(mo_body_create(lattice, aligned, &a) == MO_OK &&
+            mo_body_create(lattice, moved, &b) == MO_OK);
     CHECK_INT(mo_rollout_reference(a, NULL, &environment, &physics, NULL, &here), MO_OK);
     CHECK_INT(mo_rollout_reference(b, NULL, &environment, &physics, NULL, &there), MO_OK);
     CHECK_NEAR(there.com_end_m[0], here.com_end_m[0] + 0.1, 1e-9);
@@ -154,7 +160,8 @@ static void translation(void)
   }
 }
 
-/* A stiffness a hundred times too large for the step: reported with its step, and nothing that is not finite gets out. */
+/* A stiffness a hundred times too large for the step: reported with its step, and nothing that is
+ * not finite gets out. */
 static void divergence(void)
 {
   struct mo_physics physics = mo_default_physics();
@@ -171,7 +178,8 @@ static void divergence(void)
     REQUIRE(masses != NULL);
     const struct mo_recording recording = {1, com, masses};
     struct mo_outcome outcome;
-    CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, &recording, &outcome), MO_OK);
+    CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, &recording, &outcome),
+              MO_OK);
     REQUIRE(outcome.diverged_step > 0 && outcome.diverged_step <= 200);
     CHECK(isinf(outcome.loss) && outcome.loss > 0);
     for (size_t k = 0; k < (size_t)201 * 3; k++)
@@ -212,7 +220,8 @@ static void extremes(void)
   physics.n_steps = 6000;
   CHECK_INT(mo_rollout_reference(body, NULL, &environment, &physics, NULL, &outcome), MO_OK);
   CHECK_INT(outcome.diverged_step, 0);
-  CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(environment.terrain_heights_m), 0.3);
+  CHECK_NEAR(outcome.com_start_m[2], 10 + 0.2 + mo_terrain_highest(environment.terrain_heights_m),
+             0.3);
   CHECK(outcome.com_end_m[2] < 1);
   CHECK_NEAR(outcome.loss, 1, 0.2);
   mo_body_free(body);
@@ -257,7 +266,8 @@ static void wrong_workspace(void)
   struct mo_physics physics = mo_default_physics();
   struct mo_outcome outcome = {.loss = 7};
   REQUIRE(body != NULL);
-  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome), MO_ERR_INVALID);
+  CHECK_INT(mo_rollout_reference(body, bootstrap, &environment, &physics, NULL, &outcome),
+            MO_ERR_INVALID);
   CHECK_NEAR(outcome.loss, 7, 0);
   mo_body_free(body);
   mo_lattice_free(own);

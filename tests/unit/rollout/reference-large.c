@@ -1,4 +1,5 @@
-/* reference-large.c: a body of more than a million springs, passive and with a controller of its size. */
+/* reference-large.c: a body of more than a million springs, passive and with a controller of its
+ * size. */
 #include "../check.h"
 
 #include <sys/resource.h>
@@ -30,8 +31,8 @@ static void million_springs(void)
   CHECK_INT(passive.diverged_step, 0);
   CHECK_NEAR(passive.loss, 1, 0.01);
   CHECK(passive.com_end_m[2] < passive.com_start_m[2]);
-  printf("# %u masses, %u springs; peak memory of a passive body %.0f MiB\n", body->n_masses, body->n_springs,
-         peak_mib());
+  printf("# %u masses, %u springs; peak memory of a passive body %.0f MiB\n", body->n_masses,
+         body->n_springs, peak_mib());
   CHECK(peak_mib() < 512);
 
   struct mo_controller *controller = NULL;

@@ -24,7 +24,8 @@ static int open_scene(struct scene *s, struct mo_workspace workspace)
   *s = (struct scene){.environment = flat_environment(0.1, 1, 1), .physics = mo_default_physics()};
   s->physics.drop_height_m = 100;
   s->body = full_body(workspace, &s->lattice);
-  return s->body != NULL ? mo_reference_init(&s->r, s->body, NULL, &s->environment, &s->physics) : -1;
+  return s->body != NULL ? mo_reference_init(&s->r, s->body, NULL, &s->environment, &s->physics)
+                         : -1;
 }
 
 static void close_scene(struct scene *s)
@@ -59,7 +60,8 @@ static void free_fall(void)
   close_scene(&s);
 }
 
-/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed settles at −g dt/(1 − e). */
+/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed settles at −g
+ * dt/(1 − e). */
 static void drag_decay(void)
 {
   struct scene s;
@@ -74,7 +76,8 @@ static void drag_decay(void)
     REQUIRE(mo_reference_step(&s.r, n - 1));
     for (int k = 0; k < 24; k++) {
       CHECK_NEAR(s.r.velocity_m_per_s[k], pow(e, n) * v0[k % 3], 1e-11);
-      CHECK_NEAR(s.r.position_m[k], start[k] + 0.004 * v0[k % 3] * (e - pow(e, n + 1)) / (1 - e), 1e-12);
+      CHECK_NEAR(s.r.position_m[k], start[k] + 0.004 * v0[k % 3] * (e - pow(e, n + 1)) / (1 - e),
+                 1e-12);
     }
   }
   s.physics.gravity_m_per_s2 = 9.8;
@@ -85,11 +88,11 @@ static void drag_decay(void)
   close_scene(&s);
 }
 
-/* One voxel that breathes: each corner is displaced by q along all three axes. Edge and two face diagonals add up, along each
- * axis, to −6 k q; with the guard of the step's d/(L + 1e-8) to
- *   −w q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))).
- * The step is then q'' = (1 + e − w) q' − e q: two complex roots of modulus sqrt(e), so
- *   q_n = e^{n/2} q0 (cos nφ + b sin nφ),  cos φ = (1 + e − w)/(2 sqrt(e)),  b from q_1 = (1 − w) q0. */
+/* One voxel that breathes: each corner is displaced by q along all three axes. Edge and two face
+ * diagonals add up, along each axis, to −6 k q; with the guard of the step's d/(L + 1e-8) to −w
+ * q/dt²,  w = dt² k/m (2 (1 − 1e-8/0.1) + 4 (1 − 1e-8/(0.1 √2))). The step is then q'' = (1 + e −
+ * w) q' − e q: two complex roots of modulus sqrt(e), so q_n = e^{n/2} q0 (cos nφ + b sin nφ),  cos
+ * φ = (1 + e − w)/(2 sqrt(e)),  b from q_1 = (1 − w) q0. */
 static void breathing(double drag_per_s, double stiffness_n_per_m)
 {
   struct scene s;
@@ -98,7 +101,8 @@ static void breathing(double drag_per_s, double stiffness_n_per_m)
   s.physics.drag_per_s = drag_per_s;
   s.physics.stiffness_n_per_m = stiffness_n_per_m;
   const double dt = s.physics.dt_s, e = exp(-drag_per_s * dt), q0 = 1e-3, guard = 1e-8;
-  const double w = dt * dt * stiffness_n_per_m * (2 * (1 - guard / 0.1) + 4 * (1 - guard / (0.1 * sqrt(2))));
+  const double w =
+      dt * dt * stiffness_n_per_m * (2 * (1 - guard / 0.1) + 4 * (1 - guard / (0.1 * sqrt(2))));
   const double phi = acos((1 + e - w) / (2 * sqrt(e)));
   const double b = ((1 - w) / sqrt(e) - cos(phi)) / sin(phi);
   double start[24], side[24];
@@ -116,8 +120,8 @@ static void breathing(double drag_per_s, double stiffness_n_per_m)
       worst = fmax(worst, fabs(s.r.position_m[k] - start[k] - q * side[k]));
     largest = fmax(largest, fabs(q));
   }
-  printf("# drag %g /s, stiffness %g N/m: w = %.4f, largest error %.1e m of %.1e m\n", drag_per_s, stiffness_n_per_m, w,
-         worst, largest);
+  printf("# drag %g /s, stiffness %g N/m: w = %.4f, largest error %.1e m of %.1e m\n", drag_per_s,
+         stiffness_n_per_m, w, worst, largest);
   CHECK(worst < 2e-9 * largest / q0);
   CHECK(largest > 0.1 * q0);
   close_scene(&s);
@@ -131,13 +135,15 @@ static void breathing_spring(void)
   breathing(3, 30000);
 }
 
-/* Springs and the controller's pulls act in pairs: in the air, without gravity and drag, momentum and angular momentum stay. */
+/* Springs and the controller's pulls act in pairs: in the air, without gravity and drag, momentum
+ * and angular momentum stay. */
 static void momentum(void)
 {
   struct scene s;
   REQUIRE(open_scene(&s, (struct mo_workspace){3, 2, 2}) == MO_OK);
   struct mo_controller *controller = NULL;
-  REQUIRE(mo_controller_create((struct mo_workspace){3, 2, 2}, MO_SENSOR_INVERSE_SQRT, &controller) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){3, 2, 2}, MO_SENSOR_INVERSE_SQRT,
+                               &controller) == MO_OK);
   mo_controller_randomize(controller, 1);
   for (uint32_t i = 0; i < controller->n_springs; i++)
     controller->bias[3][i] = i % 3 ? 1.0F : -1.0F;
@@ -207,14 +213,16 @@ static double disturbance_after(struct mo_workspace workspace, double dt_s, uint
   return largest;
 }
 
-/* The step is stable where dt² λ < 2 (1 + e), λ the largest stiffness eigenvalue: 10.9 k/m for the full lattice, dt < 4.86 ms;
- * 6 k/m for one voxel, dt < 6.52 ms. */
+/* The step is stable where dt² λ < 2 (1 + e), λ the largest stiffness eigenvalue: 10.9 k/m for the
+ * full lattice, dt < 4.86 ms; 6 k/m for one voxel, dt < 6.52 ms. */
 static void stability(void)
 {
   const double stable = disturbance_after(MO_DEFAULT_WORKSPACE, 0.0048, 2000);
   const double unstable = disturbance_after(MO_DEFAULT_WORKSPACE, 0.0050, 2000);
-  const double one_stable = disturbance_after(one, 0.0064, 3000), one_unstable = disturbance_after(one, 0.0066, 3000);
-  printf("# full lattice: %.1e m after 2000 steps of 4.8 ms, %.1e m of 5.0 ms; one voxel: %.1e m at 6.4 ms, %.1e m at "
+  const double one_stable = disturbance_after(one, 0.0064, 3000),
+               one_unstable = disturbance_after(one, 0.0066, 3000);
+  printf("# full lattice: %.1e m after 2000 steps of 4.8 ms, %.1e m of 5.0 ms; one voxel: %.1e m "
+         "at 6.4 ms, %.1e m at "
          "6.6 ms\n",
          stable, unstable, one_stable, one_unstable);
   CHECK(stable < 1e-6);
@@ -238,7 +246,8 @@ static void rest(void)
   close_scene(&s);
 }
 
-/* What the controller is told: light less its mean at the body's places, 0 elsewhere, and five phases of one clock. */
+/* What the controller is told: light less its mean at the body's places, 0 elsewhere, and five
+ * phases of one clock. */
 static void inputs(void)
 {
   struct mo_lattice *lattice = NULL;
@@ -252,13 +261,15 @@ static void inputs(void)
   struct mo_environment environment = flat_environment(0.3, 1.25, 3.5);
   struct mo_physics physics = mo_default_physics();
   for (int sensor = 0; sensor < 2; sensor++) {
-    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, (enum mo_sensor)sensor, &controller) == MO_OK);
+    REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, (enum mo_sensor)sensor, &controller) ==
+            MO_OK);
     struct mo_reference r;
     REQUIRE(mo_reference_init(&r, body, controller, &environment, &physics) == MO_OK);
     CHECK_NEAR(r.light_m[2], 0.3, 1e-15);
     double light[8], mean = 0, expected[250] = {0};
     for (int i = 0; i < 8; i++) {
-      const double x = 2.2 + 0.1 * (2 + (i >> 2)) - 1.25, y = 2.2 + 0.1 * (3 + (i >> 1 & 1)) - 3.5, z = 0.1 * (i & 1);
+      const double x = 2.2 + 0.1 * (2 + (i >> 2)) - 1.25, y = 2.2 + 0.1 * (3 + (i >> 1 & 1)) - 3.5,
+                   z = 0.1 * (i & 1);
       const double d2 = x * x + y * y + z * z;
       light[i] = sensor == 0 ? 1 / (sqrt(sqrt(d2) + 1e-8) + 1e-8) : 1 / (d2 + 1e-4);
       mean += light[i] / 8;
@@ -287,16 +298,19 @@ static void actuation(void)
   mo_reference_done(&s.r);
   s.physics.gravity_m_per_s2 = 0;
   for (uint32_t k = 0; k < s.body->n_springs; k++) {
-    const double a = k % 2 ? tanh(0.5) : -tanh(0.25), length = s.body->spring_diagonal[k] ? 0.1 * sqrt(2) : 0.1;
+    const double a = k % 2 ? tanh(0.5) : -tanh(0.25),
+                 length = s.body->spring_diagonal[k] ? 0.1 * sqrt(2) : 0.1;
     memset(controller->bias[3], 0, 24 * sizeof(float));
     controller->bias[3][k] = k % 2 ? 0.5F : -0.25F;
     REQUIRE(mo_reference_init(&s.r, s.body, controller, &s.environment, &s.physics) == MO_OK);
     REQUIRE(mo_reference_step(&s.r, 0));
-    const double expected = 15000 * 0.2 * a * length * 0.004 / (1 + 1e-8 / length); /* pushes its ends apart */
+    const double expected =
+        15000 * 0.2 * a * length * 0.004 / (1 + 1e-8 / length); /* pushes its ends apart */
     double push = 0, others = 0;
     const uint32_t i = s.body->spring_a[k], j = s.body->spring_b[k];
     for (int axis = 0; axis < 3; axis++) {
-      const double d = (double)s.body->mass_xyz[3 * j + axis] - (double)s.body->mass_xyz[3 * i + axis];
+      const double d =
+          (double)s.body->mass_xyz[3 * j + axis] - (double)s.body->mass_xyz[3 * i + axis];
       push += s.r.velocity_m_per_s[3 * j + axis] * d / (length * 10);
       for (uint32_t m = 0; m < 8; m++)
         if (m != i && m != j)

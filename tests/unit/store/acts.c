@@ -35,7 +35,8 @@ static int training_in(const struct model *model, unsigned states)
 static bool fits(struct life *life, struct act *act)
 {
   const struct model *model = &life->model;
-  const unsigned queued = IN(MO_JOB_QUEUED), running = IN(MO_JOB_RUNNING), paused = IN(MO_JOB_PAUSED);
+  const unsigned queued = IN(MO_JOB_QUEUED), running = IN(MO_JOB_RUNNING),
+                 paused = IN(MO_JOB_PAUSED);
   const struct evaluation_model *evaluation;
   const struct training_model *training;
   act->parts = 1;
@@ -45,14 +46,17 @@ static bool fits(struct life *life, struct act *act)
     if (model->n_contents > 0 && life_some(life, 4) == 0)
       act->seed = model->contents[life_some(life, model->n_contents)];
     return model->n_contents < CONTENTS_MAX - TRAININGS_MAX;
-  case ACT_REMOVE: act->index = life_some(life, NAMES - 1) + 1; return model->names[act->index].content >= 0;
+  case ACT_REMOVE:
+    act->index = life_some(life, NAMES - 1) + 1;
+    return model->names[act->index].content >= 0;
   case ACT_SUBMIT: act->index = model->n_evaluations; return model->n_evaluations < EVALUATIONS_MAX;
   case ACT_SAVE:
     act->index = evaluation_in(model, queued | running);
     if (act->index < 0)
       return false;
     evaluation = &model->evaluations[act->index];
-    act->parts = act->n = 1 + (uint32_t)life_some(life, (int)(evaluation->n_designs - evaluation->saved));
+    act->parts = act->n =
+        1 + (uint32_t)life_some(life, (int)(evaluation->n_designs - evaluation->saved));
     return true;
   case ACT_CHANGE:
     act->n = (uint32_t)(life_some(life, 3) == 0 ? MO_CHANGE_CANCEL : MO_CHANGE_PAUSE);
@@ -74,13 +78,16 @@ static bool fits(struct life *life, struct act *act)
     act->index = life_some(life, model->n_trainings);
     training = &model->trainings[act->index];
     return training->n_checkpoints > (mo_job_state_is_final(training->state) ? 0 : 1);
-  case ACT_BACKUP: act->index = model->n_backups; return model->n_backups < BACKUPS_MAX && life_some(life, 4) == 0;
+  case ACT_BACKUP:
+    act->index = model->n_backups;
+    return model->n_backups < BACKUPS_MAX && life_some(life, 4) == 0;
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
   default: return campaign_fits(life, act);
   }
   act->index = training_in(model, running);
-  if (act->kind == ACT_TRAIN_CHECKPOINT && act->index >= 0 && model->trainings[act->index].position == 0)
+  if (act->kind == ACT_TRAIN_CHECKPOINT && act->index >= 0 &&
+      model->trainings[act->index].position == 0)
     return false;
   return act->index >= 0 && (act->kind != ACT_TRAIN_FINISH || life_some(life, 4) == 0);
 }
@@ -93,7 +100,8 @@ struct act life_choose(struct life *life)
     return act;
   }
   do {
-    act = (struct act){.kind = (enum act_kind)life_some(life, ACT_KINDS), .seed = disk_random(life->disk)};
+    act = (struct act){.kind = (enum act_kind)life_some(life, ACT_KINDS),
+                       .seed = disk_random(life->disk)};
   } while (!fits(life, &act));
   return act;
 }
@@ -115,7 +123,8 @@ static void apply_put(struct model *model, const struct act *act)
   const int content = model_content(model, act->seed);
   if (model->names[act->index].content == content)
     return;
-  model->names[act->index].version = model->names[act->index].content < 0 ? 1 : model->names[act->index].version + 1;
+  model->names[act->index].version =
+      model->names[act->index].content < 0 ? 1 : model->names[act->index].version + 1;
   model->names[act->index].content = content;
   model->events++;
 }
@@ -123,7 +132,8 @@ static void apply_put(struct model *model, const struct act *act)
 static void apply_checkpoint(struct training_model *training, uint32_t keep)
 {
   uint32_t n = 0;
-  if (training->n_checkpoints == 0 || training->position > training->checkpoints[training->n_checkpoints - 1])
+  if (training->n_checkpoints == 0 ||
+      training->position > training->checkpoints[training->n_checkpoints - 1])
     training->attempts = 0;
   while (n < training->n_checkpoints && training->checkpoints[n] < training->position)
     n++;
@@ -134,7 +144,8 @@ static void apply_checkpoint(struct training_model *training, uint32_t keep)
   training->checkpoints[n] = training->position;
   training->n_checkpoints = n + 1;
   if (training->n_checkpoints > keep) {
-    memmove(training->checkpoints, training->checkpoints + training->n_checkpoints - keep, keep * sizeof(uint32_t));
+    memmove(training->checkpoints, training->checkpoints + training->n_checkpoints - keep,
+            keep * sizeof(uint32_t));
     training->n_checkpoints = keep;
   }
 }
@@ -158,7 +169,8 @@ static void apply_training(struct model *model, const struct act *act)
     break;
   case ACT_TRAIN_START: /* from its newest checkpoint */
     training->state = MO_JOB_RUNNING;
-    training->position = training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
+    training->position =
+        training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
     break;
   case ACT_TRAIN_PROGRESS:
     if (validates(training, act)) {
@@ -217,7 +229,8 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
   case ACT_SAVE:
     model->events += parts + (evaluation->state == MO_JOB_QUEUED);
     evaluation->saved += parts;
-    evaluation->state = evaluation->saved == evaluation->n_designs ? MO_JOB_SUCCEEDED : MO_JOB_RUNNING;
+    evaluation->state =
+        evaluation->saved == evaluation->n_designs ? MO_JOB_SUCCEEDED : MO_JOB_RUNNING;
     break;
   case ACT_CHANGE:
     evaluation->state = act->n == MO_CHANGE_CANCEL  ? MO_JOB_CANCELLED
@@ -226,8 +239,8 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
     model->events++;
     break;
   case ACT_TRAIN:
-    model->trainings[act->index] =
-        (struct training_model){.id = ++model->jobs, .seed = act->seed, .state = MO_JOB_QUEUED, .result = -1};
+    model->trainings[act->index] = (struct training_model){
+        .id = ++model->jobs, .seed = act->seed, .state = MO_JOB_QUEUED, .result = -1};
     model->n_trainings++;
     model->events++;
     break;
@@ -252,7 +265,8 @@ static int do_put(struct life *life, const struct act *act)
   int error;
   put_start(&put, act->seed);
   life_name(act->index, name);
-  error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller, &record, &created);
+  error = mo_store_controller_put(life->store, name, put.bytes, put.size, &put.controller, &record,
+                                  &created);
   put_end(&put);
   return error;
 }
@@ -260,7 +274,8 @@ static int do_put(struct life *life, const struct act *act)
 static int do_submit(struct life *life, const struct act *act)
 {
   struct mo_submission submission = {.forms = life->forms + (size_t)act->index * DESIGNS_MAX,
-                                     .genotypes = life->genotypes + (size_t)act->index * DESIGNS_MAX,
+                                     .genotypes =
+                                         life->genotypes + (size_t)act->index * DESIGNS_MAX,
                                      .n_designs = 1 + (uint32_t)(act->seed % DESIGNS_MAX),
                                      .environment_set = "paper-test",
                                      .controller = "default",
@@ -278,7 +293,8 @@ static int do_submit(struct life *life, const struct act *act)
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
   error = mo_store_submit(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a submission became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+    life_found(life, "a submission became job %lld, not %lld", (long long)id,
+               (long long)life->model.jobs + 1);
   return error;
 }
 
@@ -289,7 +305,10 @@ static int do_train(struct life *life, const struct act *act)
                               .seed = act->seed,
                               .n_steps = 100000,
                               .batch = 16,
-                              .schedule = {.kind = MO_SCHEDULE_RESTARTS, .peak = 1e-3, .decay = 0.7, .cycle_steps = 10},
+                              .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                                           .peak = 1e-3,
+                                           .decay = 0.7,
+                                           .cycle_steps = 10},
                               .physics = mo_default_physics(),
                               .sensor = MO_SENSOR_INVERSE_SQUARE},
                  .checkpoint_every_steps = 12,
@@ -304,7 +323,8 @@ static int do_train(struct life *life, const struct act *act)
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
   error = mo_store_submit_training(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a training became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+    life_found(life, "a training became job %lld, not %lld", (long long)id,
+               (long long)life->model.jobs + 1);
   return error;
 }
 
@@ -321,7 +341,8 @@ static int do_training(struct life *life, const struct act *act)
   char name[32];
   int error;
   switch (act->kind) {
-  case ACT_TRAIN_REMOVE: return mo_store_training_checkpoints_remove(life->store, training->id, 0, &removed);
+  case ACT_TRAIN_REMOVE:
+    return mo_store_training_checkpoints_remove(life->store, training->id, 0, &removed);
   case ACT_TRAIN_START: return mo_store_training_start(life->store, training->id);
   case ACT_TRAIN_PROGRESS:
     for (uint32_t i = 0; i < act->n; i++)
@@ -330,7 +351,8 @@ static int do_training(struct life *life, const struct act *act)
                                       validates(training, act) ? &validation : NULL, "{}");
   case ACT_TRAIN_CHECKPOINT:
     size = life_checkpoint(training->seed, training->position, &bytes);
-    error = mo_store_training_checkpoint(life->store, training->id, training->position, bytes, size, act->n);
+    error = mo_store_training_checkpoint(life->store, training->id, training->position, bytes, size,
+                                         act->n);
     free(bytes);
     return error;
   case ACT_TRAIN_PARK:
@@ -339,7 +361,8 @@ static int do_training(struct life *life, const struct act *act)
   default: /* finish */
     put_start(&put, act->seed);
     snprintf(name, sizeof(name), "training-%lld", (long long)training->id);
-    error = mo_store_training_finish(life->store, training->id, name, put.bytes, put.size, &put.controller);
+    error = mo_store_training_finish(life->store, training->id, name, put.bytes, put.size,
+                                     &put.controller);
     put_end(&put);
     return error;
   }
@@ -355,7 +378,8 @@ struct saving {
   int error;
 };
 
-/* Of the first, which saves nothing: the writer waits until the others are queued, and takes them together. */
+/* Of the first, which saves nothing: the writer waits until the others are queued, and takes them
+ * together. */
 static void wait_for_all(struct mo_save *save, int status)
 {
   struct saving *saving = save->context;
@@ -390,8 +414,8 @@ struct part {
   struct mo_job_update updates[2];
 };
 
-static void make_part(struct life *life, const struct act *act, const struct mo_work *work, uint32_t n,
-                      uint64_t *diverged, struct saving *saving, struct part *part)
+static void make_part(struct life *life, const struct act *act, const struct mo_work *work,
+                      uint32_t n, uint64_t *diverged, struct saving *saving, struct part *part)
 {
   const struct evaluation_model *evaluation = &life->model.evaluations[act->index];
   const uint32_t design = evaluation->saved + n;
@@ -410,18 +434,23 @@ static void make_part(struct life *life, const struct act *act, const struct mo_
   }
   for (int i = 0; i < 9; i++)
     part->com_m[i] = design + i * 0.125;
-  part->trajectory = (struct mo_saved_trajectory){
-      .job = evaluation->id, .design_position = design, .stride = 10, .frames = 3, .n_masses = 8, .com_m = part->com_m};
-  part->design =
-      (struct mo_saved_design){work->genotype_rows[design], work->controller, work->physics, work->environment_set};
+  part->trajectory = (struct mo_saved_trajectory){.job = evaluation->id,
+                                                  .design_position = design,
+                                                  .stride = 10,
+                                                  .frames = 3,
+                                                  .n_masses = 8,
+                                                  .com_m = part->com_m};
+  part->design = (struct mo_saved_design){work->genotype_rows[design], work->controller,
+                                          work->physics, work->environment_set};
   if (evaluation->state == MO_JOB_QUEUED && n == 0)
-    part->updates[n_updates++] = (struct mo_job_update){.job = evaluation->id, .step = MO_STEP_START};
-  part->updates[n_updates++] =
-      (struct mo_job_update){.job = evaluation->id,
-                             .step = design + 1 == evaluation->n_designs ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
-                             .total = total,
-                             .done = (uint64_t)(design + 1) * MO_PAPER_TEST_COUNT,
-                             .diverged = *diverged};
+    part->updates[n_updates++] =
+        (struct mo_job_update){.job = evaluation->id, .step = MO_STEP_START};
+  part->updates[n_updates++] = (struct mo_job_update){
+      .job = evaluation->id,
+      .step = design + 1 == evaluation->n_designs ? MO_STEP_SUCCEED : MO_STEP_PROGRESS,
+      .total = total,
+      .done = (uint64_t)(design + 1) * MO_PAPER_TEST_COUNT,
+      .diverged = *diverged};
   part->save = (struct mo_save){.scores = part->scores,
                                 .n_scores = MO_PAPER_TEST_COUNT,
                                 .trajectories = &part->trajectory,
@@ -509,14 +538,17 @@ uint32_t life_do(struct life *life, const struct act *act, int *error)
   case ACT_SUBMIT: *error = do_submit(life, act); break;
   case ACT_SAVE: return do_save(life, act, error);
   case ACT_CHANGE:
-    *error = mo_store_change_job(life->store, life->model.evaluations[act->index].id, (enum mo_job_change)act->n, NULL);
+    *error = mo_store_change_job(life->store, life->model.evaluations[act->index].id,
+                                 (enum mo_job_change)act->n, NULL);
     break;
   case ACT_TRAIN: *error = do_train(life, act); break;
   case ACT_BACKUP:
     life_backup_path(life, act->index, text);
     *error = mo_store_backup(life->store, text, &message);
     break;
-  default: *error = act->kind >= ACT_CAMPAIGN ? campaign_do(life, act) : do_training(life, act); break;
+  default:
+    *error = act->kind >= ACT_CAMPAIGN ? campaign_do(life, act) : do_training(life, act);
+    break;
   }
   return *error == MO_OK;
 }

@@ -32,7 +32,8 @@ static inline int64_t outside_integer(const struct fixture *fixture, const char 
   int64_t value = -1;
   snprintf(path, sizeof(path), "%s/morphod.db", fixture->path);
   if (sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL) == SQLITE_OK &&
-      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK && sqlite3_step(statement) == SQLITE_ROW)
+      sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
+      sqlite3_step(statement) == SQLITE_ROW)
     value = sqlite3_column_int64(statement, 0);
   sqlite3_finalize(statement);
   sqlite3_close(db);
@@ -78,10 +79,12 @@ static inline double made_up_loss(uint32_t n, uint32_t k)
 }
 
 /* Runs a whole job by hand: starts it, saves made-up losses, ends it. */
-static inline int run_by_hand(struct mo_store *store, int64_t id, double (*loss)(uint32_t n, uint32_t k))
+static inline int run_by_hand(struct mo_store *store, int64_t id,
+                              double (*loss)(uint32_t n, uint32_t k))
 {
   struct mo_work *work = NULL;
-  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START}, {.job = id, .step = MO_STEP_SUCCEED}};
+  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
+                                     {.job = id, .step = MO_STEP_SUCCEED}};
   struct mo_saved_score *scores;
   struct mo_saved_design *designs;
   struct mo_save save = {.updates = updates, .n_updates = 2};
@@ -107,8 +110,8 @@ static inline int run_by_hand(struct mo_store *store, int64_t id, double (*loss)
                                                         .design_position = n,
                                                         .environment_position = k};
     }
-    designs[n] =
-        (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics, work->environment_set};
+    designs[n] = (struct mo_saved_design){work->genotype_rows[n], work->controller, work->physics,
+                                          work->environment_set};
   }
   save.scores = scores;
   save.designs = designs;

@@ -1,4 +1,5 @@
-/* campaign_acts.c: campaigns on a disk whose power fails: generations that are functions of a seed, and what is asked of the store. */
+/* campaign_acts.c: campaigns on a disk whose power fails: generations that are functions of a seed,
+ * and what is asked of the store. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -42,13 +43,13 @@ static void select_survivors(struct generation *generation, uint32_t first_child
   for (uint32_t i = 0; i < MEMBERS; i++) {
     generation->survivors[i] = places[i];
     generation->after.scores[i] = score_at(generation, places[i]);
-    generation->after.numbers[i] =
-        places[i] < n_parents ? generation->before.numbers[places[i]] : first_child + places[i] - n_parents;
+    generation->after.numbers[i] = places[i] < n_parents ? generation->before.numbers[places[i]]
+                                                         : first_child + places[i] - n_parents;
   }
 }
 
-void life_generation(const struct campaign_model *campaign, uint32_t number_of, const struct population *before,
-                     struct generation *generation)
+void life_generation(const struct campaign_model *campaign, uint32_t number_of,
+                     const struct population *before, struct generation *generation)
 {
   const uint64_t seed = seed_of(campaign, number_of);
   memset(generation, 0, sizeof(*generation));
@@ -66,7 +67,8 @@ void life_generation(const struct campaign_model *campaign, uint32_t number_of, 
       generation->births[i] = (struct mo_birth){MO_BORN_CROSSOVER, {i, (i + 1) % MEMBERS}, 2};
     generation->losses[i].place = i;
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
-      generation->losses[i].losses[k] = life_loss(seed, i, k, &generation->losses[i].diverged_steps[k]);
+      generation->losses[i].losses[k] =
+          life_loss(seed, i, k, &generation->losses[i].diverged_steps[k]);
       sum += generation->losses[i].losses[k];
     }
     generation->child_scores[i] =
@@ -78,7 +80,8 @@ void life_generation(const struct campaign_model *campaign, uint32_t number_of, 
   select_survivors(generation, number_of * MEMBERS);
 }
 
-void life_replay(const struct campaign_model *campaign, int64_t until, struct generation *generation)
+void life_replay(const struct campaign_model *campaign, int64_t until,
+                 struct generation *generation)
 {
   struct population before = {0};
   for (uint32_t i = 0; i <= until; i++) {
@@ -96,7 +99,8 @@ struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, u
   return loss;
 }
 
-struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation, uint32_t step)
+struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation,
+                                     uint32_t step)
 {
   const uint64_t own = life_hash(seed_of(campaign, generation), 70 + (uint64_t)step);
   return (struct mo_campaign_step){
@@ -107,7 +111,8 @@ struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint
       .seconds = 0.5};
 }
 
-size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step, uint8_t **bytes)
+size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step,
+                  uint8_t **bytes)
 {
   return life_checkpoint(seed_of(campaign, generation), step, bytes);
 }
@@ -148,7 +153,8 @@ bool campaign_fits(struct life *life, struct act *act)
     return goes_on && campaign->learns && act->n <= LEARNING;
   case ACT_CAMPAIGN_GENERATION: return goes_on;
   case ACT_CAMPAIGN_PARK: act->n = (uint32_t)life_some(life, 2); return true;
-  case ACT_CAMPAIGN_FINISH: return campaign->generation >= 0 && (!goes_on || life_some(life, 8) == 0);
+  case ACT_CAMPAIGN_FINISH:
+    return campaign->generation >= 0 && (!goes_on || life_some(life, 8) == 0);
   default: return true;
   }
 }
@@ -192,8 +198,8 @@ void campaign_apply(struct model *model, const struct act *act)
 
 static int submit(struct life *life, const struct act *act)
 {
-  struct mo_campaign_submission submission =
-      campaign_submission(act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
+  struct mo_campaign_submission submission = campaign_submission(
+      act->seed % 2 == 0 ? MO_SIMULTANEOUS : MO_ZERO_SHOT, MEMBERS, GENERATIONS_MAX);
   char key[32];
   int64_t id = 0;
   bool replayed;
@@ -204,7 +210,8 @@ static int submit(struct life *life, const struct act *act)
   mo_sha256_of(&act->seed, sizeof(act->seed), &submission.body_sha256);
   error = mo_store_submit_campaign(life->store, &submission, &id, &replayed);
   if (error == MO_OK && (replayed || id != life->model.jobs + 1))
-    life_found(life, "a campaign became job %lld, not %lld", (long long)id, (long long)life->model.jobs + 1);
+    life_found(life, "a campaign became job %lld, not %lld", (long long)id,
+               (long long)life->model.jobs + 1);
   return error;
 }
 
@@ -213,8 +220,8 @@ static int save_losses(struct life *life, const struct campaign_model *campaign,
   struct mo_campaign_loss losses[2 * MEMBERS];
   for (uint32_t i = 0; i < n; i++)
     losses[i] = life_saved_loss(campaign, campaign->scored + i);
-  return mo_store_campaign_save_losses(life->store, campaign->id, (uint32_t)(campaign->generation + 1), losses, n,
-                                       "{}");
+  return mo_store_campaign_save_losses(life->store, campaign->id,
+                                       (uint32_t)(campaign->generation + 1), losses, n, "{}");
 }
 
 static int save_checkpoint(struct life *life, const struct campaign_model *campaign, uint32_t step)
@@ -226,7 +233,8 @@ static int save_checkpoint(struct life *life, const struct campaign_model *campa
   int error;
   for (uint32_t i = 0; i < step; i++)
     steps[i] = life_learned(campaign, generation, i + 1);
-  error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size, steps, step);
+  error = mo_store_campaign_checkpoint(life->store, campaign->id, generation, step, bytes, size,
+                                       steps, step);
   free(bytes);
   return error;
 }
@@ -234,7 +242,8 @@ static int save_checkpoint(struct life *life, const struct campaign_model *campa
 static int commit(struct life *life, const struct campaign_model *campaign, int index)
 {
   const uint32_t number_of = (uint32_t)(campaign->generation + 1);
-  const size_t first = BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + number_of) * MEMBERS;
+  const size_t first =
+      BODIES_OF_CAMPAIGNS + ((size_t)index * GENERATIONS_MAX + number_of) * MEMBERS;
   struct generation generation;
   struct mo_campaign_commit call;
   uint8_t *bytes = NULL;
@@ -281,8 +290,9 @@ static int finish(struct life *life, const struct campaign_model *campaign, uint
   int error;
   put_start(&put, seed);
   snprintf(name, sizeof(name), "campaign-%lld", (long long)campaign->id);
-  error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED, GENERATIONS_MAX, name, put.bytes,
-                                   put.size, campaign->learns ? &put.controller : NULL);
+  error = mo_store_campaign_finish(life->store, campaign->id, MO_CAMPAIGN_COMPLETED,
+                                   GENERATIONS_MAX, name, put.bytes, put.size,
+                                   campaign->learns ? &put.controller : NULL);
   put_end(&put);
   return error;
 }

@@ -1,5 +1,5 @@
-/* campaign_faults.c: a campaign on disks that are full or fail, at every operation of every part of its life: all of a part is there, or
- * nothing of it. */
+/* campaign_faults.c: a campaign on disks that are full or fail, at every operation of every part of
+ * its life: all of a part is there, or nothing of it. */
 #include <errno.h>
 #include <stdatomic.h>
 
@@ -121,7 +121,8 @@ static void has_no_room_for_files(void)
       file_plan.error = ENOSPC;
       error = live_on(&life, part);
       file_plan.error = 0;
-      if (error != MO_OK && error != MO_ERR_NO_SPACE) { /* a folder that cannot even be opened is fatal */
+      if (error != MO_OK &&
+          error != MO_ERR_NO_SPACE) { /* a folder that cannot even be opened is fatal */
         CHECK_INT(error, MO_ERR_IO);
         CHECK_INT(atomic_load(&fatal_calls), 1);
         atomic_store(&fatal_calls, 0);
@@ -153,7 +154,8 @@ static bool has_generation(const struct life *life)
   return has;
 }
 
-/* The disk fails at some operation of a commit: the process ends, and the next one finds all of the generation or nothing. */
+/* The disk fails at some operation of a commit: the process ends, and the next one finds all of the
+ * generation or nothing. */
 static void fails_everywhere(bool at_sync)
 {
   struct life life;
@@ -173,7 +175,8 @@ static void fails_everywhere(bool at_sync)
     error = commit_life(&life);
     atomic_store(&fault_plan.write_error, 0);
     atomic_store(&fault_plan.sync_error, 0);
-    if (error == MO_OK && atomic_load(&fatal_calls) == 0) { /* all its operations came before the fault */
+    if (error == MO_OK &&
+        atomic_load(&fatal_calls) == 0) { /* all its operations came before the fault */
       made_apply(&life.made);
       REQUIRE(made_next(&life.made) == MO_OK);
       at = -step;

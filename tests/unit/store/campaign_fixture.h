@@ -1,4 +1,5 @@
-/* campaign_fixture.h: generations as a runner would commit them, made up: bodies of a stream, scores of a generator. */
+/* campaign_fixture.h: generations as a runner would commit them, made up: bodies of a stream,
+ * scores of a generator. */
 #ifndef MORPHO_TESTS_STORE_CAMPAIGN_FIXTURE_H
 #define MORPHO_TESTS_STORE_CAMPAIGN_FIXTURE_H
 
@@ -10,51 +11,53 @@
 #define MADE_POPULATION   6
 #define MADE_ENVIRONMENTS 3
 
-static inline struct mo_campaign_submission campaign_submission(enum mo_campaign_mode mode, uint32_t population,
-                                                                uint32_t generations)
+static inline struct mo_campaign_submission
+campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t generations)
 {
-  return (struct mo_campaign_submission){.record = {.settings = {.mode = mode,
-                                                                 .seed = UINT64_C(0xFEDCBA9876543210),
-                                                                 .workspace = MO_DEFAULT_WORKSPACE,
-                                                                 .population = population,
-                                                                 .generations = generations,
-                                                                 .mutation_share = 0.25,
-                                                                 .mutation_rate = 0.1,
-                                                                 .mutation_growth = 1.025,
-                                                                 .selection = {MO_SELECT_NOVELTY, 3, 0.3, 5, 7},
-                                                                 .exclude_pretraining = true,
-                                                                 .collapse_share = 0.7,
-                                                                 .parent_steps = 2,
-                                                                 .child_steps = 3,
-                                                                 .batch = 17,
-                                                                 .schedule = {.kind = MO_SCHEDULE_RESTARTS,
-                                                                              .peak = 1e-3,
-                                                                              .floor = 1e-5,
-                                                                              .decay = 0.65,
-                                                                              .cycle_steps = 10,
-                                                                              .cycle_growth = 2,
-                                                                              .warmup_steps = 3},
-                                                                 .beta1 = 0.9,
-                                                                 .beta2 = 0.999,
-                                                                 .epsilon = 1e-8,
-                                                                 .norm_limit = 1,
-                                                                 .adjoint_bound = 2,
-                                                                 .adjoint_rule = MO_ADJOINT_RESTART,
-                                                                 .restart_weight = 2.5,
-                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
-                                                                 .physics = mo_default_physics()},
-                                                    .name = "walker",
-                                                    .preset = "demo",
-                                                    .environment_set = "paper-test",
-                                                    .replicates = 1,
-                                                    .checkpoint_every_s = 30},
-                                         .controller = mode == MO_SIMULTANEOUS ? NULL : "default",
-                                         .priority = MO_BATCH,
-                                         .weight = 1,
-                                         .label = "a label"};
+  return (struct mo_campaign_submission){
+      .record = {.settings = {.mode = mode,
+                              .seed = UINT64_C(0xFEDCBA9876543210),
+                              .workspace = MO_DEFAULT_WORKSPACE,
+                              .population = population,
+                              .generations = generations,
+                              .mutation_share = 0.25,
+                              .mutation_rate = 0.1,
+                              .mutation_growth = 1.025,
+                              .selection = {MO_SELECT_NOVELTY, 3, 0.3, 5, 7},
+                              .exclude_pretraining = true,
+                              .collapse_share = 0.7,
+                              .parent_steps = 2,
+                              .child_steps = 3,
+                              .batch = 17,
+                              .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                                           .peak = 1e-3,
+                                           .floor = 1e-5,
+                                           .decay = 0.65,
+                                           .cycle_steps = 10,
+                                           .cycle_growth = 2,
+                                           .warmup_steps = 3},
+                              .beta1 = 0.9,
+                              .beta2 = 0.999,
+                              .epsilon = 1e-8,
+                              .norm_limit = 1,
+                              .adjoint_bound = 2,
+                              .adjoint_rule = MO_ADJOINT_RESTART,
+                              .restart_weight = 2.5,
+                              .sensor = MO_SENSOR_INVERSE_SQUARE,
+                              .physics = mo_default_physics()},
+                 .name = "walker",
+                 .preset = "demo",
+                 .environment_set = "paper-test",
+                 .replicates = 1,
+                 .checkpoint_every_s = 30},
+      .controller = mode == MO_SIMULTANEOUS ? NULL : "default",
+      .priority = MO_BATCH,
+      .weight = 1,
+      .label = "a label"};
 }
 
-static inline int64_t campaign_submit(struct fixture *fixture, const struct mo_campaign_submission *submission)
+static inline int64_t campaign_submit(struct fixture *fixture,
+                                      const struct mo_campaign_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;
@@ -126,8 +129,8 @@ static inline void made_free(struct made *made)
   free(made->losses);
 }
 
-static inline int made_start(struct made *made, struct mo_store *store, int64_t id, enum mo_campaign_mode mode,
-                             uint32_t population, uint64_t seed)
+static inline int made_start(struct made *made, struct mo_store *store, int64_t id,
+                             enum mo_campaign_mode mode, uint32_t population, uint64_t seed)
 {
   size_t n = population;
   *made = (struct made){.store = store,
@@ -148,9 +151,10 @@ static inline int made_start(struct made *made, struct mo_store *store, int64_t 
   made->parent_scores = calloc(n, sizeof(*made->parent_scores));
   made->survivors = calloc(2 * n, sizeof(*made->survivors));
   made->losses = calloc(n, sizeof(*made->losses));
-  if (made->numbers == NULL || made->genotypes == NULL || made->scores == NULL || made->births == NULL ||
-      made->forms == NULL || made->children == NULL || made->sizes == NULL || made->child_scores == NULL ||
-      made->parent_scores == NULL || made->survivors == NULL || made->losses == NULL)
+  if (made->numbers == NULL || made->genotypes == NULL || made->scores == NULL ||
+      made->births == NULL || made->forms == NULL || made->children == NULL ||
+      made->sizes == NULL || made->child_scores == NULL || made->parent_scores == NULL ||
+      made->survivors == NULL || made->losses == NULL)
     return MO_ERR_NO_MEMORY;
   if (mo_store_fingerprint(store, "by hand", &made->fingerprint) != MO_OK)
     return MO_ERR_IO;
@@ -163,7 +167,8 @@ static inline double made_score_of(const struct made *made, uint32_t place)
   return place < n_parents ? made->parent_scores[place] : made->child_scores[place - n_parents];
 }
 
-/* Draws the next generation into made->commit: as many children as the population, one of which diverges. */
+/* Draws the next generation into made->commit: as many children as the population, one of which
+ * diverges. */
 static inline int made_next(struct made *made)
 {
   uint32_t n = made->population, n_parents = made->generation < 0 ? 0 : made->n, n_all;
@@ -178,12 +183,16 @@ static inline int made_next(struct made *made)
       return error;
     mo_genotype_place(MO_DEFAULT_WORKSPACE, made->children[i].words);
     mo_genotype_canonical(MO_DEFAULT_WORKSPACE, made->children[i].words, made->forms[i].words);
-    made->sizes[i] = (struct mo_design_size){mo_genotype_count(MO_DEFAULT_WORKSPACE, made->children[i].words),
-                                             i % 36 + 1, 100 + i % 100, 1000 + i % 1000};
-    made->births[i] = (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}};
+    made->sizes[i] =
+        (struct mo_design_size){mo_genotype_count(MO_DEFAULT_WORKSPACE, made->children[i].words),
+                                i % 36 + 1, 100 + i % 100, 1000 + i % 1000};
+    made->births[i] =
+        (struct mo_birth){.op = MO_BORN_RANDOM, .parents = {MO_NO_PARENT, MO_NO_PARENT}};
     if (n_parents > 0)
-      made->births[i] = i % 4 == 0 ? (struct mo_birth){MO_BORN_MUTATION, {i % n_parents, MO_NO_PARENT}, 1}
-                                   : (struct mo_birth){MO_BORN_CROSSOVER, {i % n_parents, (i + 1) % n_parents}, 2};
+      made->births[i] =
+          i % 4 == 0
+              ? (struct mo_birth){MO_BORN_MUTATION, {i % n_parents, MO_NO_PARENT}, 1}
+              : (struct mo_birth){MO_BORN_CROSSOVER, {i % n_parents, (i + 1) % n_parents}, 2};
     made->losses[i].place = i;
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++) {
       made->losses[i].losses[k] = i == 3 ? INFINITY : made_number(made);
@@ -192,23 +201,24 @@ static inline int made_next(struct made *made)
     }
     made->child_scores[i] = sum / MO_PAPER_TEST_COUNT;
   }
-  made->commit = (struct mo_campaign_commit){.row = {.generation = generation,
-                                                     .born_before = made->n_designs,
-                                                     .n_children = n,
-                                                     .stats = {.n = n, .diversity = 0.25 - 0.01 * generation},
-                                                     .mean_parents = NAN,
-                                                     .mean_children = 0.5 + generation,
-                                                     .seconds = 1.5},
-                                             .births = made->births,
-                                             .forms = made->forms,
-                                             .genotypes = made->children,
-                                             .sizes = made->sizes,
-                                             .child_scores = made->child_scores,
-                                             .parent_numbers = made->numbers,
-                                             .parent_scores = made->parent_scores,
-                                             .n_parents = n_parents,
-                                             .survivors = made->survivors,
-                                             .fingerprint = made->fingerprint};
+  made->commit =
+      (struct mo_campaign_commit){.row = {.generation = generation,
+                                          .born_before = made->n_designs,
+                                          .n_children = n,
+                                          .stats = {.n = n, .diversity = 0.25 - 0.01 * generation},
+                                          .mean_parents = NAN,
+                                          .mean_children = 0.5 + generation,
+                                          .seconds = 1.5},
+                                  .births = made->births,
+                                  .forms = made->forms,
+                                  .genotypes = made->children,
+                                  .sizes = made->sizes,
+                                  .child_scores = made->child_scores,
+                                  .parent_numbers = made->numbers,
+                                  .parent_scores = made->parent_scores,
+                                  .n_parents = n_parents,
+                                  .survivors = made->survivors,
+                                  .fingerprint = made->fingerprint};
   n_all = n_parents + n;
   for (uint32_t i = 0; i < n_all; i++) { /* insertion by score; the older first */
     uint32_t at = i;
@@ -224,12 +234,14 @@ static inline int made_next(struct made *made)
     made->commit.n_losses = n;
   } else {
     for (uint32_t s = 0; s < 2; s++)
-      made->steps[s] = (struct mo_campaign_step){
-          .generation = generation,
-          .step = s + 1,
-          .on_children = s == 1,
-          .report = {.step = 2 * generation + s + 1, .mean_loss = made_number(made), .rate = 1e-3, .diverged = s},
-          .seconds = 0.5};
+      made->steps[s] = (struct mo_campaign_step){.generation = generation,
+                                                 .step = s + 1,
+                                                 .on_children = s == 1,
+                                                 .report = {.step = 2 * generation + s + 1,
+                                                            .mean_loss = made_number(made),
+                                                            .rate = 1e-3,
+                                                            .diverged = s},
+                                                 .seconds = 0.5};
     made->commit.steps = made->steps;
     made->commit.n_steps = 2;
   }
@@ -247,7 +259,8 @@ static inline void made_apply(struct made *made)
   for (uint32_t i = 0; i < n && genotypes != NULL && numbers != NULL && scores != NULL; i++) {
     uint32_t place = made->survivors[i];
     genotypes[i] = place < n_parents ? made->genotypes[place] : made->children[place - n_parents];
-    numbers[i] = place < n_parents ? made->numbers[place] : (uint32_t)made->n_designs + place - n_parents;
+    numbers[i] =
+        place < n_parents ? made->numbers[place] : (uint32_t)made->n_designs + place - n_parents;
     scores[i] = made_score_of(made, place);
   }
   free(made->genotypes);

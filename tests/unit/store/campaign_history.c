@@ -15,7 +15,8 @@ struct model {
 static void remember(struct model *model, const struct made *made)
 {
   const struct mo_campaign_commit *commit = &made->commit;
-  uint32_t g = commit->row.generation, first = (uint32_t)commit->row.born_before, n_parents = commit->n_parents;
+  uint32_t g = commit->row.generation, first = (uint32_t)commit->row.born_before,
+           n_parents = commit->n_parents;
   for (uint32_t i = 0; i < commit->row.n_children; i++) {
     struct mo_campaign_design *design = &model->designs[first + i];
     *design = (struct mo_campaign_design){.number = first + i,
@@ -48,9 +49,11 @@ static bool same_design(const struct mo_campaign_design *a, const struct mo_camp
 {
   return a->number == b->number && memcmp(&a->form, &b->form, sizeof(a->form)) == 0 &&
          memcmp(&a->genotype, &b->genotype, sizeof(a->genotype)) == 0 &&
-         a->descent.parents[0] == b->descent.parents[0] && a->descent.parents[1] == b->descent.parents[1] &&
-         a->descent.op == b->descent.op && a->born == b->born && a->died == b->died &&
-         memcmp(&a->score, &b->score, sizeof(a->score)) == 0 && memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
+         a->descent.parents[0] == b->descent.parents[0] &&
+         a->descent.parents[1] == b->descent.parents[1] && a->descent.op == b->descent.op &&
+         a->born == b->born && a->died == b->died &&
+         memcmp(&a->score, &b->score, sizeof(a->score)) == 0 &&
+         memcmp(&a->size, &b->size, sizeof(a->size)) == 0;
 }
 
 static void check_designs(struct fixture *fixture, int64_t id, const struct model *model)
@@ -66,7 +69,8 @@ static void check_designs(struct fixture *fixture, int64_t id, const struct mode
   CHECK_INT(mo_store_campaign_designs_of(fixture->store, id, some, 5, page), MO_OK);
   for (int i = 0; i < 5; i++)
     CHECK(same_design(&page[i], &model->designs[some[i]]));
-  CHECK_INT(mo_store_campaign_designs_of(fixture->store, id, (const uint32_t[]){1, BORN}, 2, page), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_designs_of(fixture->store, id, (const uint32_t[]){1, BORN}, 2, page),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_designs_of(fixture->store, 99, some, 1, page), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_designs(fixture->store, 99, -1, page, 7), 0);
   CHECK_INT(mo_store_campaign_designs(fixture->store, id, -1, page, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
@@ -78,7 +82,8 @@ static void check_populations(struct fixture *fixture, int64_t id, const struct 
   uint32_t n = 0;
   for (int64_t g = -1; g <= UNTIL; g++) {
     int64_t at = g < 0 ? UNTIL : g;
-    CHECK_INT(mo_store_campaign_population(fixture->store, id, g, 0, page, MADE_POPULATION, &n), MADE_POPULATION);
+    CHECK_INT(mo_store_campaign_population(fixture->store, id, g, 0, page, MADE_POPULATION, &n),
+              MADE_POPULATION);
     CHECK_INT(n, MADE_POPULATION);
     for (uint32_t i = 0; i < MADE_POPULATION; i++) {
       expected = model->designs[model->population[at][i]];
@@ -87,11 +92,14 @@ static void check_populations(struct fixture *fixture, int64_t id, const struct 
     }
   }
   CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, 2, page, 2, &n), 2);
-  CHECK(n == MADE_POPULATION && page[0].number == model->population[3][2] && page[1].number == model->population[3][3]);
+  CHECK(n == MADE_POPULATION && page[0].number == model->population[3][2] &&
+        page[1].number == model->population[3][3]);
   CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, MADE_POPULATION, page, 2, &n), 0);
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, UNTIL + 1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_campaign_population(fixture->store, id, UNTIL + 1, 0, page, 2, &n),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_campaign_population(fixture->store, 99, -1, 0, page, 2, &n), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, 0, page, MO_PAGE_MAX + 1, &n), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaign_population(fixture->store, id, 3, 0, page, MO_PAGE_MAX + 1, &n),
+            MO_ERR_LIMIT);
 }
 
 static void check_descents(struct fixture *fixture, int64_t id, const struct model *model)
@@ -123,7 +131,8 @@ static int take(void *context, const struct mo_bits *genotype)
   struct taken *taken = context;
   if (taken->n == taken->until)
     return 42;
-  taken->same = taken->same && memcmp(genotype, &taken->model->designs[taken->n++].genotype, sizeof(*genotype)) == 0;
+  taken->same = taken->same && memcmp(genotype, &taken->model->designs[taken->n++].genotype,
+                                      sizeof(*genotype)) == 0;
   return 0;
 }
 
@@ -190,7 +199,8 @@ static void finds_where_a_form_was_born(void)
   for (int i = 0; i < 3; i++) {
     ids[i] = campaign_submit(&fixture, &submission);
     REQUIRE(mo_store_campaign_start(fixture.store, ids[i]) == MO_OK);
-    REQUIRE(made_start(&made[i], fixture.store, ids[i], MO_ZERO_SHOT, MADE_POPULATION, i == 1 ? 8 : 9) == MO_OK);
+    REQUIRE(made_start(&made[i], fixture.store, ids[i], MO_ZERO_SHOT, MADE_POPULATION,
+                       i == 1 ? 8 : 9) == MO_OK);
     REQUIRE(made_next(&made[i]) == MO_OK);
     if (i == 2) { /* the same body, turned */
       mo_genotype_image(MO_DEFAULT_WORKSPACE, made[i].children[4].words, 1, turned.words);
@@ -202,13 +212,15 @@ static void finds_where_a_form_was_born(void)
     REQUIRE(mo_store_campaign_commit(fixture.store, ids[i], &made[i].commit) == MO_OK);
   }
   CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, 4), 2);
-  CHECK(places[0].campaign == ids[0] && places[0].number == 4 && places[1].campaign == ids[2] && places[1].number == 4);
+  CHECK(places[0].campaign == ids[0] && places[0].number == 4 && places[1].campaign == ids[2] &&
+        places[1].number == 4);
   CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, 1), 1);
   CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, ids[0], places, 4), 1);
   CHECK_INT(places[0].campaign, ids[2]);
   CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, ids[2], places, 4), 0);
   CHECK_INT(mo_store_campaigns_of_design(fixture.store, &nowhere, 0, places, 4), 0);
-  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, MO_PAGE_MAX + 1), MO_ERR_LIMIT);
+  CHECK_INT(mo_store_campaigns_of_design(fixture.store, &form, 0, places, MO_PAGE_MAX + 1),
+            MO_ERR_LIMIT);
   for (int i = 0; i < 3; i++)
     made_free(&made[i]);
   fixture_end(&fixture);

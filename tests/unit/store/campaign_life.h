@@ -1,4 +1,5 @@
-/* campaign_life.h: a campaign's life in the store, in parts that can fail, and all that is stored as a number. */
+/* campaign_life.h: a campaign's life in the store, in parts that can fail, and all that is stored
+ * as a number. */
 #ifndef MORPHO_TESTS_STORE_CAMPAIGN_LIFE_H
 #define MORPHO_TESTS_STORE_CAMPAIGN_LIFE_H
 
@@ -88,14 +89,17 @@ static inline int commit_life(struct life *life)
   life->made.commit.collapse_data = "{}";
   life->made.commit.steps = life->made.steps;
   life->made.commit.n_steps = 1;
-  life->made.steps[0] = (struct mo_campaign_step){.generation = life->made.commit.row.generation, .step = 1};
+  life->made.steps[0] =
+      (struct mo_campaign_step){.generation = life->made.commit.row.generation, .step = 1};
   return mo_store_campaign_commit(life->fixture.store, life->id, &life->made.commit);
 }
 
 /* What a part needs that cannot fail. */
 static inline int prepare_life(struct life *life, int part)
 {
-  return part == SAVE_LOSSES || part == SECOND_CHECKPOINT || part == THIRD_COMMIT ? made_next(&life->made) : MO_OK;
+  return part == SAVE_LOSSES || part == SECOND_CHECKPOINT || part == THIRD_COMMIT
+             ? made_next(&life->made)
+             : MO_OK;
 }
 
 static inline int live_on(struct life *life, int part)
@@ -114,18 +118,23 @@ static inline int live_on(struct life *life, int part)
     return mo_store_submit_campaign(store, &submission, &life->id, &replayed);
   case START:
   case START_AGAIN: return mo_store_campaign_start(store, life->id);
-  case SAVE_LOSSES: return mo_store_campaign_save_losses(store, life->id, 0, life->made.losses, 4, "{}");
-  case CHECKPOINT: return mo_store_campaign_checkpoint(store, life->id, 0, 1, (const uint8_t *)"state", 5, NULL, 0);
+  case SAVE_LOSSES:
+    return mo_store_campaign_save_losses(store, life->id, 0, life->made.losses, 4, "{}");
+  case CHECKPOINT:
+    return mo_store_campaign_checkpoint(store, life->id, 0, 1, (const uint8_t *)"state", 5, NULL,
+                                        0);
   case SECOND_CHECKPOINT:
-    return mo_store_campaign_checkpoint(store, life->id, 1, 1, (const uint8_t *)"state", 5, NULL, 0);
+    return mo_store_campaign_checkpoint(store, life->id, 1, 1, (const uint8_t *)"state", 5, NULL,
+                                        0);
   case FIRST_COMMIT:
   case SECOND_COMMIT:
   case THIRD_COMMIT: return commit_life(life);
-  case PARK: return mo_store_campaign_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
+  case PARK:
+    return mo_store_campaign_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &state);
   case EXTEND: return mo_store_extend_campaign(store, life->id, 3, NULL, &state);
   default:
-    return mo_store_campaign_finish(store, life->id, MO_CAMPAIGN_COMPLETED, 4, "walker", life->weights, life->size,
-                                    life->controller);
+    return mo_store_campaign_finish(store, life->id, MO_CAMPAIGN_COMPLETED, 4, "walker",
+                                    life->weights, life->size, life->controller);
   }
 }
 
@@ -176,7 +185,8 @@ static inline uint64_t files_digest(const struct life *life, uint64_t hash)
   return mix(hash, &sum, sizeof(sum));
 }
 
-/* Every row of every table but `meta`, which counts openings, and the names of the campaign's files. */
+/* Every row of every table but `meta`, which counts openings, and the names of the campaign's
+ * files. */
 static inline uint64_t digest(const struct life *life)
 {
   char path[512];
@@ -186,7 +196,8 @@ static inline uint64_t digest(const struct life *life)
   snprintf(path, sizeof(path), "%s/morphod.db", life->fixture.path);
   if (sqlite3_open_v2(path, &db, SQLITE_OPEN_READONLY, NULL) == SQLITE_OK &&
       sqlite3_prepare_v2(db,
-                         "SELECT name FROM sqlite_schema WHERE type='table' AND name NOT IN ('meta','sqlite_sequence')"
+                         "SELECT name FROM sqlite_schema WHERE type='table' AND name NOT IN "
+                         "('meta','sqlite_sequence')"
                          " AND name NOT LIKE 'sqlite_stat%' ORDER BY name",
                          -1, &tables, NULL) == SQLITE_OK)
     while (sqlite3_step(tables) == SQLITE_ROW)

@@ -1,4 +1,5 @@
-/* campaign_matches.c: is a campaign in the store what the model says: every generation that was committed, whole, and no other? */
+/* campaign_matches.c: is a campaign in the store what the model says: every generation that was
+ * committed, whole, and no other? */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,8 +20,8 @@ struct lived {
 };
 
 /* Everybody who was ever born, and every population on the way. */
-static bool populations_match(const struct life *life, const struct campaign_model *campaign, struct lived *lived,
-                              char text[300])
+static bool populations_match(const struct life *life, const struct campaign_model *campaign,
+                              struct lived *lived, char text[300])
 {
   struct generation generation = {0};
   struct population before = {0};
@@ -45,17 +46,21 @@ static bool populations_match(const struct life *life, const struct campaign_mod
     for (uint32_t i = 0; i < before.n + MEMBERS; i++)
       if (!lives[i])
         lived[i < before.n ? before.numbers[i] : g * MEMBERS + i - before.n].died = g;
-    if (mo_store_campaign_generations(life->store, campaign->id, (int64_t)g - 1, &row, 1) != 1 || row.generation != g ||
-        row.born_before != (uint64_t)g * MEMBERS || row.n_children != MEMBERS || row.mean_children != 0.5 + g ||
-        row.stats.diversity != 0.25)
-      return life_differs(text, "generation %u of campaign %lld", (unsigned)g, (long long)campaign->id);
-    if (mo_store_campaign_population(life->store, campaign->id, g, 0, rows, MEMBERS, &n) != MEMBERS || n != MEMBERS)
+    if (mo_store_campaign_generations(life->store, campaign->id, (int64_t)g - 1, &row, 1) != 1 ||
+        row.generation != g || row.born_before != (uint64_t)g * MEMBERS ||
+        row.n_children != MEMBERS || row.mean_children != 0.5 + g || row.stats.diversity != 0.25)
+      return life_differs(text, "generation %u of campaign %lld", (unsigned)g,
+                          (long long)campaign->id);
+    if (mo_store_campaign_population(life->store, campaign->id, g, 0, rows, MEMBERS, &n) !=
+            MEMBERS ||
+        n != MEMBERS)
       return life_differs(text, "the population of generation %u of campaign %lld", (unsigned)g,
                           (long long)campaign->id);
     for (uint32_t i = 0; i < MEMBERS; i++)
-      if (rows[i].number != generation.after.numbers[i] || !same_double(rows[i].score, generation.after.scores[i]))
-        return life_differs(text, "member %u of generation %u of campaign %lld", (unsigned)i, (unsigned)g,
-                            (long long)campaign->id);
+      if (rows[i].number != generation.after.numbers[i] ||
+          !same_double(rows[i].score, generation.after.scores[i]))
+        return life_differs(text, "member %u of generation %u of campaign %lld", (unsigned)i,
+                            (unsigned)g, (long long)campaign->id);
     before = generation.after;
   }
   return true;
@@ -66,60 +71,73 @@ static bool designs_match(const struct life *life, const struct campaign_model *
 {
   struct mo_campaign_design rows[GENERATIONS_MAX * MEMBERS];
   const int64_t expected = MEMBERS * (campaign->generation + 1);
-  const int64_t n = mo_store_campaign_designs(life->store, campaign->id, -1, rows, GENERATIONS_MAX * MEMBERS);
+  const int64_t n =
+      mo_store_campaign_designs(life->store, campaign->id, -1, rows, GENERATIONS_MAX * MEMBERS);
   const size_t first = BODIES_OF_CAMPAIGNS + (size_t)index * GENERATIONS_MAX * MEMBERS;
   if (n != expected)
-    return life_differs(text, "campaign %lld has %lld designs, not %lld", (long long)campaign->id, (long long)n,
-                        (long long)expected);
+    return life_differs(text, "campaign %lld has %lld designs, not %lld", (long long)campaign->id,
+                        (long long)n, (long long)expected);
   for (int64_t i = 0; i < n; i++)
     if (rows[i].number != i ||
-        memcmp(&rows[i].genotype, &life->genotypes[first + (size_t)i], sizeof(struct mo_bits)) != 0 ||
+        memcmp(&rows[i].genotype, &life->genotypes[first + (size_t)i], sizeof(struct mo_bits)) !=
+            0 ||
         memcmp(&rows[i].form, &life->forms[first + (size_t)i], sizeof(struct mo_bits)) != 0 ||
-        rows[i].descent.op != lived[i].descent.op || rows[i].descent.parents[0] != lived[i].descent.parents[0] ||
-        rows[i].descent.parents[1] != lived[i].descent.parents[1] || rows[i].born != lived[i].born ||
-        rows[i].died != lived[i].died || !same_double(rows[i].score, lived[i].score) ||
+        rows[i].descent.op != lived[i].descent.op ||
+        rows[i].descent.parents[0] != lived[i].descent.parents[0] ||
+        rows[i].descent.parents[1] != lived[i].descent.parents[1] ||
+        rows[i].born != lived[i].born || rows[i].died != lived[i].died ||
+        !same_double(rows[i].score, lived[i].score) ||
         rows[i].size.springs != 1000 + (uint32_t)i % MEMBERS)
-      return life_differs(text, "design %lld of campaign %lld", (long long)i, (long long)campaign->id);
+      return life_differs(text, "design %lld of campaign %lld", (long long)i,
+                          (long long)campaign->id);
   return true;
 }
 
 /* What is saved of the generation under way. */
-static bool losses_match(const struct life *life, const struct campaign_model *campaign, char text[300])
+static bool losses_match(const struct life *life, const struct campaign_model *campaign,
+                         char text[300])
 {
   struct mo_campaign_loss *losses = NULL;
   size_t n = 0;
-  const int error =
-      mo_store_campaign_losses(life->store, campaign->id, (uint32_t)(campaign->generation + 1), &losses, &n);
+  const int error = mo_store_campaign_losses(life->store, campaign->id,
+                                             (uint32_t)(campaign->generation + 1), &losses, &n);
   bool same = error == MO_OK && n == campaign->scored;
   for (uint32_t i = 0; same && i < n; i++) {
     const struct mo_campaign_loss loss = life_saved_loss(campaign, i);
-    same = losses[i].place == i && memcmp(losses[i].losses, loss.losses, MO_PAPER_TEST_COUNT * sizeof(double)) == 0 &&
-           memcmp(losses[i].diverged_steps, loss.diverged_steps, MO_PAPER_TEST_COUNT * sizeof(int32_t)) == 0;
+    same = losses[i].place == i &&
+           memcmp(losses[i].losses, loss.losses, MO_PAPER_TEST_COUNT * sizeof(double)) == 0 &&
+           memcmp(losses[i].diverged_steps, loss.diverged_steps,
+                  MO_PAPER_TEST_COUNT * sizeof(int32_t)) == 0;
   }
   if (error == MO_OK)
     free(losses);
-  return same || life_differs(text, "losses of campaign %lld: error %d, %zu, not %u", (long long)campaign->id, error, n,
-                              (unsigned)campaign->scored);
+  return same || life_differs(text, "losses of campaign %lld: error %d, %zu, not %u",
+                              (long long)campaign->id, error, n, (unsigned)campaign->scored);
 }
 
-static bool steps_match(const struct life *life, const struct campaign_model *campaign, char text[300])
+static bool steps_match(const struct life *life, const struct campaign_model *campaign,
+                        char text[300])
 {
   struct mo_campaign_step rows[(GENERATIONS_MAX + 1) * LEARNING];
-  const int64_t expected = campaign->learns ? LEARNING * (campaign->generation + 1) + campaign->inside : 0;
-  const int64_t n = mo_store_campaign_steps(life->store, campaign->id, -1, 0, rows, (GENERATIONS_MAX + 1) * LEARNING);
+  const int64_t expected =
+      campaign->learns ? LEARNING * (campaign->generation + 1) + campaign->inside : 0;
+  const int64_t n = mo_store_campaign_steps(life->store, campaign->id, -1, 0, rows,
+                                            (GENERATIONS_MAX + 1) * LEARNING);
   bool same = n == expected;
   for (int64_t i = 0; same && i < n; i++) {
-    const struct mo_campaign_step step = life_learned(campaign, (uint32_t)(i / LEARNING), (uint32_t)(i % LEARNING) + 1);
+    const struct mo_campaign_step step =
+        life_learned(campaign, (uint32_t)(i / LEARNING), (uint32_t)(i % LEARNING) + 1);
     same = rows[i].generation == step.generation && rows[i].step == step.step &&
-           rows[i].on_children == step.on_children && same_double(rows[i].report.mean_loss, step.report.mean_loss);
+           rows[i].on_children == step.on_children &&
+           same_double(rows[i].report.mean_loss, step.report.mean_loss);
   }
-  return same || life_differs(text, "campaign %lld learned %lld steps, not %lld, or others", (long long)campaign->id,
-                              (long long)n, (long long)expected);
+  return same || life_differs(text, "campaign %lld learned %lld steps, not %lld, or others",
+                              (long long)campaign->id, (long long)n, (long long)expected);
 }
 
 /* The bytes are those of a generation and step; generation −1: there are none. */
-static bool state_is(const struct campaign_model *campaign, int error, const uint8_t *bytes, size_t size,
-                     int64_t generation, uint32_t step)
+static bool state_is(const struct campaign_model *campaign, int error, const uint8_t *bytes,
+                     size_t size, int64_t generation, uint32_t step)
 {
   uint8_t *expected = NULL;
   size_t expected_size;
@@ -132,34 +150,43 @@ static bool state_is(const struct campaign_model *campaign, int error, const uin
   return same;
 }
 
-static bool checkpoints_match(const struct life *life, const struct campaign_model *campaign, char text[300])
+static bool checkpoints_match(const struct life *life, const struct campaign_model *campaign,
+                              char text[300])
 {
   const bool inside = campaign->inside > 0;
-  const int64_t newest = inside ? campaign->generation + 1 : campaign->learns ? campaign->generation : -1;
+  const int64_t newest = inside             ? campaign->generation + 1
+                         : campaign->learns ? campaign->generation
+                                            : -1;
   const uint32_t files = life_files(life, "campaigns", campaign->id);
   const uint32_t expected = (campaign->learns && campaign->generation >= 0) + inside;
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t generation = 0, step = 0;
-  int error = mo_store_campaign_checkpoint_bytes(life->store, campaign->id, &generation, &step, &bytes, &size);
-  bool same = state_is(campaign, error, bytes, size, newest, inside ? campaign->inside : LEARNING) &&
-              (newest < 0 || (generation == newest && step == (inside ? campaign->inside : LEARNING)));
+  int error = mo_store_campaign_checkpoint_bytes(life->store, campaign->id, &generation, &step,
+                                                 &bytes, &size);
+  bool same =
+      state_is(campaign, error, bytes, size, newest, inside ? campaign->inside : LEARNING) &&
+      (newest < 0 || (generation == newest && step == (inside ? campaign->inside : LEARNING)));
   if (error == MO_OK)
     free(bytes);
   if (same && campaign->generation >= 0) {
-    error = mo_store_campaign_checkpoint_of(life->store, campaign->id, (uint32_t)campaign->generation, &step, &bytes,
-                                            &size);
-    same = state_is(campaign, error, bytes, size, campaign->learns ? campaign->generation : -1, LEARNING);
+    error = mo_store_campaign_checkpoint_of(life->store, campaign->id,
+                                            (uint32_t)campaign->generation, &step, &bytes, &size);
+    same = state_is(campaign, error, bytes, size, campaign->learns ? campaign->generation : -1,
+                    LEARNING);
     if (error == MO_OK)
       free(bytes);
   }
   if (!same)
-    return life_differs(text, "a checkpoint of campaign %lld: error %d", (long long)campaign->id, error);
-  return files == expected || life_differs(text, "campaign %lld has %u files for %u checkpoints",
-                                           (long long)campaign->id, (unsigned)files, (unsigned)expected);
+    return life_differs(text, "a checkpoint of campaign %lld: error %d", (long long)campaign->id,
+                        error);
+  return files == expected ||
+         life_differs(text, "campaign %lld has %u files for %u checkpoints",
+                      (long long)campaign->id, (unsigned)files, (unsigned)expected);
 }
 
-bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index, char text[300])
+bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index,
+                      char text[300])
 {
   static struct mo_campaign_status status;
   struct lived lived[GENERATIONS_MAX * MEMBERS];
@@ -168,12 +195,15 @@ bool campaign_matches(const struct life *life, const struct campaign_model *camp
     return life_differs(text, "campaign %lld: error %d", (long long)campaign->id, error);
   if (status.job.state != campaign->state || status.job.attempts != campaign->attempts ||
       status.generation != campaign->generation ||
-      status.n_designs != (uint64_t)(MEMBERS * (campaign->generation + 1)) || status.scored != campaign->scored ||
-      status.has_result != (campaign->result >= 0) || status.record.settings.seed != campaign->seed)
-    return life_differs(text, "campaign %lld: state %d, attempts %u, generation %lld, %llu designs, %u scored",
-                        (long long)campaign->id, (int)status.job.state, (unsigned)status.job.attempts,
-                        (long long)status.generation, (unsigned long long)status.n_designs, (unsigned)status.scored);
-  return populations_match(life, campaign, lived, text) && designs_match(life, campaign, index, lived, text) &&
-         losses_match(life, campaign, text) && steps_match(life, campaign, text) &&
-         checkpoints_match(life, campaign, text);
+      status.n_designs != (uint64_t)(MEMBERS * (campaign->generation + 1)) ||
+      status.scored != campaign->scored || status.has_result != (campaign->result >= 0) ||
+      status.record.settings.seed != campaign->seed)
+    return life_differs(
+        text, "campaign %lld: state %d, attempts %u, generation %lld, %llu designs, %u scored",
+        (long long)campaign->id, (int)status.job.state, (unsigned)status.job.attempts,
+        (long long)status.generation, (unsigned long long)status.n_designs,
+        (unsigned)status.scored);
+  return populations_match(life, campaign, lived, text) &&
+         designs_match(life, campaign, index, lived, text) && losses_match(life, campaign, text) &&
+         steps_match(life, campaign, text) && checkpoints_match(life, campaign, text);
 }

@@ -1,5 +1,6 @@
-/* campaign_memory.c: memory runs out at every allocation of every part of a campaign's life, ours and SQLite's: all of a part is there,
- * or nothing of it, and nothing is left behind (the address sanitizer looks). */
+/* campaign_memory.c: memory runs out at every allocation of every part of a campaign's life, ours
+ * and SQLite's: all of a part is there, or nothing of it, and nothing is left behind (the address
+ * sanitizer looks). */
 #include "../check.h"
 #include "campaign_life.h"
 #include "store/trainings.h"
@@ -13,7 +14,8 @@ void *__wrap_malloc(size_t size);
 void *__wrap_calloc(size_t count, size_t size);
 void *__wrap_realloc(void *old, size_t size);
 
-/* So many allocations succeed before all fail; negative: none fails. The store's threads allocate, too. */
+/* So many allocations succeed before all fail; negative: none fails. The store's threads allocate,
+ * too. */
 static atomic_long left = -1;
 
 static bool fails(void)

@@ -1,4 +1,5 @@
-/* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on. */
+/* campaigns.c: what the store keeps of campaigns: what was asked for, how they wait, end and go on.
+ */
 #include "../check.h"
 #include "campaign_fixture.h"
 #include "store/encode.h"
@@ -9,7 +10,8 @@ static bool same_bits(double a, double b)
   return memcmp(&a, &b, sizeof(a)) == 0;
 }
 
-static bool same_settings(const struct mo_campaign_settings *a, const struct mo_campaign_settings *b)
+static bool same_settings(const struct mo_campaign_settings *a,
+                          const struct mo_campaign_settings *b)
 {
   uint8_t first[MO_CAMPAIGN_BYTES], second[MO_CAMPAIGN_BYTES];
   mo_encode_campaign(a, first);
@@ -29,15 +31,21 @@ static void encodes_every_setting(void)
   mo_encode_campaign(&settings, bytes);
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_OK);
   CHECK_INT(back.mode, MO_FEW_SHOT);
-  CHECK(back.seed == settings.seed && back.workspace.nx == 6 && back.workspace.ny == 6 && back.workspace.nz == 4);
+  CHECK(back.seed == settings.seed && back.workspace.nx == 6 && back.workspace.ny == 6 &&
+        back.workspace.nz == 4);
   CHECK(back.population == 64 && back.generations == 30 && back.mutation_share == 0.25);
-  CHECK(back.mutation_rate == 0.1 && back.mutation_growth == 1.025 && back.selection.kind == MO_SELECT_NOVELTY);
+  CHECK(back.mutation_rate == 0.1 && back.mutation_growth == 1.025 &&
+        back.selection.kind == MO_SELECT_NOVELTY);
   CHECK(back.selection.tournament_size == 3 && back.selection.novelty_weight == 0.3);
   CHECK(back.selection.n_layers == 5 && back.selection.age_gap == 7 && back.exclude_pretraining);
-  CHECK(same_bits(back.collapse_share, -0.0) && back.parent_steps == 2 && back.child_steps == 3 && back.batch == 17);
-  CHECK(back.schedule.kind == MO_SCHEDULE_RESTARTS && back.schedule.peak == 1e-3 && back.schedule.floor == 1e-5);
-  CHECK(back.schedule.decay == 0.65 && back.schedule.cycle_steps == 10 && back.schedule.cycle_growth == 2);
-  CHECK(back.schedule.warmup_steps == 3 && back.beta1 == 0.9 && back.beta2 == 0.999 && back.epsilon == 1e-8);
+  CHECK(same_bits(back.collapse_share, -0.0) && back.parent_steps == 2 && back.child_steps == 3 &&
+        back.batch == 17);
+  CHECK(back.schedule.kind == MO_SCHEDULE_RESTARTS && back.schedule.peak == 1e-3 &&
+        back.schedule.floor == 1e-5);
+  CHECK(back.schedule.decay == 0.65 && back.schedule.cycle_steps == 10 &&
+        back.schedule.cycle_growth == 2);
+  CHECK(back.schedule.warmup_steps == 3 && back.beta1 == 0.9 && back.beta2 == 0.999 &&
+        back.epsilon == 1e-8);
   CHECK(back.norm_limit == 1 && back.adjoint_bound == 2 && back.sensor == MO_SENSOR_INVERSE_SQUARE);
   CHECK(back.physics.n_steps == settings.physics.n_steps && back.physics.bisections == 3);
   CHECK_INT(back.adjoint_rule, MO_ADJOINT_RESTART);
@@ -66,8 +74,9 @@ static void encodes_every_setting(void)
     }
     bytes[i] ^= 1;
   }
-  /* Of the flag's word only zero and not zero count: 3 bytes; the precision of the physics is always the same: 1; the bisections
-   * of the physics' own encoding give way to the word beside it: 4. */
+  /* Of the flag's word only zero and not zero count: 3 bytes; the precision of the physics is
+   * always the same: 1; the bisections of the physics' own encoding give way to the word beside
+   * it: 4. */
   CHECK_INT(same, 3 + 1 + 4);
 }
 
@@ -108,7 +117,8 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.job.precision, MO_FLOAT32);
   CHECK_TEXT(status.record.name, "walker");
   CHECK_TEXT(status.record.preset, "demo");
-  CHECK(status.record.has_controller && mo_sha256_equal(&status.record.controller_sha256, &controller.sha256));
+  CHECK(status.record.has_controller &&
+        mo_sha256_equal(&status.record.controller_sha256, &controller.sha256));
   CHECK_INT(status.record.sensor, MO_SENSOR_INVERSE_SQRT); /* the controller's */
   submission.record.settings.sensor = MO_SENSOR_INVERSE_SQRT;
   CHECK(same_settings(&status.record.settings, &submission.record.settings));
@@ -119,7 +129,8 @@ static void submits_and_reads_back(void)
   CHECK_INT(status.record.checkpoint_every_s, 30);
   CHECK_INT(status.generation, -1);
   CHECK_INT(status.n_designs, 0);
-  CHECK(isnan(status.best_score) && status.diversity_max == 0 && status.end == MO_CAMPAIGN_OPEN && !status.has_result);
+  CHECK(isnan(status.best_score) && status.diversity_max == 0 && status.end == MO_CAMPAIGN_OPEN &&
+        !status.has_result);
   CHECK_INT(mo_store_campaign_initial(fixture.store, id, &found, &n), MO_OK);
   CHECK(n == 3 && memcmp(found, genotypes, 3 * sizeof(*found)) == 0);
   free(found);
@@ -128,13 +139,16 @@ static void submits_and_reads_back(void)
   free(environments);
   CHECK_INT(mo_store_campaign_generations(fixture.store, id, -1, rows, 1), 0);
   CHECK_INT(mo_store_campaign_state(fixture.store, id, &state), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_CAMPAIGN}, jobs, 10), 1);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 10), 0);
+  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_CAMPAIGN}, jobs, 10),
+            1);
+  CHECK_INT(
+      mo_store_jobs(fixture.store, &(struct mo_job_query){0, -1, MO_JOB_EVALUATION}, jobs, 10), 0);
   CHECK_INT(mo_store_open_work(fixture.store, &open, &rollouts), MO_OK);
   CHECK(open == 1 && rollouts == 0);
   event = campaign_event(&fixture, id);
   CHECK_TEXT(event.type, "job.created");
-  CHECK(strstr(event.data, "\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":30") != NULL);
+  CHECK(strstr(event.data, "\"kind\":\"campaign\",\"state\":\"queued\",\"generations\":30") !=
+        NULL);
   /* Environments of its own, random weights. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 8);
   mo_environment_held_out(1, 0, &own[0]);
@@ -220,7 +234,8 @@ static void starts_replicates(void)
   CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed), MO_OK);
   CHECK(replayed && again == id);
   submission.body_sha256.bytes[0] ^= 1;
-  CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_submit_campaign(fixture.store, &submission, &again, &replayed),
+            MO_ERR_CONFLICT);
   /* Interactive ones first, then as they came. */
   CHECK_INT(mo_store_queued_campaigns(fixture.store, ids, 8), 5);
   CHECK(ids[0] == id && ids[1] == id + 1 && ids[3] == id + 3 && ids[4] == other);
@@ -256,7 +271,8 @@ static void starts_replicates(void)
   fixture_end(&fixture);
 }
 
-/* The population that another campaign has now, as it stands: what that one does later changes nothing. */
+/* The population that another campaign has now, as it stands: what that one does later changes
+ * nothing. */
 static void inherits_a_population(void)
 {
   struct fixture fixture;
@@ -293,7 +309,8 @@ static void inherits_a_population(void)
   CHECK_INT(mo_store_campaign_initial(fixture.store, second, &found, &n), MO_OK);
   CHECK(n == MADE_POPULATION && memcmp(found, before, sizeof(before)) == 0);
   free(found);
-  /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place. */
+  /* One of its designs is listed, turned or not: it comes once, first. The last ones have no place.
+   */
   memcpy(before, made.genotypes, sizeof(before));
   mo_genotype_image(MO_DEFAULT_WORKSPACE, before[1].words, 1, listed.words);
   mo_genotype_place(MO_DEFAULT_WORKSPACE, listed.words);
@@ -306,7 +323,8 @@ static void inherits_a_population(void)
   REQUIRE(second > 0);
   CHECK_INT(mo_store_campaign_initial(fixture.store, second, &found, &n), MO_OK);
   CHECK(n == 4 && memcmp(&found[0], &listed, sizeof(listed)) == 0 &&
-        memcmp(&found[1], &before[0], sizeof(listed)) == 0 && memcmp(&found[2], &before[2], sizeof(listed)) == 0 &&
+        memcmp(&found[1], &before[0], sizeof(listed)) == 0 &&
+        memcmp(&found[2], &before[2], sizeof(listed)) == 0 &&
         memcmp(&found[3], &before[3], sizeof(listed)) == 0);
   free(found);
   /* Into a workspace of two voxels nothing fits that has more. */
@@ -330,30 +348,36 @@ static void finish_with(struct fixture *fixture, int64_t id, struct mo_controlle
   struct mo_event event;
   const struct mo_sha256 odd = {{0xab, 0xcd}};
   CHECK_INT(mo_controller_encode(controller, &bytes, &size), MO_OK);
-  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"), MO_OK);
+  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"),
+            MO_OK);
   event = campaign_event(fixture, id);
   CHECK_TEXT(event.type, "campaign.lineage_unreadable");
   CHECK(strstr(event.data, "\"controller\":\"abcd00") != NULL);
   CHECK(strstr(event.data, "\"field\":\"morphod.seed\",\"detail\":\"no number\"}") != NULL);
-  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 0, "walker", bytes, size, controller),
+  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 0, "walker", bytes,
+                                     size, controller),
             MO_ERR_CONFLICT); /* it has more generations to go */
   CHECK_INT(mo_store_controller(fixture->store, "walker", &record), MO_ERR_NOT_FOUND);
-  CHECK_INT(
-      mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "Not A Name", bytes, size, controller),
-      MO_ERR_FORMAT);
-  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes, size, controller),
+  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "Not A Name",
+                                     bytes, size, controller),
+            MO_ERR_FORMAT);
+  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes,
+                                     size, controller),
             MO_OK);
   CHECK_INT(mo_store_campaign(fixture->store, id, &status), MO_OK);
-  CHECK(status.job.state == MO_JOB_SUCCEEDED && status.job.finished_us > 0 && status.end == MO_CAMPAIGN_COMPLETED);
+  CHECK(status.job.state == MO_JOB_SUCCEEDED && status.job.finished_us > 0 &&
+        status.end == MO_CAMPAIGN_COMPLETED);
   CHECK_INT(mo_store_controller(fixture->store, "walker", &record), MO_OK);
   CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
   event = campaign_event(fixture, id);
   CHECK_TEXT(event.type, "job.finished");
   CHECK(strstr(event.data, "\"kind\":\"campaign\",\"state\":\"succeeded\",\"end\":\"completed\","
                            "\"controller\":\"walker\",\"sha256\":\"") != NULL);
-  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes, size, controller),
+  CHECK_INT(mo_store_campaign_finish(fixture->store, id, MO_CAMPAIGN_COMPLETED, 1, "walker", bytes,
+                                     size, controller),
             MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_campaign_lineage_fault(fixture->store, id, &odd, "morphod.seed", "no number"),
+            MO_ERR_CONFLICT);
   free(bytes);
 }
 
@@ -373,16 +397,19 @@ static void finishes_and_extends(void)
   id = campaign_submit(&fixture, &submission);
   /* Queued. */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 0, NULL, &before), MO_ERR_RANGE);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 9, NULL, NULL, 0, NULL),
-            MO_ERR_CONFLICT);
+  CHECK_INT(
+      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 9, NULL, NULL, 0, NULL),
+      MO_ERR_CONFLICT);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   finish_with(&fixture, id, controller);
   /* Succeeded: queued again, without its end. */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 2, NULL, &before), MO_OK);
   CHECK_INT(before, MO_JOB_SUCCEEDED);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
-  CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 && status.end == MO_CAMPAIGN_OPEN);
-  CHECK(!status.has_result && status.record.settings.generations == 3 && status.job.steps_total == 3);
+  CHECK(status.job.state == MO_JOB_QUEUED && status.job.finished_us == 0 &&
+        status.end == MO_CAMPAIGN_OPEN);
+  CHECK(!status.has_result && status.record.settings.generations == 3 &&
+        status.job.steps_total == 3);
   event = campaign_event(&fixture, id);
   CHECK_TEXT(event.type, "campaign.extended");
   CHECK(strstr(event.data, "\"state\":\"queued\",\"generations\":3,\"added\":2") != NULL);
@@ -392,11 +419,13 @@ static void finishes_and_extends(void)
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK(before == MO_JOB_RUNNING && campaign_state(&fixture, id) == MO_JOB_RUNNING);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 4, NULL, NULL, 0, NULL),
-            MO_ERR_CONFLICT); /* extended meanwhile */
+  CHECK_INT(
+      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 4, NULL, NULL, 0, NULL),
+      MO_ERR_CONFLICT); /* extended meanwhile */
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 5, NULL, NULL, 0, NULL),
-            MO_ERR_CONFLICT);
+  CHECK_INT(
+      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_COMPLETED, 5, NULL, NULL, 0, NULL),
+      MO_ERR_CONFLICT);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   CHECK(before == MO_JOB_PAUSED && campaign_state(&fixture, id) == MO_JOB_PAUSED);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
@@ -412,17 +441,21 @@ static void finishes_and_extends(void)
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.job.steps_total, 7);
   /* Limits: of generations, of designs, of the steps of a training. */
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 6, NULL, &before), MO_ERR_RANGE);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 6, NULL, &before),
+            MO_ERR_RANGE);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, UINT32_MAX, NULL, &before), MO_ERR_RANGE);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 7, NULL, &before), MO_OK);
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, MO_GENERATIONS_MAX - 7, NULL, &before),
+            MO_OK);
   submission.record.settings.child_steps = 1000;
   submission.record.settings.generations = 900;
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, NULL, &before), MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 98, NULL, &before),
+            MO_ERR_RANGE); /* 1000 + 1002 · 998 steps */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 97, NULL, &before), MO_OK);
   submission = campaign_submission(MO_ZERO_SHOT, MO_POPULATION_MAX, 4000);
   id = campaign_submit(&fixture, &submission);
-  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, NULL, &before), MO_ERR_RANGE); /* 2^16 · 4097 designs */
+  CHECK_INT(mo_store_extend_campaign(fixture.store, id, 96, NULL, &before),
+            MO_ERR_RANGE); /* 2^16 · 4097 designs */
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 95, NULL, &before), MO_OK);
   /* What depends on the number of generations. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
@@ -435,8 +468,11 @@ static void finishes_and_extends(void)
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_OK);
   /* Exhausted: there is nothing new to find. */
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_OPEN, 2, NULL, NULL, 0, NULL), MO_ERR_INVALID);
-  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_EXHAUSTED, 2, NULL, NULL, 0, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_OPEN, 2, NULL, NULL, 0, NULL),
+            MO_ERR_INVALID);
+  CHECK_INT(
+      mo_store_campaign_finish(fixture.store, id, MO_CAMPAIGN_EXHAUSTED, 2, NULL, NULL, 0, NULL),
+      MO_OK);
   CHECK(strstr(campaign_event(&fixture, id).data, "\"end\":\"exhausted\"}") != NULL);
   CHECK_INT(mo_store_campaign(fixture.store, id, &status), MO_OK);
   CHECK(status.end == MO_CAMPAIGN_EXHAUSTED && !status.has_result);
@@ -447,7 +483,8 @@ static void finishes_and_extends(void)
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
   id = campaign_submit(&fixture, &submission);
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL), MO_OK);
+  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 1, NULL),
+            MO_OK);
   CHECK_INT(campaign_state(&fixture, id), MO_JOB_FAILED);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_extend_campaign(fixture.store, 12345, 1, NULL, &before), MO_ERR_NOT_FOUND);
@@ -471,7 +508,8 @@ static void parks_and_requeues(void)
   CHECK(strcmp(campaign_event(&fixture, id).type, "job.started") == 0);
   CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK(after == MO_JOB_QUEUED && strcmp(campaign_event(&fixture, id).type, "job.requeued") == 0);
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK); /* it does not run */
+  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after),
+            MO_OK); /* it does not run */
   /* A process that dies leaves it running; the next one queues it again. */
   REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
@@ -482,7 +520,9 @@ static void parks_and_requeues(void)
   REQUIRE(made_start(&made, fixture.store, id, MO_FEW_SHOT, MADE_POPULATION, 3) == MO_OK);
   for (int round = 0; round < 2; round++) {
     REQUIRE(mo_store_campaign_start(fixture.store, id) == MO_OK);
-    CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+    CHECK_INT(
+        mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+        MO_OK);
     CHECK_INT(after, MO_JOB_QUEUED);
     CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
     CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
@@ -496,16 +536,20 @@ static void parks_and_requeues(void)
       CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
     }
   }
-  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+  CHECK_INT(mo_store_campaign_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+            MO_OK);
   CHECK_INT(after, MO_JOB_FAILED);
   CHECK_INT(mo_store_campaign_start(fixture.store, id), MO_ERR_CONFLICT);
-  CHECK(strstr(campaign_event(&fixture, id).data, "\"kind\":\"campaign\",\"state\":\"failed\"") != NULL);
-  /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none that was cancelled. */
+  CHECK(strstr(campaign_event(&fixture, id).data, "\"kind\":\"campaign\",\"state\":\"failed\"") !=
+        NULL);
+  /* A retry, not a mere resumption, takes it up again; nothing of one that is not over, and none
+   * that was cancelled. */
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, &after), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
   CHECK_INT(after, MO_JOB_FAILED);
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-  CHECK(job.state == MO_JOB_QUEUED && job.attempts == 0 && job.error == MO_OK && job.finished_us == 0);
+  CHECK(job.state == MO_JOB_QUEUED && job.attempts == 0 && job.error == MO_OK &&
+        job.finished_us == 0);
   CHECK(strcmp(campaign_event(&fixture, id).type, "job.resumed") == 0);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RETRY, &after), MO_OK);
   CHECK_INT(after, MO_JOB_QUEUED);
@@ -525,8 +569,11 @@ static void parks_and_requeues(void)
 }
 
 static const struct check_case cases[] = {
-    {"encodes every setting", encodes_every_setting}, {"submits and reads back", submits_and_reads_back},
-    {"starts replicates", starts_replicates},         {"inherits a population", inherits_a_population},
-    {"finishes and extends", finishes_and_extends},   {"parks and requeues", parks_and_requeues},
+    {"encodes every setting", encodes_every_setting},
+    {"submits and reads back", submits_and_reads_back},
+    {"starts replicates", starts_replicates},
+    {"inherits a population", inherits_a_population},
+    {"finishes and extends", finishes_and_extends},
+    {"parks and requeues", parks_and_requeues},
 };
 CHECK_MAIN(cases)

@@ -1,4 +1,5 @@
-/* checkpoints.c: the checkpoints of trainings: rows and files go together, whatever comes between. */
+/* checkpoints.c: the checkpoints of trainings: rows and files go together, whatever comes between.
+ */
 #include <dirent.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -50,10 +51,13 @@ static void keeps_checkpoints(void)
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
+            MO_ERR_NOT_FOUND);
   for (uint32_t step = 10; step <= 40; step += 10) {
     snprintf(name, sizeof(name), "state after %u", (unsigned)step);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)name, strlen(name), 2), MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)name,
+                                           strlen(name), 2),
+              MO_OK);
   }
   CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 40 && rows[1].step == 30 && rows[0].size == 14 && rows[0].stored_us > 0);
@@ -63,15 +67,19 @@ static void keeps_checkpoints(void)
   free(bytes);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 30, &bytes, &size), MO_OK);
   free(bytes);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size),
+            MO_ERR_NOT_FOUND);
   /* Damage is noticed: another byte, another length, no file. */
   snprintf(name, sizeof(name), "%lld/40.checkpoint", (long long)id);
   REQUIRE(put_file(&fixture, name, "state after 41") == 0);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
+            MO_ERR_CORRUPT);
   REQUIRE(put_file(&fixture, name, "state") == 0);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_CORRUPT);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
+            MO_ERR_CORRUPT);
   /* The run goes on from 30: its next checkpoint makes the damaged one go, not the good one. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 35, (const uint8_t *)"35", 2, 2),
+            MO_OK);
   CHECK_INT(mo_store_training_checkpoints(fixture.store, id, rows, 5), 2);
   CHECK(rows[0].step == 35 && rows[1].step == 30);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
@@ -90,7 +98,8 @@ static void keeps_checkpoints(void)
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
   free(bytes);
   /* Of an earlier life of the process: not this one's to write. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"50", 2, 2),
+            MO_ERR_CONFLICT);
   CHECK_INT(files_of(&fixture, id), 2);
   fixture_end(&fixture);
 }
@@ -115,7 +124,8 @@ static void *write_checkpoints(void *context)
   return NULL;
 }
 
-/* Whoever asks for the newest checkpoint gets one that is whole, however fast they follow each other. */
+/* Whoever asks for the newest checkpoint gets one that is whole, however fast they follow each
+ * other. */
 static void reads_checkpoints_while_they_go(void)
 {
   struct fixture fixture;
@@ -129,7 +139,8 @@ static void reads_checkpoints_while_they_go(void)
   writer.store = fixture.store;
   writer.id = submit(&fixture, &submission);
   REQUIRE(mo_store_training_start(fixture.store, writer.id) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, writer.id, 1, (const uint8_t *)"1", 1, 1) ==
+          MO_OK);
   REQUIRE(pthread_create(&thread, NULL, write_checkpoints, &writer) == 0);
   while (!atomic_load(&writer.ended)) {
     int error = mo_store_training_checkpoint_bytes(fixture.store, writer.id, 0, &bytes, &size);
@@ -139,11 +150,13 @@ static void reads_checkpoints_while_they_go(void)
   }
   pthread_join(thread, NULL);
   CHECK_INT(bad, 0);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, writer.id, 299, &bytes, &size), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, writer.id, 299, &bytes, &size),
+            MO_ERR_NOT_FOUND);
   fixture_end(&fixture);
 }
 
-/* A process that can open no more files has lost no checkpoint: taken for damaged, the training would begin anew. */
+/* A process that can open no more files has lost no checkpoint: taken for damaged, the training
+ * would begin anew. */
 static void keeps_apart_damage_and_want_of_descriptors(void)
 {
   struct fixture fixture;
@@ -156,7 +169,8 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2) ==
+          MO_OK);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
   next = open("/dev/null", O_RDONLY | O_CLOEXEC);
@@ -164,7 +178,8 @@ static void keeps_apart_damage_and_want_of_descriptors(void)
   small = before;
   small.rlim_cur = (rlim_t)next;
   setrlimit(RLIMIT_NOFILE, &small);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_ERR_NO_MEMORY);
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size),
+            MO_ERR_NO_MEMORY);
   setrlimit(RLIMIT_NOFILE, &before);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
   free(bytes);
@@ -214,24 +229,30 @@ static void removes_what_is_not_needed(void)
   REQUIRE(fixture_start(&fixture) == 0);
   id = submit(&fixture, &submission);
   snprintf(folder, sizeof(folder), "%s/trainings/%lld", fixture.path, (long long)id);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK); /* none yet */
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed),
+            MO_OK); /* none yet */
   CHECK_INT(removed.n, 0);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
   for (uint32_t step = 10; step <= 50; step += 10)
-    REQUIRE(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)"state", 5, 9) == MO_OK);
+    REQUIRE(mo_store_training_checkpoint(fixture.store, id, step, (const uint8_t *)"state", 5, 9) ==
+            MO_OK);
   REQUIRE(mo_store_training(fixture.store, id, &status) == MO_OK);
   version = status.job.version;
   removed.n = 99;
   CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 15, &removed), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id + 1, 0, &removed), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 15, &removed),
+            MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id + 1, 0, &removed),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(removed.n, 99);
   CHECK_INT(files_of(&fixture, id), 5);
   CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 20, &removed), MO_OK);
   CHECK(removed.n == 1 && removed.steps[0] == 20 && removed.bytes == 5);
   CHECK_INT(files_of(&fixture, id), 4);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK); /* it is to go on some time */
+  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 20, &bytes, &size),
+            MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL),
+            MO_OK); /* it is to go on some time */
   CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 50, &removed), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_training_checkpoints_remove(fixture.store, id, 0, &removed), MO_OK);
   CHECK(removed.n == 3 && removed.steps[0] == 40 && removed.steps[2] == 10 && removed.bytes == 15);
@@ -243,7 +264,8 @@ static void removes_what_is_not_needed(void)
   CHECK(removed.n == 1 && removed.steps[0] == 50);
   CHECK(access(folder, F_OK) != 0);
   /* A run that learns late of its end leaves nothing. */
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 60, (const uint8_t *)"late", 4, 9), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 60, (const uint8_t *)"late", 4, 9),
+            MO_ERR_CONFLICT);
   CHECK(access(folder, F_OK) != 0);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK(status.checkpoint_step == 0 && status.job.version > version);
@@ -261,7 +283,8 @@ static void *remove_checkpoints(void *context)
   return NULL;
 }
 
-/* A training whose newest checkpoints are damaged writes old steps anew, while somebody deletes those: what is there has its file. */
+/* A training whose newest checkpoints are damaged writes old steps anew, while somebody deletes
+ * those: what is there has its file. */
 static void writes_anew_what_is_removed(void)
 {
   struct fixture fixture;
@@ -279,7 +302,9 @@ static void writes_anew_what_is_removed(void)
   REQUIRE(pthread_create(&thread, NULL, remove_checkpoints, &remover) == 0);
   for (int i = 0; i < 150; i++) {
     uint32_t step = (uint32_t)(1 + i % 3);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, remover.id, step, (const uint8_t *)"state", 5, 9), MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, remover.id, step,
+                                           (const uint8_t *)"state", 5, 9),
+              MO_OK);
     int error = mo_store_training_checkpoint_bytes(fixture.store, remover.id, step, &bytes, &size);
     CHECK(error == MO_OK || error == MO_ERR_NOT_FOUND); /* MO_ERR_CORRUPT: a row without its file */
     if (error == MO_OK)

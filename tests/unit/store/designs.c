@@ -1,4 +1,5 @@
-/* designs.c: what the store keeps of designs, scores and controllers, to the bit, and how it ranks. */
+/* designs.c: what the store keeps of designs, scores and controllers, to the bit, and how it ranks.
+ */
 #include <math.h>
 
 #include "by_hand.h"
@@ -17,7 +18,8 @@ static void shares_designs_between_orientations(void)
   REQUIRE(fixture_bodies(5, 40, &forms, &genotypes) == MO_OK);
   images[0] = genotypes[0];
   for (unsigned i = 0; i < 40; i++) { /* a body that is not its own mirror image */
-    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words) == MO_OK);
+    REQUIRE(mo_genotype_image(MO_DEFAULT_WORKSPACE, genotypes[i].words, 4, images[1].words) ==
+            MO_OK);
     mo_genotype_place(MO_DEFAULT_WORKSPACE, images[1].words);
     images[0] = genotypes[i];
     same_forms[0] = same_forms[1] = forms[i];
@@ -171,7 +173,8 @@ static void keeps_controllers(void)
   free(bytes);
   CHECK_INT(mo_store_controller_metadata(fixture.store, &first.sha256, &metadata), MO_OK);
   CHECK(metadata != NULL && strstr(metadata, "\"sensor\":\"inverse_sqrt\"") != NULL);
-  CHECK(metadata != NULL && strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\u000a\\\\ \xc3\xa9 note\"") != NULL);
+  CHECK(metadata != NULL &&
+        strstr(metadata, "\"note\":\"a \\\"quoted\\\"\\u000a\\\\ \xc3\xa9 note\"") != NULL);
   free(metadata);
   /* The same content under the same name changes nothing; other content moves the name. */
   CHECK_INT(fixture_controller(fixture.store, "default", 1, &second), MO_OK);
@@ -197,8 +200,9 @@ static void keeps_controllers(void)
   CHECK_INT(mo_controller_name_check("../x"), MO_ERR_FORMAT);
   CHECK_INT(mo_controller_name_check("Upper"), MO_ERR_FORMAT);
   CHECK_INT(mo_controller_name_check("a/b"), MO_ERR_FORMAT);
-  CHECK_INT(mo_controller_name_check("0123456789012345678901234567890123456789012345678901234567890123x"),
-            MO_ERR_FORMAT);
+  CHECK_INT(
+      mo_controller_name_check("0123456789012345678901234567890123456789012345678901234567890123x"),
+      MO_ERR_FORMAT);
   /* A damaged file is found out, and healed by the next upload. */
   snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
   file = fopen(path, "r+");
@@ -219,9 +223,11 @@ static void keeps_controllers(void)
 static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
 {
   struct waiter waiter = {.mutex = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER};
-  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START}, {.job = id, .step = MO_STEP_SUCCEED}};
+  struct mo_job_update updates[2] = {{.job = id, .step = MO_STEP_START},
+                                     {.job = id, .step = MO_STEP_SUCCEED}};
   struct mo_saved_score scores[6 * MO_PAPER_TEST_COUNT];
-  struct mo_save save = {.scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
+  struct mo_save save = {
+      .scores = scores, .updates = updates, .n_updates = 2, .done = save_done, .context = &waiter};
   struct mo_work *work = NULL;
   int64_t fingerprint = 0;
   int error = mo_store_fingerprint(fixture->store, "by hand", &fingerprint);
@@ -229,13 +235,14 @@ static int evaluate(struct fixture *fixture, int64_t id, const double losses[6])
     error = mo_store_load_work(fixture->store, id, &work);
   for (uint32_t n = 0; n < 6 && error == MO_OK; n++)
     for (uint32_t k = 0; k < MO_PAPER_TEST_COUNT; k++)
-      scores[n * MO_PAPER_TEST_COUNT + k] = (struct mo_saved_score){.genotype = work->genotype_rows[n],
-                                                                    .controller = work->controller,
-                                                                    .physics = work->physics,
-                                                                    .environment = work->environment_rows[k],
-                                                                    .fingerprint = fingerprint,
-                                                                    .loss = losses[n],
-                                                                    .diverged_step = isinf(losses[n]) ? 3 : 0};
+      scores[n * MO_PAPER_TEST_COUNT + k] =
+          (struct mo_saved_score){.genotype = work->genotype_rows[n],
+                                  .controller = work->controller,
+                                  .physics = work->physics,
+                                  .environment = work->environment_rows[k],
+                                  .fingerprint = fingerprint,
+                                  .loss = losses[n],
+                                  .diverged_step = isinf(losses[n]) ? 3 : 0};
   save.n_scores = 6 * MO_PAPER_TEST_COUNT;
   if (error == MO_OK)
     error = mo_store_save(fixture->store, &save);
@@ -269,13 +276,15 @@ static void ranks_a_population(void)
   CHECK_INT(mo_store_population(fixture.store, id, 0, &best, &n), MO_OK);
   CHECK_INT(n, 4);
   CHECK(n == 4 && memcmp(&best[0], &genotypes[4], sizeof(*best)) == 0 &&
-        memcmp(&best[1], &genotypes[1], sizeof(*best)) == 0 && memcmp(&best[2], &genotypes[0], sizeof(*best)) == 0 &&
+        memcmp(&best[1], &genotypes[1], sizeof(*best)) == 0 &&
+        memcmp(&best[2], &genotypes[0], sizeof(*best)) == 0 &&
         memcmp(&best[3], &genotypes[3], sizeof(*best)) == 0);
   free(best);
   CHECK_INT(mo_store_population(fixture.store, id, 2, &best, &n), MO_OK);
   CHECK_INT(n, 2);
   free(best);
-  CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_population(fixture.store, submit(&fixture, &training), 0, &best, &n),
+            MO_ERR_NOT_FOUND);
   free(forms);
   free(genotypes);
   fixture_end(&fixture);

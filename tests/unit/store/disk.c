@@ -1,11 +1,13 @@
 /* disk.c: what is certain to be on the disk, and what is there after a cut.
  *
- * Names are paths below the state folder. A change of a name belongs to the folder that holds it: syncing that folder makes all of its changes
- * certain, in their order; at a cut all, none, the first ones, or any of the others have happened. A renaming happens whole or not at all, as
- * file systems with a journal promise. What is in a folder that is not there is lost.
+ * Names are paths below the state folder. A change of a name belongs to the folder that holds it:
+ * syncing that folder makes all of its changes certain, in their order; at a cut all, none, the
+ * first ones, or any of the others have happened. A renaming happens whole or not at all, as file
+ * systems with a journal promise. What is in a folder that is not there is lost.
  *
- * Data is torn at 512 bytes: every such sector of every unsynced write is there or not. The size is one that the file had since its
- * last sync, or what the sectors need; what was never written below it is zeros or stale. */
+ * Data is torn at 512 bytes: every such sector of every unsynced write is there or not. The size is
+ * one that the file had since its last sync, or what the sectors need; what was never written below
+ * it is zeros or stale. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -59,7 +61,8 @@ const char *disk_below(const struct disk *disk, const char *path)
   return strncmp(path, disk->folder, n) == 0 && path[n] == '/' ? path + n + 1 : "";
 }
 
-void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to, struct inode *inode)
+void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to,
+               struct inode *inode)
 {
   struct name_change *entry;
   if (disk->n_pending == disk->pending_room) {
@@ -99,7 +102,8 @@ static int make_folder(struct disk *disk)
   return mkdir(disk->folder, 0700);
 }
 
-/* In memory, where the system has a folder for that: a disk that is busy takes seconds for so many files. */
+/* In memory, where the system has a folder for that: a disk that is busy takes seconds for so many
+ * files. */
 static int make_base(struct disk *disk)
 {
   const char *given = getenv("TMPDIR");
@@ -225,7 +229,8 @@ void disk_go_on(struct disk *disk)
 static void choose_names(struct disk *disk, enum disk_luck luck, struct names *names)
 {
   size_t n_first = disk->n_pending > 0 ? disk_random(disk) % (disk->n_pending + 1) : 0;
-  const unsigned mode = luck == DISK_WORST ? 3 : (unsigned)(disk_random(disk) % 4); /* all, first ones, some, none */
+  const unsigned mode =
+      luck == DISK_WORST ? 3 : (unsigned)(disk_random(disk) % 4); /* all, first ones, some, none */
   for (size_t i = 0; i < disk->n_pending; i++)
     if (mode == 0 || (mode == 1 && i < n_first) || (mode == 2 && chance(disk, 2)))
       names_apply(names, &disk->pending[i]);
@@ -233,9 +238,11 @@ static void choose_names(struct disk *disk, enum disk_luck luck, struct names *n
 }
 
 /* Which sectors of the writes that are not certain are there, and how long the file is. */
-static void choose_data(struct disk *disk, enum disk_luck luck, const struct inode *inode, struct content *content)
+static void choose_data(struct disk *disk, enum disk_luck luck, const struct inode *inode,
+                        struct content *content)
 {
-  const unsigned mode = luck == DISK_WORST ? 0 : (unsigned)(disk_random(disk) % 6); /* none, all, some */
+  const unsigned mode =
+      luck == DISK_WORST ? 0 : (unsigned)(disk_random(disk) % 6); /* none, all, some */
   const unsigned kept = 2 + (unsigned)(disk_random(disk) % 3);
   const bool stale = chance(disk, 2);
   content_start(content, inode);
@@ -247,7 +254,8 @@ static void choose_data(struct disk *disk, enum disk_luck luck, const struct ino
     if (piece->bytes == NULL)
       content_truncate(content, piece->at);
     else
-      for (int64_t at = piece->at, end_at = piece->at + (int64_t)piece->size, next; at < end_at; at = next) {
+      for (int64_t at = piece->at, end_at = piece->at + (int64_t)piece->size, next; at < end_at;
+           at = next) {
         next = at / SECTOR * SECTOR + SECTOR < end_at ? at / SECTOR * SECTOR + SECTOR : end_at;
         if (!torn || chance(disk, 2))
           content_write(content, at, piece->bytes + (at - piece->at), (size_t)(next - at));
@@ -274,7 +282,8 @@ static int write_out(const char *folder, const char *name, const struct content 
   file = fopen(path, "wb");
   if (file == NULL)
     return -1;
-  if (content->size > 0 && fwrite(content->bytes, 1, (size_t)content->size, file) != (size_t)content->size)
+  if (content->size > 0 &&
+      fwrite(content->bytes, 1, (size_t)content->size, file) != (size_t)content->size)
     result = -1;
   return fclose(file) == 0 ? result : -1;
 }

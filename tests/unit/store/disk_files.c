@@ -145,7 +145,9 @@ static int change_name(struct disk *disk, enum name_kind kind, const char *path)
   if (turn == TURN_OFF)
     errno = EIO;
   else
-    result = kind == NAME_MADE ? mkdir(path, 0700) : kind == NAME_REMOVED ? unlink(path) : rmdir(path);
+    result = kind == NAME_MADE      ? mkdir(path, 0700)
+             : kind == NAME_REMOVED ? unlink(path)
+                                    : rmdir(path);
   if (result == 0)
     disk_note(disk, kind, disk_below(disk, path), NULL, NULL);
   pthread_mutex_unlock(&disk->mutex);
@@ -169,8 +171,9 @@ static int disk_rmdir(void *context, const char *path)
 
 void disk_files_start(struct disk *disk)
 {
-  disk->operations = (struct mo_file_operations){disk_open,   disk_write, disk_sync,  disk_close, disk_rename,
-                                                 disk_unlink, disk_mkdir, disk_rmdir, disk};
+  disk->operations =
+      (struct mo_file_operations){disk_open,   disk_write, disk_sync,  disk_close, disk_rename,
+                                  disk_unlink, disk_mkdir, disk_rmdir, disk};
   for (size_t i = 0; i < FILES_MAX; i++)
     disk->files[i].fd = -1;
 }

@@ -1,4 +1,5 @@
-/* disk_inside.h: what the files of a disk share: its state, and how a call takes its turn. For disk*.c alone.
+/* disk_inside.h: what the files of a disk share: its state, and how a call takes its turn. For
+ * disk*.c alone.
  *
  * Every call holds the disk's mutex from its turn to what it notes. */
 #ifndef MORPHO_TESTS_STORE_DISK_INSIDE_H
@@ -37,13 +38,15 @@ enum turn { TURN_OFF, TURN_LAST, TURN_GO };
 
 /* A call that changes nothing. False: it fails. */
 bool disk_ask(struct disk *disk);
-/* A change: off: it does not happen; last: it is under way when everything stops, and its caller never hears of it. */
+/* A change: off: it does not happen; last: it is under way when everything stops, and its caller
+ * never hears of it. */
 enum turn disk_change(struct disk *disk, bool sync);
 
 /* The name below the state folder; "": it is not there. */
 const char *disk_below(const struct disk *disk, const char *path);
 /* Names that changed just now. to: renamed; inode: created, renamed. */
-void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to, struct inode *inode);
+void disk_note(struct disk *disk, enum name_kind kind, const char *path, const char *to,
+               struct inode *inode);
 struct inode *disk_create(struct disk *disk, const char *path);
 void disk_sync_folder(struct disk *disk, const char *folder);
 

@@ -196,7 +196,8 @@ void names_apply(struct names *names, const struct name_change *change)
   case NAME_FOLDER_REMOVED:
     for (size_t k = names->n; k-- > 0;)
       if (strcmp(names->list[k].path, change->path) == 0 ||
-          (strncmp(names->list[k].path, change->path, length) == 0 && names->list[k].path[length] == '/'))
+          (strncmp(names->list[k].path, change->path, length) == 0 &&
+           names->list[k].path[length] == '/'))
         take(names, k);
     break;
   }
@@ -219,7 +220,8 @@ void names_drop_orphans(struct names *names)
 {
   size_t left = 0;
   if (names->n > 0)
-    qsort(names->list, names->n, sizeof(*names->list), compare_names); /* a folder's name begins those in it */
+    qsort(names->list, names->n, sizeof(*names->list),
+          compare_names); /* a folder's name begins those in it */
   for (size_t i = 0; i < names->n; i++) {
     const char *slash = strrchr(names->list[i].path, '/');
     char folder[240] = "";

@@ -1,6 +1,8 @@
-/* disk_state.h: the parts of a disk: files with their unsynced writes, and names that lead to them. For disk.c alone.
+/* disk_state.h: the parts of a disk: files with their unsynced writes, and names that lead to them.
+ * For disk.c alone.
  *
- * Running out of memory ends the test, but for an allocator that fails once: that is what the store is tested with. */
+ * Running out of memory ends the test, but for an allocator that fails once: that is what the store
+ * is tested with. */
 #ifndef MORPHO_TESTS_STORE_DISK_STATE_H
 #define MORPHO_TESTS_STORE_DISK_STATE_H
 
@@ -41,8 +43,9 @@ struct content {
 void content_start(struct content *content, const struct inode *inode); /* what is certain */
 void content_write(struct content *content, int64_t at, const uint8_t *bytes, size_t size);
 void content_truncate(struct content *content, int64_t size);
-void content_resize(struct content *content, int64_t size);   /* longer: zeros */
-void inode_set(struct inode *inode, struct content *content); /* all of it certain; takes the content */
+void content_resize(struct content *content, int64_t size); /* longer: zeros */
+void inode_set(struct inode *inode,
+               struct content *content); /* all of it certain; takes the content */
 
 /* ---- names ---- */
 
@@ -60,8 +63,9 @@ struct name_change {
   char path[240], to[240];
   struct inode *inode; /* created, renamed */
 };
-bool name_is_in(const char *path, const char *folder);                   /* "" : the state folder */
-struct inode *names_inode(const struct names *names, const char *path);  /* NULL: none, or a folder */
+bool name_is_in(const char *path, const char *folder); /* "" : the state folder */
+struct inode *names_inode(const struct names *names,
+                          const char *path); /* NULL: none, or a folder */
 void names_apply(struct names *names, const struct name_change *change); /* as far as it applies */
 void names_copy(struct names *to, const struct names *from);
 void names_drop_orphans(struct names *names); /* what is in folders that are not there */

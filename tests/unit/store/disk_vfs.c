@@ -13,7 +13,8 @@ struct disk_file {
   sqlite3_file *real;
 };
 
-/* In place of the C library's: what is certain is in memory, and the true disk may take its time. */
+/* In place of the C library's: what is certain is in memory, and the true disk may take its time.
+ */
 __attribute__((visibility("default"))) int fsync(int fd)
 {
   (void)fd;
@@ -26,8 +27,9 @@ __attribute__((visibility("default"))) int fdatasync(int fd)
   return 0;
 }
 
-/* SQLite syncs the folder of a new log or journal with that file's first sync, and after some removals. It asks for a folder only to sync it:
- * the default file system's call is replaced by one that also notes that. */
+/* SQLite syncs the folder of a new log or journal with that file's first sync, and after some
+ * removals. It asks for a folder only to sync it: the default file system's call is replaced by one
+ * that also notes that. */
 static int (*real_open_directory)(const char *path, int *fd);
 static _Thread_local bool folder_was_synced;
 
@@ -37,32 +39,33 @@ static int open_directory(const char *path, int *fd)
   return real_open_directory(path, fd);
 }
 
-#define FILE_OF(file)                                                                                                  \
-  struct disk_file *disk_file = (struct disk_file *)(file);                                                            \
+#define FILE_OF(file)                                                                              \
+  struct disk_file *disk_file = (struct disk_file *)(file);                                        \
   sqlite3_file *real = disk_file->real
 
 /* Calls that change nothing on the disk: they fail on demand, and go on after a stop. */
-#define PASS(name, parameters, arguments, failure)                                                                     \
-  static int name parameters                                                                                           \
-  {                                                                                                                    \
-    FILE_OF(file);                                                                                                     \
-    bool fails;                                                                                                        \
-    pthread_mutex_lock(&disk_file->disk->mutex);                                                                       \
-    fails = !disk_ask(disk_file->disk);                                                                                \
-    pthread_mutex_unlock(&disk_file->disk->mutex);                                                                     \
-    return fails ? (failure) : real->pMethods->name arguments;                                                         \
+#define PASS(name, parameters, arguments, failure)                                                 \
+  static int name parameters                                                                       \
+  {                                                                                                \
+    FILE_OF(file);                                                                                 \
+    bool fails;                                                                                    \
+    pthread_mutex_lock(&disk_file->disk->mutex);                                                   \
+    fails = !disk_ask(disk_file->disk);                                                            \
+    pthread_mutex_unlock(&disk_file->disk->mutex);                                                 \
+    return fails ? (failure) : real->pMethods->name arguments;                                     \
   }
-PASS(xRead, (sqlite3_file * file, void *to, int n, sqlite3_int64 at), (real, to, n, at), SQLITE_IOERR_READ)
+PASS(xRead, (sqlite3_file * file, void *to, int n, sqlite3_int64 at), (real, to, n, at),
+     SQLITE_IOERR_READ)
 PASS(xFileSize, (sqlite3_file * file, sqlite3_int64 *size), (real, size), SQLITE_IOERR_FSTAT)
-PASS(xShmMap, (sqlite3_file * file, int page, int size, int extend, void volatile **to), (real, page, size, extend, to),
-     SQLITE_IOERR_SHMMAP)
+PASS(xShmMap, (sqlite3_file * file, int page, int size, int extend, void volatile **to),
+     (real, page, size, extend, to), SQLITE_IOERR_SHMMAP)
 PASS(xLock, (sqlite3_file * file, int kind), (real, kind), SQLITE_IOERR_LOCK)
 
-#define FORWARD(name, parameters, arguments)                                                                           \
-  static int name parameters                                                                                           \
-  {                                                                                                                    \
-    FILE_OF(file);                                                                                                     \
-    return real->pMethods->name arguments;                                                                             \
+#define FORWARD(name, parameters, arguments)                                                       \
+  static int name parameters                                                                       \
+  {                                                                                                \
+    FILE_OF(file);                                                                                 \
+    return real->pMethods->name arguments;                                                         \
   }
 FORWARD(xUnlock, (sqlite3_file * file, int kind), (real, kind))
 FORWARD(xCheckReservedLock, (sqlite3_file * file, int *result), (real, result))
@@ -120,7 +123,8 @@ static int xSync(sqlite3_file *file, int flags)
   if (disk_change(disk, true) == TURN_GO) {
     folder_was_synced = false;
     result = real->pMethods->xSync(real, flags);
-    if (result == SQLITE_OK && disk_file->inode != NULL && (disk->lies & DISK_FORGETS_DATABASE) == 0) {
+    if (result == SQLITE_OK && disk_file->inode != NULL &&
+        (disk->lies & DISK_FORGETS_DATABASE) == 0) {
       inode_sync(disk_file->inode);
       if (folder_was_synced)
         disk_sync_folder(disk, "");
@@ -130,7 +134,8 @@ static int xSync(sqlite3_file *file, int flags)
   return result;
 }
 
-static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file, int flags, int *out)
+static int vfs_open(sqlite3_vfs *vfs, sqlite3_filename path, sqlite3_file *file, int flags,
+                    int *out)
 {
   static const sqlite3_io_methods methods = {2,
                                              xClose,
@@ -226,9 +231,11 @@ int disk_vfs_start(struct disk *disk)
   disk->vfs.xAccess = vfs_access;
   disk->vfs.xRandomness = vfs_randomness;
   if (real_open_directory == NULL)
-    real_open_directory = (int (*)(const char *, int *))disk->real->xGetSystemCall(disk->real, "openDirectory");
+    real_open_directory =
+        (int (*)(const char *, int *))disk->real->xGetSystemCall(disk->real, "openDirectory");
   if (real_open_directory == NULL ||
-      disk->real->xSetSystemCall(disk->real, "openDirectory", (sqlite3_syscall_ptr)open_directory) != SQLITE_OK)
+      disk->real->xSetSystemCall(disk->real, "openDirectory",
+                                 (sqlite3_syscall_ptr)open_directory) != SQLITE_OK)
     return -1;
   return sqlite3_vfs_register(&disk->vfs, 0) == SQLITE_OK ? 0 : -1;
 }

@@ -1,6 +1,7 @@
 /* fault_vfs.h: SQLite's default file system with faults on demand.
  *
- * Registered as "faults": every file is the real one, with its methods replaced by ones that first ask whether to fail. */
+ * Registered as "faults": every file is the real one, with its methods replaced by ones that first
+ * ask whether to fail. */
 #ifndef MORPHO_TESTS_FAULT_VFS_H
 #define MORPHO_TESTS_FAULT_VFS_H
 
@@ -28,11 +29,11 @@ static inline sqlite3_file *fault_real(sqlite3_file *file)
   return ((struct fault_file *)file)->real;
 }
 
-#define FAULT_PASS(name, parameters, arguments)                                                                        \
-  static inline int fault_##name parameters                                                                            \
-  {                                                                                                                    \
-    sqlite3_file *real = fault_real(file);                                                                             \
-    return real->pMethods->name arguments;                                                                             \
+#define FAULT_PASS(name, parameters, arguments)                                                    \
+  static inline int fault_##name parameters                                                        \
+  {                                                                                                \
+    sqlite3_file *real = fault_real(file);                                                         \
+    return real->pMethods->name arguments;                                                         \
   }
 
 static inline int fault_xClose(sqlite3_file *file)
@@ -78,7 +79,8 @@ static inline int fault_xSync(sqlite3_file *file, int flags)
   return error != 0 ? error : fault_real(file)->pMethods->xSync(fault_real(file), flags);
 }
 
-static inline int fault_open(sqlite3_vfs *vfs, sqlite3_filename name, sqlite3_file *file, int flags, int *out)
+static inline int fault_open(sqlite3_vfs *vfs, sqlite3_filename name, sqlite3_file *file, int flags,
+                             int *out)
 {
   struct fault_file *fault = (struct fault_file *)file;
   sqlite3_vfs *real = vfs->pAppData;

@@ -69,7 +69,8 @@ static void survives_a_full_disk(void)
     failures++;
     CHECK_INT(error, MO_ERR_NO_SPACE);
     CHECK(stats.no_space);
-    CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = -1}, &job, 1), 0);
+    CHECK_INT(
+        mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = -1}, &job, 1), 0);
     CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);
     CHECK_INT(n_designs, 0);
   }
@@ -117,7 +118,8 @@ static void notices_that_there_is_room_again(void)
 
 static void dies_of_a_failing_disk(void)
 {
-  /* Once: a second fsync after a failed one may succeed although what the first should have kept is gone. */
+  /* Once: a second fsync after a failed one may succeed although what the first should have kept is
+   * gone. */
   static const struct {
     int write, sync;
     bool once;
@@ -176,27 +178,45 @@ struct training_life {
   int64_t id;
 };
 
-enum { SUBMIT, START, PROGRESS, FIRST_CHECKPOINT, SECOND_CHECKPOINT, PARK, START_AGAIN, FINISH, LIFE };
+enum {
+  SUBMIT,
+  START,
+  PROGRESS,
+  FIRST_CHECKPOINT,
+  SECOND_CHECKPOINT,
+  PARK,
+  START_AGAIN,
+  FINISH,
+  LIFE
+};
 
 static int live_on(struct training_life *life, int part)
 {
   struct mo_store *store = life->fixture.store;
   static const uint8_t state[5000];
   struct mo_training_step_row rows[20];
-  const struct mo_training_validation_row validation = {.step = 20, .rollouts = 4, .mean_score = 0.5};
+  const struct mo_training_validation_row validation = {
+      .step = 20, .rollouts = 4, .mean_score = 0.5};
   enum mo_job_state after;
   bool replayed;
   for (uint32_t i = 0; i < 20; i++)
-    rows[i] = (struct mo_training_step_row){.report = {.step = i + 1, .mean_loss = 0.5, .rate = 1e-3}};
+    rows[i] =
+        (struct mo_training_step_row){.report = {.step = i + 1, .mean_loss = 0.5, .rate = 1e-3}};
   switch (part) {
   case SUBMIT: return mo_store_submit_training(store, &life->submission, &life->id, &replayed);
   case START:
   case START_AGAIN: return mo_store_training_start(store, life->id);
-  case PROGRESS: return mo_store_training_progress(store, life->id, rows, 20, &validation, "{\"id\":\"1\"}");
-  case FIRST_CHECKPOINT: return mo_store_training_checkpoint(store, life->id, 10, state, sizeof(state), 1);
-  case SECOND_CHECKPOINT: return mo_store_training_checkpoint(store, life->id, 20, state, sizeof(state), 1);
-  case PARK: return mo_store_training_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
-  default: return mo_store_training_finish(store, life->id, "walker", life->weights, life->size, life->controller);
+  case PROGRESS:
+    return mo_store_training_progress(store, life->id, rows, 20, &validation, "{\"id\":\"1\"}");
+  case FIRST_CHECKPOINT:
+    return mo_store_training_checkpoint(store, life->id, 10, state, sizeof(state), 1);
+  case SECOND_CHECKPOINT:
+    return mo_store_training_checkpoint(store, life->id, 20, state, sizeof(state), 1);
+  case PARK:
+    return mo_store_training_park(store, life->id, MO_ERR_NO_MEMORY, "out of memory", 3, &after);
+  default:
+    return mo_store_training_finish(store, life->id, "walker", life->weights, life->size,
+                                    life->controller);
   }
 }
 
@@ -208,7 +228,8 @@ static void check_life(struct training_life *life, int parts)
   struct mo_controller_record record;
   char path[512];
   if (parts <= SUBMIT) {
-    CHECK_INT(mo_store_trainings(store, &(struct mo_job_query){.state = -1, .kind = -1}, &status, 1), 0);
+    CHECK_INT(
+        mo_store_trainings(store, &(struct mo_job_query){.state = -1, .kind = -1}, &status, 1), 0);
     return;
   }
   REQUIRE(mo_store_training(store, life->id, &status) == MO_OK);
@@ -217,12 +238,16 @@ static void check_life(struct training_life *life, int parts)
                                                                        : MO_JOB_RUNNING);
   CHECK_INT(status.step, parts > PROGRESS ? 20 : 0);
   CHECK_INT(status.has_validation, parts > PROGRESS);
-  CHECK_INT(status.checkpoint_step, parts > SECOND_CHECKPOINT ? 20 : parts > FIRST_CHECKPOINT ? 10 : 0);
+  CHECK_INT(status.checkpoint_step, parts > SECOND_CHECKPOINT  ? 20
+                                    : parts > FIRST_CHECKPOINT ? 10
+                                                               : 0);
   CHECK_INT(status.job.attempts, parts > PARK);
   CHECK_INT(status.has_result, parts > FINISH);
-  CHECK_INT(mo_store_controller(store, "walker", &record), parts > FINISH ? MO_OK : MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_controller(store, "walker", &record),
+            parts > FINISH ? MO_OK : MO_ERR_NOT_FOUND);
   for (uint32_t step = 10; step <= 20; step += 10) { /* files are those of rows */
-    snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", life->fixture.path, (long long)life->id, step);
+    snprintf(path, sizeof(path), "%s/trainings/%lld/%u.checkpoint", life->fixture.path,
+             (long long)life->id, step);
     CHECK_INT(access(path, F_OK), status.checkpoint_step == step ? 0 : -1);
   }
 }
@@ -235,7 +260,8 @@ static void trains_on_a_full_disk(void)
   REQUIRE(start_failing(&life.fixture) == MO_OK);
   life.submission = (struct mo_training_submission){
       .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN), .checkpoints_kept = 1}};
-  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &life.controller) == MO_OK);
+  REQUIRE(mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &life.controller) ==
+          MO_OK);
   mo_controller_randomize(life.controller, 7);
   REQUIRE(mo_controller_encode(life.controller, &life.weights, &life.size) == MO_OK);
   for (int part = SUBMIT; part < LIFE; part++) {
@@ -277,7 +303,8 @@ int fsync(int fd)
   return (int)syscall(SYS_fsync, fd);
 }
 
-/* The file of weights is in its folder, but perhaps not on the disk: nobody may be told that it is, not even later. */
+/* The file of weights is in its folder, but perhaps not on the disk: nobody may be told that it is,
+ * not even later. */
 static void dies_of_a_folder_that_cannot_be_synced(void)
 {
   struct fixture fixture;
@@ -317,7 +344,8 @@ static void *submit_many(void *context)
   struct submitter *submitter = context;
   for (int i = 0; i < 64; i++) {
     bool replayed;
-    if (mo_store_submit(submitter->store, submitter->submission, &submitter->ids[i], &replayed) != MO_OK)
+    if (mo_store_submit(submitter->store, submitter->submission, &submitter->ids[i], &replayed) !=
+        MO_OK)
       submitter->failures++;
   }
   return NULL;
@@ -400,7 +428,8 @@ static void shares_commits(void)
   CHECK_INT(after.operations - before.operations, 9 * 64);
   CHECK_INT(after.operations_failed - before.operations_failed, 64);
   CHECK(after.commits - before.commits < 9 * 64);
-  printf("# %llu operations in %llu commits\n", (unsigned long long)(after.operations - before.operations),
+  printf("# %llu operations in %llu commits\n",
+         (unsigned long long)(after.operations - before.operations),
          (unsigned long long)(after.commits - before.commits));
   for (int i = 0; i < 8; i++)
     for (int k = 0; k < 64; k++) {
@@ -427,7 +456,8 @@ struct overlapping {
   atomic_bool reading, stop;
 };
 
-/* Two readers in turn: one begins before the other ends, so that at every moment one is inside a transaction, and none for long. */
+/* Two readers in turn: one begins before the other ends, so that at every moment one is inside a
+ * transaction, and none for long. */
 static void *overlap(void *context)
 {
   struct overlapping *overlapping = context;
@@ -463,7 +493,8 @@ static void keeps_its_log_short(void)
   struct overlapping overlapping;
   char key[] = "note";
   struct mo_metadata_entry entry = {.key = key};
-  struct mo_controller controller = {.workspace = MO_DEFAULT_WORKSPACE, .metadata = &entry, .n_metadata = 1};
+  struct mo_controller controller = {
+      .workspace = MO_DEFAULT_WORKSPACE, .metadata = &entry, .n_metadata = 1};
   struct mo_controller_record record;
   struct mo_store_stats stats;
   pthread_t thread;
@@ -479,11 +510,12 @@ static void keeps_its_log_short(void)
   memset(note, 'x', NOTE);
   note[NOTE] = '\0';
   entry.value = note;
-  /* Rows of 1 MiB each; the store leaves the bytes to its caller. One wait for the readers may be too short on a machine that has much
-   * else to do: then the next must do, a few seconds later. Passive checkpoints never come to it, however long they go on. */
+  /* Rows of 1 MiB each; the store leaves the bytes to its caller. One wait for the readers may be
+   * too short on a machine that has much else to do: then the next must do, a few seconds later.
+   * Passive checkpoints never come to it, however long they go on. */
   do {
-    CHECK_INT(mo_store_controller_put(fixture.store, "much", (const uint8_t *)&puts, sizeof(puts), &controller, &record,
-                                      &created),
+    CHECK_INT(mo_store_controller_put(fixture.store, "much", (const uint8_t *)&puts, sizeof(puts),
+                                      &controller, &record, &created),
               MO_OK);
     mo_store_get_stats(fixture.store, &stats);
     if (++puts > PUTS)
@@ -520,7 +552,8 @@ static void refuses_an_unwritable_folder(void)
   }
   REQUIRE(waitpid(child, &status, 0) == child);
   chmod(fixture.path, 0700);
-  /* As another user the folder of the test is perhaps not even found: then there is nothing to see. */
+  /* As another user the folder of the test is perhaps not even found: then there is nothing to see.
+   */
   CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
   fixture_end(&fixture);
 }

@@ -16,7 +16,8 @@ struct fixture {
   struct mo_message message;
 };
 
-static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind, struct FTW *place)
+static inline int fixture_remove_entry(const char *path, const struct stat *status, int kind,
+                                       struct FTW *place)
 {
   (void)status;
   (void)kind;
@@ -33,7 +34,8 @@ static inline int fixture_folder(struct fixture *fixture)
 {
   const char *base = getenv("TMPDIR");
   memset(fixture, 0, sizeof(*fixture));
-  snprintf(fixture->path, sizeof(fixture->path), "%s/morpho-store-XXXXXX", base != NULL ? base : "/tmp");
+  snprintf(fixture->path, sizeof(fixture->path), "%s/morpho-store-XXXXXX",
+           base != NULL ? base : "/tmp");
   return mkdtemp(fixture->path) != NULL ? 0 : -1;
 }
 
@@ -86,7 +88,8 @@ static inline int fixture_start(struct fixture *fixture)
 }
 
 /* Distinct bodies, placed, with their canonical forms. Caller frees both. */
-static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms, struct mo_bits **genotypes)
+static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **forms,
+                                 struct mo_bits **genotypes)
 {
   struct mo_body_stream *stream = NULL;
   int error = mo_body_stream_create(MO_DEFAULT_WORKSPACE, seed, &stream);
@@ -103,8 +106,8 @@ static inline int fixture_bodies(uint64_t seed, uint32_t n, struct mo_bits **for
   return error;
 }
 
-static inline struct mo_submission fixture_submission(const struct mo_bits *forms, const struct mo_bits *genotypes,
-                                                      uint32_t n)
+static inline struct mo_submission fixture_submission(const struct mo_bits *forms,
+                                                      const struct mo_bits *genotypes, uint32_t n)
 {
   return (struct mo_submission){.forms = forms,
                                 .genotypes = genotypes,

@@ -1,4 +1,5 @@
-/* jobs.c: what the store keeps of jobs: evaluations with their results and trajectories, keys, states, events, pages. */
+/* jobs.c: what the store keeps of jobs: evaluations with their results and trajectories, keys,
+ * states, events, pages. */
 #include "by_hand.h"
 
 static void submits_and_reads_back(void)
@@ -29,7 +30,8 @@ static void submits_and_reads_back(void)
   CHECK_TEXT(job.environment_set, "paper-test");
   CHECK_TEXT(job.controller_name, "default");
   CHECK_INT(job.precision, MO_FLOAT64);
-  CHECK(job.physics.drop_height_m == 0.25 && job.physics.dt_s == 0.004 && job.physics.n_steps == 1000);
+  CHECK(job.physics.drop_height_m == 0.25 && job.physics.dt_s == 0.004 &&
+        job.physics.n_steps == 1000);
   CHECK_INT(job.rollouts_total, 50);
   CHECK(job.created_us > 0 && job.started_us == 0 && job.finished_us == 0);
   CHECK_INT(mo_store_controller(fixture.store, "default", &record), MO_OK);
@@ -73,21 +75,27 @@ static void answers_a_repeated_key(void)
   CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_OK);
   CHECK(replayed && again == id);
   CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_OK);
-  CHECK_INT(mo_store_replay(fixture.store, "key-2", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_replay(fixture.store, "key-2", &submission.body_sha256, &again),
+            MO_ERR_NOT_FOUND);
   mo_sha256_of("other", 5, &submission.body_sha256);
   CHECK_INT(mo_store_submit(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
+            MO_ERR_CONFLICT);
   /* Keys older than their time are forgotten. */
   mo_store_close(fixture.store);
-  REQUIRE(outside(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") == SQLITE_OK);
+  REQUIRE(outside(&fixture, "UPDATE idempotency_keys SET created_us=created_us-90000000000") ==
+          SQLITE_OK);
   config = (struct mo_store_config){.path = fixture.path};
   REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
   for (int i = 0; i < 1200; i++) { /* enough events to make a round of pruning due */
     enum mo_job_state before;
-    CHECK_INT(mo_store_change_job(fixture.store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before), MO_OK);
+    CHECK_INT(mo_store_change_job(fixture.store, id,
+                                  i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, &before),
+              MO_OK);
   }
   usleep(50000);
-  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_store_replay(fixture.store, "key-1", &submission.body_sha256, &again),
+            MO_ERR_NOT_FOUND);
   free(forms);
   free(genotypes);
   fixture_end(&fixture);
@@ -262,7 +270,9 @@ static void tells_of_changes(void)
   config = (struct mo_store_config){.path = fixture.path, .events_kept = 100};
   REQUIRE(mo_store_open(&config, &fixture.store, NULL) == MO_OK);
   for (int i = 0; i < 1200; i++)
-    CHECK_INT(mo_store_change_job(fixture.store, id, i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, NULL), MO_OK);
+    CHECK_INT(mo_store_change_job(fixture.store, id,
+                                  i % 2 == 0 ? MO_CHANGE_PAUSE : MO_CHANGE_RESUME, NULL),
+              MO_OK);
   usleep(50000);
   n = mo_store_events(fixture.store, 0, 0, events, 32, &oldest, &newest);
   CHECK(n == 32 && oldest > 900 && newest == 1205);

@@ -86,7 +86,8 @@ void life_found(struct life *life, const char *format, ...)
   va_end(arguments);
 }
 
-/* A quarter of all contents come with much metadata, so that the log grows long and is copied into the database now and then. */
+/* A quarter of all contents come with much metadata, so that the log grows long and is copied into
+ * the database now and then. */
 void put_start(struct put *put, uint64_t seed)
 {
   const size_t length = seed % 4 == 0 ? 100000 : 20;
@@ -94,8 +95,10 @@ void put_start(struct put *put, uint64_t seed)
   memset(put->note, 'x', length);
   put->note[length] = '\0';
   put->entry = (struct mo_metadata_entry){.key = put->key, .value = put->note};
-  put->controller = (struct mo_controller){
-      .workspace = MO_DEFAULT_WORKSPACE, .n_parameters = 1, .metadata = &put->entry, .n_metadata = 1};
+  put->controller = (struct mo_controller){.workspace = MO_DEFAULT_WORKSPACE,
+                                           .n_parameters = 1,
+                                           .metadata = &put->entry,
+                                           .n_metadata = 1};
   put->size = life_content(seed, &put->bytes);
 }
 

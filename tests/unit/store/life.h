@@ -1,7 +1,9 @@
-/* life.h: the life of a state folder on a disk whose power fails: what is asked of the store, and what it has promised.
+/* life.h: the life of a state folder on a disk whose power fails: what is asked of the store, and
+ * what it has promised.
  *
- * The model is what was acknowledged. An act in doubt, whose call had not returned when everything stopped, is there wholly or not at all;
- * one that saves several things in a row may have come through some of them. */
+ * The model is what was acknowledged. An act in doubt, whose call had not returned when everything
+ * stopped, is there wholly or not at all; one that saves several things in a row may have come
+ * through some of them. */
 #ifndef MORPHO_TESTS_STORE_LIFE_H
 #define MORPHO_TESTS_STORE_LIFE_H
 
@@ -99,7 +101,8 @@ struct act {
   enum act_kind kind;
   int index; /* of the name, evaluation, training or backup */
   uint64_t seed;
-  uint32_t n;     /* of what it has several of: parts of ACT_SAVE, steps, checkpoints kept; change; error */
+  uint32_t
+      n; /* of what it has several of: parts of ACT_SAVE, steps, checkpoints kept; change; error */
   uint32_t parts; /* that may be there without the next */
 };
 
@@ -117,7 +120,7 @@ struct life {
 
 /* Draws from a seed that a thing has: the same for who writes it and for who checks it. */
 uint64_t life_hash(uint64_t seed, uint64_t place);
-size_t life_content(uint64_t seed, uint8_t **bytes);                   /* of a controller's file (malloc) */
+size_t life_content(uint64_t seed, uint8_t **bytes); /* of a controller's file (malloc) */
 size_t life_checkpoint(uint64_t seed, uint32_t step, uint8_t **bytes); /* (malloc) */
 double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *diverged_step);
 struct mo_training_step_row life_step(uint64_t seed, uint32_t step);
@@ -146,7 +149,8 @@ int model_content(struct model *model, uint64_t seed); /* its place; added when 
 bool campaign_fits(struct life *life, struct act *act);
 void campaign_apply(struct model *model, const struct act *act);
 int campaign_do(struct life *life, const struct act *act);
-bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index, char text[300]);
+bool campaign_matches(const struct life *life, const struct campaign_model *campaign, int index,
+                      char text[300]);
 /* A generation as its runner commits it: a function of the campaign's seed and its number. */
 struct population {
   uint32_t n, numbers[MEMBERS];
@@ -161,12 +165,16 @@ struct generation {
   uint32_t survivors[MEMBERS];
   struct population before, after;
 };
-void life_generation(const struct campaign_model *campaign, uint32_t number, const struct population *before,
-                     struct generation *generation);
-void life_replay(const struct campaign_model *campaign, int64_t until, struct generation *generation); /* ≥ 0 */
-struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign, uint32_t place); /* of the next one */
-struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation, uint32_t step);
-size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step, uint8_t **bytes);
+void life_generation(const struct campaign_model *campaign, uint32_t number,
+                     const struct population *before, struct generation *generation);
+void life_replay(const struct campaign_model *campaign, int64_t until,
+                 struct generation *generation); /* ≥ 0 */
+struct mo_campaign_loss life_saved_loss(const struct campaign_model *campaign,
+                                        uint32_t place); /* of the next one */
+struct mo_campaign_step life_learned(const struct campaign_model *campaign, uint32_t generation,
+                                     uint32_t step);
+size_t life_state(const struct campaign_model *campaign, uint32_t generation, uint32_t step,
+                  uint8_t **bytes);
 
 bool life_differs(char text[300], const char *format, ...) __attribute__((format(printf, 2, 3)));
 /* Files in "<folder>/<id>" of the state folder. */
@@ -175,7 +183,8 @@ uint32_t life_files(const struct life *life, const char *folder, int64_t id);
 struct act life_choose(struct life *life);
 /* How many of its parts were acknowledged; *error: what the call that was not gave. */
 uint32_t life_do(struct life *life, const struct act *act, int *error);
-/* Waits until the writer has done what it does between commits: then the same seed gives the same order of changes. */
+/* Waits until the writer has done what it does between commits: then the same seed gives the same
+ * order of changes. */
 void life_settle(struct life *life);
 /* The model after `parts` of an act. */
 void life_apply(struct model *model, const struct act *act, uint32_t parts);

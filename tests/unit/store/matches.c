@@ -1,4 +1,5 @@
-/* matches.c: is the store what a model says: everything that was acknowledged, bit for bit, and nothing else? */
+/* matches.c: is the store what a model says: everything that was acknowledged, bit for bit, and
+ * nothing else? */
 #include <dirent.h>
 #include <math.h>
 #include <sqlite3.h>
@@ -35,26 +36,28 @@ static bool content_matches(const struct life *life, uint64_t seed, char text[30
   free(expected);
   if (error == MO_OK)
     free(found);
-  return same || life_differs(text, "a controller's bytes: error %d, %zu of %zu bytes", error, size, expected_size);
+  return same || life_differs(text, "a controller's bytes: error %d, %zu of %zu bytes", error, size,
+                              expected_size);
 }
 
-static bool name_matches(const struct life *life, const struct model *model, const char *name, int content,
-                         int64_t version, char text[300])
+static bool name_matches(const struct life *life, const struct model *model, const char *name,
+                         int content, int64_t version, char text[300])
 {
   struct mo_controller_record record;
   struct mo_sha256 hash;
   uint8_t *bytes = NULL;
   const int error = mo_store_controller(life->store, name, &record);
   if (content < 0)
-    return error == MO_ERR_NOT_FOUND || life_differs(text, "the name %s is there (%d)", name, error);
+    return error == MO_ERR_NOT_FOUND ||
+           life_differs(text, "the name %s is there (%d)", name, error);
   if (error != MO_OK)
     return life_differs(text, "the name %s: error %d", name, error);
   mo_sha256_of(bytes, life_content(model->contents[content], &bytes), &hash);
   mo_sha256_of(bytes, record.size, &hash);
   free(bytes);
   return (mo_sha256_equal(&hash, &record.sha256) && record.version == version) ||
-         life_differs(text, "the name %s has version %lld, not %lld, or other bytes", name, (long long)record.version,
-                      (long long)version);
+         life_differs(text, "the name %s has version %lld, not %lld, or other bytes", name,
+                      (long long)record.version, (long long)version);
 }
 
 static bool controllers_match(const struct life *life, const struct model *model, char text[300])
@@ -86,12 +89,13 @@ static bool same_double(double a, double b)
   return memcmp(&a, &b, sizeof(a)) == 0;
 }
 
-static bool results_match(const struct life *life, const struct evaluation_model *evaluation, int index, char text[300])
+static bool results_match(const struct life *life, const struct evaluation_model *evaluation,
+                          int index, char text[300])
 {
   struct mo_evaluation_results *results = NULL;
   const int error = mo_store_results(life->store, evaluation->id, &results);
-  bool same =
-      error == MO_OK && results->n_designs == evaluation->n_designs && results->n_environments == MO_PAPER_TEST_COUNT;
+  bool same = error == MO_OK && results->n_designs == evaluation->n_designs &&
+              results->n_environments == MO_PAPER_TEST_COUNT;
   for (uint32_t n = 0; same && n < evaluation->n_designs; n++) {
     const size_t body = (size_t)index * DESIGNS_MAX + n;
     same = memcmp(&results->genotypes[n], &life->genotypes[body], sizeof(struct mo_bits)) == 0 &&
@@ -100,13 +104,15 @@ static bool results_match(const struct life *life, const struct evaluation_model
       const size_t cell = (size_t)n * MO_PAPER_TEST_COUNT + k;
       int32_t step;
       const double loss = life_loss(evaluation->seed, n, k, &step);
-      same = n < evaluation->saved ? same_double(results->losses[cell], loss) && results->diverged_steps[cell] == step
-                                   : isnan(results->losses[cell]);
+      same = n < evaluation->saved
+                 ? same_double(results->losses[cell], loss) && results->diverged_steps[cell] == step
+                 : isnan(results->losses[cell]);
     }
     if (!same)
-      (void)life_differs(text, "job %lld of %u designs, %u saved: design %u is not what it should be",
-                         (long long)evaluation->id, (unsigned)evaluation->n_designs, (unsigned)evaluation->saved,
-                         (unsigned)n);
+      (void)life_differs(text,
+                         "job %lld of %u designs, %u saved: design %u is not what it should be",
+                         (long long)evaluation->id, (unsigned)evaluation->n_designs,
+                         (unsigned)evaluation->saved, (unsigned)n);
   }
   if (error != MO_OK)
     return life_differs(text, "results of job %lld: error %d", (long long)evaluation->id, error);
@@ -114,7 +120,8 @@ static bool results_match(const struct life *life, const struct evaluation_model
   return same;
 }
 
-static bool trajectories_match(const struct life *life, const struct evaluation_model *evaluation, char text[300])
+static bool trajectories_match(const struct life *life, const struct evaluation_model *evaluation,
+                               char text[300])
 {
   for (uint32_t n = 0; n < evaluation->n_designs; n++) {
     struct mo_trajectory *trajectory = NULL;
@@ -128,13 +135,14 @@ static bool trajectories_match(const struct life *life, const struct evaluation_
     if (error == MO_OK)
       mo_trajectory_free(trajectory);
     if (!same)
-      return life_differs(text, "trajectory %u of job %lld: error %d", (unsigned)n, (long long)evaluation->id, error);
+      return life_differs(text, "trajectory %u of job %lld: error %d", (unsigned)n,
+                          (long long)evaluation->id, error);
   }
   return true;
 }
 
-static bool evaluation_matches(const struct life *life, const struct evaluation_model *evaluation, int index,
-                               char text[300])
+static bool evaluation_matches(const struct life *life, const struct evaluation_model *evaluation,
+                               int index, char text[300])
 {
   struct mo_sha256 body;
   struct mo_job job;
@@ -143,10 +151,11 @@ static bool evaluation_matches(const struct life *life, const struct evaluation_
   int error = mo_store_job(life->store, evaluation->id, &job);
   if (error != MO_OK || job.kind != MO_JOB_EVALUATION)
     return life_differs(text, "job %lld: error %d", (long long)evaluation->id, error);
-  if (job.state != evaluation->state || job.rollouts_done != (uint64_t)evaluation->saved * MO_PAPER_TEST_COUNT)
-    return life_differs(text, "job %lld: state %d, %llu rollouts, not state %d, %u designs", (long long)job.id,
-                        (int)job.state, (unsigned long long)job.rollouts_done, (int)evaluation->state,
-                        (unsigned)evaluation->saved);
+  if (job.state != evaluation->state ||
+      job.rollouts_done != (uint64_t)evaluation->saved * MO_PAPER_TEST_COUNT)
+    return life_differs(text, "job %lld: state %d, %llu rollouts, not state %d, %u designs",
+                        (long long)job.id, (int)job.state, (unsigned long long)job.rollouts_done,
+                        (int)evaluation->state, (unsigned)evaluation->saved);
   life_key('e', index, key);
   mo_sha256_of(&evaluation->seed, sizeof(evaluation->seed), &body);
   error = mo_store_replay(life->store, key, &body, &id);
@@ -157,7 +166,8 @@ static bool evaluation_matches(const struct life *life, const struct evaluation_
 
 /* ---- trainings ---- */
 
-static bool steps_match(const struct life *life, const struct training_model *training, char text[300])
+static bool steps_match(const struct life *life, const struct training_model *training,
+                        char text[300])
 {
   static struct mo_training_step_row rows[MO_PAGE_MAX];
   uint32_t at = 0;
@@ -166,15 +176,17 @@ static bool steps_match(const struct life *life, const struct training_model *tr
     n = mo_store_training_steps(life->store, training->id, at, 1, rows, MO_PAGE_MAX);
     for (int64_t i = 0; i < n; i++) {
       const struct mo_training_step_row row = life_step(training->seed, ++at);
-      if (rows[i].report.step != at || !same_double(rows[i].report.mean_loss, row.report.mean_loss) ||
+      if (rows[i].report.step != at ||
+          !same_double(rows[i].report.mean_loss, row.report.mean_loss) ||
           !same_double(rows[i].report.gradient_norm, row.report.gradient_norm) ||
           rows[i].report.zeroed != row.report.zeroed)
-        return life_differs(text, "step %u of training %lld", (unsigned)at, (long long)training->id);
+        return life_differs(text, "step %u of training %lld", (unsigned)at,
+                            (long long)training->id);
     }
   } while (n == MO_PAGE_MAX);
   return (n >= 0 && at == training->step) ||
-         life_differs(text, "training %lld has %u steps, not %u", (long long)training->id, (unsigned)at,
-                      (unsigned)training->step);
+         life_differs(text, "training %lld has %u steps, not %u", (long long)training->id,
+                      (unsigned)at, (unsigned)training->step);
 }
 
 uint32_t life_files(const struct life *life, const char *folder, int64_t id)
@@ -185,7 +197,8 @@ uint32_t life_files(const struct life *life, const char *folder, int64_t id)
   DIR *stream;
   snprintf(path, sizeof(path), "%s/%s/%lld", disk_folder(life->disk), folder, (long long)id);
   stream = opendir(path);
-  while (stream != NULL && (entry = readdir(stream)) != NULL) /* NOLINT(concurrency-mt-unsafe): this thread's own */
+  while (stream != NULL &&
+         (entry = readdir(stream)) != NULL) /* NOLINT(concurrency-mt-unsafe): this thread's own */
     files += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
   if (stream != NULL)
     closedir(stream);
@@ -193,49 +206,55 @@ uint32_t life_files(const struct life *life, const char *folder, int64_t id)
 }
 
 /* Every row has its file, with the right bytes, and every file its row. */
-static bool checkpoints_match(const struct life *life, const struct training_model *training, char text[300])
+static bool checkpoints_match(const struct life *life, const struct training_model *training,
+                              char text[300])
 {
   struct mo_training_checkpoint_row rows[KEPT_MAX + 1];
   const int64_t n = mo_store_training_checkpoints(life->store, training->id, rows, KEPT_MAX + 1);
   const uint32_t files = life_files(life, "trainings", training->id);
   if (n != training->n_checkpoints)
-    return life_differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id, (long long)n,
-                        (unsigned)training->n_checkpoints);
+    return life_differs(text, "training %lld has %lld checkpoints, not %u", (long long)training->id,
+                        (long long)n, (unsigned)training->n_checkpoints);
   for (int64_t i = 0; i < n; i++) {
     const uint32_t step = training->checkpoints[n - 1 - i];
     uint8_t *expected = NULL, *found = NULL;
     size_t size = 0;
     const size_t expected_size = life_checkpoint(training->seed, step, &expected);
-    const int error = mo_store_training_checkpoint_bytes(life->store, training->id, step, &found, &size);
-    const bool same =
-        error == MO_OK && rows[i].step == step && size == expected_size && memcmp(found, expected, size) == 0;
+    const int error =
+        mo_store_training_checkpoint_bytes(life->store, training->id, step, &found, &size);
+    const bool same = error == MO_OK && rows[i].step == step && size == expected_size &&
+                      memcmp(found, expected, size) == 0;
     free(expected);
     if (error == MO_OK)
       free(found);
     if (!same)
-      return life_differs(text, "checkpoint %u of training %lld: error %d", (unsigned)step, (long long)training->id,
-                          error);
+      return life_differs(text, "checkpoint %u of training %lld: error %d", (unsigned)step,
+                          (long long)training->id, error);
   }
   return files == training->n_checkpoints ||
-         life_differs(text, "training %lld has %u files for %u checkpoints", (long long)training->id, (unsigned)files,
-                      (unsigned)training->n_checkpoints);
+         life_differs(text, "training %lld has %u files for %u checkpoints",
+                      (long long)training->id, (unsigned)files, (unsigned)training->n_checkpoints);
 }
 
-static bool training_matches(const struct life *life, const struct training_model *training, char text[300])
+static bool training_matches(const struct life *life, const struct training_model *training,
+                             char text[300])
 {
   static struct mo_training_status status;
   const int error = mo_store_training(life->store, training->id, &status);
-  const uint32_t newest = training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
+  const uint32_t newest =
+      training->n_checkpoints > 0 ? training->checkpoints[training->n_checkpoints - 1] : 0;
   if (error != MO_OK)
     return life_differs(text, "training %lld: error %d", (long long)training->id, error);
   if (status.job.state != training->state || status.job.attempts != training->attempts ||
       status.step != training->step || status.has_validation != (training->n_validations > 0) ||
       status.validation.step != training->last_validation || status.checkpoint_step != newest ||
       status.has_result != (training->result >= 0) || status.record.settings.seed != training->seed)
-    return life_differs(text, "training %lld: state %d, attempts %u, step %u, validation %u, checkpoint %u, result %d",
-                        (long long)training->id, (int)status.job.state, (unsigned)status.job.attempts,
-                        (unsigned)status.step, (unsigned)status.validation.step, (unsigned)status.checkpoint_step,
-                        (int)status.has_result);
+    return life_differs(
+        text,
+        "training %lld: state %d, attempts %u, step %u, validation %u, checkpoint %u, result %d",
+        (long long)training->id, (int)status.job.state, (unsigned)status.job.attempts,
+        (unsigned)status.step, (unsigned)status.validation.step, (unsigned)status.checkpoint_step,
+        (int)status.has_result);
   return steps_match(life, training, text) && checkpoints_match(life, training, text);
 }
 
@@ -243,7 +262,8 @@ static bool training_matches(const struct life *life, const struct training_mode
 
 static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
 {
-  int64_t designs = 0, born = 0, saved = 0, scored = 0, steps = 0, validations = 0, checkpoints = 0, names = 0;
+  int64_t designs = 0, born = 0, saved = 0, scored = 0, steps = 0, validations = 0, checkpoints = 0,
+          names = 0;
   int64_t generations = 0, losses = 0, learned = 0, states = 0;
   for (int i = 0; i < model->n_evaluations; i++) {
     designs += model->evaluations[i].n_designs;
@@ -300,11 +320,13 @@ static bool counts_match(sqlite3 *db, const struct model *model, char text[300])
     int64_t n = -1;
     char sql[80];
     snprintf(sql, sizeof(sql), "SELECT count(*) FROM %s", counts[i].table);
-    if (sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK && sqlite3_step(statement) == SQLITE_ROW)
+    if (sqlite3_prepare_v2(db, sql, -1, &statement, NULL) == SQLITE_OK &&
+        sqlite3_step(statement) == SQLITE_ROW)
       n = sqlite3_column_int64(statement, 0);
     sqlite3_finalize(statement);
     if (n != counts[i].n)
-      return life_differs(text, "%lld %s, not %lld", (long long)n, counts[i].table, (long long)counts[i].n);
+      return life_differs(text, "%lld %s, not %lld", (long long)n, counts[i].table,
+                          (long long)counts[i].n);
   }
   return true;
 }
@@ -335,9 +357,11 @@ static bool backups_match(const struct life *life, const struct model *model, ch
     }
     db = open_database(path);
     same = db != NULL &&
-           sqlite3_prepare_v2(db, "SELECT count(*),(SELECT integrity_check FROM pragma_integrity_check) FROM jobs", -1,
-                              &statement, NULL) == SQLITE_OK &&
-           sqlite3_step(statement) == SQLITE_ROW && sqlite3_column_int64(statement, 0) == model->backups[i] &&
+           sqlite3_prepare_v2(
+               db, "SELECT count(*),(SELECT integrity_check FROM pragma_integrity_check) FROM jobs",
+               -1, &statement, NULL) == SQLITE_OK &&
+           sqlite3_step(statement) == SQLITE_ROW &&
+           sqlite3_column_int64(statement, 0) == model->backups[i] &&
            strcmp((const char *)sqlite3_column_text(statement, 1), "ok") == 0;
     sqlite3_finalize(statement);
     sqlite3_close(db);
@@ -354,7 +378,8 @@ bool life_matches(const struct life *life, const struct model *model, char text[
   bool same;
   snprintf(path, sizeof(path), "%s/morphod.db", disk_folder(life->disk));
   db = open_database(path);
-  same = db != NULL ? counts_match(db, model, text) : life_differs(text, "the database cannot be opened");
+  same = db != NULL ? counts_match(db, model, text)
+                    : life_differs(text, "the database cannot be opened");
   sqlite3_close(db);
   for (int i = 0; i < model->n_evaluations && same; i++)
     same = evaluation_matches(life, &model->evaluations[i], i, text);

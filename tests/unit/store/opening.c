@@ -1,4 +1,5 @@
-/* opening.c: which databases the store opens, how it notices damage, and the way there from older ones; backups. */
+/* opening.c: which databases the store opens, how it notices damage, and the way there from older
+ * ones; backups. */
 #include "by_hand.h"
 #include "campaign_fixture.h"
 #include "store/internal.h"
@@ -22,9 +23,10 @@ static void opens_and_locks(void)
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
   CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 7);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
-  CHECK_INT(outside_integer(&fixture,
-                            "SELECT count(*) FROM sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'"
-                            " AND sql NOT LIKE '%STRICT%'"),
+  CHECK_INT(outside_integer(
+                &fixture,
+                "SELECT count(*) FROM sqlite_schema WHERE type='table' AND name NOT LIKE 'sqlite%'"
+                " AND sql NOT LIKE '%STRICT%'"),
             0);
   config.path = "/nonexistent/folder";
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_NOT_FOUND);
@@ -71,13 +73,18 @@ static void notices_damage_after_an_unclean_stop(void)
   CHECK_INT(fixture_reopen(&fixture), MO_OK); /* unclean, but whole */
   mo_store_close(fixture.store);
   fixture.store = NULL;
-  REQUIRE(outside(&fixture, "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") == SQLITE_OK);
+  REQUIRE(outside(&fixture,
+                  "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
+          SQLITE_OK);
   snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
   file = fopen(path, "r+");
   REQUIRE(file != NULL);
   /* The root page of some index becomes noise; the header and the schema stay. */
   fseek(file,
-        4096L * (long)(outside_integer(&fixture, "SELECT rootpage FROM sqlite_schema WHERE name='jobs_by_state'") - 1),
+        4096L *
+            (long)(outside_integer(
+                       &fixture, "SELECT rootpage FROM sqlite_schema WHERE name='jobs_by_state'") -
+                   1),
         SEEK_SET);
   for (int i = 0; i < 4096; i++)
     fputc(0x5a, file);
@@ -94,7 +101,8 @@ static int ask_the_writer(struct mo_store *store, void *context)
   return statement != NULL ? mo_sql_integer(&store->writer, statement, context) : error;
 }
 
-/* Damaged rows cost nobody the rest, after an unclean stop either: they are named, or written again. */
+/* Damaged rows cost nobody the rest, after an unclean stop either: they are named, or written
+ * again. */
 static void starts_with_damaged_rows(void)
 {
   struct fixture fixture;
@@ -110,11 +118,14 @@ static void starts_with_damaged_rows(void)
   REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
   mo_store_close(fixture.store);
   fixture.store = NULL;
-  REQUIRE(outside(&fixture, "PRAGMA ignore_check_constraints=ON; UPDATE designs SET form=x'01' WHERE id=2;"
-                            "UPDATE environments SET data=x'02' WHERE id=3; UPDATE environments SET sha256=x'03' WHERE"
-                            " id=4; UPDATE meta SET value=0 WHERE key='clean'") == SQLITE_OK);
+  REQUIRE(outside(&fixture,
+                  "PRAGMA ignore_check_constraints=ON; UPDATE designs SET form=x'01' WHERE id=2;"
+                  "UPDATE environments SET data=x'02' WHERE id=3; UPDATE environments SET "
+                  "sha256=x'03' WHERE"
+                  " id=4; UPDATE meta SET value=0 WHERE key='clean'") == SQLITE_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_TEXT(mo_store_repairs(fixture.store), "environments.data of row 3, environments.sha256 of row 4");
+  CHECK_TEXT(mo_store_repairs(fixture.store),
+             "environments.data of row 3, environments.sha256 of row 4");
   CHECK_INT(mo_write(fixture.store, ask_the_writer, &ignored), MO_OK);
   CHECK_INT(ignored, 0);
   REQUIRE(mo_store_designs(fixture.store, &query, rows, 4) == 3);
@@ -137,7 +148,8 @@ static void tells_pages_from_rows(void)
     fixture.store = NULL;
     REQUIRE(outside(&fixture,
                     "PRAGMA ignore_check_constraints=ON; UPDATE controllers SET sha256=x'01';"
-                    "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") == SQLITE_OK);
+                    "UPDATE meta SET value=0 WHERE key='clean'; PRAGMA wal_checkpoint(TRUNCATE)") ==
+            SQLITE_OK);
     snprintf(path, sizeof(path), "%s/morphod.db", fixture.path);
     snprintf(sql, sizeof(sql), "SELECT rootpage FROM sqlite_schema WHERE name='%s'", damaged[i]);
     const long page = (long)outside_integer(&fixture, sql);
@@ -149,7 +161,8 @@ static void tells_pages_from_rows(void)
     fclose(file);
     CHECK_INT(fixture_reopen(&fixture), MO_ERR_CORRUPT);
     snprintf(sql, sizeof(sql), "Page %ld: ", page);
-    CHECK(strstr(fixture.message.text, "the database is damaged") != NULL && strstr(fixture.message.text, sql) != NULL);
+    CHECK(strstr(fixture.message.text, "the database is damaged") != NULL &&
+          strstr(fixture.message.text, sql) != NULL);
     fixture_end(&fixture);
   }
 }
@@ -167,7 +180,8 @@ static char *read_text(const char *path)
   return text;
 }
 
-/* Makes the database one of schema `version` with the same data: the first migrations alone, and of every row what it had then. */
+/* Makes the database one of schema `version` with the same data: the first migrations alone, and of
+ * every row what it had then. */
 static int downgrade(const struct fixture *fixture, int version)
 {
   static const char *const files[] = {"0001_initial",       "0002_trainings", "0003_weights",
@@ -181,32 +195,37 @@ static int downgrade(const struct fixture *fixture, int version)
   snprintf(old, sizeof(old), "%s/old.db", fixture->path);
   result = sqlite3_open(old, &db);
   for (int i = 0; i < version && result == SQLITE_OK; i++) {
-    snprintf(migration, sizeof(migration), "%s/schema/migrations/%s.sql", getenv("MORPHO_SOURCE_DIR"), files[i]);
+    snprintf(migration, sizeof(migration), "%s/schema/migrations/%s.sql",
+             getenv("MORPHO_SOURCE_DIR"), files[i]);
     char *schema = read_text(migration);
     result = schema != NULL ? sqlite3_exec(db, schema, NULL, NULL, NULL) : SQLITE_CANTOPEN;
     free(schema);
   }
-  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=%d; ATTACH '%s' AS new", 0x6D727068,
-           version, now);
+  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=%d; ATTACH '%s' AS new",
+           0x6D727068, version, now);
   if (result == SQLITE_OK)
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   if (result == SQLITE_OK)
-    result = sqlite3_prepare_v2(
-        db,
-        "SELECT t.name,group_concat(c.name) FROM main.sqlite_schema t, pragma_table_info(t.name,'main') c"
-        " WHERE t.type='table' AND t.name NOT LIKE 'sqlite%' GROUP BY t.name",
-        -1, &tables, NULL);
+    result =
+        sqlite3_prepare_v2(db,
+                           "SELECT t.name,group_concat(c.name) FROM main.sqlite_schema t, "
+                           "pragma_table_info(t.name,'main') c"
+                           " WHERE t.type='table' AND t.name NOT LIKE 'sqlite%' GROUP BY t.name",
+                           -1, &tables, NULL);
   while (result == SQLITE_OK && sqlite3_step(tables) == SQLITE_ROW) {
     const char *table = (const char *)sqlite3_column_text(tables, 0);
     const char *columns = (const char *)sqlite3_column_text(tables, 1);
-    snprintf(sql, sizeof(sql), "INSERT INTO main.%s(%s) SELECT %s FROM new.%s", table, columns, columns, table);
+    snprintf(sql, sizeof(sql), "INSERT INTO main.%s(%s) SELECT %s FROM new.%s", table, columns,
+             columns, table);
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_finalize(tables);
   /* Settings of version 1: without the twelve bytes of the rule and its weight at their end. */
   for (int i = 0; i < (version >= 5 ? 2 : version >= 2 ? 1 : 0) && result == SQLITE_OK; i++) {
-    snprintf(sql, sizeof(sql),
-             "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-13) AS BLOB)", settings_of[i]);
+    snprintf(
+        sql, sizeof(sql),
+        "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-13) AS BLOB)",
+        settings_of[i]);
     result = sqlite3_exec(db, sql, NULL, NULL, NULL);
   }
   sqlite3_close(db);
@@ -254,7 +273,8 @@ static void migrates_an_old_database(void)
   fixture_end(&fixture);
 }
 
-/* A training that was begun before fingerprints were kept goes on, and says that it does not know. */
+/* A training that was begun before fingerprints were kept goes on, and says that it does not know.
+ */
 static void migrates_a_training(void)
 {
   struct fixture fixture;
@@ -271,7 +291,8 @@ static void migrates_a_training(void)
   fresh = submit(&fixture, &submission);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
   REQUIRE(mo_store_training_progress(fixture.store, id, &row, 1, NULL, NULL) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 1, (const uint8_t *)"one", 3, 2) == MO_OK);
+  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 1, (const uint8_t *)"one", 3, 2) ==
+          MO_OK);
   mo_store_close(fixture.store);
   fixture.store = NULL;
   REQUIRE(downgrade(&fixture, 2) == SQLITE_OK);
@@ -281,22 +302,25 @@ static void migrates_a_training(void)
   CHECK(size == 3 && memcmp(bytes, "one", 3) == 0);
   free(bytes);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
-  CHECK(status.code.n == 1 && status.code.codes[0].from_step == 0 && status.code.codes[0].fingerprint[0] == '\0');
+  CHECK(status.code.n == 1 && status.code.codes[0].from_step == 0 &&
+        status.code.codes[0].fingerprint[0] == '\0');
   CHECK_INT(mo_store_training(fixture.store, fresh, &status), MO_OK);
   CHECK_INT(status.code.n, 0);
   CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_training_code(fixture.store, id, 1, "now", &lineage), MO_OK);
-  CHECK(lineage.n == 2 && lineage.codes[1].from_step == 1 && strcmp(lineage.codes[1].fingerprint, "now") == 0);
-  for (int64_t after = 0; mo_store_events(fixture.store, after, id, &event, 1, NULL, NULL) == 1; after = newest)
+  CHECK(lineage.n == 2 && lineage.codes[1].from_step == 1 &&
+        strcmp(lineage.codes[1].fingerprint, "now") == 0);
+  for (int64_t after = 0; mo_store_events(fixture.store, after, id, &event, 1, NULL, NULL) == 1;
+       after = newest)
     newest = event.sequence;
   CHECK_TEXT(event.type, "training.code_changed");
   CHECK(strstr(event.data, "\"before\":null") != NULL);
   fixture_end(&fixture);
 }
 
-/* Settings from before there were rules of the adjoint are read: they clip, with the usual weight. Those that come to them keep
- * theirs. */
+/* Settings from before there were rules of the adjoint are read: they clip, with the usual weight.
+ * Those that come to them keep theirs. */
 static void migrates_settings(void)
 {
   struct fixture fixture;
@@ -317,7 +341,9 @@ static void migrates_settings(void)
   bred[1] = campaign_submit(&fixture, &campaign);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
   CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 7);
-  CHECK_INT(outside_integer(&fixture, "SELECT count(*) FROM trainings WHERE substr(settings,1,1)=x'01'"), 1);
+  CHECK_INT(
+      outside_integer(&fixture, "SELECT count(*) FROM trainings WHERE substr(settings,1,1)=x'01'"),
+      1);
   for (int i = 0; i < 2; i++) {
     const enum mo_adjoint_rule rule = i == 0 ? MO_ADJOINT_CLIP : MO_ADJOINT_RESTART;
     const double weight = i == 0 ? MO_RESTART_WEIGHT : 2.5;
@@ -355,7 +381,8 @@ static void backs_up(void)
   REQUIRE(mo_store_results(copy.store, id, &results) == MO_OK);
   CHECK(results->losses[13] == made_up_loss(1, 3));
   mo_evaluation_results_free(results);
-  CHECK_INT(mo_store_backup(fixture.store, "/nonexistent/folder/copy.db", &fixture.message), MO_ERR_IO);
+  CHECK_INT(mo_store_backup(fixture.store, "/nonexistent/folder/copy.db", &fixture.message),
+            MO_ERR_IO);
   free(forms);
   free(genotypes);
   fixture_end(&copy);
@@ -411,9 +438,11 @@ static void reports_what_contradicts_itself(void)
     work_error = mo_store_load_work(fixture.store, id, &work);
     if (work_error == MO_OK)
       mo_work_free(work);
-    CHECK(job_error == MO_ERR_CORRUPT || results_error == MO_ERR_CORRUPT || work_error == MO_ERR_CORRUPT);
+    CHECK(job_error == MO_ERR_CORRUPT || results_error == MO_ERR_CORRUPT ||
+          work_error == MO_ERR_CORRUPT);
     CHECK(job_error == MO_OK || job_error == MO_ERR_CORRUPT);
-    CHECK(results_error == MO_OK || results_error == MO_ERR_CORRUPT || results_error == MO_ERR_NOT_FOUND);
+    CHECK(results_error == MO_OK || results_error == MO_ERR_CORRUPT ||
+          results_error == MO_ERR_NOT_FOUND);
     CHECK(work_error == MO_OK || work_error == MO_ERR_CORRUPT || work_error == MO_ERR_NOT_FOUND);
     free(forms);
     free(genotypes);

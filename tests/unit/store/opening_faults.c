@@ -1,7 +1,8 @@
 /* opening_faults.c: the store is opened while the disk or the memory fails, at every call in turn.
  *
- * Each time it opens, or says what was missing: never that the database is damaged, for it is not. Nothing is left behind in memory (the
- * address sanitizer looks), and what the folder holds is all there when it opens at last. */
+ * Each time it opens, or says what was missing: never that the database is damaged, for it is not.
+ * Nothing is left behind in memory (the address sanitizer looks), and what the folder holds is all
+ * there when it opens at last. */
 #include "../check.h"
 #include "../failing.h"
 #include "fixture.h"
@@ -49,8 +50,10 @@ static const struct act contents[] = {
 
 static int open_life(struct life *life, struct mo_message *message)
 {
-  struct mo_store_config config = {
-      .path = disk_folder(life->disk), .vfs = disk_vfs(life->disk), .files = disk_files(life->disk), .n_readers = 1};
+  struct mo_store_config config = {.path = disk_folder(life->disk),
+                                   .vfs = disk_vfs(life->disk),
+                                   .files = disk_files(life->disk),
+                                   .n_readers = 1};
   life->store = NULL;
   return mo_store_open(&config, &life->store, message);
 }
@@ -139,13 +142,15 @@ static void opens_on_a_failing_disk(bool first_time, bool lasting, long stride)
     failed += error != MO_OK;
     tolerated += error == MO_OK && reached;
     leave(&life);
-    if (!first_time && (n / stride) % 8 == 0) { /* each opening makes the log longer, and so the next one */
+    if (!first_time &&
+        (n / stride) % 8 == 0) { /* each opening makes the log longer, and so the next one */
       check_contents(&life);
       empty(&life);
       REQUIRE(fill(&life) == MO_OK);
     }
   }
-  printf("# %ld calls failed in turn: %ld openings failed, %ld did without\n", failed + tolerated, failed, tolerated);
+  printf("# %ld calls failed in turn: %ld openings failed, %ld did without\n", failed + tolerated,
+         failed, tolerated);
   CHECK(failed > 10);
   if (!first_time)
     check_contents(&life);
@@ -185,7 +190,8 @@ static void opens_without_memory(bool first_time, long stride)
   bool reached = true;
   REQUIRE(fill(&life) == MO_OK);
   for (; reached && n < PLENTY; n += n + AT_THE_END < all ? stride : 1) {
-    struct mo_store_config config = {.path = disk_folder(life.disk), .n_readers = 1}; /* the disk's own memory stays */
+    struct mo_store_config config = {.path = disk_folder(life.disk),
+                                     .n_readers = 1}; /* the disk's own memory stays */
     struct fixture fixture;
     int error;
     if (first_time) {
@@ -214,8 +220,8 @@ static void opens_without_memory(bool first_time, long stride)
       REQUIRE(fill(&life) == MO_OK);
     }
   }
-  printf("# %ld allocations failed in turn: %ld openings failed, %ld did without\n", failed + tolerated, failed,
-         tolerated);
+  printf("# %ld allocations failed in turn: %ld openings failed, %ld did without\n",
+         failed + tolerated, failed, tolerated);
   CHECK(failed > 10);
   check_contents(&life);
   empty(&life);
@@ -231,7 +237,8 @@ static void is_made_when_memory_is_short(void)
   opens_without_memory(true, 197);
 }
 
-/* Every act of a life is tried until it finds all the memory that it wants: the store tells each time, and does not die of it. */
+/* Every act of a life is tried until it finds all the memory that it wants: the store tells each
+ * time, and does not die of it. */
 static void works_without_memory(long stride)
 {
   static struct life life;
@@ -266,7 +273,8 @@ static void works_without_memory(long stride)
   }
   mo_store_get_stats(life.store, &stats);
   CHECK(!stats.fatal);
-  printf("# %ld allocations failed in turn: %ld acts failed, %ld did without\n", failed + tolerated, failed, tolerated);
+  printf("# %ld allocations failed in turn: %ld acts failed, %ld did without\n", failed + tolerated,
+         failed, tolerated);
   CHECK(failed > 10);
   mo_store_close(life.store);
   check_contents(&life);

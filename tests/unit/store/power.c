@@ -1,9 +1,10 @@
-/* power.c: the power fails at any moment, again and again. What was acknowledged is there afterwards, bit for bit; of what was under way
- * nothing or all.
+/* power.c: the power fails at any moment, again and again. What was acknowledged is there
+ * afterwards, bit for bit; of what was under way nothing or all.
  *
- * A folder lives through several cuts: in the middle of its work, while it is idle, while it is opened, in a row. Between some of them the
- * process alone is killed, and the next one goes on with what the machine has in its memory. After each the store is opened, checked and
- * compared with what it had promised, and works on. A disk that only says that it has synced is found out. */
+ * A folder lives through several cuts: in the middle of its work, while it is idle, while it is
+ * opened, in a row. Between some of them the process alone is killed, and the next one goes on with
+ * what the machine has in its memory. After each the store is opened, checked and compared with
+ * what it had promised, and works on. A disk that only says that it has synced is found out. */
 #include "../check.h"
 #include "fixture.h"
 #include "life.h"
@@ -11,7 +12,8 @@
 enum { CUTS_OF_A_LIFE = 5, ACTS_MAX = 60 };
 
 struct outcome {
-  unsigned cuts, in_openings, in_closings, idle, kills, doubts, came_through, findings, acts[ACT_KINDS];
+  unsigned cuts, in_openings, in_closings, idle, kills, doubts, came_through, findings,
+      acts[ACT_KINDS];
   char first[400];
 };
 
@@ -31,7 +33,8 @@ static void open_store(struct life *life, int *error, struct mo_message *message
     life->model.epoch = mo_store_epoch(life->store);
 }
 
-/* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have not. */
+/* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have
+ * not. */
 static void resolve(struct life *life, struct outcome *outcome)
 {
   const uint32_t n = life->in_doubt ? life->doing.parts : 0;
@@ -55,8 +58,8 @@ static void resolve(struct life *life, struct outcome *outcome)
     if (parts == n)
       snprintf(last, sizeof(last), "%s", text);
   }
-  life_found(life, "%s (with act %d of %u parts in doubt: %s)", text, n > 0 ? (int)life->doing.kind : -1, (unsigned)n,
-             last);
+  life_found(life, "%s (with act %d of %u parts in doubt: %s)", text,
+             n > 0 ? (int)life->doing.kind : -1, (unsigned)n, last);
 }
 
 /* One act; false: everything stopped, or something is wrong. */
@@ -134,7 +137,8 @@ static bool live_once(struct life *life, struct outcome *outcome)
   return !kill;
 }
 
-static void start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_bits *genotypes)
+static void start(struct life *life, uint64_t seed, unsigned lies, struct mo_bits *forms,
+                  struct mo_bits *genotypes)
 {
   *life = (struct life){.disk = disk_new(seed, lies), .forms = forms, .genotypes = genotypes};
   for (int i = 0; i < NAMES; i++)
@@ -163,7 +167,8 @@ static void live(uint64_t seed, unsigned lies, struct mo_bits *forms, struct mo_
   for (int i = 0; i < ACT_KINDS; i++)
     outcome->acts[i] += life.acts[i];
   if (life.findings > 0 && outcome->findings++ == 0)
-    snprintf(outcome->first, sizeof(outcome->first), "seed %llu: %.300s", (unsigned long long)seed, life.first);
+    snprintf(outcome->first, sizeof(outcome->first), "seed %llu: %.300s", (unsigned long long)seed,
+             life.first);
 }
 
 static void live_many(uint64_t seed, unsigned lies, unsigned cuts, struct outcome *outcome)
@@ -182,13 +187,14 @@ static void keeps_promises(unsigned cuts)
   const char *given = getenv("MORPHO_POWER_SEED");
   struct outcome outcome;
   live_many(given != NULL ? strtoull(given, NULL, 10) : 1, DISK_HONEST, cuts, &outcome);
-  printf(
-      "# %u cuts (%u while opening, %u while closing, %u while idle), %u kills; of %u acts in doubt %u came through\n",
-      outcome.cuts, outcome.in_openings, outcome.in_closings, outcome.idle, outcome.kills, outcome.doubts,
-      outcome.came_through);
+  printf("# %u cuts (%u while opening, %u while closing, %u while idle), %u kills; of %u acts in "
+         "doubt %u came through\n",
+         outcome.cuts, outcome.in_openings, outcome.in_closings, outcome.idle, outcome.kills,
+         outcome.doubts, outcome.came_through);
   for (int i = 0; i < ACT_KINDS; i++)
     CHECK(outcome.acts[i] > 0);
-  CHECK(outcome.in_openings > 0 && outcome.in_closings > 0 && outcome.idle > 0 && outcome.kills > 0);
+  CHECK(outcome.in_openings > 0 && outcome.in_closings > 0 && outcome.idle > 0 &&
+        outcome.kills > 0);
   CHECK(outcome.came_through > 0 && outcome.came_through < outcome.doubts);
   CHECK_INT(outcome.findings, 0);
   if (outcome.findings > 0)
@@ -235,7 +241,8 @@ static const struct act script[] = {
     {ACT_TRAIN, 0, 21, 0, 1},
     {ACT_TRAIN_START, 0, 0, 0, 1},
     {ACT_TRAIN_PROGRESS, 0, 3, 7, 1},
-    {ACT_TRAIN_CHECKPOINT, 0, 0, 1, 1}, /* changes are counted from here on, or from the first opening on */
+    {ACT_TRAIN_CHECKPOINT, 0, 0, 1,
+     1}, /* changes are counted from here on, or from the first opening on */
     {ACT_PUT, 1, 10, 0, 1},
     {ACT_SUBMIT, 0, 1, 0, 1},
     {ACT_SAVE, 0, 0, 2, 2},
@@ -256,7 +263,8 @@ static const struct act script[] = {
 };
 enum { SCRIPT = sizeof(script) / sizeof(script[0]), COUNTED_FROM = 4 };
 
-/* What was requeued is started again; a training from its checkpoint, so that it has perhaps nothing to write yet. */
+/* What was requeued is started again; a training from its checkpoint, so that it has perhaps
+ * nothing to write yet. */
 static bool prepare(struct life *life, enum act_kind kind, int index)
 {
   const struct training_model *training = &life->model.trainings[0];
@@ -290,7 +298,8 @@ static int play(struct life *life, int from, int end, long stop_after)
   return from;
 }
 
-static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck, struct outcome *outcome)
+static void stop_and_reopen(struct life *life, bool kill, enum disk_luck luck,
+                            struct outcome *outcome)
 {
   struct mo_message message;
   int error = MO_OK;
@@ -313,10 +322,10 @@ struct stops {
   enum disk_luck luck;
 };
 
-/* Stopped at change `n` of the script or of the first opening: by a kill or a cut; then what is left of the script, and the worst cut. Returns
- * whether there was such a change. */
-static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *forms, struct mo_bits *genotypes,
-                    struct outcome *outcome)
+/* Stopped at change `n` of the script or of the first opening: by a kill or a cut; then what is
+ * left of the script, and the worst cut. Returns whether there was such a change. */
+static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *forms,
+                    struct mo_bits *genotypes, struct outcome *outcome)
 {
   static struct life life;
   struct mo_message message;
@@ -335,8 +344,8 @@ static bool stop_at(long n, const struct stops *stops, int end, struct mo_bits *
   stopped = disk_has_stopped(life.disk);
   if (life.findings == 0)
     stop_and_reopen(&life, stops->kill, stops->luck, outcome);
-  if (next < end && life.doing.kind == script[next].kind && life.doing.index == script[next].index &&
-      life.doing.parts == 0)
+  if (next < end && life.doing.kind == script[next].kind &&
+      life.doing.index == script[next].index && life.doing.parts == 0)
     next += !stops->opening;
   if (life.findings == 0 && play(&life, next, end, 0) < end)
     life_found(&life, "the script does not go on after act %d", next);
@@ -360,8 +369,8 @@ static void stops_everywhere(const struct stops *stops, long stride, int end)
   REQUIRE(fixture_bodies(7, BODIES, &forms, &genotypes) == MO_OK);
   for (; stop_at(n, stops, end, forms, genotypes, &outcome); n += stride)
     tried++;
-  printf("# %ld of about %ld changes; of %u acts in doubt %u came through\n", tried, n - 1, outcome.doubts,
-         outcome.came_through);
+  printf("# %ld of about %ld changes; of %u acts in doubt %u came through\n", tried, n - 1,
+         outcome.doubts, outcome.came_through);
   CHECK(n > 30);
   CHECK_INT(outcome.findings, 0);
   if (outcome.findings > 0)
@@ -371,8 +380,8 @@ static void stops_everywhere(const struct stops *stops, long stride, int end)
 }
 
 /* A name that the killed process has made is not certain because the next one sees it. */
-static const struct stops kills = {.kill = true}, worst_cuts = {.luck = DISK_WORST}, any_cuts = {.luck = DISK_ANY},
-                          openings = {.opening = true};
+static const struct stops kills = {.kill = true}, worst_cuts = {.luck = DISK_WORST},
+                          any_cuts = {.luck = DISK_ANY}, openings = {.opening = true};
 
 static void survives_kills(void)
 {
@@ -394,7 +403,8 @@ static void survives_cuts_of_an_opening(void)
   stops_everywhere(&openings, 5, SCRIPT);
 }
 
-/* An act that finds no descriptor for one of its files or folders is asked for again, and then certain. */
+/* An act that finds no descriptor for one of its files or folders is asked for again, and then
+ * certain. */
 static void certain_at_the_second_try(void)
 {
   static struct life life;

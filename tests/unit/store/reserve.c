@@ -1,4 +1,5 @@
-/* reserve.c: on a file system that is full, what people need to get out of that goes on working, whatever else wants its room. */
+/* reserve.c: on a file system that is full, what people need to get out of that goes on working,
+ * whatever else wants its room. */
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -35,7 +36,8 @@ static bool begin(struct small *small, const char *size)
 {
   struct mo_controller_record record;
   memset(small, 0, sizeof(*small));
-  const bool mounted = fixture_folder(&small->fixture) == 0 && mount_small(small->fixture.path, size);
+  const bool mounted =
+      fixture_folder(&small->fixture) == 0 && mount_small(small->fixture.path, size);
   CHECK(mounted);
   if (!mounted) {
     fixture_end(&small->fixture);
@@ -221,7 +223,9 @@ static void keeps_it_for_people(void)
   trained = submit(&small.fixture, &training);
   CHECK_INT(mo_store_training_start(small.fixture.store, trained), MO_OK);
   for (uint32_t step = 1; step <= 2; step++)
-    CHECK_INT(mo_store_training_checkpoint(small.fixture.store, trained, step, (const uint8_t *)"state", 5, 2), MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(small.fixture.store, trained, step,
+                                           (const uint8_t *)"state", 5, 2),
+              MO_OK);
   whole = size_of(small.reserve);
   fill_all(&small);
   CHECK_INT(mo_store_change_job(small.fixture.store, ids[0], MO_CHANGE_PAUSE, NULL), MO_OK);
@@ -231,7 +235,8 @@ static void keeps_it_for_people(void)
     CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_RESUME, &before),
               i == 0 ? MO_ERR_NO_SPACE : MO_OK); /* the others are not paused: nothing to do */
     CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_PAUSE, NULL), MO_OK);
-    CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_RESUME, NULL), MO_ERR_NO_SPACE);
+    CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_RESUME, NULL),
+              MO_ERR_NO_SPACE);
     CHECK_INT(mo_store_set_weight(small.fixture.store, ids[i], 2), MO_ERR_NO_SPACE);
     usleep(10000);
     CHECK_INT(mo_store_change_job(small.fixture.store, ids[i], MO_CHANGE_CANCEL, NULL), MO_OK);
@@ -260,7 +265,8 @@ static void keeps_it_for_people(void)
   end(&small);
 }
 
-/* The log's index, a file too, grows by 32 KiB where the log passes its 4062nd frame: no room for that is no room, and nothing worse. */
+/* The log's index, a file too, grows by 32 KiB where the log passes its 4062nd frame: no room for
+ * that is no room, and nothing worse. */
 static void grows_the_index_of_the_log(void)
 {
   struct small small;
@@ -314,7 +320,8 @@ static void kill_store(struct small *small)
   small->fixture.store = NULL;
 }
 
-/* Until no byte is free, neither for the database nor in what an urgent operation has been given. */
+/* Until no byte is free, neither for the database nor in what an urgent operation has been given.
+ */
 static void use_up(struct small *small, int64_t cancelled)
 {
   fill_all(small);
@@ -366,7 +373,8 @@ static void starts_when_it_is_full(void)
     CHECK_INT(mo_store_submit(small.fixture.store, &one, &id, &replayed), MO_ERR_NO_SPACE);
   }
   printf("# %d starts took %lld bytes\n", STARTS, (long long)(held - size_of(small.reserve)));
-  CHECK(held - size_of(small.reserve) <= (STARTS + 20) * EACH_BYTES); /* the first one also writes jobs */
+  CHECK(held - size_of(small.reserve) <=
+        (STARTS + 20) * EACH_BYTES); /* the first one also writes jobs */
   CHECK(size_of(small.reserve) < held);
   CHECK_INT(mo_store_job(small.fixture.store, trained, &job), MO_OK);
   CHECK_INT(job.state, MO_JOB_QUEUED);
@@ -399,7 +407,8 @@ static void stays_short_over_a_restart(void)
   REQUIRE(fixture_reopen(&small.fixture) == MO_OK);
   CHECK(is_full(&small));
   small.submission.n_designs = 1;
-  CHECK_INT(mo_store_submit(small.fixture.store, &small.submission, &id, &replayed), MO_ERR_NO_SPACE);
+  CHECK_INT(mo_store_submit(small.fixture.store, &small.submission, &id, &replayed),
+            MO_ERR_NO_SPACE);
   CHECK_INT(mo_store_change_job(small.fixture.store, last, MO_CHANGE_PAUSE, NULL), MO_OK);
   unlink(small.filler);
   CHECK_INT(fixture_reopen(&small.fixture), MO_OK); /* with room: nothing of that is left */
@@ -409,7 +418,8 @@ static void stays_short_over_a_restart(void)
   end(&small);
 }
 
-/* With nothing left of it but what is kept for people a start is refused, until there is a little room: then that is there. */
+/* With nothing left of it but what is kept for people a start is refused, until there is a little
+ * room: then that is there. */
 static void keeps_the_last_of_it_for_people(void)
 {
   struct small small;
@@ -424,7 +434,8 @@ static void keeps_the_last_of_it_for_people(void)
   use_up(&small, id);
   kill_store(&small); /* first: the writer looks after it, too */
   CHECK_INT(truncate(small.reserve, LAST_BYTES + 100), 0);
-  for (; starts < 1000 && error == MO_OK; starts++) { /* what the log still has room for, and a piece */
+  for (; starts < 1000 && error == MO_OK;
+       starts++) { /* what the log still has room for, and a piece */
     fill_up(small.filler);
     error = fixture_reopen(&small.fixture);
     if (error == MO_OK)

@@ -9,38 +9,40 @@
 
 static inline struct mo_training_submission submission_of(uint32_t n_steps)
 {
-  return (struct mo_training_submission){.record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
-                                                                 .seed = UINT64_C(0xFEDCBA9876543210),
-                                                                 .n_steps = n_steps,
-                                                                 .batch = 16,
-                                                                 .schedule = {.kind = MO_SCHEDULE_RESTARTS,
-                                                                              .peak = 1e-3,
-                                                                              .floor = 1e-5,
-                                                                              .decay = 0.7,
-                                                                              .cycle_steps = 10,
-                                                                              .cycle_growth = 2,
-                                                                              .warmup_steps = 3},
-                                                                 .beta1 = 0.9,
-                                                                 .beta2 = 0.999,
-                                                                 .epsilon = 1e-8,
-                                                                 .norm_limit = 1,
-                                                                 .adjoint_bound = 2,
-                                                                 .adjoint_rule = MO_ADJOINT_RESTART,
-                                                                 .restart_weight = 2.5,
-                                                                 .physics = mo_default_physics(),
-                                                                 .sensor = MO_SENSOR_INVERSE_SQUARE,
-                                                                 .held_out_designs = 5,
-                                                                 .held_out_environments = 7},
-                                                    .name = "walker",
-                                                    .validate_every_steps = 11,
-                                                    .checkpoint_every_steps = 12,
-                                                    .checkpoint_every_s = 13,
-                                                    .checkpoints_kept = 2},
-                                         .priority = MO_BATCH,
-                                         .label = "a label"};
+  return (struct mo_training_submission){
+      .record = {.settings = {.kind = MO_TRAINING_PRETRAIN,
+                              .seed = UINT64_C(0xFEDCBA9876543210),
+                              .n_steps = n_steps,
+                              .batch = 16,
+                              .schedule = {.kind = MO_SCHEDULE_RESTARTS,
+                                           .peak = 1e-3,
+                                           .floor = 1e-5,
+                                           .decay = 0.7,
+                                           .cycle_steps = 10,
+                                           .cycle_growth = 2,
+                                           .warmup_steps = 3},
+                              .beta1 = 0.9,
+                              .beta2 = 0.999,
+                              .epsilon = 1e-8,
+                              .norm_limit = 1,
+                              .adjoint_bound = 2,
+                              .adjoint_rule = MO_ADJOINT_RESTART,
+                              .restart_weight = 2.5,
+                              .physics = mo_default_physics(),
+                              .sensor = MO_SENSOR_INVERSE_SQUARE,
+                              .held_out_designs = 5,
+                              .held_out_environments = 7},
+                 .name = "walker",
+                 .validate_every_steps = 11,
+                 .checkpoint_every_steps = 12,
+                 .checkpoint_every_s = 13,
+                 .checkpoints_kept = 2},
+      .priority = MO_BATCH,
+      .label = "a label"};
 }
 
-static inline int64_t submit(struct fixture *fixture, const struct mo_training_submission *submission)
+static inline int64_t submit(struct fixture *fixture,
+                             const struct mo_training_submission *submission)
 {
   int64_t id = 0;
   bool replayed = true;

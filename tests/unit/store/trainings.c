@@ -1,10 +1,12 @@
-/* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states and results. */
+/* trainings.c: what the store keeps of trainings: what was asked for, their curves, code, states
+ * and results. */
 #include "by_hand.h"
 #include "store/encode.h"
 #include "store/internal.h"
 #include "training_fixture.h"
 
-/* What SQLite's machine has done so far for the readers' statements: the cost of a query, whatever else the machine does. */
+/* What SQLite's machine has done so far for the readers' statements: the cost of a query, whatever
+ * else the machine does. */
 static int64_t steps_of_readers(struct mo_store *store)
 {
   int64_t sum = 0;
@@ -15,18 +17,22 @@ static int64_t steps_of_readers(struct mo_store *store)
   return sum;
 }
 
-static bool same_settings(const struct mo_training_settings *a, const struct mo_training_settings *b)
+static bool same_settings(const struct mo_training_settings *a,
+                          const struct mo_training_settings *b)
 {
-  return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps && a->batch == b->batch &&
-         a->schedule.kind == b->schedule.kind && a->schedule.peak == b->schedule.peak &&
-         a->schedule.floor == b->schedule.floor && a->schedule.decay == b->schedule.decay &&
-         a->schedule.cycle_steps == b->schedule.cycle_steps && a->schedule.cycle_growth == b->schedule.cycle_growth &&
-         a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 && a->beta2 == b->beta2 &&
-         a->epsilon == b->epsilon && a->norm_limit == b->norm_limit && a->adjoint_bound == b->adjoint_bound &&
-         a->adjoint_rule == b->adjoint_rule && a->restart_weight == b->restart_weight &&
-         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
-         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
-         a->held_out_designs == b->held_out_designs && a->held_out_environments == b->held_out_environments;
+  return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps &&
+         a->batch == b->batch && a->schedule.kind == b->schedule.kind &&
+         a->schedule.peak == b->schedule.peak && a->schedule.floor == b->schedule.floor &&
+         a->schedule.decay == b->schedule.decay &&
+         a->schedule.cycle_steps == b->schedule.cycle_steps &&
+         a->schedule.cycle_growth == b->schedule.cycle_growth &&
+         a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 &&
+         a->beta2 == b->beta2 && a->epsilon == b->epsilon && a->norm_limit == b->norm_limit &&
+         a->adjoint_bound == b->adjoint_bound && a->adjoint_rule == b->adjoint_rule &&
+         a->restart_weight == b->restart_weight && a->physics.n_steps == b->physics.n_steps &&
+         a->physics.dt_s == b->physics.dt_s && a->physics.bisections == b->physics.bisections &&
+         a->sensor == b->sensor && a->held_out_designs == b->held_out_designs &&
+         a->held_out_environments == b->held_out_environments;
 }
 
 /* The first version of the settings ended before the rule: it clipped, with the usual weight. */
@@ -90,7 +96,8 @@ static void submits_and_reads_back(void)
   CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed), MO_OK);
   CHECK(replayed && again == id);
   mo_sha256_of("x", 1, &submission.body_sha256);
-  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_submit_training(fixture.store, &submission, &again, &replayed),
+            MO_ERR_CONFLICT);
   /* With a parent and designs. */
   tune.record.settings.kind = MO_TRAINING_FINETUNE;
   tune.record.n_designs = 20;
@@ -112,9 +119,11 @@ static void submits_and_reads_back(void)
   CHECK_INT(mo_store_training_designs(fixture.store, second + 1, &found, &n), MO_ERR_NOT_FOUND);
   tune.parent = "nobody";
   CHECK_INT(submit(&fixture, &tune), MO_ERR_NOT_FOUND);
-  REQUIRE(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small) == MO_OK);
+  REQUIRE(mo_controller_create((struct mo_workspace){2, 2, 2}, MO_SENSOR_INVERSE_SQRT, &small) ==
+          MO_OK);
   REQUIRE(mo_controller_encode(small, &bytes, &size) == MO_OK);
-  REQUIRE(mo_store_controller_put(fixture.store, "small", bytes, size, small, &record, &created) == MO_OK);
+  REQUIRE(mo_store_controller_put(fixture.store, "small", bytes, size, small, &record, &created) ==
+          MO_OK);
   free(bytes);
   mo_controller_free(small);
   tune.parent = "small";
@@ -122,12 +131,20 @@ static void submits_and_reads_back(void)
   /* Lists. */
   CHECK_INT(mo_store_trainings(fixture.store, &any_job, page, 5), 2);
   CHECK(page[0].job.id == second && page[1].job.id == id);
+  CHECK_INT(mo_store_trainings(fixture.store,
+                               &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED},
+                               page, 5),
+            1);
   CHECK_INT(
-      mo_store_trainings(fixture.store, &(struct mo_job_query){.before = second, .state = MO_JOB_QUEUED}, page, 5), 1);
-  CHECK_INT(mo_store_trainings(fixture.store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5), 0);
+      mo_store_trainings(fixture.store, &(struct mo_job_query){.state = MO_JOB_RUNNING}, page, 5),
+      0);
   CHECK_INT(mo_store_jobs(fixture.store, &any_job, jobs, 5), 2);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5), 2);
-  CHECK_INT(mo_store_jobs(fixture.store, &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5), 0);
+  CHECK_INT(mo_store_jobs(fixture.store,
+                          &(struct mo_job_query){.state = -1, .kind = MO_JOB_TRAINING}, jobs, 5),
+            2);
+  CHECK_INT(mo_store_jobs(fixture.store,
+                          &(struct mo_job_query){.state = -1, .kind = MO_JOB_EVALUATION}, jobs, 5),
+            0);
   CHECK_INT(mo_store_job_counts(fixture.store, counts), MO_OK);
   CHECK_INT(counts[MO_JOB_QUEUED], 2);
   CHECK_INT(mo_store_job(fixture.store, second, &job), MO_OK);
@@ -185,7 +202,8 @@ static void keeps_the_curve(void)
   id = submit(&fixture, &submission);
   for (uint32_t i = 0; i < 10; i++)
     rows[i] = row_of(i + 1);
-  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, NULL), MO_ERR_CONFLICT); /* not started */
+  CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, NULL),
+            MO_ERR_CONFLICT); /* not started */
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_OK);
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 10, NULL, "{\"id\":\"1\"}"), MO_OK);
@@ -198,9 +216,12 @@ static void keeps_the_curve(void)
     CHECK(memcmp(&found[i].report.mean_loss, &rows[i].report.mean_loss, sizeof(double)) == 0 ||
           (isnan(found[i].report.mean_loss) && isnan(rows[i].report.mean_loss)));
     CHECK(found[i].report.rate == rows[i].report.rate &&
-          found[i].report.gradient_norm == rows[i].report.gradient_norm && found[i].seconds == rows[i].seconds &&
-          found[i].report.diverged == rows[i].report.diverged && found[i].report.zeroed == rows[i].report.zeroed &&
-          found[i].report.skipped == rows[i].report.skipped && found[i].report.bounded == rows[i].report.bounded);
+          found[i].report.gradient_norm == rows[i].report.gradient_norm &&
+          found[i].seconds == rows[i].seconds &&
+          found[i].report.diverged == rows[i].report.diverged &&
+          found[i].report.zeroed == rows[i].report.zeroed &&
+          found[i].report.skipped == rows[i].report.skipped &&
+          found[i].report.bounded == rows[i].report.bounded);
   }
   CHECK_INT(mo_store_training_steps(fixture.store, id, 3, 2, found, 2), 2);
   CHECK(found[0].report.step == 4 && found[1].report.step == 6);
@@ -210,29 +231,34 @@ static void keeps_the_curve(void)
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.step, 10);
   CHECK_INT(status.last.report.step, 10);
-  CHECK(status.has_validation && status.validation.rollouts == 80 && status.validation.diverged == 2);
+  CHECK(status.has_validation && status.validation.rollouts == 80 &&
+        status.validation.diverged == 2);
   n = mo_store_events(fixture.store, 0, id, events, 20, NULL, NULL);
   for (int64_t i = 0; i < n; i++)
     progress += strcmp(events[i].type, "training.progress") == 0;
   CHECK_INT(progress, 1);
   CHECK(n > 0 && strcmp(events[n - 1].type, "training.validation") == 0);
-  CHECK_TEXT(events[n - 1].data, "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
-                                 "\"rollouts\":80,\"diverged\":2}");
+  CHECK_TEXT(events[n - 1].data,
+             "{\"id\":\"1\",\"step\":5,\"mean_score\":0.75,\"standard_error\":0.01,"
+             "\"rollouts\":80,\"diverged\":2}");
   /* Paused: what was under way is taken still. Cancelled: nothing any more. */
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_OK);
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2), MO_OK);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10, (const uint8_t *)"ten", 3, 2),
+            MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_CANCEL, NULL), MO_OK);
   CHECK_INT(mo_store_training_progress(fixture.store, id, rows, 1, NULL, NULL), MO_ERR_CONFLICT);
-  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 11, (const uint8_t *)"eleven", 6, 2), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 11, (const uint8_t *)"eleven", 6, 2),
+            MO_ERR_CONFLICT);
   fixture_end(&fixture);
 }
 
 /* A page of every nth step does not read the steps between. */
 static void finds_steps_in_a_long_curve(void)
 {
-  static const char fill[] = "WITH RECURSIVE s(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM s WHERE x<100000) INSERT INTO "
-                             "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
+  static const char fill[] =
+      "WITH RECURSIVE s(x) AS (SELECT 1 UNION ALL SELECT x+1 FROM s WHERE x<100000) INSERT INTO "
+      "training_steps SELECT 1,x,0.5,0.001,1,0,0,0,0,0,0,0.25 FROM s";
   struct fixture fixture;
   struct mo_training_submission submission = submission_of(100000);
   struct mo_training_step_row *rows = calloc(MO_PAGE_MAX, sizeof(*rows));
@@ -255,9 +281,10 @@ static void finds_steps_in_a_long_curve(void)
   middle = steps_of_readers(fixture.store);
   CHECK_INT(mo_store_training_steps(fixture.store, 1, 0, 30000, rows, MO_PAGE_MAX), 3);
   end = steps_of_readers(fixture.store);
-  CHECK(rows[0].report.step == 30000 && rows[1].report.step == 60000 && rows[2].report.step == 90000);
-  printf("# steps of SQLite's machine: %lld for three rows, %lld for all\n", (long long)(end - middle),
-         (long long)(middle - begin));
+  CHECK(rows[0].report.step == 30000 && rows[1].report.step == 60000 &&
+        rows[2].report.step == 90000);
+  printf("# steps of SQLite's machine: %lld for three rows, %lld for all\n",
+         (long long)(end - middle), (long long)(middle - begin));
   CHECK(middle - begin >= 100000);
   CHECK(end - middle > 0 && end - middle < 1000);
   CHECK_INT(mo_store_training_steps(fixture.store, 1, 30000, 30000, rows, 1), 1);
@@ -266,13 +293,15 @@ static void finds_steps_in_a_long_curve(void)
   CHECK(rows[0].report.step == 30002 && rows[1].report.step == 30009);
   CHECK_INT(mo_store_training_steps(fixture.store, 1, 99998, 99999, rows, 5), 1);
   CHECK_INT(mo_store_training_steps(fixture.store, 1, 99999, 99999, rows, 5), 0);
-  CHECK_INT(mo_store_training_steps(fixture.store, 1, UINT32_MAX, MO_TRAINING_STEPS_MAX, rows, 5), 0);
+  CHECK_INT(mo_store_training_steps(fixture.store, 1, UINT32_MAX, MO_TRAINING_STEPS_MAX, rows, 5),
+            0);
   CHECK_INT(mo_store_training_steps(fixture.store, 2, 0, 2, rows, 5), 0);
   free(rows);
   fixture_end(&fixture);
 }
 
-/* The lineage is that of the steps that count: what a run noted where another goes on anew is forgotten. */
+/* The lineage is that of the steps that count: what a run noted where another goes on anew is
+ * forgotten. */
 static void names_the_code(void)
 {
   struct fixture fixture;
@@ -287,17 +316,21 @@ static void names_the_code(void)
   id = submit(&fixture, &submission);
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_ERR_CONFLICT);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "none", &lineage), MO_OK); /* it came to no step */
+  CHECK_INT(mo_store_training_code(fixture.store, id, 0, "none", &lineage),
+            MO_OK); /* it came to no step */
   CHECK_INT(mo_store_training_code(fixture.store, id, 0, "one", &lineage), MO_OK);
-  CHECK(lineage.n == 1 && lineage.codes[0].from_step == 0 && strcmp(lineage.codes[0].fingerprint, "one") == 0);
+  CHECK(lineage.n == 1 && lineage.codes[0].from_step == 0 &&
+        strcmp(lineage.codes[0].fingerprint, "one") == 0);
   CHECK_INT(mo_store_training_code(fixture.store, id, 20, "one", &lineage), MO_OK);
   CHECK_INT(lineage.n, 1);
   CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
   CHECK_INT(lineage.n, 2);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "one", &lineage), MO_OK); /* "two" came to no checkpoint */
+  CHECK_INT(mo_store_training_code(fixture.store, id, 30, "one", &lineage),
+            MO_OK); /* "two" came to no checkpoint */
   CHECK_INT(lineage.n, 1);
   CHECK_INT(mo_store_training_code(fixture.store, id, 30, "two", &lineage), MO_OK);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 25, "three", &lineage), MO_OK); /* from an earlier checkpoint */
+  CHECK_INT(mo_store_training_code(fixture.store, id, 25, "three", &lineage),
+            MO_OK); /* from an earlier checkpoint */
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.code.n, 2);
@@ -307,8 +340,10 @@ static void names_the_code(void)
   for (int64_t i = 0; i < n; i++)
     changes += strcmp(events[i].type, "training.code_changed") == 0;
   CHECK_INT(changes, 3);
-  CHECK(n > 0 && strstr(events[n - 1].data, "\"from_step\":25,\"before\":\"one\",\"fingerprint\":\"three\"") != NULL);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 40, "four", &lineage), MO_ERR_CONFLICT); /* of an earlier life */
+  CHECK(n > 0 && strstr(events[n - 1].data,
+                        "\"from_step\":25,\"before\":\"one\",\"fingerprint\":\"three\"") != NULL);
+  CHECK_INT(mo_store_training_code(fixture.store, id, 40, "four", &lineage),
+            MO_ERR_CONFLICT); /* of an earlier life */
   CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
   for (uint32_t step = 40; step < 40 + MO_LINEAGE_MAX; step++) {
@@ -325,7 +360,8 @@ static void names_the_code(void)
   fixture_end(&fixture);
 }
 
-/* One that waits for room runs in the rows and is shown as paused: the filter goes by what is shown, page by page. */
+/* One that waits for room runs in the rows and is shown as paused: the filter goes by what is
+ * shown, page by page. */
 static void finds_by_the_state_that_is_shown(void)
 {
   struct fixture fixture;
@@ -358,9 +394,11 @@ static void finds_by_the_state_that_is_shown(void)
   CHECK(page[0].job.id == ids[1]);
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 2), 1);
   CHECK(jobs[0].id == ids[1]);
-  query = (struct mo_job_query){.state = MO_JOB_QUEUED, .kind = -1, .waiting = waiting, .n_waiting = 2};
+  query =
+      (struct mo_job_query){.state = MO_JOB_QUEUED, .kind = -1, .waiting = waiting, .n_waiting = 2};
   CHECK_INT(mo_store_trainings(fixture.store, &query, page, 8), 1);
-  query = (struct mo_job_query){.state = MO_JOB_RUNNING, .kind = -1, .waiting = none, .n_waiting = MO_WAITING_MAX};
+  query = (struct mo_job_query){
+      .state = MO_JOB_RUNNING, .kind = -1, .waiting = none, .n_waiting = MO_WAITING_MAX};
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), 3);
   query.n_waiting++;
   CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 8), MO_ERR_LIMIT);
@@ -384,11 +422,13 @@ static void finishes_with_its_controller(void)
   mo_controller_randomize(controller, 77);
   REQUIRE(mo_controller_encode(controller, &bytes, &size) == MO_OK);
   id = submit(&fixture, &submission);
-  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
+            MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_PAUSE, NULL), MO_OK);
-  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller), MO_ERR_CONFLICT);
+  CHECK_INT(mo_store_training_finish(fixture.store, id, "walker", bytes, size, controller),
+            MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(fixture.store, "walker", &record), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_store_change_job(fixture.store, id, MO_CHANGE_RESUME, NULL), MO_OK);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
@@ -400,7 +440,8 @@ static void finishes_with_its_controller(void)
   CHECK(status.has_result && mo_sha256_equal(&status.result_sha256, &record.sha256));
   n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
   CHECK(n > 0 && strcmp(events[n - 1].type, "job.finished") == 0);
-  CHECK(n > 0 && strstr(events[n - 1].data, "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\""));
+  CHECK(n > 0 && strstr(events[n - 1].data,
+                        "\"kind\":\"training\",\"state\":\"succeeded\",\"controller\":\"walker\""));
   CHECK_INT(mo_store_controller_remove(fixture.store, "walker"), MO_OK); /* its content stays */
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   free(bytes);
@@ -429,14 +470,16 @@ static void parks_and_requeues(void)
   CHECK_INT(state_of(&fixture, id), MO_JOB_QUEUED);
   /* An error, a crash, an error: the third is the last. */
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+            MO_OK);
   CHECK_INT(after, MO_JOB_QUEUED);
   CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
   CHECK_INT(job.attempts, 1);
   CHECK_TEXT(job.error_text, "out of memory");
   CHECK_INT(mo_store_requeue(fixture.store, id, 3, "killed"), MO_OK);
   REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+  CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+            MO_OK);
   CHECK_INT(after, MO_JOB_FAILED);
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
   n = mo_store_events(fixture.store, 0, id, events, 10, NULL, NULL);
@@ -449,20 +492,28 @@ static void parks_and_requeues(void)
   CHECK_INT(mo_store_training_park(fixture.store, id, MO_OK, NULL, 3, &after), MO_OK);
   CHECK_INT(after, MO_JOB_PAUSED);
   CHECK_INT(mo_store_training_start(fixture.store, id), MO_ERR_CONFLICT);
-  /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint is written again. */
+  /* Errors with progress between them are forgiven; errors at one step are not, whatever checkpoint
+   * is written again. */
   id = submit(&fixture, &submission);
   for (uint32_t round = 1; round <= 5; round++) {
     REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 10 * round, (const uint8_t *)"x", 1, 2), MO_OK);
-    CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+    CHECK_INT(
+        mo_store_training_checkpoint(fixture.store, id, 10 * round, (const uint8_t *)"x", 1, 2),
+        MO_OK);
+    CHECK_INT(
+        mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+        MO_OK);
     CHECK_INT(after, MO_JOB_QUEUED);
     CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
     CHECK_INT(job.attempts, 1);
   }
   for (uint32_t attempt = 2; attempt <= 3; attempt++) {
     REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"x", 1, 2), MO_OK);
-    CHECK_INT(mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after), MO_OK);
+    CHECK_INT(mo_store_training_checkpoint(fixture.store, id, 50, (const uint8_t *)"x", 1, 2),
+              MO_OK);
+    CHECK_INT(
+        mo_store_training_park(fixture.store, id, MO_ERR_NO_MEMORY, "out of memory", 3, &after),
+        MO_OK);
     CHECK_INT(after, attempt < 3 ? MO_JOB_QUEUED : MO_JOB_FAILED);
   }
   fixture_end(&fixture);

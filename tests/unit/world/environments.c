@@ -1,4 +1,5 @@
-/* environments.c: random terrains, training environments and the paper test set against what they are meant to be. */
+/* environments.c: random terrains, training environments and the paper test set against what they
+ * are meant to be. */
 #include "../check.h"
 
 #include <morpho/random.h>
@@ -90,7 +91,8 @@ static void training(void)
   }
   CHECK_NEAR(chi_area, BINS - 1, 4.0 * sqrt(2.0 * (BINS - 1)));
   CHECK_NEAR(chi_angle, BINS - 1, 4.0 * sqrt(2.0 * (BINS - 1)));
-  CHECK_NEAR(sigma_sum / N, 0.05 * (1.0 - 1.0 / 252), 0.001); /* the mean of σ, and of a sample's deviation about it */
+  CHECK_NEAR(sigma_sum / N, 0.05 * (1.0 - 1.0 / 252),
+             0.001); /* the mean of σ, and of a sample's deviation about it */
 }
 
 static void test_set(void)
@@ -122,8 +124,8 @@ static void test_set(void)
       CHECK_NEAR(heights[k] - heights[0], sigma * (z[k] - z[0]), 1e-12);
     }
     int level = (int)lround(sigma / 0.02);
-    printf("# environment %d: light (%.4f, %.4f) m, sigma %.4f m\n", i, environments[i].light_xy_m[0],
-           environments[i].light_xy_m[1], sigma);
+    printf("# environment %d: light (%.4f, %.4f) m, sigma %.4f m\n", i,
+           environments[i].light_xy_m[0], environments[i].light_xy_m[1], sigma);
     CHECK_NEAR(sigma, 0.02 * level, 1e-9);
     CHECK(level >= 1 && level <= 5);
     used[ring] |= 1 << level;

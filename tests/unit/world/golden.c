@@ -1,4 +1,5 @@
-/* golden.c: bits that must never change: stored scores and seeds refer to them. A new hash here is a new file format. */
+/* golden.c: bits that must never change: stored scores and seeds refer to them. A new hash here is
+ * a new file format. */
 #include "../check.h"
 
 #include <morpho/morphospace.h>

@@ -50,14 +50,20 @@ static void differences(void)
   double step = 1e-6;
   for (int n = 0; n < 1000; n++) {
     /* inside one cell, so that no line between cells lies within the step */
-    double x = ((double)mo_random_below(&random, 7) + 0.01 + 0.98 * mo_random_uniform(&random)) * SPACING;
-    double y = ((double)mo_random_below(&random, 7) + 0.01 + 0.98 * mo_random_uniform(&random)) * SPACING;
+    double x =
+        ((double)mo_random_below(&random, 7) + 0.01 + 0.98 * mo_random_uniform(&random)) * SPACING;
+    double y =
+        ((double)mo_random_below(&random, 7) + 0.01 + 0.98 * mo_random_uniform(&random)) * SPACING;
     double gradient[2];
     mo_terrain_gradient(heights, x, y, gradient);
     CHECK_NEAR(gradient[0],
-               (mo_terrain_height(heights, x + step, y) - mo_terrain_height(heights, x - step, y)) / (2 * step), 1e-8);
+               (mo_terrain_height(heights, x + step, y) - mo_terrain_height(heights, x - step, y)) /
+                   (2 * step),
+               1e-8);
     CHECK_NEAR(gradient[1],
-               (mo_terrain_height(heights, x, y + step) - mo_terrain_height(heights, x, y - step)) / (2 * step), 1e-8);
+               (mo_terrain_height(heights, x, y + step) - mo_terrain_height(heights, x, y - step)) /
+                   (2 * step),
+               1e-8);
   }
 }
 
