@@ -3,8 +3,9 @@
 
 usage: embed.py OUTPUT PREFIX INPUT...
 
-Writes one `static const unsigned char PREFIX_<n>[]` per input, in the order given and each followed by a NUL that its size does
-not count, and a table `PREFIX_files[]` of {name, bytes, size} with PREFIX_count entries.
+Writes one `static const unsigned char PREFIX_<n>[]` per input, in the order given and each followed
+by a NUL that its size does not count, and a table `PREFIX_files[]` of {name, bytes, size} with
+PREFIX_count entries.
 """
 import pathlib
 import sys

@@ -32,7 +32,8 @@ def main():
     if target.endswith(".c"):
         lines = ['#include "http/openapi.h"', "", "const char mo_openapi_json[] ="]
         for start in range(0, len(text), 100):
-            piece = text[start:start + 100].replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?")
+            piece = text[start:start + 100].replace("\\",
+                                                    "\\\\").replace('"', '\\"').replace("?", "\\?")
             lines.append(f'  "{piece}"')
         lines[-1] += ";"
         lines.append("const size_t mo_openapi_json_size = sizeof(mo_openapi_json) - 1;")

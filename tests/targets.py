@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""What ninja has to build for some of a build folder's tests: `targets.py FOLDER --suite NAME…` or `--no-suite NAME…`, as meson test."""
+"""What ninja has to build for some of a build folder's tests: `targets.py FOLDER --suite NAME…` or
+`--no-suite NAME…`, as meson test."""
 import argparse
 import json
 import os
@@ -8,7 +9,9 @@ import sys
 
 
 def introspect(folder, what):
-    return json.loads(subprocess.run(["meson", "introspect", folder, what], check=True, capture_output=True).stdout)
+    return json.loads(
+        subprocess.run(["meson", "introspect", folder, what], check=True,
+                       capture_output=True).stdout)
 
 
 def main():
@@ -22,7 +25,8 @@ def main():
     needed = set()
     for test in introspect(folder, "--tests"):
         suites = {suite.split(":")[-1] for suite in test["suite"]}
-        if suites.intersection(arguments.no_suite) or (arguments.suite and not suites.intersection(arguments.suite)):
+        if suites.intersection(arguments.no_suite) or (arguments.suite and
+                                                       not suites.intersection(arguments.suite)):
             continue
         for target in test["depends"]:
             needed.update(os.path.relpath(file, folder) for file in files[target])

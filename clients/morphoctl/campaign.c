@@ -76,7 +76,7 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
         status = complain(STATUS_ERROR, "out of memory");
     }
     const json_t *next =
-        json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+        json_object_get(page, "next_after"); /* also skips rows that the server cannot read */
     more = more && json_is_integer(next) && json_integer_value(next) > after;
     after = json_integer_value(next);
     json_decref(page);
@@ -84,7 +84,8 @@ static int load_rows(struct ctl *ctl, struct campaign *campaign)
   return status;
 }
 
-/* A generation that was committed between the two requests counts for both. */
+/* Updates the progress if the rows are newer: a generation may have been committed between the two
+ * requests. */
 static void keep_up(struct campaign *campaign)
 {
   json_t *progress = json_object_get(campaign->json, "progress");
@@ -118,7 +119,7 @@ void campaign_free(struct campaign *campaign)
 
 /* ---- sparklines ---- */
 
-/* Mean of the finite values among these; NaN: there are none. */
+/* Returns the mean of the finite values; NaN: none. */
 static double group_mean(const double *values, size_t n)
 {
   double sum = 0;
@@ -267,7 +268,7 @@ int campaign_outcome(const json_t *campaign)
 
 struct curve {
   const char *name, *format;
-  size_t offset; /* in a row */
+  size_t offset; /* of the value in struct campaign_row */
   double scale;
 };
 

@@ -37,7 +37,7 @@ static const struct field learning_fields[] = {
 };
 #define N_OF(array) (sizeof(array) / sizeof((array)[0]))
 
-/* --selection NAME with the options of that kind. */
+/* Adds --selection NAME with the options of that kind. */
 static int fill_selection(const struct ctl *ctl, json_t *request)
 {
   static const struct {
@@ -64,15 +64,15 @@ static int fill_selection(const struct ctl *ctl, json_t *request)
   return status;
 }
 
-/* --workspace X,Y,Z. */
+/* Adds --workspace X,Y,Z. */
 static int fill_workspace(const struct ctl *ctl, json_t *request)
 {
   const char *text = option_text(ctl, "workspace", NULL);
   int x, y, z, end = 0;
   if (text == NULL)
     return STATUS_OK;
-  if (sscanf(text, "%5d,%5d,%5d%n", &x, &y, &z, &end) != 3 ||
-      text[end] != 0) /* NOLINT(cert-err34-c): 5 digits fit */
+  /* NOLINTNEXTLINE(cert-err34-c): 5 digits fit */
+  if (sscanf(text, "%5d,%5d,%5d%n", &x, &y, &z, &end) != 3 || text[end] != 0)
     return complain(STATUS_USAGE, "--workspace: \"%s\" is not X,Y,Z, e.g. 6,6,4", text);
   json_object_set_new(request, "workspace", json_pack("[i, i, i]", x, y, z));
   return STATUS_OK;
@@ -94,7 +94,7 @@ static int fill_learning(const struct ctl *ctl, json_t *request)
   return status;
 }
 
-/* The initial population: operands, or another campaign's. */
+/* Adds the initial population: the operands, or that of another campaign. */
 static int fill_initial(struct ctl *ctl, json_t *request)
 {
   const char *from = option_text(ctl, "from", NULL);

@@ -34,7 +34,7 @@ static void print_champions(const struct ctl *ctl, const json_t *page)
   table_print(&table, stdout, ctl);
 }
 
-/* An evaluation of the champions that records their paths, into a folder. */
+/* Evaluates the champions again with recording, and saves their trajectories into a folder. */
 static int record_champions(struct ctl *ctl, const char *id, int64_t count, const char *folder)
 {
   int64_t stride = 10;
@@ -105,7 +105,7 @@ static int export_reply(struct ctl *ctl, const char *path, const char *accept, c
   return status;
 }
 
-/* A population as designs that eval and train start read, best first. */
+/* Writes a population, best first, as designs that `eval` and `train start` can read. */
 static int export_population(struct ctl *ctl, const char *id, const char *output)
 {
   int64_t generation = -1;

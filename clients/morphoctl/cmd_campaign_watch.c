@@ -1,8 +1,8 @@
-/* cmd_campaign_watch.c: campaign watch: a campaign as it evolves.
+/* cmd_campaign_watch.c: campaign watch: shows a campaign while it runs.
  *
- * On a terminal, sparklines of its curves and a table of the newest generations, redrawn in place;
- * elsewhere a line per generation. Generations are asked for when an event tells of one, so the
- * view shows what the API would. */
+ * On a terminal it draws sparklines of the curves and a table of the newest generations, redrawn in
+ * place; elsewhere it prints a line per generation. Each event about a generation makes it fetch
+ * the generation, so the view always agrees with the API. */
 #include <string.h>
 
 #include "campaign.h"
@@ -12,15 +12,15 @@
 #include "table.h"
 #include "transport.h"
 
-#define ASK_S         5 /* without an event, the state is asked for */
+#define ASK_S         5 /* without an event for this long, the state is fetched */
 #define LINES_BESIDES 13
 
 struct view {
   struct ctl *ctl;
   struct campaign campaign;
   struct screen screen;
-  size_t told;   /* rows that were printed, elsewhere than on a terminal */
-  double told_s; /* when the state was asked for */
+  size_t told;   /* rows already printed, if not on a terminal */
+  double told_s; /* when the state was last fetched */
   bool finished;
 };
 
@@ -53,7 +53,6 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   snprintf(text, sizeof(text), "%s%s%.64s  %s  %s   campaign %s", text_of(campaign, "mode"),
            *label != 0 ? "  " : "", label, text_of(campaign, "state"), generation,
            view->campaign.id);
-  make_plain(text);
   screen_line(file, columns, bold, text, plain);
   campaign_draw(view->ctl, &view->campaign, columns,
                 rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES, put_line, &lines);
@@ -63,7 +62,6 @@ static void write_view(void *context, FILE *file, int columns, int rows)
            *reason != 0                           ? reason
            : is_final(text_of(campaign, "state")) ? ""
                                                   : "Ctrl-C leaves; the campaign goes on.");
-  make_plain(text);
   screen_line(file, columns, "", text, "");
 }
 
@@ -72,7 +70,7 @@ static void draw(struct view *view, bool now)
   screen_draw(&view->screen, now, write_view, view);
 }
 
-/* ---- what is known ---- */
+/* ---- state ---- */
 
 static int load(struct view *view)
 {
@@ -84,8 +82,8 @@ static int load(struct view *view)
   return STATUS_OK;
 }
 
-/* A line for each generation up to this one that has none yet. Only the last one's time is known:
- * that of its event (nullable). */
+/* Prints a line for each generation up to `until` that was not printed yet. Only the time of the
+ * last one is known: that of its event (nullable). */
 static void tell(struct view *view, int64_t until, const json_t *at)
 {
   char line[400], words[256], generation[96];
@@ -112,7 +110,7 @@ static int load_and_tell(struct view *view)
   return status;
 }
 
-/* Members of "progress" that an event tells. */
+/* Updates "progress" from an event. */
 static void take_progress(struct view *view, const json_t *data)
 {
   static const char *const keys[][2] = {
@@ -152,7 +150,7 @@ static int show_event(void *context, const char *type, const char *data)
   json_decref(event);
   draw(view, view->finished);
   return status != STATUS_OK ||
-         (view->finished && !generation); /* more generations may be told before the end is */
+         (view->finished && !generation); /* more generations may be reported before the end is */
 }
 
 static int look_again(void *context)
@@ -208,7 +206,7 @@ int watch_campaign(struct ctl *ctl, const char *id)
   struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
   int64_t newest = -1;
   snprintf(view.campaign.id, sizeof(view.campaign.id), "%s", id);
-  catch_interrupts(); /* before anything is shown */
+  catch_interrupts(); /* before the first output */
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
     status = load_and_tell(&view);
@@ -234,7 +232,7 @@ int watch_campaign(struct ctl *ctl, const char *id)
     tell(&view, INT64_MAX, NULL);
     status = finish(&view);
   } else if (status == STATUS_OK)
-    status = STATUS_ERROR; /* what was complained about */
+    status = STATUS_ERROR; /* the error was already reported */
   campaign_free(&view.campaign);
   return status;
 }

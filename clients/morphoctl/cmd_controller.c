@@ -158,7 +158,9 @@ int run_controller_delete(struct ctl *ctl)
   if (status == STATUS_OK)
     status = transport_send(ctl, &(struct request){.method = "DELETE", .path = path}, &reply);
   if (status == STATUS_OK && !ctl->quiet && !ctl->json)
-    printf("the name %s is gone\n", ctl->operands[0]);
+    printf("%s %s is gone\n",
+           strncmp(ctl->operands[0], "sha256:", 7) == 0 ? "the file" : "the name",
+           ctl->operands[0]);
   reply_free(&reply);
   free(path);
   return status;

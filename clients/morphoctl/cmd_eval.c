@@ -55,8 +55,8 @@ static int write_file(const char *path, const void *head, size_t head_bytes, con
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
-/* NumPy's .npy format, version 1: magic, version, length of the header, header padded to 64 bytes,
- * the numbers. */
+/* Writes the header of a NumPy .npy file, version 1: magic, version, length of the header, header
+ * padded to 64 bytes. The numbers follow. */
 static size_t npy_head(const char *shape, char head[256])
 {
   char text[200];
@@ -104,7 +104,7 @@ int save_trajectories(struct ctl *ctl, const json_t *evaluation, const char *fol
   if (mkdir(folder, 0777) != 0 && errno != EEXIST)
     return complain(STATUS_ERROR, "%s: %s", folder, strerror(errno));
   int status = STATUS_OK;
-  char *path = NULL, *text = json_dumps(evaluation, JSON_INDENT(1) | JSON_REAL_PRECISION(17));
+  char *path = NULL, *text = dump_json(evaluation, JSON_INDENT(1));
   if (text == NULL || asprintf(&path, "%s/evaluation.json", folder) < 0)
     status = complain(STATUS_ERROR, "out of memory");
   else
@@ -212,8 +212,8 @@ int run_eval(struct ctl *ctl)
 
 /* ---- verify ---- */
 
-/* The orientations under which a design was scored: a score belongs to the oriented body, an id to
- * all its images. */
+/* Adds the orientations in which a design was scored: a score belongs to one oriented body, an id
+ * to all of its orientations. */
 static int add_orientations(struct ctl *ctl, struct designs *designs, const char *id)
 {
   char path[80];
@@ -232,7 +232,7 @@ static int add_orientations(struct ctl *ctl, struct designs *designs, const char
   return status;
 }
 
-/* What an earlier evaluation asked for. */
+/* Adds what an earlier evaluation requested. */
 static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *request, const char *id)
 {
   char path[64];

@@ -1,4 +1,5 @@
-/* cmd_job.c: job list, show, cancel, pause, resume, weight; checkpoints that are not needed. */
+/* cmd_job.c: job list, show, cancel, pause, resume, weight; prunes checkpoints for other
+ * commands. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -93,13 +94,8 @@ static int change(struct ctl *ctl, const char *method, const char *verb)
     snprintf(path, sizeof(path), "/v1/jobs/%s%s", id, verb);
     struct reply reply;
     int status = transport_send(ctl, &(struct request){.method = method, .path = path}, &reply);
-    const bool is_unreadable = status == STATUS_OK && reply.status == 204;
-    json_t *job = status == STATUS_OK && !is_unreadable ? reply_json(&reply) : NULL;
-    if (is_unreadable && !ctl->quiet)
-      print_plain_line(
-          stderr, "job %s is cancelled; the server cannot read it: morphoctl job show %s says why",
-          id, id);
-    else if (job != NULL && ctl->json)
+    json_t *job = status == STATUS_OK ? reply_json(&reply) : NULL;
+    if (job != NULL && ctl->json)
       print_json(job);
     else if (job != NULL && !ctl->quiet)
       print_plain_line(stdout, "job %s is %s%s", id, text_of(job, "state"),

@@ -15,7 +15,7 @@ int run_status(struct ctl *ctl)
   bool is_ready = false;
   char why[160] = "";
   if (status == STATUS_OK) {
-    /* Asked once: that it is not ready is an answer. */
+    /* Do not retry: "not ready" is a valid result. */
     status = transport_try(ctl, &(struct request){.method = "GET", .path = "/readyz", .once = true},
                            &ready);
     is_ready = status == STATUS_OK && ready.status == 200;

@@ -32,7 +32,7 @@ static const struct field fields[] = {
     {"label", "label", FIELD_WORD},
 };
 
-/* {"campaign": id} or {"evaluation": id}, by what kind of job it is. */
+/* Makes {"campaign": id} or {"evaluation": id}, depending on the kind of the job. */
 static int name_population(struct ctl *ctl, const char *id, json_t **object)
 {
   char path[64];
@@ -48,7 +48,7 @@ static int name_population(struct ctl *ctl, const char *id, json_t **object)
   return status;
 }
 
-/* What a finetuning learns on: designs of operands, random ones, or a population. */
+/* Adds what finetuning learns on: designs of operands, random designs, or a population. */
 static int fill_designs(struct ctl *ctl, bool finetune, json_t *request)
 {
   int64_t n_random = 0, seed = 1, best = 0;
@@ -217,7 +217,7 @@ static void print_settings(const struct ctl *ctl, const json_t *settings)
              number_of(checkpoint, "keep"));
 }
 
-/* One line as a rule; more when it was continued under other code. */
+/* Prints the versions of the code: usually one line, more if other code continued the training. */
 static void print_code(const struct ctl *ctl, const json_t *code)
 {
   size_t i;
@@ -341,7 +341,7 @@ static int export_controller(struct ctl *ctl, const char *id)
   return status;
 }
 
-/* The last step of a table: the first cell of its last line; −1 if it has no rows. */
+/* Returns the last step of a table: the first cell of its last line; −1 if it has no rows. */
 static int64_t last_step(const char *table, size_t n)
 {
   size_t end = n;
@@ -353,7 +353,7 @@ static int64_t last_step(const char *table, size_t n)
   return begin > 0 ? strtoll(table + begin, NULL, 10) : -1;
 }
 
-/* A curve as CSV, page by page. */
+/* Exports a curve as CSV, page by page. */
 static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
 {
   char *all = NULL;

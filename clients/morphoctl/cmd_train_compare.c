@@ -1,4 +1,5 @@
-/* cmd_train_compare.c: train compare: two controllers on one held-out set, design by design. */
+/* cmd_train_compare.c: train compare: compares two controllers on one held-out set, design by
+ * design. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
@@ -14,9 +15,9 @@
 struct side {
   const char *name; /* as given */
   json_t *evaluation;
-  double *scores; /* (n) NaN: some rollout of the design diverged */
+  double *scores; /* (n) NaN: a rollout of the design diverged */
   size_t n;
-  size_t diverged; /* designs */
+  size_t diverged; /* number of designs */
   size_t rollouts, rollouts_diverged;
 };
 
@@ -52,7 +53,7 @@ static int score_side(struct ctl *ctl, const json_t *held_out, struct side *side
   return STATUS_OK;
 }
 
-/* What the numbers say, as a word for programs. */
+/* Returns the result of the comparison as a word for programs. */
 static const char *verdict_of(const struct paired *paired)
 {
   if (!(paired->n >= 2))

@@ -1,9 +1,8 @@
-/* cmd_train_watch.c: train watch: a training as it learns.
+/* cmd_train_watch.c: train watch: shows a training while it runs.
  *
- * On a terminal, a plot of the loss so far and the numbers of the newest step, redrawn in place as
- * events come; elsewhere a line per event. The state before the first event is asked for: first the
- * place of the newest event, then the training, then the events behind that place, so that nothing
- * falls between. */
+ * On a terminal it draws a plot of the loss and the numbers of the newest step, redrawn in place
+ * with each event; elsewhere it prints a line per event. To miss nothing at the start, it fetches
+ * the sequence of the newest event, then the training, then the events after that sequence. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,16 +14,15 @@
 #include "training.h"
 #include "transport.h"
 
-#define ASK_S                                                                                      \
-  10 /* without an event, the state is asked for: what waits or draws again tells nothing */
-#define LINES_BESIDES 6 /* those of the view that are not the plot */
+#define ASK_S         10 /* without an event, the state is fetched: waiting makes no events */
+#define LINES_BESIDES 6  /* lines of the view besides the plot */
 
 struct view {
   struct ctl *ctl;
   struct training training;
-  json_t *progress, *validation; /* the newest that is known */
+  json_t *progress, *validation; /* the newest values */
   struct screen screen;
-  double told_s; /* when there was an event, or the state was asked for */
+  double told_s; /* time of the last event, or when the state was last fetched */
   bool finished;
 };
 
@@ -42,7 +40,6 @@ static void write_view(void *context, FILE *file, int columns, int rows)
            text_of(training, "kind"), text_of(training, "state"),
            strcmp(phase, "idle") != 0 ? " (" : "", strcmp(phase, "idle") != 0 ? phase : "",
            strcmp(phase, "idle") != 0 ? ")" : "", view->training.id);
-  make_plain(text);
   screen_line(file, columns, bold, text, plain);
   int height = rows - LINES_BESIDES > 20 ? 20 : rows - LINES_BESIDES;
   char *plot = training_plot(view->ctl, &view->training, columns > 110 ? 110 : columns - 1, height);
@@ -51,7 +48,7 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   free(plot);
   training_numbers_text(
       view->progress, text,
-      sizeof(text)); /* the pace is beside the step: 80 columns do not hold both */
+      sizeof(text)); /* the pace is beside the step: both do not fit into 80 columns */
   screen_line(file, columns, "", text, "");
   int64_t replayed = number_of(view->progress, "replayed"),
           total = number_of(view->progress, "replay_total");
@@ -77,7 +74,6 @@ static void write_view(void *context, FILE *file, int columns, int rows)
   else
     snprintf(text, sizeof(text), "%s",
              is_final(text_of(training, "state")) ? "" : "Ctrl-C leaves; the training goes on.");
-  make_plain(text);
   screen_line(file, columns, "", text, "");
 }
 
@@ -91,7 +87,7 @@ static void print_event_line(const struct view *view, const json_t *at, const ch
   screen_event(&view->screen, view->ctl, at, words);
 }
 
-/* ---- what is known ---- */
+/* ---- state ---- */
 
 static int load(struct view *view)
 {
@@ -113,7 +109,7 @@ static double value_of(const json_t *object, const char *key)
   return json_is_number(value) ? json_number_value(value) : (double)NAN;
 }
 
-/* Members of an event's data over what was known: events tell the numbers that change. */
+/* Updates known values from an event: events have only the numbers that changed. */
 static void merge(json_t **known, const json_t *data)
 {
   json_t *merged = json_is_object(*known) ? json_copy(*known) : json_object();
@@ -152,7 +148,7 @@ static void take_validation(struct view *view, const json_t *at, const json_t *d
   print_event_line(view, at, line);
 }
 
-/* A change of state: what else it changed is asked for. */
+/* Handles a change of state: fetches what else changed. */
 static int take_change(struct view *view, const json_t *at, const char *type)
 {
   char line[160];
@@ -188,7 +184,7 @@ static int show_event(void *context, const char *type, const char *data)
   return status != STATUS_OK || view->finished;
 }
 
-/* Asks for the state, and tells of a phase or reason that is new. */
+/* Fetches the state, and reports a new phase or reason. */
 static int look_again(void *context)
 {
   struct view *view = context;
@@ -247,7 +243,7 @@ int watch_training(struct ctl *ctl, const char *id)
   struct view view = {.ctl = ctl, .screen = screen_open(ctl)};
   int64_t newest = -1;
   snprintf(view.training.id, sizeof(view.training.id), "%s", id);
-  catch_interrupts(); /* before anything is shown */
+  catch_interrupts(); /* before the first output */
   int status = newest_event(ctl, &newest);
   if (status == STATUS_OK)
     status = load(&view);
@@ -276,7 +272,7 @@ int watch_training(struct ctl *ctl, const char *id)
   else if (status == STATUS_OK && view.finished)
     status = finish(&view);
   else if (status == STATUS_OK)
-    status = STATUS_ERROR; /* what was complained about */
+    status = STATUS_ERROR; /* the error was already reported */
   json_decref(view.progress);
   json_decref(view.validation);
   training_free(&view.training);

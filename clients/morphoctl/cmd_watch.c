@@ -1,5 +1,5 @@
-/* cmd_watch.c: watch. Follows the event stream, connects again where it broke, ends with the job
- * that is watched. */
+/* cmd_watch.c: watch: follows the event stream, reconnects when it breaks, and ends when the
+ * watched job ends. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,7 +13,7 @@
 
 struct watch {
   struct ctl *ctl;
-  const char *job; /* NULL: everything */
+  const char *job; /* NULL: all jobs */
   struct progress progress;
   bool finished, failed, reset;
 };
@@ -37,8 +37,7 @@ static int show_event(void *context, const char *type, const char *data)
   int64_t done = number_of(details, "rollouts_done"), total = number_of(details, "rollouts_total");
   bool progress = strcmp(type, "job.progress") == 0;
   if (ctl->json) {
-    json_dumpf(event, stdout, JSON_COMPACT | JSON_REAL_PRECISION(17));
-    putchar('\n');
+    put_json(event, JSON_COMPACT);
   } else if (progress && watch->job != NULL && ctl->progress) {
     progress_show(&watch->progress, ctl, "running", done, total);
   } else {
@@ -68,7 +67,7 @@ static int show_event(void *context, const char *type, const char *data)
   return watch->finished;
 }
 
-/* Whether the watched job has ended, by asking for it. */
+/* Fetches the watched job to see whether it has ended. */
 static int ask(struct watch *watch)
 {
   char path[64];
@@ -83,7 +82,7 @@ static int ask(struct watch *watch)
   return status;
 }
 
-/* After a break: events that are no longer kept may have told of the end. */
+/* Checks after a break for the end of the job: its event may no longer be kept. */
 static int look_again(void *context)
 {
   struct watch *watch = context;
@@ -104,8 +103,8 @@ int run_watch(struct ctl *ctl)
     return STATUS_USAGE;
   if (watch.job != NULL && !check_job_id(watch.job))
     return STATUS_USAGE;
-  int status = watch.job != NULL ? ask(&watch) : STATUS_OK; /* there must be such a job */
-  watch.finished = false;                                   /* its events are shown all the same */
+  int status = watch.job != NULL ? ask(&watch) : STATUS_OK; /* checks that the job exists */
+  watch.finished = false; /* show the events of an ended job, too */
   struct follow follow = {.ctl = ctl,
                           .job = watch.job,
                           .after = after,

@@ -48,9 +48,7 @@ bool check_job_id(const char *text)
 
 void print_json(const json_t *json)
 {
-  size_t indent = isatty(STDOUT_FILENO) ? JSON_INDENT(2) : JSON_COMPACT;
-  json_dumpf(json, stdout, indent | JSON_REAL_PRECISION(17));
-  fputc('\n', stdout);
+  put_json(json, isatty(STDOUT_FILENO) ? JSON_INDENT(2) : JSON_COMPACT);
 }
 
 int show_json(struct ctl *ctl, const char *path)
@@ -76,25 +74,6 @@ int save_output(const char *path, const void *bytes, size_t n)
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
-/* Jobs that are there and cannot be read: told on standard error, and kept for the page of --json.
- */
-static void note_unreadable(struct ctl *ctl, json_t *jobs)
-{
-  size_t i;
-  const json_t *job;
-  if (json_array_size(jobs) == 0)
-    return;
-  if (ctl->unreadable == NULL)
-    ctl->unreadable = json_array();
-  json_array_extend(ctl->unreadable, jobs);
-  json_array_foreach(jobs, i, job)
-  {
-    const char *kind = text_of(job, "kind");
-    complain(0, "%s %s cannot be read by the server: %s", *kind != 0 ? kind : "job",
-             text_of(job, "id"), text_of(job, "detail"));
-  }
-}
-
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 {
   json_t *all = json_array();
@@ -114,7 +93,6 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
     free(page_path);
     if (status == STATUS_OK) {
       json_array_extend(all, json_object_get(page, "items"));
-      note_unreadable(ctl, json_object_get(page, "unreadable"));
       const char *next = json_string_value(json_object_get(page, "next_cursor"));
       free(cursor);
       cursor = next != NULL ? escape(next) : NULL;
@@ -134,9 +112,9 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 
 int collect_states(struct ctl *ctl, const char *list, json_t **items)
 {
-  const char *state = option_text(ctl, "state", NULL);
+  static const char *const filters[] = {"state", "label", "group"}; /* group: for campaigns */
+  const char *state = option_text(ctl, "state", NULL), *group = option_text(ctl, "group", NULL);
   int64_t limit = 50;
-  char path[64];
   if (!option_number(ctl, "limit", 1, 1000000, &limit))
     return STATUS_USAGE;
   if (option_is_set(ctl, "all"))
@@ -145,9 +123,24 @@ int collect_states(struct ctl *ctl, const char *list, json_t **items)
     return complain(
         STATUS_USAGE,
         "--state: \"%s\" is not queued, running, paused, succeeded, failed or cancelled", state);
-  snprintf(path, sizeof(path), "%s%s%s", list, state != NULL ? "?state=" : "",
-           state != NULL ? state : "");
-  return collect(ctl, path, (size_t)limit, items);
+  if (group != NULL && !check_job_id(group))
+    return STATUS_USAGE;
+  char *path = strdup(list);
+  for (size_t i = 0; i < 3; i++) {
+    const char *given = option_text(ctl, filters[i], NULL);
+    char *shorter = path, *escaped = given != NULL ? escape(given) : NULL;
+    if (escaped == NULL || shorter == NULL)
+      continue;
+    if (asprintf(&path, "%s%c%s=%s", shorter, strchr(shorter, '?') != NULL ? '&' : '?', filters[i],
+                 escaped) < 0)
+      path = NULL;
+    free(escaped);
+    free(shorter);
+  }
+  int status = path != NULL ? collect(ctl, path, (size_t)limit, items)
+                            : complain(STATUS_ERROR, "out of memory");
+  free(path);
+  return status;
 }
 
 bool print_page(const struct ctl *ctl, json_t *items)
@@ -155,8 +148,6 @@ bool print_page(const struct ctl *ctl, json_t *items)
   if (!ctl->json)
     return false;
   json_t *page = json_pack("{s:O, s:n}", "items", items, "next_cursor");
-  if (ctl->unreadable != NULL)
-    json_object_set(page, "unreadable", ctl->unreadable);
   print_json(page);
   json_decref(page);
   return true;
@@ -261,7 +252,7 @@ void print_job_facts(const struct ctl *ctl, const json_t *job)
 /* ---- results ---- */
 
 struct ranked {
-  size_t place; /* in the request */
+  size_t place; /* position in the request */
   double score; /* +infinity: diverged */
 };
 

@@ -1,4 +1,4 @@
-/* ctl.h: what every part of morphoctl shares: exit statuses, options, the surroundings of a run. */
+/* ctl.h: what all parts of morphoctl share: exit statuses, options, the context of a run. */
 #ifndef MORPHOCTL_CTL_H
 #define MORPHOCTL_CTL_H
 
@@ -13,18 +13,18 @@ enum status {
   STATUS_ERROR = 1, /* an error of the server or of this machine */
   STATUS_USAGE = 2, /* the command line or an input file is wrong */
   STATUS_NEGATIVE =
-      3, /* not found, or the answer is no: failed, cancelled, bits differ, not ready */
-  STATUS_CONNECTION = 4, /* no server there */
-  STATUS_DENIED = 5,     /* no valid token, or not from here */
-  STATUS_REJECTED = 6,   /* the server finds the request wrong */
-  STATUS_BUSY = 7,       /* the server asked to try again later, and later did not help */
+      3, /* not found, or a negative result: failed, cancelled, bits differ, not ready */
+  STATUS_CONNECTION = 4, /* no server at this address */
+  STATUS_DENIED = 5,     /* no valid token, or not allowed from here */
+  STATUS_REJECTED = 6,   /* the server found an error in the request */
+  STATUS_BUSY = 7,       /* the server asked to try later, and trying later did not help */
   STATUS_INTERRUPTED = 130
 };
 
 struct option_spec {
   const char *name;  /* without dashes; NULL ends a list */
   char letter;       /* 0: none */
-  const char *value; /* what the value is called; NULL: a switch */
+  const char *value; /* name of the value in the help; NULL: a switch */
   const char *help;
 };
 
@@ -40,7 +40,7 @@ struct command {
   const char *operands;              /* "[DESIGN]…", or "" */
   const char *summary;               /* one line */
   const char *details;               /* further text, or NULL */
-  const struct option_spec *options; /* NULL: the common ones alone */
+  const struct option_spec *options; /* NULL: only the common options */
   size_t min_operands, max_operands;
   int (*run)(struct ctl *ctl);
 };
@@ -56,14 +56,12 @@ struct ctl {
   const char *server; /* "http://…" or "unix:/…" */
   char *token;        /* NULL: none */
   bool json;          /* plain JSON of the API on standard output */
-  bool quiet;         /* no progress, no remarks */
+  bool quiet;         /* no progress, no notes */
   bool colour;        /* on standard output */
   bool progress;      /* standard error is a terminal */
-  bool utf8;          /* the locale draws boxes */
-  double retry_s;     /* how long a failing connection is tried again; < 0: the default */
+  bool utf8;          /* the locale can show box characters */
+  double retry_s;     /* how long a failing connection is retried; < 0: the default */
   struct transport *transport;
-  struct json_t *
-      unreadable; /* of the list that was collected: jobs that the server cannot read; NULL: none */
 };
 
 extern const struct command commands[];
@@ -73,37 +71,43 @@ extern const struct option_spec common_options[];
 /* ---- options.c ---- */
 
 /* Finds the command and reads its options. Returns −1 to go on, or an exit status (help was
- * printed, usage is wrong). */
+ * printed, or the usage is wrong). */
 int options_parse(struct ctl *ctl, int argc, const char *const *argv);
 void options_free(struct ctl *ctl);
 void options_print_help(FILE *file, const struct command *command); /* NULL: of the whole program */
-void options_print_completion(FILE *file);                          /* bash */
+void options_print_completion(FILE *file);                          /* for bash */
 
 bool option_is_set(const struct ctl *ctl, const char *name);
 const char *option_text(const struct ctl *ctl, const char *name,
-                        const char *otherwise); /* the last one given */
-/* A whole number within bounds; false (and a message) if it is not. Leaves *number if the option
- * was not given. */
+                        const char *otherwise); /* the last value given */
+/* Reads a whole number within bounds. Leaves *number if the option was not given. False: it is
+ * invalid, and a message was printed. */
 bool option_number(const struct ctl *ctl, const char *name, int64_t min, int64_t max,
                    int64_t *number);
 
-/* ---- plain.c: what others wrote, shown without obeying it ---- */
+/* ---- plain.c: shows text from elsewhere without obeying its escapes ---- */
 
-/* Control characters (C0, DEL, C1) become question marks, in place. */
-void make_plain(char *text);
-/* Prints so; the format has no control characters of its own either. */
+/* Replaces control characters (C0, DEL, C1) by question marks, and escapes characters that only
+ * change how others are shown, such as bidirectional ones: \u202e. malloc; NULL: no memory. */
+char *plain_text(const char *text);
+bool is_control(unsigned long c);
+bool is_format_control(unsigned long c);
+/* Returns the next character and its bytes. An invalid byte counts as a character. */
+unsigned long character_at(const char *text, size_t *bytes);
+/* Prints text in this way. The format must have no control characters either. */
 void print_plain(FILE *file, const char *format, ...) __attribute__((format(printf, 2, 3)));
 void print_plain_line(FILE *file, const char *format, ...)
     __attribute__((format(printf, 2, 3))); /* and a newline */
 void print_plain_list(FILE *file, const char *format, va_list arguments)
     __attribute__((format(printf, 2, 0)));
 
-/* "morphoctl: …" on standard error, plain; returns `status`. */
+/* Prints "morphoctl: …" on standard error, as plain text; returns `status`. */
 int complain(int status, const char *format, ...) __attribute__((format(printf, 2, 3)));
-/* The name in `names` (n of them) that is nearest to a mistyped one, or NULL. */
+/* Returns the one of n names that is nearest to a mistyped name, or NULL. */
 const char *nearest_name(const char *name, const char *const *names, size_t n);
 
-/* Set by SIGINT and SIGTERM once the program waits for something that can be left alone. */
+/* True after SIGINT or SIGTERM, once catch_interrupts was called. Commands call it before they wait
+ * for something that goes on without them. */
 bool interrupted(void);
 void catch_interrupts(void);
 

@@ -1,5 +1,5 @@
-/* designs.c: see designs.h. The server checks bodies; here only what cannot be sent at all is
- * refused, with file and line. */
+/* designs.c: see designs.h. The server checks bodies. The code here only refuses what cannot be
+ * sent, with file and line. */
 #include "designs.h"
 
 #include <ctype.h>
@@ -54,6 +54,10 @@ int read_input(const char *path, size_t limit, char **text, size_t *length)
 
 bool is_id(const char *text, size_t length)
 {
+  if (length == ID_DIGITS + 1 && *text == 'd') { /* as in the CSV files */
+    text++;
+    length--;
+  }
   if (length != ID_DIGITS)
     return false;
   for (size_t i = 0; i < length; i++)
@@ -64,7 +68,8 @@ bool is_id(const char *text, size_t length)
 
 bool is_voxels(const char *text, size_t length)
 {
-  return length == VOXELS && strspn(text, "01") >= VOXELS;
+  const size_t letter = length == VOXELS + 1 && *text == 'g' ? 1 : 0; /* as in the CSV files */
+  return length == VOXELS + letter && strspn(text + letter, "01") >= VOXELS;
 }
 
 static int add(struct designs *designs, json_t *design, const char *name)
@@ -259,8 +264,7 @@ static int voxel_index(int x, int y, int z)
   return (x * WORKSPACE_Y + y) * WORKSPACE_Z + z;
 }
 
-/* Grown from one voxel: again and again a random free neighbour of the body is filled, until it has
- * its size. */
+/* Grows a body from one voxel: fills random free neighbors of the body until it has its size. */
 static void grow(uint64_t *state, char voxels[VOXELS + 1])
 {
   static const int steps[6][3] = {{1, 0, 0},  {-1, 0, 0}, {0, 1, 0},
@@ -300,12 +304,13 @@ int designs_add_random(struct designs *designs, uint64_t seed, size_t n)
   return status;
 }
 
-/* ---- what a design looks like ---- */
+/* ---- voxels of a design ---- */
 
 bool id_voxels(const char *id, char voxels[VOXELS + 1])
 {
   if (!is_id(id, strlen(id)))
     return false;
+  id += strlen(id) - ID_DIGITS;
   for (size_t i = 0; i < VOXELS; i++) {
     int c = tolower((unsigned char)id[i / 4]);
     int digit = c <= '9' ? c - '0' : c - 'a' + 10;
@@ -319,7 +324,7 @@ bool design_voxels(const json_t *design, char voxels[VOXELS + 1])
 {
   const char *text = json_string_value(json_object_get(design, "voxels"));
   if (text != NULL && is_voxels(text, strlen(text))) {
-    memcpy(voxels, text, VOXELS + 1);
+    memcpy(voxels, text + (*text == 'g'), VOXELS + 1);
     return true;
   }
   const json_t *cells = json_object_get(design, "cells");

@@ -1,4 +1,4 @@
-/* draw.c: a body as text. Each layer is a grid seen from above: x to the right, y up. */
+/* draw.c: draws a body as text. Each layer is a grid seen from above: x to the right, y up. */
 #include <string.h>
 
 #include "designs.h"

@@ -12,17 +12,17 @@ struct field {
   enum { FIELD_WHOLE, FIELD_REAL, FIELD_WORD } kind;
 };
 
-/* Puts the values of the options that are given at their places, making the objects that they are
- * in. Bounds are the server's to check: it names them. */
+/* Adds the values of the given options to the request, creating the objects around them. The server
+ * checks bounds and reports them. */
 int fill_fields(const struct ctl *ctl, json_t *request, const struct field *fields, size_t n);
 
-/* --schedule and the options of its kinds into "schedule" of `object`. */
+/* Adds --schedule and the options of its kinds as "schedule" of `object`. */
 int fill_schedule(const struct ctl *ctl, json_t *object);
-/* --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule,
+/* Adds --beta1, --beta2, --epsilon, --gradient-norm-limit, --adjoint-bound, --adjoint-rule,
  * --restart-weight. */
 int fill_optimizer(const struct ctl *ctl, json_t *object);
 
-/* Options of the help text that belong to these two. */
+/* Help texts of the options that these two functions read. */
 #define SCHEDULE_OPTIONS                                                                           \
   {"peak", 0, "RATE", "Largest rate (default: 0.002 for cosine, else 0.001)."},                    \
       {"floor", 0, "RATE", "Smallest rate (default: 1e-5)."},                                      \

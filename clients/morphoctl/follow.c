@@ -47,14 +47,15 @@ int follow_events(struct follow *follow)
     status = open_stream(follow);
     if (status != STATUS_CONNECTION)
       break;
-    /* Broken: go on where it was, for as long as --retry allows without a sign of life. */
+    /* The stream broke: continue after the last event, for as long as --retry allows without a sign
+     * of life. */
     double limit = ctl->retry_s >= 0 ? ctl->retry_s : *follow->sse.last_id != 0 ? 60 : 5;
     if (strcmp(before, follow->sse.last_id) != 0 || monotonic_s() - begin > 10) {
       broken_since = monotonic_s();
       pause = 0.2;
     }
     if (monotonic_s() - broken_since > limit) {
-      status = complain(STATUS_CONNECTION, "%s: the event stream ended", ctl->server);
+      status = complain_about_server(ctl, "the event stream ended");
       break;
     }
     pause_s(pause);

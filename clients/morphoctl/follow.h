@@ -1,5 +1,5 @@
-/* follow.h: the event stream, followed across breaks: after each the stream goes on behind the last
- * event that came. */
+/* follow.h: follows the event stream. After a break the stream continues after the last event
+ * received. */
 #ifndef MORPHOCTL_FOLLOW_H
 #define MORPHOCTL_FOLLOW_H
 
@@ -8,24 +8,24 @@
 
 struct follow {
   struct ctl *ctl;
-  const char *job; /* NULL: everything */
-  int64_t after;   /* begin behind this event; −1: with what happens next */
-  /* Each event; `reset` has no body of an event: some are no longer kept. Non-zero ends the
-   * following. */
+  const char *job; /* NULL: all jobs */
+  int64_t after;   /* start after this event; −1: with the next event */
+  /* Receives each event. The event `reset` has no event's body: it says that some events are no
+   * longer kept. Non-zero ends the following. */
   int (*event)(void *context, const char *type, const char *data);
-  /* With each sign of life, events or heartbeats (at least every 15 s), after its events
-   * (nullable). Non-zero as above. */
+  /* Called after the events of each sign of life, an event or a heartbeat (at least every 15 s).
+   * Nullable; non-zero ends the following. */
   int (*alive)(void *context);
-  /* After each break, before the stream is opened again (nullable): STATUS_OK to go on. */
+  /* Called after each break, before the stream is opened again. Nullable; STATUS_OK continues. */
   int (*broken)(void *context);
-  bool (*ended)(void *context); /* whether `broken` found that there is nothing to follow any more
-                                   (nullable) */
+  bool (*ended)(void *context); /* says whether `broken` found the job ended (nullable) */
   void *context;
-  struct sse sse; /* its own */
+  struct sse sse; /* private */
 };
 
-/* STATUS_OK when `event` or `ended` said so; STATUS_INTERRUPTED; STATUS_CONNECTION after --retry
- * without a sign of life; else what was complained about. */
+/* Follows events. STATUS_OK: `event` or `ended` ended the following; STATUS_INTERRUPTED;
+ * STATUS_CONNECTION: no sign of life for as long as --retry says; else the status of an error that
+ * was already reported. */
 int follow_events(struct follow *follow);
 
 #endif

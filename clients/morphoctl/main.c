@@ -1,4 +1,4 @@
-/* main.c: morphoctl, the command line of morphod. It speaks HTTP alone. */
+/* main.c: morphoctl, the command line of morphod. It reaches the server only over HTTP. */
 #include <errno.h>
 #include <langinfo.h>
 #include <locale.h>
@@ -9,7 +9,7 @@
 #include "commands.h"
 #include "transport.h"
 
-/* First line that is not blank. */
+/* Reads the token: the first line that is not blank. */
 static int read_token(struct ctl *ctl)
 {
   const char *path = option_text(ctl, "token-file", NULL), *variable = getenv("MORPHOD_TOKEN");
@@ -68,7 +68,6 @@ int main(int argc, char **argv)
     if (status == STATUS_OK)
       status = ctl.command->run(&ctl);
     transport_close(&ctl);
-    json_decref(ctl.unreadable);
   }
   if (fflush(stdout) != 0 || ferror(stdout))
     status = complain(STATUS_ERROR, "standard output: %s", strerror(errno));

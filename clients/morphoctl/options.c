@@ -1,5 +1,5 @@
-/* options.c: the command line. Options may stand anywhere, the common ones even before the command;
- * "--" ends them; "--name=value" and "--name value" are the same. */
+/* options.c: parses the command line. Options may be anywhere, the common ones even before the
+ * command; "--" ends them. "--name=value" and "--name value" are the same. */
 #include "ctl.h"
 
 #include <errno.h>
@@ -39,7 +39,7 @@ bool interrupted(void)
 void catch_interrupts(void)
 {
   struct sigaction action = {.sa_handler = interrupt,
-                             .sa_flags = (int)SA_RESETHAND}; /* the second one ends the program */
+                             .sa_flags = (int)SA_RESETHAND}; /* the second ends the program */
   sigemptyset(&action.sa_mask);
   sigaction(SIGINT, &action, NULL);
   sigaction(SIGTERM, &action, NULL);
@@ -251,7 +251,7 @@ static int unknown_option(const struct command *command, const char *text, size_
                   text, command->name, command->name);
 }
 
-/* The command that the first words name; *used: how many words. */
+/* Finds the command that the first words name. *used: number of its words. */
 static const struct command *find_command(int argc, const char *const *argv, int *used)
 {
   for (size_t i = 0; i < n_commands; i++) {
@@ -297,11 +297,11 @@ static int unknown_command(int argc, const char *const *argv)
   return complain(STATUS_USAGE, "there is no command \"%s\"; see morphoctl --help", argv[1]);
 }
 
-/* A word that is an option, cut into its parts; spec NULL: none that the command (or, for NULL,
- * every command) has. */
+/* A word that is an option, cut into its parts. spec NULL: the command (or, for NULL, every
+ * command) has no such option. */
 struct option_word {
   const struct option_spec *spec;
-  const char *value; /* in the word itself; NULL: none */
+  const char *value; /* from the word itself; NULL: none */
   size_t length;     /* of the word without its value */
 };
 
@@ -328,7 +328,7 @@ static struct option_word read_option(const struct command *command, const char 
   return option;
 }
 
-/* How many words before the command are common options and their values. */
+/* Counts the words before the command: common options and their values. */
 static int count_leading(int argc, const char *const *argv)
 {
   int i = 1;
@@ -375,7 +375,7 @@ int options_parse(struct ctl *ctl, int argc, const char *const *argv)
 {
   const char *version[] = {argv[0], "version"};
   int leading = count_leading(argc, argv), n = argc - leading, used = 0;
-  const char *const *words = argv + leading; /* words[1]: the command */
+  const char *const *words = argv + leading; /* words[1] is the command */
   if (n < 2) {
     options_print_help(stderr, NULL);
     return STATUS_USAGE;

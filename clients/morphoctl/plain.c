@@ -1,23 +1,60 @@
-/* plain.c: text from elsewhere on a terminal. Labels, names and messages come from other people
- * through the server, or from files: an escape sequence in one must not move the cursor, change the
- * title or hide what stands there. */
+/* plain.c: shows text from elsewhere on a terminal. Labels, names and messages come from other
+ * people through the server, or from files. An escape sequence in them must not move the cursor,
+ * change the title or hide other text. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "ctl.h"
 
-void make_plain(char *text)
+bool is_control(unsigned long c) /* some terminals also obey U+0080 to U+009F */
 {
-  char *out = text;
-  for (const unsigned char *c = (const unsigned char *)text; *c != 0; c++) {
-    if (*c == 0xC2 && c[1] >= 0x80 &&
-        c[1] < 0xA0) { /* U+0080 to U+009F: some terminals obey them */
+  return c < 0x20 || (c >= 0x7F && c < 0xA0);
+}
+
+/* True for characters that show nothing themselves and change how their neighbors are shown: order
+ * of letters, joins, hidden tags. */
+bool is_format_control(unsigned long c)
+{
+  return c == 0xAD || c == 0x61C || c == 0x180E || (c >= 0x200B && c <= 0x200F) ||
+         (c >= 0x2028 && c <= 0x202E) || (c >= 0x2060 && c <= 0x206F) || c == 0xFEFF ||
+         (c >= 0xFFF9 && c <= 0xFFFB) || (c >= 0xE0000 && c <= 0xE007F);
+}
+
+unsigned long character_at(const char *begin, size_t *bytes)
+{
+  const unsigned char *text = (const unsigned char *)begin;
+  const size_t n = *text >= 0xF0 ? 4 : *text >= 0xE0 ? 3 : *text >= 0xC0 ? 2 : 1;
+  unsigned long c = n == 1 ? *text : *text & (0xFFu >> (n + 1));
+  for (size_t i = 1; i < n; i++) {
+    if ((text[i] & 0xC0) != 0x80) {
+      *bytes = 1;
+      return *text;
+    }
+    c = c << 6 | (text[i] & 0x3F);
+  }
+  *bytes = n;
+  return c;
+}
+
+char *plain_text(const char *text)
+{
+  char *plain = malloc(3 * strlen(text) + 1), *out = plain; /* 2 bytes become at most 6 */
+  size_t bytes;
+  if (plain == NULL)
+    return NULL;
+  for (const char *at = text; *at != 0; at += bytes) {
+    const unsigned long c = character_at(at, &bytes);
+    if (is_control(c)) {
       *out++ = '?';
-      c++;
+    } else if (is_format_control(c) && bytes > 1) {
+      out += sprintf(out, c > 0xFFFF ? "\\U%08lx" : "\\u%04lx", c);
     } else {
-      *out++ = *c < 0x20 || *c == 0x7F ? '?' : (char)*c;
+      memcpy(out, at, bytes);
+      out += bytes;
     }
   }
   *out = 0;
+  return plain;
 }
 
 void print_plain_list(FILE *file, const char *format, va_list arguments)
@@ -25,8 +62,10 @@ void print_plain_list(FILE *file, const char *format, va_list arguments)
   char *text = NULL;
   if (vasprintf(&text, format, arguments) < 0)
     return;
-  make_plain(text);
-  fputs(text, file);
+  char *plain = plain_text(text);
+  if (plain != NULL)
+    fputs(plain, file);
+  free(plain);
   free(text);
 }
 

@@ -1,5 +1,5 @@
-/* plot.c: see plot.h. The curve is drawn on a grid of dots: each column of dots shows the mean of
- * the points that fall into it, and straight lines join the columns that have any. */
+/* plot.c: see plot.h. The curve is drawn on a grid of dots. Each column of dots shows the mean of
+ * its points, and straight lines join the columns that have points. */
 #include "plot.h"
 
 #include <math.h>
@@ -7,13 +7,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LABEL 9 /* characters of the scale */
+#define LABEL 9 /* width of the scale, in characters */
 
 struct grid {
   const struct plot *plot;
-  int columns, rows;       /* characters of the field */
-  int dots_x, dots_y;      /* dots of the field */
-  double low, high, x_end; /* the y axis; the end of the x axis */
+  int columns, rows;       /* of the drawing area, in characters */
+  int dots_x, dots_y;      /* of the drawing area, in dots */
+  double low, high, x_end; /* range of the y axis; end of the x axis */
   unsigned char *dots;     /* (dots_y, dots_x) */
   unsigned char *marks;    /* (rows, columns) */
 };
@@ -42,7 +42,7 @@ static void find_range(struct grid *grid)
   grid->x_end = grid->plot->x_end > 0 ? grid->plot->x_end : 1;
 }
 
-/* The place of a value among n cells; clamped. */
+/* Returns the index of a value among n cells, clamped. */
 static int cell(double value, double low, double high, int n)
 {
   int at = (int)floor((value - low) / (high - low) * n);
@@ -54,7 +54,7 @@ static int cell_y(const struct grid *grid, double y, int n)
   return n - 1 - cell(y, grid->low, grid->high, n);
 }
 
-/* Dots of one column, from the height of the one before (−1: none) to its own. */
+/* Draws the dots of one column, from the height of the previous column (−1: none) to its own. */
 static void stroke(struct grid *grid, int x, int from, int to)
 {
   int low = from < 0    ? to
@@ -70,14 +70,14 @@ static void stroke(struct grid *grid, int x, int from, int to)
 static void draw_curve(struct grid *grid)
 {
   const struct plot *plot = grid->plot;
-  int before_x = -1, before_y = -1; /* −1: the line begins anew */
+  int before_x = -1, before_y = -1; /* −1: a new line begins */
   for (size_t i = 0; i < plot->n_curve;) {
     int x = cell(plot->curve[i].x, 0, grid->x_end, grid->dots_x);
     double sum = 0;
     size_t n = 0;
     for (; i < plot->n_curve && cell(plot->curve[i].x, 0, grid->x_end, grid->dots_x) == x; i++)
       if (isfinite(plot->curve[i].y)) {
-        sum += plot->curve[i].y / (double)plot->n_curve; /* in parts: no sum overflows */
+        sum += plot->curve[i].y / (double)plot->n_curve; /* so that no sum overflows */
         n++;
       }
     if (n == 0) {
@@ -136,7 +136,7 @@ static void write_grid(const struct grid *grid, FILE *file)
     else
       fprintf(file, "%*s%s", LABEL, "", plot->utf8 ? "│" : "|");
     int last = grid->columns - 1;
-    bool full = false; /* lines do not end in blanks */
+    bool full = false; /* no blanks at the end of a line */
     for (; last >= 0 && !full; last--) {
       full = grid->marks[row * grid->columns + last] != 0;
       int across = grid->dots_x / grid->columns, down = grid->dots_y / grid->rows;

@@ -1,5 +1,5 @@
-/* plot.h: a curve as text: braille dots where the locale has them (2 × 4 to a character), else
- * asterisks. */
+/* plot.h: draws a curve as text: with braille dots if the locale has them (2 × 4 per character),
+ * else with asterisks. */
 #ifndef MORPHOCTL_PLOT_H
 #define MORPHOCTL_PLOT_H
 
@@ -11,21 +11,20 @@ struct plot_point {
 };
 
 struct plot {
-  const struct plot_point
-      *curve; /* (n_curve) by ascending x; those whose y is not finite are gaps */
+  const struct plot_point *curve; /* (n_curve) by ascending x; a y that is not finite makes a gap */
   size_t n_curve;
-  const struct plot_point *marks; /* (n_marks) single points on top of it */
+  const struct plot_point *marks; /* (n_marks) single points drawn over the curve */
   size_t n_marks;
-  double x_end;      /* the x axis goes from 0 to here */
-  int width, height; /* of the whole, in characters; at least 24 × 4 is drawn */
+  double x_end;      /* the x axis goes from 0 to x_end */
+  int width, height; /* of the whole plot, in characters; at least 24 × 4 */
   bool utf8, colour;
 };
 
 #define PLOT_MARK_UTF8  "◆"
 #define PLOT_MARK_ASCII "o"
 
-/* height lines, each ended by a newline: the curve beside its scale, the axis below (malloc; NULL:
- * out of memory). */
+/* Draws `height` lines, each with a newline: the curve beside its scale, the axis below (malloc;
+ * NULL: out of memory). */
 char *plot_draw(const struct plot *plot);
 
 #endif

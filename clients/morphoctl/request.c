@@ -1,4 +1,4 @@
-/* request.c: from options to the body of an evaluation, and from there to its end. */
+/* request.c: makes the body of an evaluation from options, and waits for its end. */
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
@@ -114,7 +114,7 @@ int request_fill(const struct ctl *ctl, json_t *request)
   return status == STATUS_OK ? fill_environments(ctl, request) : status;
 }
 
-/* Waits until the job is final; the reply to each question waits a second on the server's side. */
+/* Waits until the job is final; each request waits up to a second at the server. */
 static int wait_for(struct ctl *ctl, const char *id)
 {
   struct progress progress = {0};
@@ -161,7 +161,7 @@ int post_job(struct ctl *ctl, const char *path, const json_t *request, unsigned 
       return status;
     key = generated;
   }
-  char *body = json_dumps(request, JSON_COMPACT | JSON_REAL_PRECISION(17));
+  char *body = dump_json(request, JSON_COMPACT);
   if (body == NULL || asprintf(&key_header, "Idempotency-Key: %s", key) < 0) {
     free(body);
     return complain(STATUS_ERROR, "out of memory");

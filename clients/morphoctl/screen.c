@@ -20,17 +20,19 @@ struct screen screen_open(const struct ctl *ctl)
                                  strcmp(terminal, "dumb") != 0 && !ctl->quiet};
 }
 
-void screen_line(FILE *file, int columns, const char *before, const char *text, const char *after)
+void screen_line(FILE *file, int columns, const char *before, const char *words, const char *after)
 {
+  char *text = plain_text(words);
   size_t n = 0;
   int width = 0;
-  while (text[n] != 0) {
+  while (text != NULL && text[n] != 0) {
     width += ((unsigned char)text[n] & 0xc0) != 0x80;
     if (width > columns)
       break;
     n++;
   }
-  fprintf(file, "%s%.*s%s\033[K\n", before, (int)n, text, after);
+  fprintf(file, "%s%.*s%s\033[K\n", before, (int)n, text != NULL ? text : "", after);
+  free(text);
 }
 
 void screen_lines(FILE *file, const char *text)
@@ -61,7 +63,7 @@ void screen_draw(struct screen *screen, bool now,
     if (screen->lines > 0 && screen->columns == columns)
       printf("\033[%dA\r", screen->lines);
     else if (screen->lines > 0)
-      fputs("\033[H\033[2J", stdout); /* another width: lines stand elsewhere now */
+      fputs("\033[H\033[2J", stdout); /* the width changed, and with it the place of lines */
     fputs(text, stdout);
     fputs("\033[J", stdout);
     fflush(stdout);

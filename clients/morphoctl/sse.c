@@ -1,5 +1,5 @@
-/* sse.c: see sse.h. Lines end with LF, CR or CRLF; "data" lines add up; a blank line ends the
- * event; lines that begin with a colon are comments. */
+/* sse.c: see sse.h. Lines end with LF, CR or CRLF. Several "data" lines of an event are joined. A
+ * blank line ends the event. Lines that begin with a colon are comments. */
 #include "sse.h"
 
 #include <stdio.h>
@@ -31,7 +31,7 @@ static int take_line(struct sse *sse,
     if (*sse->id != 0)
       memcpy(sse->last_id, sse->id, sizeof(sse->id));
     if (sse->data_bytes > 0) {
-      sse->data[sse->data_bytes - 1] = 0; /* the last newline does not belong to it */
+      sse->data[sse->data_bytes - 1] = 0; /* without the last newline */
       status = event(context, *sse->type != 0 ? sse->type : "message", sse->id, sse->data);
     }
     sse->data_bytes = 0;

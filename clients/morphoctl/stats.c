@@ -1,16 +1,16 @@
 /* stats.c: see stats.h.
  *
- * The t distribution by way of the regularised incomplete beta function: with x = ν/(ν + t²), P(|T|
- * > t) = I_x(ν/2, 1/2). I_x is summed as its continued fraction (evaluated from the front, modified
- * Lentz), on the side of the mean where that converges fast; a quantile is found by bisection, to
- * the last bits of a double. */
+ * The t distribution uses the regularized incomplete beta function: with x = ν/(ν + t²), P(|T| > t)
+ * = I_x(ν/2, 1/2). I_x is computed by its continued fraction (from the front, modified Lentz), on
+ * the side of the mean where the fraction converges fast. Quantiles are found by bisection, to the
+ * last bits of a double. */
 #include "stats.h"
 
 #include <float.h>
 #include <math.h>
 #include <stdbool.h>
 
-/* The continued fraction of I_x(a, b), for x below (a + 1)/(a + b + 2). */
+/* Returns the continued fraction of I_x(a, b), for x below (a + 1)/(a + b + 2). */
 static double beta_fraction(double a, double b, double x)
 {
   const double tiny = 1e-300;
@@ -36,7 +36,7 @@ static double beta_fraction(double a, double b, double x)
   return value;
 }
 
-/* I_x(a, b); y = 1 − x, exact where x is near 1. */
+/* Returns I_x(a, b). y = 1 − x, exact where x is near 1. */
 static double incomplete_beta(double a, double b, double x, double y)
 {
   if (x <= 0 || y <= 0)

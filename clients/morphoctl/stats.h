@@ -4,22 +4,22 @@
 
 #include <stddef.h>
 
-/* Quantile of Student's t distribution: P(T ≤ t) = p with `freedom` > 0 degrees of freedom, 0 < p
- * < 1. */
+/* Returns the quantile of Student's t distribution: t with P(T ≤ t) = p, for `freedom` > 0 degrees
+ * of freedom and 0 < p < 1. */
 double student_quantile(double p, double freedom);
-/* P(T ≤ t). */
+/* Returns P(T ≤ t). */
 double student_probability(double t, double freedom);
 
 struct paired {
-  size_t n; /* pairs of which both are finite; the others are left out of what follows */
-  double mean_a, mean_b;  /* over these pairs; NaN: there are none */
+  size_t n;               /* pairs in which both scores are finite; only these count below */
+  double mean_a, mean_b;  /* over these pairs; NaN: none */
   double difference;      /* mean of b − a */
   double deviation;       /* standard deviation of b − a; NaN below two pairs */
   double error;           /* its standard error */
   double low, high;       /* confidence interval of the difference; NaN below two pairs */
   size_t improved, equal; /* pairs with b < a, with b = a */
 };
-/* a, b: (n) scores, not finite where there is none. */
+/* Compares paired scores. a, b: (n); not finite for a missing score. */
 struct paired compare_pairs(const double *a, const double *b, size_t n, double confidence);
 
 #endif

@@ -40,9 +40,7 @@ void table_add(struct table *table, const char *const *cells)
   }
   char **row = table->cells + table->n_rows * table->n_columns;
   for (size_t i = 0; i < table->n_columns; i++) {
-    row[i] = strdup(cells[i] != NULL ? cells[i] : "–");
-    if (row[i] != NULL)
-      make_plain(row[i]);
+    row[i] = plain_text(cells[i] != NULL ? cells[i] : "–");
     table->failed |= row[i] == NULL;
   }
   table->n_rows++;
@@ -62,7 +60,7 @@ void table_drop(struct table *table, size_t column)
     table->right[c] = table->right[c + 1];
   }
   table->n_columns--;
-  table->capacity = table->n_rows; /* counted in rows of the new width: exact enough */
+  table->capacity = table->n_rows; /* in rows of the new width; may be less than is allocated */
 }
 
 size_t text_width(const char *text)
@@ -103,7 +101,7 @@ void table_print(struct table *table, FILE *file, const struct ctl *ctl)
   }
   fprintf(file, "%s\n", ctl->colour ? "\033[0m" : "");
   for (size_t r = 0; r < table->n_rows; r++) {
-    size_t owed = 0; /* spaces that are due before the next cell: a line does not end in any */
+    size_t owed = 0; /* spaces before the next cell; lines must not end in spaces */
     for (size_t c = 0; c < table->n_columns; c++) {
       char *cell = table->cells[r * table->n_columns + c];
       size_t width = cell != NULL ? text_width(cell) : 0;
@@ -199,9 +197,9 @@ void progress_show(struct progress *progress, const struct ctl *ctl, const char 
   char text[256];
   int n = snprintf(text, sizeof(text), "%s  %s of %s rollouts  %3d %%%s", state,
                    count_text(done, a), count_text(total, b), (int)(share * 100), tail);
-  make_plain(text);
   int bar = columns - n - 5;
-  fprintf(stderr, "\r\033[K%s", text);
+  fputs("\r\033[K", stderr);
+  print_plain(stderr, "%s", text);
   if (bar >= 10) {
     if (bar > 40)
       bar = 40;

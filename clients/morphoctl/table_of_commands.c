@@ -1,5 +1,4 @@
-/* table_of_commands.c: every command with its options and its help; the order is that of the help
- * text. */
+/* table_of_commands.c: all commands with their options and help, in the order of the help text. */
 #include "commands.h"
 #include "fields.h"
 
@@ -43,6 +42,7 @@ static const struct option_spec random_options[] = {{"count", 'n', "N", "How man
 static const struct option_spec job_list_options[] = {
     {"state", 0, "STATE",
      "Only jobs that are queued, running, paused, succeeded, failed or cancelled."},
+    {"label", 'l', "TEXT", "Only those with this label."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
@@ -99,6 +99,7 @@ static const struct option_spec train_start_options[] = {
 static const struct option_spec train_list_options[] = {
     {"state", 0, "STATE",
      "Only trainings that are queued, running, paused, succeeded, failed or cancelled."},
+    {"label", 'l', "TEXT", "Only those with this label."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
@@ -180,6 +181,8 @@ static const struct option_spec campaign_start_options[] = {
 static const struct option_spec campaign_list_options[] = {
     {"state", 0, "STATE",
      "Only campaigns that are queued, running, paused, succeeded, failed or cancelled."},
+    {"label", 'l', "TEXT", "Only those with this label."},
+    {"group", 'g', "ID", "Only the replicates of this group, the id of its first."},
     {"limit", 'n', "N", "At most so many, newest first (default: 50)."},
     {"all", 'a', NULL, "No limit."},
     {NULL, 0, NULL, NULL}};
@@ -339,7 +342,9 @@ const struct command commands[] = {
      "A name that exists is pointed at the new file; scores keep the hash of the file they were "
      "made with.",
      NULL, 2, 2, run_controller_put},
-    {"controller delete", "NAME", "Take a name away.", NULL, NULL, 1, 1, run_controller_delete},
+    {"controller delete", "NAME", "Take a name away, or delete a file.",
+     "The file of a name stays. sha256:… deletes a file to which no name, job or score refers.",
+     NULL, 1, 1, run_controller_delete},
     {"devices", "", "Show the GPUs that compute.", "Exit status 3 if one is lost.", NULL, 0, 0,
      run_devices},
     {"status", "", "Show whether the server is ready and what it does.", NULL, NULL, 0, 0,

@@ -12,7 +12,7 @@
 
 /* ---- curves ---- */
 
-/* Every other point, the newest kept. */
+/* Drops every other point, but keeps the newest. */
 static void thin(struct training_curve *curve)
 {
   size_t kept = 0;
@@ -39,7 +39,8 @@ bool training_add(struct training_curve *curve, double x, double y)
   return true;
 }
 
-/* Fetches rows behind the last point; `key` is what is drawn. stride 0: the path takes none. */
+/* Fetches the rows after the last point. key: the value to draw; stride 0: the path has no
+ * stride. */
 static int load_curve(struct ctl *ctl, const char *id, const char *what, const char *key,
                       int64_t stride, struct training_curve *curve)
 {
@@ -66,7 +67,7 @@ static int load_curve(struct ctl *ctl, const char *id, const char *what, const c
         status = complain(STATUS_ERROR, "out of memory");
     }
     const json_t *next =
-        json_object_get(page, "next_after"); /* behind rows that the server cannot read, too */
+        json_object_get(page, "next_after"); /* also skips rows that the server cannot read */
     more = more && json_is_integer(next) && json_integer_value(next) > after;
     after = json_integer_value(next);
     json_decref(page);

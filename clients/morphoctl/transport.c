@@ -14,11 +14,11 @@
 
 struct transport {
   CURL *curl;
-  CURL *aside;       /* for requests while a stream is read; made when it is needed */
+  CURL *aside;       /* for requests during a stream; created on demand */
   bool streaming;    /* curl is inside a stream's callback */
   char *base;        /* "http://127.0.0.1:8765" */
   char *socket;      /* path of a unix socket, or NULL */
-  bool has_answered; /* the server has been there: worth waiting for */
+  bool has_answered; /* the server answered once, so it is worth retrying */
 };
 
 static double now_s(void)
@@ -31,7 +31,7 @@ static double now_s(void)
 void pause_s(double seconds)
 {
   struct timespec rest = {(time_t)seconds, (long)((seconds - (double)(time_t)seconds) * 1e9)};
-  nanosleep(&rest, NULL); /* a signal ends it early, as it should */
+  nanosleep(&rest, NULL); /* a signal ends the pause early, as intended */
 }
 
 int random_key(char key[33])
@@ -119,8 +119,8 @@ static size_t take_body(char *bytes, size_t size, size_t count, void *context)
   if (reply->body_bytes + n > REPLY_BYTES_MAX)
     return 0;
   size_t needed = reply->body_bytes + n + 1;
-  if (needed > reply->body_capacity) { /* grown by halves: a reply of 10,000 results comes in
-                                          thousands of pieces */
+  if (needed > reply->body_capacity) { /* grow by half: a reply of 10,000 results comes in thousands
+                                          of pieces */
     size_t capacity = needed + needed / 2 + 4096;
     char *grown = realloc(reply->body, capacity);
     if (grown == NULL)
@@ -201,7 +201,7 @@ static bool is_loopback(const char *base)
          (strncmp(host, "127.", 4) == 0 && strspn(host, "0123456789.") == n);
 }
 
-/* One attempt. `data` NULL: the body goes into the reply. */
+/* Makes one attempt. data NULL: the body goes into the reply. */
 static CURLcode perform(struct ctl *ctl, const struct request *request, struct reply *reply,
                         curl_write_callback data, void *context)
 {
@@ -223,7 +223,7 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
       append(&headers, "Content-Type", request->content_type) &&
       append(&headers, "Prefer", request->wait_s > 0 ? wait : NULL);
   struct curl_slist *grown =
-      ok ? curl_slist_append(headers, "Expect:") : NULL; /* no round trip before a body */
+      ok ? curl_slist_append(headers, "Expect:") : NULL; /* saves a round trip before a body */
   ok = grown != NULL;
   for (size_t i = 0; ok && i < HEADERS_MAX && request->headers[i] != NULL; i++) {
     headers = grown;
@@ -239,8 +239,8 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     curl_easy_setopt(curl, CURLOPT_PROTOCOLS_STR, "http,https");
     if (transport->socket != NULL)
       curl_easy_setopt(curl, CURLOPT_UNIX_SOCKET_PATH, transport->socket);
-    if (is_loopback(transport->base)) /* a proxy of the environment is another machine: it would get
-                                         the token for nothing */
+    if (is_loopback(transport->base)) /* a proxy from the environment is another machine, and must
+                                         not get the token */
       curl_easy_setopt(curl, CURLOPT_PROXY, "");
     curl_easy_setopt(curl, CURLOPT_HTTPHEADER, headers);
     curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
@@ -250,7 +250,7 @@ static CURLcode perform(struct ctl *ctl, const struct request *request, struct r
     }
     curl_easy_setopt(curl, CURLOPT_CUSTOMREQUEST, request->method);
     curl_easy_setopt(curl, CURLOPT_CONNECTTIMEOUT, 10L);
-    /* A server that says nothing for so long is gone; streams have a heartbeat every 15 s. */
+    /* A server that sends nothing for this long is gone; streams have a heartbeat every 15 s. */
     curl_easy_setopt(curl, CURLOPT_LOW_SPEED_LIMIT, 1L);
     curl_easy_setopt(curl, CURLOPT_LOW_SPEED_TIME, 45L + (long)request->wait_s);
     curl_easy_setopt(curl, CURLOPT_HEADERFUNCTION, take_header);
@@ -294,6 +294,20 @@ static bool is_passing(CURLcode code)
   }
 }
 
+int complain_about_server(const struct ctl *ctl, const char *words)
+{
+  const char *variable = getenv("MORPHOD_SERVER");
+  complain(0, "%s: %s", ctl->server, words);
+  print_plain_line(stderr,
+                   "  This address is %s. Is morphod running there? If it listens elsewhere, name "
+                   "its address with "
+                   "--server or MORPHOD_SERVER: http://host:port or unix:/path.",
+                   option_is_set(ctl, "server")         ? "that of --server"
+                   : variable != NULL && *variable != 0 ? "that of MORPHOD_SERVER"
+                                                        : "the default");
+  return STATUS_CONNECTION;
+}
+
 int transport_try(struct ctl *ctl, const struct request *request, struct reply *reply)
 {
   *reply = (struct reply){.retry_after_s = -1};
@@ -316,7 +330,7 @@ int transport_try(struct ctl *ctl, const struct request *request, struct reply *
       if (!is_passing(code))
         return complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
       if (!may_repeat(request) || pause > left_s)
-        return complain(STATUS_CONNECTION, "%s: %s", ctl->server, curl_easy_strerror(code));
+        return complain_about_server(ctl, curl_easy_strerror(code));
       pause_s(pause);
       pause = pause * 2 > 5 ? 5 : pause * 2;
     }
@@ -415,7 +429,7 @@ static size_t take_stream(char *bytes, size_t size, size_t count, void *context)
   long status = 0;
   curl_easy_getinfo(stream->ctl->transport->curl, CURLINFO_RESPONSE_CODE, &status);
   if (status != 200)
-    return take_body(bytes, size, count, &stream->reply); /* a problem, to be reported */
+    return take_body(bytes, size, count, &stream->reply); /* a problem document, reported later */
   stream->ctl->transport->has_answered = true;
   stream->ctl->transport->streaming = true;
   int end = stream->data(stream->context, bytes, n);
@@ -443,7 +457,7 @@ int transport_stream(struct ctl *ctl, const char *path, const char *header,
   else if (stream.reply.status >= 400 && stream.reply.status != 429 && stream.reply.status != 503)
     status = complain_about_reply(ctl, &stream.reply);
   else if (code == CURLE_OK || is_passing(code))
-    status = STATUS_CONNECTION; /* ended or broke: the caller connects again */
+    status = STATUS_CONNECTION; /* ended or broken: the caller connects again */
   else
     status = complain(STATUS_ERROR, "%s: %s", ctl->server, curl_easy_strerror(code));
   reply_free(&stream.reply);

@@ -1,11 +1,12 @@
-/* controller.h: the universal controller (paper, section 2.3): weights, files, float64 reference
- * forward pass.
+/* controller.h: the universal controller (paper, section 2.3): weights, files, and the float64
+ * reference forward pass.
  *
- * MLP  (n_masses + 5) → 256 → 256 → 256 → n_springs,  LayerNorm (ε 1e-5) + ReLU after each hidden
- * layer, tanh at the end. Inputs: one sensor per lattice mass (0 where the mass is absent), then
- * sin(10 t dt + 2πk/5), k = 0 … 4. Parameters are float32, one buffer in file order; matrices
- * row-major (out, in), as PyTorch writes them: net.0.weight .bias, net.1.weight .bias (LayerNorm),
- * net.3.*, net.4.*, net.6.*, net.7.*, net.9.* */
+ * MLP  (n_masses + 5) → 256 → 256 → 256 → n_springs
+ * LayerNorm (ε 1e-5) and ReLU follow each hidden layer, tanh the last one. Inputs: one sensor
+ * per lattice mass (0 where the mass is absent), then sin(10 t dt + 2πk/5), k = 0 … 4.
+ * Parameters are float32, in one buffer in file order. Matrices are row-major (out, in), as
+ * PyTorch writes them: net.0.weight .bias, net.1.weight .bias (LayerNorm), net.3.*, net.4.*,
+ * net.6.*, net.7.*, net.9.* */
 #ifndef MORPHO_CONTROLLER_H
 #define MORPHO_CONTROLLER_H
 
@@ -28,9 +29,9 @@ extern "C" {
 #define MO_CONTROLLER_FILE_MAX                                                                     \
   (UINT64_C(4) << 30) /* bytes of a file that mo_controller_read accepts */
 #define MO_SAFETENSORS_HEADER_MAX (UINT32_C(1) << 20)
-/* Largest |value| of a parameter that a file may hold. Below it no sum of the network leaves
- * float32's range, whatever the sensors say (they give at most 1e4): the largest, LayerNorm's sum
- * of squares, stays under 1e34. */
+/* Largest |value| of a parameter that a file may hold. Within this limit no sum of the network
+ * leaves float32's range, for any sensor value (at most 1e4): the largest sum, LayerNorm's sum of
+ * squares, stays under 1e34. */
 #define MO_WEIGHT_LIMIT 1e6f
 
 enum mo_sensor {
@@ -38,14 +39,15 @@ enum mo_sensor {
       0, /* 1/(sqrt(d + 1e-8) + 1e-8): the authors' published code, the default */
   MO_SENSOR_INVERSE_SQUARE = 1 /* 1/(d² + 1e-4): the paper's text */
 };
-const char *mo_sensor_name(enum mo_sensor sensor); /* "inverse_sqrt", "inverse_square" */
+extern const char *const mo_sensor_words[]; /* "inverse_sqrt", "inverse_square", NULL */
+const char *mo_sensor_name(enum mo_sensor sensor);
 int mo_sensor_from_name(const char *name, enum mo_sensor *sensor); /* MO_ERR_NOT_FOUND */
 
 struct mo_metadata_entry {
   char *key, *value;
 };
 
-/* Const while rollouts run. Create, read, free only through the functions below. */
+/* Const while rollouts run. Create, read and free it only through the functions below. */
 struct mo_controller {
   struct mo_workspace workspace;
   enum mo_sensor sensor;
@@ -59,51 +61,53 @@ struct mo_controller {
   float *norm_gain[MO_HIDDEN_LAYERS];  /* (256) LayerNorm weight */
   float *norm_shift[MO_HIDDEN_LAYERS]; /* (256) LayerNorm bias */
   struct mo_metadata_entry
-      *metadata; /* the file's __metadata__, order kept; "sensor" and the orders included */
+      *metadata; /* the file's __metadata__, in its order; includes "sensor" and the orders */
   size_t n_metadata;
 };
 
-/* Zero weights, LayerNorm gain 1, metadata with the orders, the sensor and the workspace. */
+/* Creates a controller with zero weights, LayerNorm gain 1, and metadata that state the orders, the
+ * sensor and the workspace. */
 int mo_controller_create(struct mo_workspace workspace, enum mo_sensor sensor,
                          struct mo_controller **controller);
 void mo_controller_free(struct mo_controller *controller); /* NULL-safe */
 
-/* Xavier-uniform weights, zero biases, LayerNorm gain 1 shift 0; layer l from stream (seed,
- * WEIGHTS, l, 0). */
+/* Sets Xavier-uniform weights, zero biases, LayerNorm gain 1 and shift 0; layer l draws from stream
+ * (seed, WEIGHTS, l, 0). */
 void mo_controller_randomize(struct mo_controller *controller, uint64_t seed);
 
 /* Sets or replaces a metadata entry. MO_ERR_INVALID (not UTF-8), MO_ERR_CONFLICT ("sensor",
- * "workspace" and the orders describe the weights: only their present values are accepted),
- * MO_ERR_NO_MEMORY, MO_ERR_LIMIT (1024 entries, 64 KiB each). */
+ * "workspace" and the orders describe the weights and cannot be changed), MO_ERR_NO_MEMORY,
+ * MO_ERR_LIMIT (1024 entries, 64 KiB each). */
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
 const char *mo_controller_get_metadata(const struct mo_controller *controller,
                                        const char *key); /* NULL: none */
-/* A whole number, ≥ 0, that is a member of an entry that is a JSON object. MO_ERR_NOT_FOUND: there
- * is no such entry; MO_ERR_FORMAT: it is no object, or has no such number; MO_ERR_NO_MEMORY. */
+/* Reads an integer ≥ 0 that is a member of an entry whose value is a JSON object. MO_ERR_NOT_FOUND:
+ * no such entry; MO_ERR_FORMAT: the entry is not an object, or has no such number;
+ * MO_ERR_NO_MEMORY. */
 int mo_controller_get_metadata_number(const struct mo_controller *controller, const char *key,
                                       const char *member, uint64_t *number);
 
-/* Reads a safetensors file (path) or its bytes. Checks everything before trusting anything: header
- * length and JSON, exactly the expected tensors, dtype F32, shapes that agree with one workspace
- * (metadata "workspace" = "6x6x4" names it; without it the default one is assumed), offsets that
- * tile the data without gap or overlap, finite values within MO_WEIGHT_LIMIT, a known "sensor"
- * (default inverse_sqrt), the known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO,
+/* Reads a safetensors file (path) or its bytes, and checks all of it: header length and JSON,
+ * exactly the expected tensors, dtype F32, shapes that agree with one workspace (metadata
+ * "workspace" = "6x6x4" names it; the default is assumed without it), offsets that tile the data
+ * without gap or overlap, finite values within MO_WEIGHT_LIMIT, a known "sensor" (default
+ * inverse_sqrt), and known orders if stated. MO_ERR_FORMAT, MO_ERR_LIMIT, MO_ERR_IO,
  * MO_ERR_NOT_FOUND, MO_ERR_NO_MEMORY. */
 int mo_controller_read(const char *path, struct mo_controller **controller,
                        struct mo_message *message);
 int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller **controller,
                          struct mo_message *message);
 
-/* The file's bytes (malloc; caller frees). The same controller always gives the same bytes.
+/* Encodes the file (malloc; the caller frees it). The same controller always gives the same bytes.
  * MO_ERR_NO_MEMORY; MO_ERR_LIMIT: the metadata exceeds MO_SAFETENSORS_HEADER_MAX. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
-/* Writes path by way of a temporary file beside it, fsync and rename. MO_ERR_IO, MO_ERR_NO_SPACE.
- */
+/* Writes `path` through a temporary file beside it, fsync and rename. MO_ERR_IO,
+ * MO_ERR_NO_SPACE. */
 int mo_controller_write(const struct mo_controller *controller, const char *path,
                         struct mo_message *message);
 
-/* Reference forward pass in float64 over the springs listed in `springs` (n of them; NULL: all):
+/* Computes the reference forward pass in float64 for the n springs listed in `springs` (NULL: all):
  * outputs[i] is the activation of springs[i]. inputs: (n_inputs). scratch: 2·MO_HIDDEN doubles. */
 void mo_controller_forward(const struct mo_controller *controller, const double *inputs,
                            const uint32_t *springs, uint32_t n, double *outputs, double *scratch);

@@ -1,9 +1,9 @@
 /* error.h: the result codes of every function that can fail.
  *
- * A function returns MO_OK (0) or one of these negative codes. It never exits, never logs, and
- * leaves its outputs untouched when it fails, unless its comment says otherwise. Where a person
- * must act on a fault, the function also takes a `struct mo_message *` (nullable) and writes one
- * sentence that says what is wrong and what would be right. */
+ * A function returns MO_OK (0) or one of these negative codes. Unless its comment says otherwise,
+ * it never exits, never logs, and leaves its outputs unchanged on failure. Where a person must act
+ * on an error, the function also takes a `struct mo_message *` (nullable) and writes one sentence
+ * that says what is wrong and what would be right. */
 #ifndef MORPHO_ERROR_H
 #define MORPHO_ERROR_H
 
@@ -19,10 +19,10 @@ enum mo_error {
   MO_ERR_EMPTY = -4,          /* a body without voxels */
   MO_ERR_NOT_CONTIGUOUS = -5, /* a body in more than one piece */
   MO_ERR_DUPLICATE = -6,      /* the same thing twice where once is allowed */
-  MO_ERR_FORMAT = -7,         /* bytes that are not of the announced format */
+  MO_ERR_FORMAT = -7,         /* bytes in another format than the announced one */
   MO_ERR_LIMIT = -8,          /* larger than this build or this configuration accepts */
   MO_ERR_NOT_FOUND = -9,      /* no such thing */
-  MO_ERR_CONFLICT = -10,      /* contradicts what is there already */
+  MO_ERR_CONFLICT = -10,      /* contradicts what exists already */
   MO_ERR_IO = -11,            /* a read or write failed */
   MO_ERR_NO_SPACE = -12,      /* the disk is full */
   MO_ERR_CANCELLED = -13,     /* the caller asked to stop */
@@ -30,23 +30,23 @@ enum mo_error {
   MO_ERR_EXHAUSTED = -15,     /* no further item exists */
   MO_ERR_CORRUPT = -16,       /* stored data contradicts itself */
   MO_ERR_UNSUPPORTED = -17,   /* valid, but this build or machine cannot do it */
-  MO_ERR_DEVICE = -18         /* a device that computes is lost, or has failed */
+  MO_ERR_DEVICE = -18         /* a computing device is lost or has failed */
 };
 
-/* One sentence for people, always terminated by NUL, without a trailing newline. */
+/* One sentence for people, NUL-terminated, without a trailing newline. */
 struct mo_message {
   char text[256];
 };
 
-/* The name of a code in words ("out of memory"); "unknown error" for others. Never NULL, static
+/* Returns a code in words ("out of memory"); "unknown error" for others. Never NULL; static
  * storage. */
 const char *mo_error_text(int code);
 
-/* The same for programs: "no_memory"; "unknown" for others. */
+/* Returns a code as a name for programs ("no_memory"); "unknown" for others. */
 const char *mo_error_name(int code);
 
-/* Formats into `message` (nullable) and returns `code`, so that `return mo_fail(msg, MO_ERR_RANGE,
- * "…", …);` reads well. */
+/* Formats into `message` (nullable) and returns `code`, so that a caller can write `return
+ * mo_fail(message, MO_ERR_RANGE, "…", …);`. */
 int mo_fail(struct mo_message *message, int code, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
 

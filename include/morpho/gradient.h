@@ -1,18 +1,22 @@
-/* gradient.h: how the loss of a rollout changes with every parameter of its controller, by
- * backpropagation through all steps (docs/numerics.md derives it). Two implementations of the same
- * mathematics: mo_gradient_reference  float64, plain C, one rollout: the yardstick;
- *   mo_gradient_block      float32 vectors over up to MO_GRADIENT_ROBOTS different robots, each in
- * an environment of its own, compiled for several instruction sets.
+/* gradient.h: the gradient of a rollout's loss with respect to every parameter of its controller,
+ * by backpropagation through all steps (docs/numerics.md derives it). Two implementations of the
+ * same mathematics:
+ *   mo_gradient_reference  float64, plain C, one rollout: the yardstick
+ *   mo_gradient_block      float32 vectors over up to MO_GRADIENT_ROBOTS different robots, each
+ *                          in its own environment, compiled for several instruction sets
  *
  * A rollout is a long chain of contacts, along which the adjoint (∂loss/∂state) can grow
- * exponentially. The bound tames it: at every step of the way back, with the adjoint of all masses'
- * positions and velocities, m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂),   d0 = distance in x,
- * y to the light at the start + 1e-8 m, is held against the bound. m has no unit. Where m > bound,
- *   MO_ADJOINT_CLIP     both are scaled by bound/m;
- *   MO_ADJOINT_RESTART  both begin anew, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
- * restart_weight times that of the distance to the light, over d0, with the centre of mass where it
- * was one step before. What the state did to the time after it is left out; what the parameters did
- * to it, on the way back so far, is kept. With a weight of 0 the way back ends there. */
+ * exponentially. A bound limits it. At every backward step, from the adjoint of all masses'
+ * positions and velocities,
+ *   m = d0 · max(‖∂loss/∂x‖₂, 15 s⁻¹ · ‖∂loss/∂v‖₂)
+ * is compared with the bound. m has no unit; d0 = distance in x, y to the light at the start + 1e-8
+ * m. Where m > bound,
+ *   MO_ADJOINT_CLIP     scales both by bound/m;
+ *   MO_ADJOINT_RESTART  starts both again, as if the rollout ended there: ∂/∂v = 0, and ∂/∂x is
+ *                       restart_weight times that of the distance to the light, over d0, at the
+ *                       center of mass one step earlier.
+ * A restart drops the effect of the state on later time. It keeps the effect of the parameters, as
+ * accumulated so far on the way back. With a weight of 0 the backward pass ends there. */
 #ifndef MORPHO_GRADIENT_H
 #define MORPHO_GRADIENT_H
 
@@ -35,54 +39,53 @@ extern "C" {
 
 /* Stored by these numbers. */
 enum mo_adjoint_rule { MO_ADJOINT_CLIP = 0, MO_ADJOINT_RESTART = 1 };
-const char *
-mo_adjoint_rule_name(enum mo_adjoint_rule rule); /* "clip", "restart"; "?" for another number */
-/* MO_ERR_INVALID: no rule has that name. */
-int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule);
+extern const char *const mo_adjoint_words[];                 /* "clip", "restart", NULL */
+const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule); /* "unknown" for another number */
+int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule); /* MO_ERR_NOT_FOUND */
 
 struct mo_gradient_options {
   double adjoint_bound; /* ≥ 0; 0: off */
   double weight; /* finite; factor of this rollout's gradient in the sum: 1/B for the mean over a
                     batch of B */
   enum mo_adjoint_rule adjoint_rule;
-  double restart_weight; /* 0 … MO_RESTART_WEIGHT_MAX; of MO_ADJOINT_RESTART alone */
+  double restart_weight; /* 0 … MO_RESTART_WEIGHT_MAX; used only by MO_ADJOINT_RESTART */
 };
 /* MO_ADJOINT_BOUND, 1, MO_ADJOINT_CLIP, MO_RESTART_WEIGHT. */
 struct mo_gradient_options mo_default_gradient_options(void);
-/* MO_ERR_INVALID: something is not finite, or there is no such rule; MO_ERR_RANGE: a bound below 0,
- * a weight outside its range. */
+/* MO_ERR_INVALID: not finite, or an unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside
+ * its range. */
 int mo_gradient_options_check(const struct mo_gradient_options *options);
 
-/* What happened, added up over calls; start from {0}. */
+/* Counts, added up over calls; start from {0}. */
 struct mo_gradient_counts {
   uint64_t robots;          /* calls that returned MO_OK */
-  uint64_t steps;           /* of the way back, over all robots */
-  uint64_t clipped_steps;   /* of these, those where m was above the bound */
-  uint64_t clipped_robots;  /* robots with at least one of them */
+  uint64_t steps;           /* backward steps, over all robots */
+  uint64_t clipped_steps;   /* backward steps where m was above the bound */
+  uint64_t clipped_robots;  /* robots with at least one such step */
   uint64_t zeroed_robots;   /* contributed nothing: an adjoint, or a parameter's gradient, was not
                                finite */
   uint64_t diverged_robots; /* contributed nothing: the rollout itself diverged */
-  double largest;           /* m as measured; where it was not finite it is not counted here */
+  double largest;           /* largest finite m, measured before clipping */
 };
 void mo_gradient_counts_add(struct mo_gradient_counts *sum,
                             const struct mo_gradient_counts *counts);
 
-/* Runs the rollout exactly as mo_rollout_reference does (same outcome, bit for bit) and adds weight
- * · ∂loss/∂parameters to d_parameters (controller->n_parameters, in file order; the float32
- * parameters count as real numbers). Springs and masses that the body does not have get a gradient
- * of 0. A robot whose rollout diverged, or whose gradient is not finite, leaves d_parameters as it
- * is. With MO_IMPACT_EXACT the time of impact is differentiated too; with MO_IMPACT_BISECTION it
- * counts as a constant. At the points where the loss has a kink, one of the two one-sided
- * derivatives is taken (docs/numerics.md).
+/* Computes the gradient of one rollout. Runs the rollout exactly as mo_rollout_reference does (same
+ * outcome, bit for bit) and adds weight · ∂loss/∂parameters to d_parameters
+ * (controller->n_parameters, in file order; the float32 parameters count as real numbers). Springs
+ * and masses that the body lacks get a gradient of 0. A robot whose rollout diverged, or whose
+ * gradient is not finite, does not change d_parameters. With MO_IMPACT_EXACT the time of impact is
+ * differentiated too; with MO_IMPACT_BISECTION it counts as a constant. Where the loss has a kink,
+ * one of the two one-sided derivatives is used (docs/numerics.md).
  *
  * physics must have passed mo_physics_check. d_parameters and outcome belong to the caller; counts
  * nullable. Everything else is borrowed for the call. Memory, freed on return: n_parameters doubles
  * and about sqrt(n_steps) steps: 7.5 MB for the full default workspace and 1000 steps. Costs about
  * three rollouts.
  *
- * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or no such
- * rule; MO_ERR_RANGE: a bound below 0, a weight outside its range; MO_ERR_NO_MEMORY. On error
- * nothing is written. */
+ * MO_ERR_INVALID: no controller, one of another workspace, an option that is not finite, or an
+ * unknown rule; MO_ERR_RANGE: a bound below 0, a weight outside its range; MO_ERR_NO_MEMORY. On
+ * error nothing is written. */
 int mo_gradient_reference(const struct mo_body *body, const struct mo_controller *controller,
                           const struct mo_environment *environment,
                           const struct mo_physics *physics,
@@ -94,28 +97,28 @@ int mo_gradient_reference(const struct mo_body *body, const struct mo_controller
 #define MO_GRADIENT_ROBOTS        32                  /* most robots of one block */
 #define MO_GRADIENT_DEFAULT_BYTES ((size_t)384 << 20) /* budget of one worker's scratch */
 
-/* One robot of a batch; borrowed. */
+/* One robot of a batch; both pointers are borrowed. */
 struct mo_robot {
   const struct mo_body *body;
   const struct mo_environment *environment;
 };
 
-/* A controller laid out for one instruction set, to score and differentiate with. Const while
- * blocks run; shared by all workers. Keeps no reference to the controller. MO_ERR_UNSUPPORTED: not
- * on this processor; MO_ERR_NO_MEMORY. */
+/* A controller laid out for one instruction set, for rollouts and gradients. Const while blocks
+ * run; shared by all workers. Keeps no reference to the controller. MO_ERR_UNSUPPORTED: not on this
+ * processor; MO_ERR_NO_MEMORY. */
 struct mo_gradient_pack;
 int mo_gradient_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                             struct mo_gradient_pack **pack);
-/* Takes new parameters of the same workspace and sensor: what a step of learning changes.
- * MO_ERR_UNSUPPORTED: another one. */
+/* Copies new parameters, of the same workspace and sensor, into the pack: for the next learning
+ * step. MO_ERR_UNSUPPORTED: another workspace or sensor. */
 int mo_gradient_pack_update(struct mo_gradient_pack *pack, const struct mo_controller *controller);
 void mo_gradient_pack_free(struct mo_gradient_pack *pack); /* NULL-safe */
 size_t mo_gradient_pack_bytes(const struct mo_gradient_pack *pack);
 
-/* Scratch of one worker: grows to what its blocks need. The tape of a block (what the way back
- * needs of every step) is held in full if it fits `budget_bytes`; else the rollout is cut into
- * segments, of which only the starts are kept and which are run again on the way back. The budget
- * never changes a bit of a result. A budget too small for the shortest segments is exceeded, not
+/* Scratch of one worker: grows to what its blocks need. The tape of a block (what the backward pass
+ * needs of every step) is kept in full if it fits `budget_bytes`. Else the rollout is cut into
+ * segments, of which only the starts are kept, and the backward pass runs each segment again. The
+ * budget changes no bit of a result. A budget too small for the shortest segments is exceeded, not
  * refused. */
 struct mo_gradient_memory;
 int mo_gradient_memory_create(size_t budget_bytes, struct mo_gradient_memory **memory);
@@ -131,21 +134,24 @@ struct mo_gradient_profile {
   uint64_t robot_steps;
 };
 
-/* An order of the n robots in which consecutive runs of MO_GRADIENT_ROBOTS suit each other (bodies
- * that overlap share work). Depends on the bodies alone. order: (n). MO_ERR_NO_MEMORY. */
+/* Orders the n robots so that each run of MO_GRADIENT_ROBOTS fits together (bodies that overlap
+ * share work). Depends only on the bodies. order: (n). MO_ERR_NO_MEMORY. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order);
 
 /* Rolls out n robots (1 … MO_GRADIENT_ROBOTS) and WRITES to d_parameters (n_parameters, file order)
- * the sum over them of ∂loss/∂parameters · options->weight: robots that diverged or whose adjoint
- * is not finite contribute nothing and are counted, as in mo_gradient_reference. float32 ends
- * earlier than float64: two rare cases count robots as zeroed that the reference would count in. An
- * adjoint that leaves float32's range within a step is infinite, and its robot left out. And where
- * every adjoint is finite but the sum over the block is not, the robots whose own gradient is not
- * below 1/64 of float32's largest number are left out, or, if there is none, all of them: the
- * block's gradient is 0 then. What is left is exactly the sum of the others (docs/numerics.md,
- * Range). The result depends on the inputs (robots, in this order) and the instruction set alone.
- * outcomes: (n). pause, profile, counts nullable (counts are added to). MO_ERR_INVALID (a body of
- * another workspace, options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
+ * the sum of their ∂loss/∂parameters · options->weight. As in mo_gradient_reference, robots that
+ * diverged or whose adjoint is not finite contribute nothing and are counted.
+ *
+ * float32 overflows before float64, so two rare cases zero robots that the reference would include.
+ * An adjoint that leaves float32's range within a step is infinite, and its robot is left out. And
+ * where every adjoint is finite but the sum over the block is not, the robots whose own gradient is
+ * not below 1/64 of float32's largest number are left out, or, if there are none, all robots: the
+ * block's gradient is then 0. The rest is exactly the sum of the other robots (docs/numerics.md,
+ * Range).
+ *
+ * The result depends only on the inputs (robots, in this order) and the instruction set. outcomes:
+ * (n). pause, profile, counts nullable (counts are added to). MO_ERR_INVALID (a body of another
+ * workspace, options), MO_ERR_NO_MEMORY, MO_ERR_CANCELLED (by the pause point). */
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,

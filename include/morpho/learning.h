@@ -1,13 +1,13 @@
-/* learning.h: how the controller learns: optimizer, schedules, the stream of robots that it learns
- * from, and the state of one training, which can be saved at any step and goes on from there bit
- * for bit (paper, sections 2.4 and 3; appendix A).
+/* learning.h: how the controller learns: optimizer, schedules, the stream of robots, and the state
+ * of one training (paper, sections 2.4 and 3; appendix A). A training can be saved at any step and
+ * continues from there bit for bit.
  *
- * A training is driven from outside, one step at a time:
+ * The caller drives a training one step at a time:
  *   mo_training_draw    the robots of the step: which body, which environment
  *   (their gradient: mo_compute_gradient, mo_gradient_reference, …)
  *   mo_training_apply   clip, Adam, next step
- * What a step does depends on the settings, the starting weights and the gradient alone: no clocks,
- * no global state. Not for concurrent use. */
+ * A step depends only on the settings, the starting weights and the gradient: no clocks, no global
+ * state. Not for concurrent use. */
 #ifndef MORPHO_LEARNING_H
 #define MORPHO_LEARNING_H
 
@@ -28,8 +28,8 @@ extern "C" {
 #define MO_TRAINING_STEPS_MAX   1000000
 #define MO_TRAINING_BATCH_MAX   65536
 #define MO_TRAINING_DESIGNS_MAX 10000
-/* n_steps × batch of a pretraining: the set of bodies seen takes 24 to 30 bytes for each of them
- * (it also holds the forms that are left out as held out), 7.5 GB at this limit. */
+/* Limit of n_steps × batch of a pretraining. The set of bodies seen takes 24 to 30 bytes per body
+ * (it also holds the held-out forms), 7.5 GB at this limit. */
 #define MO_TRAINING_BODIES_MAX       (UINT64_C(1) << 28)
 #define MO_HELD_OUT_ENVIRONMENTS_MAX 64
 #define MO_GRADIENT_NORM_LIMIT_MAX   1e6
@@ -51,23 +51,23 @@ struct mo_schedule {
   double peak, floor;    /* learning rates, > 0, floor ≤ peak ≤ 1 */
   double decay;          /* of the peak from one cycle to the next, 0 < decay ≤ 1 (restarts) */
   uint32_t cycle_steps;  /* of the first cycle, ≥ 1 (restarts) */
-  uint32_t cycle_growth; /* factor of the length from one cycle to the next, 1 … 1000 (restarts) */
+  uint32_t cycle_growth; /* growth of the length per cycle, 1 … 1000 (restarts) */
   uint32_t warmup_steps; /* the rate grows linearly from peak/warmup to peak before the rest begins;
-                          * 0: none. A training that is shorter ends on the way up */
+                            0: none. A shorter training ends during the warm-up */
 };
-/* The paper's three: pretraining (1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7), finetuning between
- * generations (3.5e-4 → 3.5e-5 over one cycle of 100), simultaneous co-design (as pretraining with
- * decay 0.65); and our own default. */
+/* The paper's three schedules: pretraining (1e-3 → 1e-5, cycles 10, 20, 40, …, decay 0.7),
+ * finetuning between generations (3.5e-4 → 3.5e-5 over one cycle of 100), simultaneous co-design
+ * (as pretraining with decay 0.65); and this program's own defaults. */
 struct mo_schedule mo_schedule_paper_pretrain(void);
 struct mo_schedule mo_schedule_paper_finetune(void);
 struct mo_schedule mo_schedule_paper_simultaneous(void);
 struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 steps */
 struct mo_schedule
-mo_schedule_finetune(void); /* one cosine, 3e-4 → 1e-6: ends annealed, however short */
-/* The rate of step `step` (from 0) of a training of n_steps: the schedule must have passed
- * mo_schedule_check. Step s of a cycle of n steps, or s of the n steps after the warm-up of one
- * cosine, has floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes the peak below the
- * floor, the floor. Bit-exact on every machine. */
+mo_schedule_finetune(void); /* one cosine, 3e-4 → 1e-6: fully annealed at any length */
+/* Returns the learning rate of step `step` (from 0) of a training of n_steps, for a schedule that
+ * passed mo_schedule_check. In step s of a cycle of n steps, or s of the n steps after the warm-up
+ * of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes the peak
+ * below the floor, the floor. Bit-exact on every machine. */
 double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
 int mo_schedule_check(const struct mo_schedule *schedule,
                       struct mo_message *message); /* MO_ERR_INVALID, MO_ERR_RANGE */
@@ -79,36 +79,43 @@ enum mo_training_kind {
   MO_TRAINING_FINETUNE = 1  /* the designs given, in turn */
 };
 
+/* How weights follow from gradients; trainings and campaigns share this. */
+struct mo_learning {
+  struct mo_schedule schedule;
+  double beta1, beta2, epsilon;      /* Adam: 0.9, 0.999, 1e-8 */
+  double norm_limit;                 /* limit of the batch gradient's global L2 norm; 1; 0: off */
+  double adjoint_bound;              /* per robot; MO_ADJOINT_BOUND; 0: off */
+  enum mo_adjoint_rule adjoint_rule; /* applied above the bound; MO_ADJOINT_CLIP */
+  double restart_weight;             /* for MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
+};
+
 struct mo_training_settings {
   enum mo_training_kind kind;
   uint64_t seed;    /* of bodies, environments and, when there is no parent, initial weights */
   uint32_t n_steps; /* 1 … MO_TRAINING_STEPS_MAX */
   uint32_t batch;   /* robots of a step, 1 … MO_TRAINING_BATCH_MAX */
-  struct mo_schedule schedule;
-  double beta1, beta2, epsilon;      /* of Adam: 0.9, 0.999, 1e-8 */
-  double norm_limit;                 /* of the batch gradient's global L2 norm; 1; 0: off */
-  double adjoint_bound;              /* per robot; MO_ADJOINT_BOUND; 0: off */
-  enum mo_adjoint_rule adjoint_rule; /* above it; MO_ADJOINT_CLIP */
-  double restart_weight;             /* of MO_ADJOINT_RESTART; MO_RESTART_WEIGHT */
+  struct mo_learning learning;
   struct mo_physics physics;
-  enum mo_sensor
-      sensor; /* of a controller that starts from random weights; ignored with a parent */
-  /* Validation scores these designs in these environments with the controller as it is.
-   * Pretraining: the first mo_held_out_designs of the seed, which it never learns from. Finetuning:
-   * the first of the designs that it learns on (as many as there are). The environments are always
-   * new to it. */
+  enum mo_sensor sensor; /* for a controller with random initial weights; ignored with a parent */
+  /* Validation scores these designs in these environments with the current controller. Pretraining:
+   * the first mo_held_out_designs of the seed, which it never learns from. Finetuning: the first of
+   * the designs that it learns on (as many as there are). The environments are always new to the
+   * controller. */
   uint32_t held_out_designs;      /* 64; ≤ MO_TRAINING_DESIGNS_MAX */
   uint32_t held_out_environments; /* 8; ≤ MO_HELD_OUT_ENVIRONMENTS_MAX */
 };
-/* Presets: whole sets of settings, of which each can be changed. Seed 1, physics, sensor, epsilon,
- * beta2, norm_limit and what is held out are the same in all of them; where nothing else is said,
- * Adam and the adjoint's bound are as above. workstation  1400 steps of 256 by
- * mo_schedule_one_cosine; finetuning: 60 steps by mo_schedule_finetune phototaxis   what the
- * controller of this name was made with: 1400 steps of 8192; after a warm-up of 5 steps restarts
- * from 2e-3 to 1e-5, the first cycle of 61 steps, the next 22 times as long with 0.75 of the peak;
- * beta1 0.8; MO_ADJOINT_RESTART above 8, weight 3. Of pretraining alone: a finetuning gets
- * workstation's paper        1400 steps of 8192 by mo_schedule_paper_pretrain; finetuning: 60 by
- * mo_schedule_paper_finetune; adjoint_bound 0 */
+/* Presets: whole sets of settings, each of which can be changed. Seed 1, physics, sensor, epsilon,
+ * beta2, norm_limit and what is held out are the same in all; unless noted, so are Adam and the
+ * adjoint's bound.
+ *   workstation  1400 steps of 256 by mo_schedule_one_cosine; finetuning: 60 steps by
+ *                mo_schedule_finetune
+ *   phototaxis   how the controller of this name was made: 1400 steps of 8192; after a
+ *                warm-up of 5 steps, restarts from 2e-3 to 1e-5, the first cycle of 61 steps,
+ *                the next 22 times as long with 0.75 of the peak; beta1 0.8;
+ *                MO_ADJOINT_RESTART above 8, weight 3. Only for pretraining: finetuning uses
+ *                workstation's
+ *   paper        1400 steps of 8192 by mo_schedule_paper_pretrain; finetuning: 60 by
+ *                mo_schedule_paper_finetune; adjoint_bound 0 */
 enum mo_learning_preset {
   MO_LEARNING_PRESET_WORKSTATION = 0,
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,
@@ -121,27 +128,27 @@ int mo_learning_preset_from_name(const char *name,
 struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
                                                enum mo_learning_preset preset);
 struct mo_training_settings
-mo_training_defaults(enum mo_training_kind kind); /* those of workstation */
+mo_training_defaults(enum mo_training_kind kind); /* the preset workstation */
 /* MO_ERR_INVALID, MO_ERR_RANGE; message names the setting, its value and what it must be. */
 int mo_training_settings_check(const struct mo_training_settings *settings,
                                struct mo_message *message);
 
 /* ---- held-out sets ---- */
 
-/* One canonical form in MO_HELD_OUT_ONE_IN, chosen by a hash of the form alone, is held out: no
- * pretraining draws it, whatever its seed. So bodies of this kind are new to every controller, and
- * two controllers can be compared on them. form: canonical, of the default workspace
- * (MO_DEFAULT_WORDS). 1 or 0. */
+/* Returns 1 if a form is held out, else 0. One canonical form in MO_HELD_OUT_ONE_IN is, chosen by a
+ * hash of only the form; no pretraining draws it, for any seed. So held-out bodies are new to every
+ * controller, and two controllers can be compared on them. form: canonical, of the default
+ * workspace (MO_DEFAULT_WORDS). */
 #define MO_HELD_OUT_ONE_IN 16
 int mo_held_out_form(const uint64_t *form);
 
-/* n random bodies whose forms are held out, no two with one form: draws of the streams (seed,
- * HELD_OUT_BODY, 0, i), those of other forms left out. The first n of more are the same. designs:
+/* Draws n random bodies with held-out forms, no two with the same form: stream (seed,
+ * HELD_OUT_BODY, 0, i), skipping other forms. The first n of a longer list are the same. designs:
  * (n, MO_DEFAULT_WORDS) placed genotypes of the default workspace. About 0.1 ms each.
  * MO_ERR_NO_MEMORY; MO_ERR_RANGE: n > MO_TRAINING_DESIGNS_MAX. */
 int mo_held_out_designs(uint64_t seed, uint32_t n, uint64_t *designs);
-/* mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys that no
- * training uses. */
+/* Fills in mo_environment_held_out of this seed, 0 … n − 1: the training distribution under keys
+ * that no training uses. */
 void mo_held_out_environments(uint64_t seed, uint32_t n, struct mo_environment *environments);
 
 /* ---- the state of one training ---- */
@@ -159,47 +166,44 @@ void mo_training_free(struct mo_training *training); /* NULL-safe */
 
 uint32_t
 mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
-uint32_t
-mo_training_skipped(const struct mo_training *training); /* of these, those that changed nothing */
+uint32_t mo_training_skipped(
+    const struct mo_training *training); /* steps that changed nothing, among those applied */
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
 const struct mo_controller *
-mo_training_controller(const struct mo_training *training); /* as it is now; borrowed */
+mo_training_controller(const struct mo_training *training); /* current weights; borrowed */
 size_t mo_training_bytes(
-    const struct mo_training *training); /* memory held, the set of seen bodies included */
+    const struct mo_training *training); /* memory held, including the set of seen bodies */
 
-/* The robots of the current step: (batch) of them, borrowed until the next draw or apply. Robot i
- * of step t lives in mo_environment_training(seed, t, i). A pretraining that was restored first
- * replays its stream: `cancel` (nullable) non-zero ends that early with MO_ERR_CANCELLED;
- * `replayed` (nullable) is the number of bodies drawn again so far, of step × batch. Drawing twice
- * gives the same robots; after an error the next call goes on where it stopped. Memory: the bodies
- * of the step (of a finetuning those of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no
- * new bodies are left; MO_ERR_CORRUPT: the replay came to another number of draws (the checkpoint
- * is of another code); MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
+/* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
+ * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
+ * a non-zero `cancel` (nullable) stops that with MO_ERR_CANCELLED; `replayed` (nullable) counts the
+ * bodies drawn again so far, of step × batch. Drawing twice gives the same robots; after an error
+ * the next call continues where the last one stopped. Memory: the bodies of the step (for a
+ * finetuning, of all its designs), up to 25 kB each. MO_ERR_EXHAUSTED: no new bodies are left;
+ * MO_ERR_CORRUPT: the replay needed another number of draws (the checkpoint is from other code);
+ * MO_ERR_CONFLICT: the training is finished; MO_ERR_NO_MEMORY. */
 int mo_training_draw(struct mo_training *training, const volatile int *cancel,
                      volatile uint64_t *replayed, const struct mo_robot **robots);
 
-/* The robots of the step after the current one, made before the current one is applied: the draw
- * after that finds them. For a thread that has nothing else to do while the gradient of the current
- * robots, which stay as they are, is computed: no other call for this training meanwhile, but
- * mo_training_controller, _step, _settings_of and _encode. MO_OK, too, when there is no such step.
- * Errors as of a draw; an error changes nothing that counts. */
+/* Draws the robots of the step after the current one, for the next draw to find. Call it while the
+ * gradient of the current robots, which do not change, is computed. Meanwhile only
+ * mo_training_controller, _step, _settings_of and _encode may be called for this training. Also
+ * MO_OK when there is no such step. Errors as for a draw; an error changes no result. */
 int mo_training_draw_ahead(struct mo_training *training, const volatile int *cancel);
 const struct mo_robot *
-mo_training_robots_ahead(struct mo_training *training); /* that it made; NULL: none */
-/* Threads that make the robots of a step and apply its gradient (1 at first); they live inside a
- * call. What comes of it is the same. Worth while from a thousand robots on: one thread makes about
- * 30,000 in a second. */
+mo_training_robots_ahead(struct mo_training *training); /* the robots drawn ahead; NULL: none */
+/* Sets how many threads make the robots of a step and apply its gradient (initially 1); they end
+ * with each call. Changes no result. Useful from a thousand robots on: one thread makes about
+ * 30,000 per second. */
 void mo_training_set_threads(struct mo_training *training, uint32_t n_threads);
 
-/* For a finetuning whose designs change between steps, as those of a campaign do: from the current
- * step on it learns on these (copied; as in mo_training_create). A drawn step is forgotten.
- * MO_ERR_CONFLICT: it is a pretraining; MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_NO_MEMORY: nothing
- * changed. */
+/* Replaces the designs of a finetuning, as a campaign does between steps: from the current step on
+ * it learns on these (copied; as in mo_training_create). Discards a drawn step. MO_ERR_CONFLICT: it
+ * is a pretraining; MO_ERR_INVALID, MO_ERR_RANGE, MO_ERR_NO_MEMORY: nothing changed. */
 int mo_training_set_designs(struct mo_training *training, const uint64_t *designs, size_t n,
                             struct mo_message *message);
-/* A training that goes on for longer (or ends earlier): n_steps ≥ the steps applied. What it did
- * stays as it was only under a schedule that does not depend on n_steps: others give
- * MO_ERR_UNSUPPORTED. */
+/* Makes a training longer or shorter: n_steps ≥ the steps applied. Only a schedule that does not
+ * depend on n_steps leaves the applied steps as they were; others give MO_ERR_UNSUPPORTED. */
 int mo_training_set_steps(struct mo_training *training, uint32_t n_steps);
 
 /* What a step did. */
@@ -211,58 +215,62 @@ struct mo_training_report {
   double clipped_share; /* of backward steps whose adjoint was above the bound */
   double clipped_robots_share;
   uint32_t diverged, zeroed;
-  bool skipped; /* the gradient or the new weights were not finite, or no robot contributed: weights
-                 * and moments stay as they were */
-  uint32_t bounded; /* weights held back at ±MO_WEIGHT_LIMIT */
+  bool skipped;     /* not finite (gradient or new weights), or no robot contributed: weights and
+                       moments did not change */
+  uint32_t bounded; /* weights clamped to ±MO_WEIGHT_LIMIT */
 };
-/* Takes the gradient of the mean loss of the robots last drawn, (n_parameters), and what came of
- * them: outcomes (batch), in the order of the robots, and the counts of this step alone. Moves
- * weights, moments and counters on by one step; a step that is skipped counts as a step. report
- * nullable. MO_ERR_CONFLICT: nothing was drawn, or it is finished. */
+/* Applies the gradient (n_parameters) of the mean loss of the robots last drawn: moves weights,
+ * moments and counters on by one step; a skipped step counts as a step. outcomes: (batch), in the
+ * order of the robots. counts: of only this step. report nullable. MO_ERR_CONFLICT: nothing was
+ * drawn, or the training is finished. */
 int mo_training_apply(struct mo_training *training, const double *d_parameters,
                       const struct mo_outcome *outcomes, const struct mo_gradient_counts *counts,
                       struct mo_training_report *report);
 
 /* ---- checkpoints ---- */
 
-/* Everything that the rest of the training depends on, as bytes (malloc): settings, step, weights,
- * moments, counters, designs. Same state, same bytes, whether a step has been drawn or not. A
- * checksum guards them: no changed byte, nor 8 in a row, goes unnoticed. 12.4 MB and 24 bytes per
- * design. MO_ERR_NO_MEMORY. */
+/* Encodes everything that the rest of the training depends on (malloc): settings, step, weights,
+ * moments, counters, designs. The same state gives the same bytes, whether a step has been drawn or
+ * not. The checksum detects any changed byte, or 8 in a row. 12.4 MB and 24 bytes per design.
+ * MO_ERR_NO_MEMORY. */
 #define MO_CHECKPOINT_BYTES_MAX (UINT64_C(16) << 20)
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size);
 /* MO_ERR_FORMAT (not a checkpoint, damaged, or of an unknown version; message says which),
  * MO_ERR_NO_MEMORY. */
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
-/* The same as a file: temporary file beside it, fsync, rename, fsync of the folder. MO_ERR_IO,
- * MO_ERR_NO_SPACE. */
+/* Write and read a checkpoint file: temporary file beside it, fsync, rename, fsync of the folder.
+ * MO_ERR_IO, MO_ERR_NO_SPACE. */
 int mo_training_write(const struct mo_training *training, const char *path,
                       struct mo_message *message);
 int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message);
 
-/* Which code computed a training's gradients, from a step on: what its bits depend on besides its
+/* The code that computed a training's gradients from a step on: what its bits depend on besides its
  * inputs. */
 #define MO_FINGERPRINT_BYTES 64
 #define MO_LINEAGE_MAX       32
 struct mo_training_code {
   uint32_t from_step;                     /* steps learned before it */
   char fingerprint[MO_FINGERPRINT_BYTES]; /* as mo_compute_gradient_fingerprint: printable ASCII;
-                                             "": not known */
+                                             "": unknown */
 };
 struct mo_training_lineage {
   uint32_t n;
-  struct mo_training_code codes[MO_LINEAGE_MAX]; /* from_step ascending, neighbours differ */
+  struct mo_training_code codes[MO_LINEAGE_MAX]; /* from_step ascending, neighbors differ */
 };
 
-/* The controller so far with its lineage in the metadata: "morphod.kind", ".parent" (its sha256 as
- * given; NULL: "random"),
- * ".seed" (of the data), ".settings" (JSON), ".step", ".version" (of the code, as given), ".code"
- * (JSON: the entries of `lineage`, nullable, below this step) and, for a finetuning,
- * ".designs_crc64". No clock,
- * no host: equal trainings give equal files. The parent's own metadata is not inherited. The caller
- * frees it. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that is not UTF-8, a fingerprint with a quote,
- * backslash or control character). */
+/* Exports the current controller with its lineage in the metadata:
+ *   "morphod.kind"
+ *   ".parent"        its sha256 as given; NULL: "random"
+ *   ".seed"          of the data
+ *   ".settings"      JSON
+ *   ".step"
+ *   ".version"       of the code, as given
+ *   ".code"          JSON: the entries of `lineage` (nullable) below this step
+ *   ".designs_crc64" for a finetuning
+ * No clock, no host: equal trainings give equal files. The parent's own metadata is not inherited.
+ * The caller frees the controller. MO_ERR_NO_MEMORY, MO_ERR_INVALID (a text that is not UTF-8, a
+ * fingerprint with a quote, backslash or control character). */
 int mo_training_export(const struct mo_training *training, const char *parent_sha256_hex,
                        const char *code_version, const struct mo_training_lineage *lineage,
                        struct mo_controller **controller);

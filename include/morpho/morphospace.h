@@ -2,9 +2,10 @@
  * section 2.1).
  *
  * Orders, the same in every array, file and weight matrix, for a workspace of nx × ny × nz voxels:
- *   voxel  (x·ny + y)·nz + z            mass  (x·(ny+1) + y)·(nz+1) + z  in lattice coordinates
- *   spring: rank of its endpoint pair (a, b), a < b, in lexicographic order over the whole lattice.
- * Springs: the 12 edges and 12 face diagonals of each voxel, shared between neighbours.
+ *   voxel  (x·ny + y)·nz + z
+ *   mass   (x·(ny+1) + y)·(nz+1) + z in lattice coordinates
+ *   spring rank of its endpoints (a, b), a < b, in lexicographic order over the whole lattice
+ * Springs: the 12 edges and 12 face diagonals of each voxel, shared between neighbors.
  *
  * A genotype is a bit array of mo_workspace_words() 64-bit words owned by the caller; voxel v is
  * bit v & 63 of word v >> 6; bits past the last voxel are 0. "Valid" below means: not empty and
@@ -22,7 +23,7 @@
 extern "C" {
 #endif
 
-#define MO_VOXEL_M           0.1 /* edge of a voxel, metres */
+#define MO_VOXEL_M           0.1 /* edge of a voxel, meters */
 #define MO_VOXELS_MAX        (UINT32_C(1) << 20)
 #define MO_DEFAULT_WORKSPACE ((struct mo_workspace){6, 6, 4})
 #define MO_DEFAULT_VOXELS    144
@@ -44,7 +45,7 @@ uint32_t mo_workspace_springs(struct mo_workspace workspace);
 
 /* ---- genotypes ---- */
 
-/* Why a list of cells is not a body: the first offending cell by its place in the list. */
+/* Why a list of cells is not a body: the first invalid cell in the list. */
 struct mo_cell_fault {
   size_t cell;  /* index into the list */
   size_t other; /* MO_ERR_DUPLICATE: the earlier equal cell */
@@ -66,8 +67,8 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
 /* Writes one '0' or '1' per voxel and a NUL: voxels + 1 bytes. */
 void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, char *text);
 
-/* Big-endian bit string as bytes (voxel 0 is the top bit of byte 0), ceil(voxels / 8) of them: the
- * stored form. */
+/* Writes the stored form: the bit string as ceil(voxels / 8) big-endian bytes (voxel 0 is the top
+ * bit of byte 0). */
 void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, uint8_t *bytes);
 int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes,
                            uint64_t *bits); /* MO_ERR_FORMAT */
@@ -80,22 +81,24 @@ int mo_genotype_is_contiguous(struct mo_workspace workspace,
  * stays empty. */
 int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits);
 
-/* Placement (design: lowest layer at z = 0, voxel centroid as near as possible to the workspace's
- * middle; first best of x, then of y). Idempotent. Exact integer arithmetic. Empty stays empty. */
+/* Places a genotype: lowest layer at z = 0, voxel centroid as near as possible to the middle of the
+ * workspace; of equals the lowest x, then the lowest y. Idempotent. Exact integer arithmetic. Empty
+ * stays empty. */
 void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits);
 
-/* Canonical form: aligned to the origin; of the images under z-rotations by 90° and reflections in
- * x and y that fit the workspace, the lexicographically smallest of (dimensions, then bits in voxel
- * order). `form` must not overlap `bits`; the form of an empty genotype is empty. */
+/* Computes the canonical form, aligned to the origin: of the images under z-rotations by 90° and
+ * reflections in x and y that fit the workspace, the lexicographically smallest of (dimensions,
+ * then bits in voxel order). `form` must not overlap `bits`; the form of an empty genotype is
+ * empty. */
 void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form);
 
-/* The k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4, then
- * mirrored in x if k & 1 and in y if k & 2. MO_ERR_RANGE if it does not fit the workspace. `image`
- * must not overlap `bits`. */
+/* Computes the k-th of the 8 images (k = 0 … 7), aligned to the origin: x and y swapped if k & 4,
+ * then mirrored in x if k & 1 and in y if k & 2. MO_ERR_RANGE if it does not fit the workspace.
+ * `image` must not overlap `bits`. */
 int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsigned k,
                       uint64_t *image);
 
-/* Id: the canonical form as hexadecimal digits (lower case), first voxel in the top bit:
+/* Writes the id: the canonical form as lower-case hexadecimal digits, first voxel in the top bit:
  * ceil(voxels / 4) digits + NUL. */
 void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id);
 /* Reads an id (either case) into the canonical form that it spells. MO_ERR_FORMAT: wrong length or
@@ -103,8 +106,8 @@ void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *i
 int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t length,
                         uint64_t *form);
 
-/* A genotype of one workspace as one of another, placed there; turned by 90° when it fits only so.
- * MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
+/* Moves a genotype to another workspace and places it there; turns it by 90° when it fits only that
+ * way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                      uint64_t *moved);
 
@@ -112,7 +115,7 @@ uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, c
 
 /* ---- sampling and variation: children are valid and placed ---- */
 
-/* One random body (paper, appendix A.1), drawn from `random`. */
+/* Draws one random body (paper, appendix A.1) from `random`. */
 int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, uint64_t *bits);
 
 /* Flips each voxel with probability `rate`, keeps the largest component, places it. MO_ERR_EMPTY if
@@ -120,8 +123,8 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
 int mo_genotype_mutate(struct mo_workspace workspace, const uint64_t *parent, double rate,
                        struct mo_random *random, uint64_t *child);
 
-/* XOR of two parents, largest component, placed. MO_ERR_EMPTY if nothing is left (as for a parent
- * with itself). */
+/* Computes the XOR of two parents, keeps the largest component, places it. MO_ERR_EMPTY if nothing
+ * is left (as for a parent with itself). */
 int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b,
                           uint64_t *child);
 
@@ -129,16 +132,19 @@ int mo_genotype_crossover(struct mo_workspace workspace, const uint64_t *a, cons
 struct mo_form_set;
 int mo_form_set_create(struct mo_workspace workspace, struct mo_form_set **set);
 void mo_form_set_free(struct mo_form_set *set);
-/* 1: added; 0: was there; negative: MO_ERR_NO_MEMORY or, for an empty form, MO_ERR_EMPTY; set
- * unchanged. `form` must be canonical. */
+/* 1: added; 0: already present; negative: MO_ERR_NO_MEMORY or, for an empty form, MO_ERR_EMPTY; the
+ * set did not change. `form` must be canonical. */
 int mo_form_set_add(struct mo_form_set *set, const uint64_t *form);
 int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form); /* 1 or 0 */
 uint64_t mo_form_set_count(const struct mo_form_set *set);
 size_t mo_form_set_bytes(const struct mo_form_set *set); /* memory held */
+size_t
+mo_form_set_reckon(struct mo_workspace workspace,
+                   uint64_t n); /* bytes that a set of n forms needs, at most while it grows */
 
-/* A stream of random bodies, no two with one canonical form: draw i is mo_genotype_random of (seed,
- * BODY, 0, i); draws whose form came before are skipped. MO_ERR_EXHAUSTED after 2^20 fruitless
- * draws in a row (small workspaces run dry). */
+/* A stream of random bodies, no two with the same canonical form: draw i is mo_genotype_random of
+ * (seed, BODY, 0, i); draws whose form occurred before are skipped. MO_ERR_EXHAUSTED after 2^20
+ * fruitless draws in a row (small workspaces run out). */
 struct mo_body_stream;
 int mo_body_stream_create(struct mo_workspace workspace, uint64_t seed,
                           struct mo_body_stream **stream);
@@ -146,14 +152,14 @@ void mo_body_stream_free(struct mo_body_stream *stream);
 int mo_body_stream_next(struct mo_body_stream *stream, uint64_t *bits);
 /* The same, with the body's canonical form. */
 int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint64_t *form);
-/* Threads that draw ahead from now on (1 at first: none does), each for some 10 µs per body; they
- * live inside a call. The bodies are the same. The number that it has already: nothing happens.
- * MO_ERR_NO_MEMORY: as before. */
+/* Sets how many threads draw ahead (initially 1: none does), each for some 10 µs per body; they end
+ * with each call. Changes no body. The current number: nothing happens. MO_ERR_NO_MEMORY: nothing
+ * changed. */
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
-uint64_t
-mo_body_stream_draws(const struct mo_body_stream *stream); /* draws so far, skipped ones included */
+uint64_t mo_body_stream_draws(
+    const struct mo_body_stream *stream); /* draws so far, including skipped ones */
 size_t mo_body_stream_bytes(const struct mo_body_stream *stream); /* memory held */
-/* Forms to be skipped from now on. */
+/* Makes the stream skip a form from now on. */
 int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form);
 
 /* ---- phenotype ---- */
@@ -172,8 +178,8 @@ struct mo_lattice {
 int mo_lattice_create(struct mo_workspace workspace, struct mo_lattice **lattice);
 void mo_lattice_free(struct mo_lattice *lattice); /* NULL-safe */
 
-/* The masses and springs of one genotype, as given (callers place it first). Const after creation.
- */
+/* The masses and springs of one genotype as given (callers place it first). Const after
+ * creation. */
 struct mo_body {
   struct mo_workspace workspace;
   uint32_t n_voxels, n_masses, n_springs;

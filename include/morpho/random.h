@@ -1,10 +1,10 @@
 /* random.h: counter-based random numbers, Philox4x32-10 (Salmon et al., SC 2011).
  *
- * A stream is named by (seed, purpose, step, index): the same name gives the same numbers on every
- * machine, in any order of use, on any number of threads; nothing needs replaying after a restart.
- * Key: the 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the low half
- * of the index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the index. All
- * results are bit-exact across instruction sets (no libm). */
+ * A stream is named by (seed, purpose, step, index). The same name gives the same numbers on every
+ * machine, in any order of use and on any number of threads; nothing needs replaying after a
+ * restart. Key: the 64-bit seed. Counter words: 0 the number of the block within the stream, 1 the
+ * low half of the index, 2 the step, 3 the purpose (high 16 bits) and the upper 16 bits of the
+ * index. All results are bit-exact across instruction sets (no libm). */
 #ifndef MORPHO_RANDOM_H
 #define MORPHO_RANDOM_H
 
@@ -39,10 +39,10 @@ struct mo_random {
   uint32_t key[2];
   uint32_t counter[4];
   uint32_t block[4]; /* the numbers of the current counter */
-  uint32_t used;     /* how many of them have been handed out; 4: a new block is due */
+  uint32_t used;     /* how many of them were returned; 4: compute the next block */
 };
 
-/* One application of the bijection: out = Philox4x32-10(counter, key). */
+/* Applies the bijection once: out = Philox4x32-10(counter, key). */
 void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t out[4]);
 
 /* index ≤ MO_RANDOM_INDEX_MAX (higher bits are ignored). */

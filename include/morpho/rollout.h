@@ -1,15 +1,16 @@
-/* rollout.h: one simulated life of one body in one environment (paper, section 2.2; design
- * constants in mo_default_physics).
+/* rollout.h: the simulation of one body in one environment (paper, section 2.2; design constants in
+ * mo_default_physics).
  *
  * A step: sense → control → springs → velocity → position → contact; docs/model.md has the
- * equations. Loss: distance in x, y from the centre of mass to the light at the end, over the same
- * at the start + 1e-8 m; lower is better, 1 is standing still.
+ * equations. Loss: distance in x, y from the center of mass to the light at the end, over the
+ * distance at the start + 1e-8 m; lower is better, 1 is standing still.
  *
  * Two implementations of the same mathematics:
- *   mo_rollout_reference  plain float64 C, one rollout, the yardstick of every test;
+ *   mo_rollout_reference  plain float64 C, one rollout, the yardstick of every test
  *   mo_rollout_block      vectors over up to MO_BLOCK_LANES environments of one body, float32 or
- * float64, compiled for several instruction sets. A lane's bits depend on its own inputs alone: not
- * on the other lanes, nor on its place among them. */
+ *                         float64, compiled for several instruction sets
+ * In mo_rollout_block the bits of a lane depend only on its own inputs: not on the other lanes, nor
+ * on its position among them. */
 #ifndef MORPHO_ROLLOUT_H
 #define MORPHO_ROLLOUT_H
 
@@ -27,7 +28,7 @@ extern "C" {
 #define MO_BLOCK_LANES 16
 #define MO_STEPS_MAX   1000000
 #define MO_DIVERGED_SPEED_M_PER_S                                                                  \
-  1000.0 /* a mass faster than this, or not finite, ends its rollout as diverged */
+  1000.0 /* a mass faster than this, or not finite, makes its rollout diverge */
 
 enum mo_impact {
   MO_IMPACT_EXACT = 0,    /* time of impact in closed form: the gap over one terrain cell is a
@@ -54,8 +55,8 @@ struct mo_physics mo_default_physics(void);
 /* MO_ERR_INVALID (not finite) or MO_ERR_RANGE; message says which field and which bounds. */
 int mo_physics_check(const struct mo_physics *physics, struct mo_message *message);
 
-/* Positions at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. Arrays owned by
- * the caller; NULL: not recorded. Frames after a divergence hold the last finite state. */
+/* Positions at steps 0, stride, 2·stride, … ≤ n_steps: n_steps / stride + 1 frames. The caller owns
+ * the arrays; NULL: not recorded. Frames after a divergence hold the last finite state. */
 struct mo_recording {
   uint32_t stride; /* ≥ 1 */
   double *com_m;   /* (frames, 3) */
@@ -65,23 +66,23 @@ uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride);
 
 struct mo_outcome {
   double loss;           /* +infinity when diverged */
-  int32_t diverged_step; /* step (1-based) after which the state was no longer finite or sane; 0: it
-                            never diverged */
+  int32_t diverged_step; /* step (1-based) after which the state was not finite or too fast; 0: did
+                            not diverge */
   double com_start_m[3];
   double com_end_m[3]; /* the last finite one when diverged */
 };
 
-/* Called every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. May run
- * other blocks meanwhile, in another workspace: that is how urgent work overtakes. */
+/* A callback every `interval` steps; a non-zero return ends the block with MO_ERR_CANCELLED. The
+ * callback may run other blocks in another workspace memory: urgent blocks run this way. */
 struct mo_pause_point {
   uint32_t interval; /* 0: never */
   int (*reached)(void *context);
   void *context;
 };
 
-/* controller NULL: no actuation (rest lengths constant). recording nullable. MO_ERR_INVALID if the
- * controller's workspace is not the body's; MO_ERR_NO_MEMORY. A diverged rollout is MO_OK: see the
- * outcome. */
+/* Runs one rollout. controller NULL: no actuation (rest lengths constant). recording nullable.
+ * MO_ERR_INVALID: the controller's workspace is not the body's; MO_ERR_NO_MEMORY. A diverged
+ * rollout is MO_OK: see the outcome. */
 int mo_rollout_reference(const struct mo_body *body, const struct mo_controller *controller,
                          const struct mo_environment *environment, const struct mo_physics *physics,
                          const struct mo_recording *recording, struct mo_outcome *outcome);

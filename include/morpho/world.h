@@ -3,7 +3,7 @@
  *
  * Terrain: 8 × 8 heights over 5 m × 5 m, bilinear between them; coordinates are clamped to the map.
  * Row j is y, column i is x: heights[j*8 + i] at (i·5/7 m, j·5/7 m). The robot's workspace is
- * centred at (2.5 m, 2.5 m). The light stands on the terrain: its z is the terrain height at its
+ * centered at (2.5 m, 2.5 m). The light stands on the terrain: its z is the terrain height at its
  * (x, y). */
 #ifndef MORPHO_WORLD_H
 #define MORPHO_WORLD_H
@@ -32,37 +32,37 @@ struct mo_environment {
   double terrain_heights_m[MO_TERRAIN_HEIGHTS];
 };
 
-/* Height at (x, y), metres. Float64 reference for every faster path. */
+/* Returns the height at (x, y) in meters. Float64 reference for every faster path. */
 double mo_terrain_height(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m);
-/* Gradient (∂h/∂x, ∂h/∂y) of the bilinear patch that (x, y) lies in; 0 along an axis whose
- * coordinate is clamped. On a line between two cells the cell of the higher index counts (the last
- * cell at the far edge). */
+/* Computes the gradient (∂h/∂x, ∂h/∂y) of the bilinear patch at (x, y); 0 along an axis whose
+ * coordinate is clamped. On a line between two cells the cell with the higher index counts (at the
+ * far edge the last cell). */
 void mo_terrain_gradient(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m,
                          double gradient[2]);
 double mo_terrain_highest(const double heights_m[MO_TERRAIN_HEIGHTS]);
 
-/* Finite and within the limits. MO_ERR_INVALID (not finite) or MO_ERR_RANGE; *where (nullable): 0
- * and 1 for the light's coordinates, 2 + k for height k. */
+/* Checks that all values are finite and within the limits. MO_ERR_INVALID (not finite) or
+ * MO_ERR_RANGE; *where (nullable): 0 and 1 for the light's coordinates, 2 + k for height k. */
 int mo_environment_check(const struct mo_environment *environment, uint32_t *where);
 
-/* Heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed, TERRAIN,
- * step, index). */
+/* Draws heights from N(0, σ), shifted so that the lowest is MO_TERRAIN_FLOOR_M; stream (seed,
+ * TERRAIN, step, index). */
 void mo_terrain_random(uint64_t seed, uint32_t step, uint64_t index, double sigma_m,
                        double heights_m[MO_TERRAIN_HEIGHTS]);
 
-/* Training environment: σ ~ U(0, 0.1 m); light uniform by area in the ring 0.4–2.0 m around the
- * centre. */
+/* Draws a training environment: σ ~ U(0, 0.1 m); light uniform by area in the ring 0.4–2.0 m around
+ * the center. */
 void mo_environment_training(uint64_t seed, uint32_t step, uint64_t index,
                              struct mo_environment *environment);
 
-/* Drawn like a training environment, under keys that no training uses. */
+/* Draws like mo_environment_training, under keys that no training uses. */
 void mo_environment_held_out(uint64_t seed, uint64_t index, struct mo_environment *environment);
 
-/* The paper's test set: always the same 10 environments. First the five lights at 2.0 m (angles
- * 2πi/5), then the five at 1.5 m (offset by π/5); each ring is paired at random, by a fixed seed,
- * with one terrain of each σ in {0.02, …, 0.10} m. Drawn: 0.10, 0.02, 0.04, 0.08, 0.06 m, then
- * 0.02, 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0 for the
- * pairing, 1 + k for the heights of environment k. */
+/* Fills in the paper's test set, always the same 10 environments: five lights at 2.0 m (angles
+ * 2πi/5), then five at 1.5 m (offset by π/5). Each ring is paired at random, by a fixed seed, with
+ * one terrain of each σ in {0.02, …, 0.10} m. Drawn: 0.10, 0.02, 0.04, 0.08, 0.06 m, then 0.02,
+ * 0.06, 0.08, 0.10, 0.04 m. Streams (MO_PAPER_TEST_SEED, TEST_SET, 0, i): i = 0 for the pairing, 1
+ * + k for the heights of environment k. */
 void mo_environment_paper_test(struct mo_environment environments[MO_PAPER_TEST_COUNT]);
 
 #ifdef __cplusplus

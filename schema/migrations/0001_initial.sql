@@ -1,8 +1,8 @@
 -- Schema 1. Applied in one transaction, which also sets user_version.
 --
--- Numbers whose bits matter are BLOBs of 8-byte little-endian doubles: REAL turns NaN into NULL and −0 into 0.
--- Times are microseconds since 1970 UTC. Hashes are the 32 bytes of a SHA-256. Genotypes are bit strings, voxel 0 in the top
--- bit of byte 0.
+-- Numbers whose bits matter are BLOBs of 8-byte little-endian doubles, because REAL turns NaN into
+-- NULL and −0 into 0. Times are microseconds since 1970 UTC. Hashes are the 32 bytes of a SHA-256.
+-- Genotypes are bit strings with voxel 0 in the top bit of byte 0.
 
 CREATE TABLE meta(
   key TEXT PRIMARY KEY NOT NULL,
@@ -16,7 +16,7 @@ CREATE TABLE designs(
   first_seen_us INTEGER NOT NULL
 ) STRICT;
 
--- An oriented genotype, placed in the workspace: what is scored.
+-- An oriented genotype, placed in the workspace. This is what rollouts score.
 CREATE TABLE genotypes(
   id INTEGER PRIMARY KEY,
   bits BLOB NOT NULL UNIQUE CHECK(length(bits) = 18),
@@ -24,7 +24,7 @@ CREATE TABLE genotypes(
 ) STRICT;
 CREATE INDEX genotypes_of_design ON genotypes(design);
 
--- Weights, by content: the file controllers/<sha256>.safetensors is there before its row.
+-- Weights, by content. The file controllers/<sha256>.safetensors is written before its row.
 CREATE TABLE controllers(
   id INTEGER PRIMARY KEY,
   sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
@@ -45,7 +45,7 @@ CREATE TABLE controller_names(
   stored_us INTEGER NOT NULL
 ) STRICT, WITHOUT ROWID;
 
--- `data`: 66 doubles: light x, y, then the heights. sha256 is that of data.
+-- `data`: 66 doubles: light x, y, then the heights. `sha256` is the hash of `data`.
 CREATE TABLE environments(
   id INTEGER PRIMARY KEY,
   sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
@@ -66,20 +66,21 @@ CREATE TABLE environment_set_members(
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX environment_sets_of ON environment_set_members(environment);
 
--- `encoding`: what the hash is taken of (src/store/hash.c): all physics values, precision, sensor.
+-- `encoding`: the hashed bytes (src/store/hash.c): all physics values, precision, sensor.
 CREATE TABLE physics(
   id INTEGER PRIMARY KEY,
   sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
   encoding BLOB NOT NULL
 ) STRICT;
 
--- What the bits of a score depend on besides its key: back end, instruction set, version of the code.
+-- What the bits of a score depend on besides its key: back end, instruction set, version of the
+-- code.
 CREATE TABLE fingerprints(
   id INTEGER PRIMARY KEY,
   text TEXT NOT NULL UNIQUE
 ) STRICT;
 
--- One rollout. Rows are only ever inserted.
+-- One rollout. Rows are never changed or deleted.
 CREATE TABLE scores(
   genotype INTEGER NOT NULL REFERENCES genotypes(id),
   controller INTEGER NOT NULL REFERENCES controllers(id),
@@ -92,7 +93,8 @@ CREATE TABLE scores(
   PRIMARY KEY(genotype, controller, physics, environment)
 ) STRICT, WITHOUT ROWID;
 
--- The mean loss of a genotype over a whole named set; `score` sorts, `bits` is exact. +infinity when a rollout diverged.
+-- The mean loss of a genotype over a whole named set; +infinity when a rollout diverged. `score` is
+-- for sorting; `bits` is exact.
 CREATE TABLE set_scores(
   controller INTEGER NOT NULL REFERENCES controllers(id),
   physics INTEGER NOT NULL REFERENCES physics(id),
@@ -104,8 +106,9 @@ CREATE TABLE set_scores(
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX set_scores_best ON set_scores(controller, physics, environment_set, score, genotype);
 
--- kind: 0 evaluation. state: 0 queued, 1 running, 2 paused, 3 succeeded, 4 failed, 5 cancelled. priority: 0 batch, 1 interactive.
--- epoch: the opening of the store whose process runs the job; its updates are fenced by it.
+-- kind: 0 evaluation. state: 0 queued, 1 running, 2 paused, 3 succeeded, 4 failed, 5 cancelled.
+-- priority: 0 batch, 1 interactive. epoch: the opening of the store whose process runs the job;
+-- updates from other epochs are refused.
 CREATE TABLE jobs(
   id INTEGER PRIMARY KEY AUTOINCREMENT,
   kind INTEGER NOT NULL,
@@ -133,7 +136,7 @@ CREATE TABLE evaluations(
   n_designs INTEGER NOT NULL,
   n_environments INTEGER NOT NULL,
   verify INTEGER NOT NULL,
-  record INTEGER NOT NULL, -- bit 0: centre of mass, bit 1: masses
+  record INTEGER NOT NULL, -- bit 0: center of mass, bit 1: masses
   record_stride INTEGER NOT NULL,
   done INTEGER NOT NULL,
   cached INTEGER NOT NULL,
@@ -154,7 +157,7 @@ CREATE TABLE evaluation_environments(
   PRIMARY KEY(job, position)
 ) STRICT, WITHOUT ROWID;
 
--- What a verify job computed, and what was stored before; 8-byte doubles. stored NULL: nothing was.
+-- The loss that a verify job computed, and the one stored before (NULL: none); 8-byte doubles.
 CREATE TABLE recomputed(
   job INTEGER NOT NULL REFERENCES evaluations(job),
   position INTEGER NOT NULL,

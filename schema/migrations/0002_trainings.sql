@@ -1,7 +1,8 @@
--- Schema 2: trainings. jobs.kind 1 is a training; its row here has the same number.
+-- Schema 2: trainings. jobs.kind 1 is a training; its row here has the id of the job.
 --
--- `settings`: what src/store/encode.c writes of struct mo_training_settings: every bit of every setting. Learning curves are read by
--- people and plots: REAL keeps the bits of every number that they hold; NaN (all robots of the step diverged) is NULL.
+-- `settings`: struct mo_training_settings as src/store/encode.c writes it: every bit of every
+-- setting. Learning curves use REAL, which keeps the bits of all their numbers; NaN (all robots of
+-- the step diverged) is NULL.
 
 CREATE TABLE trainings(
   job INTEGER PRIMARY KEY REFERENCES jobs(id),
@@ -9,9 +10,9 @@ CREATE TABLE trainings(
   settings BLOB NOT NULL,
   name TEXT NOT NULL, -- of the resulting controller; '': training-<job>
   parent INTEGER REFERENCES controllers(id), -- NULL: random weights
-  parent_name TEXT NOT NULL, -- as asked for; '': by hash, or none
+  parent_name TEXT NOT NULL, -- as requested; '': by hash, or none
   n_designs INTEGER NOT NULL,
-  population INTEGER NOT NULL, -- job of the evaluation that the designs are from; 0: none
+  population INTEGER NOT NULL, -- the job whose designs are used; 0: none
   n_steps INTEGER NOT NULL,
   validate_every_steps INTEGER NOT NULL,
   checkpoint_every_steps INTEGER NOT NULL,
@@ -54,7 +55,7 @@ CREATE TABLE training_validations(
   PRIMARY KEY(job, step)
 ) STRICT, WITHOUT ROWID;
 
--- The file trainings/<job>/<step>.checkpoint is there before its row.
+-- The file trainings/<job>/<step>.checkpoint is written before its row.
 CREATE TABLE training_checkpoints(
   job INTEGER NOT NULL REFERENCES trainings(job),
   step INTEGER NOT NULL,

@@ -1,17 +1,18 @@
--- Schema 5: campaigns. jobs.kind 2 is a campaign; its row here has the same number.
+-- Schema 5: campaigns. jobs.kind 2 is a campaign; its row here has the id of the job.
 --
--- `settings`: what src/store/encode.c writes of struct mo_campaign_settings: every bit of every setting; `generations` is what
--- counts of it after an extension. Replicates are campaigns of one group, which is named by the first of them: initial designs
--- and environments are stored with that one alone. Designs are numbered 0, 1, … by birth.
+-- `settings`: struct mo_campaign_settings as src/store/encode.c writes it: every bit of every
+-- setting. `generations` replaces its number of generations, which extensions change. Replicates
+-- are campaigns of one group, which has the id of its first campaign; initial designs and
+-- environments are stored only with that one. Designs are numbered 0, 1, … in order of birth.
 
 CREATE TABLE campaigns(
   job INTEGER PRIMARY KEY REFERENCES jobs(id),
   settings BLOB NOT NULL,
   generations INTEGER NOT NULL,
   name TEXT NOT NULL, -- of the resulting controller; '': campaign-<job>
-  preset TEXT NOT NULL, -- as asked for; '': none
+  preset TEXT NOT NULL, -- as requested; '': none
   controller INTEGER REFERENCES controllers(id), -- NULL: random weights
-  controller_name TEXT NOT NULL, -- as asked for; '': by hash, or none
+  controller_name TEXT NOT NULL, -- as requested; '': by hash, or none
   physics INTEGER NOT NULL REFERENCES physics(id),
   environment_set INTEGER REFERENCES environment_sets(id),
   n_environments INTEGER NOT NULL,
@@ -26,8 +27,8 @@ CREATE TABLE campaigns(
   best_score REAL, -- of the newest population; NULL: none
   diversity_max REAL NOT NULL,
   ended INTEGER NOT NULL, -- 0 open, 1 completed, 2 exhausted
-  scored_generation INTEGER NOT NULL, -- that campaign_losses is of
-  scored INTEGER NOT NULL, -- rows there
+  scored_generation INTEGER NOT NULL, -- the generation of campaign_losses
+  scored INTEGER NOT NULL, -- rows in campaign_losses
   result INTEGER REFERENCES controllers(id)
 ) STRICT;
 CREATE INDEX campaigns_of_group ON campaigns(replicates_of, job);
@@ -39,7 +40,8 @@ CREATE TABLE campaign_environments(
   PRIMARY KEY(job, position)
 ) STRICT, WITHOUT ROWID;
 
--- Listed ones first (campaigns.n_listed), then those of initial_campaign's population, best first.
+-- Listed designs first (campaigns.n_listed), then those of initial_campaign's population, best
+-- first.
 CREATE TABLE campaign_initial(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   position INTEGER NOT NULL,
@@ -47,8 +49,9 @@ CREATE TABLE campaign_initial(
   PRIMARY KEY(job, position)
 ) STRICT, WITHOUT ROWID;
 
--- operator: 0 random, 1 listed, 2 inherited, 3 mutation, 4 crossover. parents: numbers; NULL: none. died: the first generation whose
--- population is without it; NULL: it lives. size: springs + 2^16 masses + 2^26 voxels + 2^36 footprint.
+-- operator: 0 random, 1 listed, 2 inherited, 3 mutation, 4 crossover. parents: numbers; NULL: none.
+-- died: the first generation whose population lacks the design; NULL: it lives. size: springs +
+-- 2^16 masses + 2^26 voxels + 2^36 footprint.
 CREATE TABLE campaign_designs(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   number INTEGER NOT NULL,
@@ -58,13 +61,13 @@ CREATE TABLE campaign_designs(
   other_parent INTEGER,
   born INTEGER NOT NULL,
   died INTEGER,
-  score BLOB NOT NULL CHECK(length(score) = 8), -- the last that it had
+  score BLOB NOT NULL CHECK(length(score) = 8), -- its last score
   size INTEGER NOT NULL,
   PRIMARY KEY(job, number)
 ) STRICT, WITHOUT ROWID;
 CREATE INDEX campaigns_of_genotype ON campaign_designs(genotype, job);
 
--- One row per generation, for lists. REAL keeps the bits of every number that it holds; NaN is NULL.
+-- One row per generation, for lists. REAL keeps the bits of every number but NaN, which is NULL.
 CREATE TABLE campaign_generations(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   generation INTEGER NOT NULL,
@@ -117,8 +120,9 @@ CREATE TABLE campaign_generations(
   PRIMARY KEY(job, generation)
 ) STRICT, WITHOUT ROWID;
 
--- births: of each child 9 bytes: operator, parents as 32-bit numbers (2^32 − 1: none). population: of each design 12 bytes: 32-bit
--- number, score; best first. Little-endian. Beside the rows above, so that these stay small and a phylogeny is read in one go.
+-- births: 9 bytes per child: operator, parents as 32-bit numbers (2^32 − 1: none). population: 12
+-- bytes per design, best first: 32-bit number, score. Little-endian. A table of its own keeps the
+-- rows above small, and lets a phylogeny be read in one pass.
 CREATE TABLE campaign_populations(
   id INTEGER PRIMARY KEY,
   job INTEGER NOT NULL REFERENCES campaigns(job),
@@ -147,7 +151,8 @@ CREATE TABLE campaign_steps(
   PRIMARY KEY(job, generation, step)
 ) STRICT, WITHOUT ROWID;
 
--- Of the generation under way; gone when it commits. losses: doubles; diverged: 32-bit steps; one per environment.
+-- Losses of the current generation; deleted when it commits. losses: doubles; diverged: 32-bit
+-- steps; one per environment.
 CREATE TABLE campaign_losses(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   place INTEGER NOT NULL,
@@ -156,7 +161,7 @@ CREATE TABLE campaign_losses(
   PRIMARY KEY(job, place)
 ) STRICT, WITHOUT ROWID;
 
--- The file campaigns/<job>/<generation>-<step>.checkpoint is there before its row.
+-- The file campaigns/<job>/<generation>-<step>.checkpoint is written before its row.
 CREATE TABLE campaign_checkpoints(
   job INTEGER NOT NULL REFERENCES campaigns(job),
   generation INTEGER NOT NULL,

@@ -1,3 +1,4 @@
--- Schema 6: devices. Where a job is computed is chosen once, so that it goes on with the same bits: 0 processor, 1 devices.
+-- Schema 6: devices. What computes a job is chosen once, so that the job resumes with the same
+-- bits: 0 processor, 1 devices.
 
 ALTER TABLE jobs ADD COLUMN back_end INTEGER NOT NULL DEFAULT 0;

@@ -1,2 +1,4 @@
--- Schema 7: the rule of the adjoint. Settings of trainings and campaigns are written in version 2, which ends with it and the weight of
--- what begins anew; version 1 is still read. No table changes: the number alone keeps out a program that knows version 1 only, and would call such settings damaged.
+-- Schema 7: the rule of the adjoint. Settings of trainings and campaigns are written in version 2,
+-- which ends with the rule and the restart weight; version 1 is still read. No table changes: the
+-- new schema number keeps out programs that know only version 1 and would call such settings
+-- damaged.

@@ -1,4 +1,4 @@
-/* error.c: codes in words. */
+/* error.c: error codes in words. */
 #include <morpho/error.h>
 
 #include <stdarg.h>

@@ -1,4 +1,4 @@
-/* file.c: whole files. */
+/* file.c: see file.h. */
 #include "base/file.h"
 
 #include <errno.h>
@@ -11,11 +11,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#define PIECE_BYTES ((size_t)1 << 30) /* of one system call */
+#define PIECE_BYTES ((size_t)1 << 30) /* for one system call */
 
 int mo_file_open(const char *path, uint64_t *size, struct mo_message *message)
 {
-  /* O_NONBLOCK: opening a pipe must not wait for its writer. */
+  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
   const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
   if (fd < 0)
     return mo_fail(message, errno == ENOENT ? MO_ERR_NOT_FOUND : MO_ERR_IO, "cannot open %s: %s",
@@ -75,7 +75,7 @@ static int write_all(int fd, const void *buffer, size_t size)
   return 0;
 }
 
-/* The new name is durable once the folder is synced. */
+/* Syncs the folder of a file: only then is its new name durable. */
 static int sync_folder(const char *path)
 {
   const char *slash = strrchr(path, '/');

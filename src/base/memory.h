@@ -6,8 +6,8 @@
 
 #define MO_CACHE_LINE_BYTES 64
 
-/* count × size bytes, zeroed, aligned to MO_CACHE_LINE_BYTES; NULL if that overflows or memory is
- * out. Never NULL for a product of 0. Freed with free(). */
+/* Allocates count × size bytes, zeroed and aligned to MO_CACHE_LINE_BYTES. NULL: overflow, or out
+ * of memory; never NULL for a product of 0. Release with free(). */
 void *mo_alloc_aligned(size_t count, size_t size);
 
 #endif

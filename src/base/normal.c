@@ -2,9 +2,9 @@
  *
  * Rational approximations of Wichura (1988), "Algorithm AS 241: The Percentage Points of the Normal
  * Distribution", Applied Statistics 37 (3), routine PPND16: one pair of polynomials for the middle
- * (|p − ½| ≤ 0.425) and two for the tails in r = sqrt(−log(tail)). Only +, −, ×, ÷ and sqrt are
- * used, which IEEE 754 rounds correctly, and the build never contracts them: hence equal bits
- * everywhere. For the same reason the logarithm is our own. */
+ * (|p − ½| ≤ 0.425) and two for the tails, in r = sqrt(−log(tail)). The code uses only +, −, ×, ÷
+ * and sqrt, which IEEE 754 rounds correctly, and the build never contracts them, so the bits are
+ * equal on all machines. For the same reason the logarithm is implemented here. */
 #include "base/normal.h"
 
 #include <math.h>
@@ -14,7 +14,7 @@
 #define LN2    0.69314718055994530942
 #define DEGREE 7
 
-/* Coefficients from the constant term upwards. */
+/* Coefficients, constant term first. */
 static const double middle_numerator[DEGREE + 1] = {
     3.3871328727963666080e0, 1.3314166789178437745e2, 1.9715909503065514427e3,
     1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
@@ -64,8 +64,8 @@ static double ratio(const double numerator[DEGREE + 1], const double denominator
   return n / d;
 }
 
-/* x = m · 2^e with m in [√½, √2); log m = 2 artanh(s), s = (m − 1)/(m + 1), |s| ≤ 0.1716: thirteen
- * terms of the series. */
+/* Writes x = m · 2^e with m in [√½, √2), and log m = 2 artanh(s) with s = (m − 1)/(m + 1), |s| ≤
+ * 0.1716: thirteen terms of the series suffice. */
 double mo_natural_log(double x)
 {
   uint64_t bits;

@@ -1,5 +1,5 @@
-/* parallel.c: one loop on several threads, which live for the loop alone: a start costs some 20 µs,
- * so a range should take a good deal longer. */
+/* parallel.c: runs one loop on several threads, which exist only for the loop. Starting a thread
+ * costs some 20 µs, so a range should take much longer. */
 #include "base/parallel.h"
 
 #include "base/thread.h"
@@ -36,7 +36,7 @@ void mo_parallel(uint32_t n_threads, size_t n,
     return;
   }
   for (size_t i = 0; i < n_ranges; i++) {
-    const size_t rest = n % n_ranges; /* the first ones take one more */
+    const size_t rest = n % n_ranges; /* the first ranges take one more */
     ranges[i] = (struct range){.part = part,
                                .context = context,
                                .tag = mo_thread_tag,

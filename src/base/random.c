@@ -1,8 +1,8 @@
-/* random.c: Philox4x32-10 and the streams made of it.
+/* random.c: Philox4x32-10 and the random streams made of it.
  *
  * One block is ten rounds of two 32 × 32 → 64 bit products on four counter words; see Salmon et
- * al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011. Blocks do not depend on one another,
- * so mo_random_fill computes several at once. */
+ * al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011. Blocks are independent, so
+ * mo_random_fill computes several at once. */
 #include <morpho/random.h>
 
 #include "base/normal.h"
@@ -42,10 +42,11 @@ void mo_philox4x32_10(const uint32_t counter[4], const uint32_t key[2], uint32_t
   out[3] = c3;
 }
 
-/* LANES blocks whose first counter words follow one another, written one after the other. */
+/* Computes LANES blocks with consecutive first counter words, and writes them one after the
+ * other. */
 #ifdef __SSE2__
-/* Two lanes in each vector, as the low halves of its 64-bit words: the product instruction reads
- * only those, so what is in the high halves does not matter. */
+/* Each vector has two lanes, in the low halves of its 64-bit words. The product instruction reads
+ * only low halves, so the high halves may have any value. */
 static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint32_t out[LANES * 4])
 {
   const __m128i multiplier_0 = _mm_set1_epi64x(MULTIPLIER_0);
@@ -78,7 +79,8 @@ static void philox_lanes(const uint32_t counter[4], const uint32_t key[2], uint3
     k1 += WEYL_1;
   }
   for (int i = 0; i < LANES / 2; i++) {
-    /* Words 0 and 1 of a lane into one 64-bit word, 2 and 3 into another, then lane by lane. */
+    /* Merge words 0 and 1 of a lane into one 64-bit word, words 2 and 3 into another, then store by
+     * lane. */
     const __m128i low = _mm_set1_epi64x(UINT32_MAX);
     __m128i first = _mm_or_si128(_mm_and_si128(c0[i], low), _mm_slli_epi64(c1[i], 32));
     __m128i second = _mm_or_si128(_mm_and_si128(c2[i], low), _mm_slli_epi64(c3[i], 32));
@@ -108,7 +110,7 @@ void mo_random_init(struct mo_random *random, uint64_t seed, enum mo_purpose pur
   random->used = 4;
 }
 
-/* `counter` always names the block after the one in `block`. */
+/* Invariant: `counter` belongs to the block after the one in `block`. */
 uint32_t mo_random_u32(struct mo_random *random)
 {
   if (random->used >= 4) {
@@ -129,7 +131,7 @@ void mo_random_fill(struct mo_random *random, uint32_t *numbers, size_t n)
     philox_lanes(random->counter, random->key, numbers + i);
     random->counter[0] += LANES;
   }
-  if (n - i > 4) { /* the rest, at the price of one group */
+  if (n - i > 4) { /* the rest; it costs one group */
     uint32_t group[LANES * 4];
     philox_lanes(random->counter, random->key, group);
     uint32_t whole = (uint32_t)((n - i) / 4);
@@ -154,8 +156,8 @@ double mo_random_uniform(struct mo_random *random)
   return (double)(mo_random_u64(random) >> 11) * 0x1p-53;
 }
 
-/* Multiply and shift (Lemire 2019): the low half tells whether the number falls into the part that
- * would be counted once too often. */
+/* Multiplies and shifts (Lemire 2019): the low half of the product shows whether the number must be
+ * rejected to keep all results equally likely. */
 uint32_t mo_random_below(struct mo_random *random, uint32_t n)
 {
   if (n == 0) {
@@ -171,7 +173,7 @@ uint32_t mo_random_below(struct mo_random *random, uint32_t n)
   return (uint32_t)(product >> 32);
 }
 
-/* 52 bits and a half: the argument is exact, symmetric about ½, and never 0 or 1. */
+/* Uses 52 bits and a half: the argument is exact, symmetric about ½, and never 0 or 1. */
 double mo_random_normal(struct mo_random *random)
 {
   return mo_normal_quantile(((double)(mo_random_u64(random) >> 12) + 0.5) * 0x1p-52);

@@ -1,4 +1,4 @@
-/* thread.c: see thread.h. The program decides where other signals go. */
+/* thread.c: see thread.h. The program decides which threads handle other signals. */
 #include "base/thread.h"
 
 #include <signal.h>

@@ -1,16 +1,16 @@
-/* thread.h: threads that leave signals to others. */
+/* thread.h: threads that block signals. */
 #ifndef MORPHO_BASE_THREAD_H
 #define MORPHO_BASE_THREAD_H
 
 #include <pthread.h>
 #include <stdint.h>
 
-/* Whose work the calling thread does, e.g. a job's id; −1: nobody's. mo_parallel hands it on to its
- * threads. Readable in handlers of signals. */
+/* Identifies whose work this thread does, e.g. a job's id; −1: nobody's. mo_parallel passes it on
+ * to its threads. Signal handlers may read it. */
 extern _Thread_local volatile int64_t mo_thread_tag;
 
-/* As pthread_create. The thread takes no signal but those of its own faults: where these are
- * blocked, they end the process before anybody can note what it was working on. name: up to 15
+/* Starts a thread like pthread_create. The thread blocks all signals except those of its own
+ * faults: a blocked fault would end the process before a handler can note the work. name: up to 15
  * characters, or NULL. */
 int mo_thread_create(pthread_t *thread, const char *name, void *(*run)(void *context),
                      void *context);

@@ -1,5 +1,5 @@
-/* controller.c: a controller's packs, one per precision, made when a block first asks for them.
- * Devices keep what they make of it themselves, until they are told to forget it. */
+/* controller.c: a controller's packs, one per precision, made when a block first needs them.
+ * Devices own their copies of the weights until mo_devices_forget. */
 #include "compute/devices.h"
 
 #include <stdlib.h>

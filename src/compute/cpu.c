@@ -1,23 +1,25 @@
-/* cpu.c: the CPU back end: worker threads, queues, urgent blocks that overtake.
+/* cpu.c: the CPU back end: worker threads, queues, and urgent blocks that run inside others.
  *
- * Workers take from the queues under one mutex, the most urgent first; batch blocks wait in shares,
- * and fair.h says whose is next. A share is charged what its block took before the block's `done`
- * is called, so that it may be freed from then on. A worker that is inside a batch block or a
- * gradient block looks at an atomic count every few steps; if an interactive scoring block waits,
- * it runs it then and there, on its own stack and in a second scratch, and goes on with its block,
- * whose bits cannot notice. So an interactive scoring block waits for a few steps of a rollout and
- * never for a whole block, and no thread beyond one per worker is needed. Gradient blocks never run
- * inside another block: a worker holds one gradient scratch, hundreds of megabytes, made at first
- * use.
+ * Workers take blocks from the queues under one mutex, the most urgent first. Batch blocks wait in
+ * shares, and fair.h decides which share is next. A share is charged for a block before the block's
+ * `done` is called, so that the share may be freed from then on.
  *
- * Ending: `stopping` makes running blocks return at their next pause point; the workers then hand
- * back what is queued as cancelled, and leave. Every block's `done` is called exactly once.
+ * A worker inside a batch block or a gradient block reads an atomic count every few steps. If an
+ * interactive scoring block waits, the worker runs it at once, on its own stack and in a second
+ * scratch, and then resumes its block, whose bits do not change. An interactive scoring block thus
+ * waits for a few steps of a rollout, never for a whole block, and one thread per worker is enough.
+ * Gradient blocks never run inside another block: a worker has only one gradient scratch, hundreds
+ * of megabytes, created at first use.
+ *
+ * Shutdown: `stopping` makes running blocks return at their next pause point; the workers then
+ * return the queued blocks as cancelled, and exit. Every block's `done` is called exactly once.
  * Counters are atomics: reading them takes no lock. */
 #include "compute/devices.h"
 
 #include <morpho/error.h>
 
 #include "base/clock.h"
+#include "base/processors.h"
 #include "base/thread.h"
 
 #include <pthread.h>
@@ -32,14 +34,14 @@
 enum {
   WORKERS_MAX = 1024,
   PAUSE_STEPS =
-      20, /* between looks at the queue, for bodies of the default workspace: about 1 ms */
-  PAUSE_SPRINGS = 2000, /* larger bodies look after every step */
+      20, /* between checks of the queue, for bodies of the default workspace: about 1 ms */
+  PAUSE_SPRINGS = 2000, /* larger bodies check after every step */
   PAUSE_GRADIENT_STEPS = 4,
   PAUSE_GRADIENT_SPRINGS = MO_GRADIENT_ROBOTS * PAUSE_SPRINGS,
   DEPTHS = 2 /* a batch or gradient block, and an interactive one inside it */
 };
 
-/* In ascending order of urgency; both before the batch blocks. */
+/* In ascending order of urgency; both come before batch blocks. */
 enum { URGENT_GRADIENTS, URGENT, QUEUES };
 
 struct queue {
@@ -51,14 +53,16 @@ struct worker {
   struct mo_compute *compute;
   struct mo_workspace_memory *memory[DEPTHS];
   struct mo_gradient_memory *gradient; /* NULL before the first gradient block */
-  uint64_t overtaken_ns;               /* spent in urgent blocks that ran inside others */
+  uint64_t overtaken_ns;
+  uint_fast32_t trimmed; /* number of the last trim that the worker carried out */
   pthread_t thread;
 };
 
 struct mo_compute {
   enum mo_isa isa;
   int nice;
-  size_t gradient_bytes;
+  atomic_size_t gradient_bytes;
+  atomic_uint_fast32_t trims; /* trims requested */
   struct mo_devices *devices; /* NULL: there are none */
   uint32_t n_workers;         /* started */
   struct worker *workers;
@@ -66,7 +70,7 @@ struct mo_compute {
   pthread_cond_t wake;
   struct queue queues[QUEUES];
   struct mo_fair fair;
-  struct mo_compute_share own; /* of blocks that name none */
+  struct mo_compute_share own; /* for blocks that name no share */
   atomic_bool stopping;        /* written under the mutex */
   atomic_uint_fast32_t n_busy;
   atomic_uint_fast64_t blocks_done, rollouts_done, rollout_steps, rollouts_diverged,
@@ -135,9 +139,20 @@ static struct mo_block *pop(struct queue *queue)
 
 /* ---- one block ---- */
 
-/* Measures the worker time of a block: what passes, less what urgent blocks inside it take. Its
- * share's counters follow at every pause point, so that a long block does not count for nothing
- * until its end. */
+/* Frees the worker's gradient scratch if a trim was requested. */
+static void follow_trims(struct worker *worker)
+{
+  const uint_fast32_t trims = atomic_load_explicit(&worker->compute->trims, memory_order_relaxed);
+  if (worker->trimmed == trims)
+    return;
+  worker->trimmed = trims;
+  mo_gradient_memory_free(worker->gradient);
+  worker->gradient = NULL;
+}
+
+/* Measures the worker time of a block: elapsed time less that of urgent blocks inside it. The
+ * counters of the share are updated at every pause point, so that a long block counts before its
+ * end. */
 struct meter {
   struct mo_compute_share *share;
   bool urgent;
@@ -180,6 +195,8 @@ static int look_up(void *context)
 {
   const struct visit *visit = context;
   struct mo_compute *compute = visit->worker->compute;
+  if (visit->block->gradient == NULL && visit->depth == 0)
+    follow_trims(visit->worker);
   struct queue *urgent = &compute->queues[URGENT];
   if (visit->depth == 0 && (visit->block->urgency == MO_BATCH || visit->block->gradient != NULL))
     while (atomic_load_explicit(&urgent->n, memory_order_relaxed) > 0 &&
@@ -231,7 +248,7 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
     return MO_ERR_CANCELLED;
   if (worker->gradient == NULL) {
     const int status =
-        mo_gradient_memory_create(worker->compute->gradient_bytes, &worker->gradient);
+        mo_gradient_memory_create(atomic_load(&worker->compute->gradient_bytes), &worker->gradient);
     if (status != MO_OK)
       return status;
   }
@@ -275,8 +292,8 @@ static void count(struct worker *worker, const struct mo_block *block)
   atomic_fetch_add(&compute->rollouts_diverged, diverged);
 }
 
-/* charge: of a batch block, else NULL. The block's time goes to its share; that of a batch block
- * also moves the share's turn. */
+/* Runs a block and charges its share. charge: for a batch block, else NULL; only a batch block's
+ * time moves the turn of its share. */
 static void run_block(struct worker *worker, struct mo_block *block, int depth,
                       const struct mo_fair_charge *charge)
 {
@@ -306,7 +323,7 @@ static void run_block(struct worker *worker, struct mo_block *block, int depth,
 /* ---- workers ---- */
 
 /* Batch scheduling and a higher niceness keep the service's threads responsive on the same cores.
- * Neither is needed for a right result, so a kernel that refuses is not an error. */
+ * Results do not depend on either, so a kernel that refuses is not an error. */
 void mo_compute_settle(const struct mo_compute *compute)
 {
   const struct sched_param none = {0};
@@ -334,6 +351,7 @@ static void *work(void *argument)
     if (block == NULL) {
       if (atomic_load(&compute->stopping))
         break;
+      follow_trims(worker);
       pthread_cond_wait(&compute->wake, &compute->mutex);
       continue;
     }
@@ -363,13 +381,17 @@ static int start_worker(struct mo_compute *compute, struct worker *worker, uint3
   return MO_OK;
 }
 
-static uint32_t online_processors(void)
+void mo_compute_set_gradient_bytes(struct mo_compute *compute, size_t bytes)
 {
-  cpu_set_t set;
-  if (sched_getaffinity(0, sizeof(set), &set) == 0)
-    return (uint32_t)CPU_COUNT(&set);
-  const long n = sysconf(_SC_NPROCESSORS_ONLN);
-  return n > 0 ? (uint32_t)n : 1;
+  atomic_store(&compute->gradient_bytes, bytes);
+}
+
+void mo_compute_trim(struct mo_compute *compute)
+{
+  pthread_mutex_lock(&compute->mutex);
+  atomic_fetch_add(&compute->trims, 1);
+  pthread_cond_broadcast(&compute->wake);
+  pthread_mutex_unlock(&compute->mutex);
 }
 
 int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_compute **ret)
@@ -379,7 +401,7 @@ int mo_compute_create_cpu(const struct mo_compute_config *config, struct mo_comp
     return MO_ERR_RANGE;
   if (config->isa > mo_isa_best())
     return MO_ERR_UNSUPPORTED;
-  const uint32_t wanted = config->n_workers > 0 ? config->n_workers : online_processors();
+  const uint32_t wanted = config->n_workers > 0 ? config->n_workers : mo_processors();
   struct mo_compute *compute = calloc(1, sizeof(*compute));
   if (compute == NULL)
     return MO_ERR_NO_MEMORY;

@@ -1,8 +1,8 @@
-/* device_chunk.c: from blocks that wait to rows of one call, and back.
+/* device_chunk.c: turns waiting blocks into the rows of one call, and back.
  *
- * A chunk is taken from the share whose turn it is, as one block is by a worker, and goes on with
- * what this share has waiting. What waits is cut evenly: a job that has work for two calls and a
- * half gets three of the same size, and all devices end at about the same time. */
+ * A chunk is taken from the share that is next, as a worker takes one block, and is filled with the
+ * share's other waiting blocks. Waiting work is cut evenly: a job with work for two and a half
+ * calls gets three of the same size, and all devices finish at about the same time. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -10,7 +10,7 @@
 
 #include "base/parallel.h"
 
-enum { BODIES_PER_THREAD = 100 }; /* a millisecond */
+enum { BODIES_PER_THREAD = 100 }; /* about a millisecond */
 
 int mo_chunk_create(struct mo_chunk *chunk)
 {
@@ -64,7 +64,7 @@ static bool fits(const struct mo_block *block, void *context)
          mo_same_physics(&block->physics, &room->like->physics);
 }
 
-/* Rows of each of the calls that are needed for all that a share has waiting. */
+/* Returns the rows per call, if all that a share has waiting is cut evenly. */
 static uint32_t even_rows(const struct mo_unit *unit, const struct mo_compute_share *share,
                           const struct mo_block *first)
 {
@@ -126,8 +126,8 @@ static bool same_body(const struct mo_block *a, const struct mo_block *b)
                 mo_workspace_words(a->lattice->workspace) * sizeof(*a->genotype)) == 0;
 }
 
-/* Says of each block whether it needs a body of its own: not if it brings one, nor if it goes on
- * with the one before that is still wanted. How many do. */
+/* Marks the blocks that need a body of their own and returns their number. A block that brings a
+ * body, or continues that of the previous block that is not cancelled, needs none. */
 static uint32_t plan_bodies(struct mo_chunk *chunk)
 {
   const struct mo_block *before = NULL;
@@ -159,7 +159,8 @@ static void build_bodies(void *context, size_t first, size_t end)
     }
 }
 
-/* The block at `place` is the next that gets rows; what was there has its end. */
+/* Moves the block at `place` to the end of the active ones and gives it rows; the block that was
+ * there already has a result. */
 static void keep(struct mo_chunk *chunk, uint32_t place, const struct mo_body *body)
 {
   const uint32_t to = chunk->n_active++;
@@ -178,12 +179,12 @@ static void keep(struct mo_chunk *chunk, uint32_t place, const struct mo_body *b
         (struct mo_robot){.body = body, .environment = block->environments[i]};
 }
 
-/* Environments of one body are neighbours, also over several blocks. */
+/* Lays out the rows. Environments of one body are neighbors, also across blocks. */
 static void lay_out(struct mo_chunk *chunk)
 {
   const uint32_t n = chunk->n_active;
   const struct mo_body *body = NULL;
-  int status = MO_CHUNK_NOT_DONE; /* of the body */
+  int status = MO_CHUNK_NOT_DONE; /* status of the body */
   chunk->n_active = 0;
   for (uint32_t i = 0; i < n; i++) {
     if (chunk->status[i] == MO_ERR_CANCELLED)
@@ -215,7 +216,7 @@ bool mo_chunk_is_cancelled(const struct mo_chunk *chunk)
   return true;
 }
 
-/* ---- handing back ---- */
+/* ---- returning ---- */
 
 void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
 {
@@ -235,7 +236,8 @@ void mo_chunk_return(struct mo_devices *devices, struct mo_chunk *chunk)
   pthread_cond_broadcast(&devices->wake);
 }
 
-/* outcomes: of a scoring block that has rows; else NULL. */
+/* Calls `done`, or passes the block to the workers. outcomes: for a scoring block that has rows;
+ * else NULL. */
 static void end_block(struct mo_devices *devices, struct mo_block *block, int status,
                       const struct mo_outcome *outcomes)
 {
@@ -259,7 +261,7 @@ void mo_chunk_deliver(struct mo_devices *devices, struct mo_chunk *chunk)
       end_block(devices, chunk->blocks[i], chunk->status[i],
                 chunk->task == NULL && i < chunk->n_active ? chunk->outcomes + chunk->first_row[i]
                                                            : NULL);
-  for (uint32_t i = 0; i < n_bodies; i++) { /* of which nobody but this chunk knows */
+  for (uint32_t i = 0; i < n_bodies; i++) { /* owned by this chunk */
     mo_body_free(chunk->bodies[i]);
     chunk->bodies[i] = NULL;
   }

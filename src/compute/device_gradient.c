@@ -1,12 +1,12 @@
 /* device_gradient.c: the gradient of a batch, on devices (gradient.c: on workers).
  *
- * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and these into as many parts
- * as devices work, one call each. Every shard has a float32 sum of its own; they are added up in
- * float64, in order. So the bits do not depend on how many devices there are, nor on how a call had
- * to be halved.
+ * The batch is cut into shards of MO_DEVICE_SHARD consecutive robots, and the shards into as many
+ * parts as there are working devices, one call each. Every shard has its own float32 sum; shards
+ * are added in float64, in order. So the bits do not depend on the number of devices, nor on how a
+ * call had to be halved.
  *
- * The robots of the next batch do not depend on the weights: while a batch is computed, another
- * thread may have the next one laid out. */
+ * The robots of the next batch do not depend on the weights: another thread may lay out the next
+ * batch while one is computed. */
 #include "compute/devices.h"
 
 #include <stdlib.h>
@@ -16,14 +16,14 @@
 
 enum { SUM_THREADS_MAX = 16 };
 
-/* A batch, cut into parts, each laid out by itself. */
+/* A batch, cut into parts, each with its own layout. */
 struct laid_out {
   enum { FREE = 0, READY, IN_USE } state;
   const struct mo_robot *robots;
   uint32_t n, n_parts;
   struct mo_physics physics;
-  struct mo_device_layout **parts; /* (devices) that keep their memory */
-  int *statuses;                   /* (devices) of laying them out */
+  struct mo_device_layout **parts; /* (devices) layouts keep their memory */
+  int *statuses;                   /* (devices) result of each layout */
 };
 
 struct mo_device_gradients {
@@ -32,8 +32,8 @@ struct mo_device_gradients {
   float *shards; /* (room) */
   size_t room;
   pthread_mutex_t mutex;
-  struct laid_out batches[2]; /* the one that is computed, and the one after it; `state` and what
-                                 says whose, under the mutex */
+  struct laid_out batches[2]; /* the current and the next; the mutex guards `state` and what
+                                 identifies the batch */
 };
 
 int mo_device_gradients_create(struct mo_devices *devices, struct mo_device_gradients **ret)
@@ -74,7 +74,7 @@ void mo_device_gradients_free(struct mo_device_gradients *gradients)
   free(gradients);
 }
 
-/* The p-th of those that work; NULL: there are fewer. */
+/* Returns the p-th working device; NULL: there are fewer. */
 static const struct mo_device *working_device(struct mo_devices *devices, uint32_t p)
 {
   const struct mo_device *found = NULL;
@@ -153,8 +153,8 @@ static void lay_out_parts(void *context, size_t first, size_t end)
   }
 }
 
-/* Parts at the same time: a part has a thread for each of its shards, which are few where there are
- * many parts. */
+/* Lays out all parts concurrently. A part uses one thread per shard, and shards are few where there
+ * are many parts. */
 int mo_devices_lay_out(struct mo_device_gradients *gradients, const struct mo_robot *robots,
                        uint32_t n, const struct mo_physics *physics)
 {
@@ -200,7 +200,7 @@ bool mo_devices_have_laid_out(struct mo_device_gradients *gradients,
   return found;
 }
 
-/* NULL: it has to be laid out. What was found is in use until give_back. */
+/* Returns the ready layout of a batch, in use until give_back; NULL: there is none. */
 static struct laid_out *take(struct mo_device_gradients *gradients,
                              const struct mo_gradient_batch *batch, uint32_t n_parts)
 {
@@ -286,7 +286,8 @@ static void submit(struct mo_device_gradients *gradients, const struct mo_gradie
   }
 }
 
-/* What ended the batch: one part's own error, rather than that the others were stopped for it. */
+/* Returns the error that ended the batch: that of a part, rather than the cancellation of the
+ * others. */
 static int result_of(const struct mo_device_task *parts, uint32_t n_parts)
 {
   int status = MO_OK;

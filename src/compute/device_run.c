@@ -1,14 +1,15 @@
 /* device_run.c: the two threads of a device.
  *
- * The gatherer takes a chunk when work waits, while the device is still busy with the one before,
- * and builds its bodies. Submitters hand over one block at a time, and a device takes as long for
- * one as for a thousand: so it waits while somebody says that there are more, and then until no
- * more come, a few milliseconds. It also watches whether somebody still wants what runs.
+ * The gatherer takes a chunk when work waits, while the device is still busy with the previous one,
+ * and builds its bodies. Submitters submit one block at a time, but a device needs as long for one
+ * block as for a thousand. So the gatherer waits while a submitter announces more blocks, and then
+ * a few milliseconds more until no new block arrives. It also cancels the running chunk when all of
+ * it was cancelled.
  *
- * The runner calls the module. What the module has no memory for it gets in halves, and it gets
- * more again after a while; what it does not support is halved, too, until only the blocks are left
- * that it cannot do: so which they are does not depend on their neighbours. A failure of the device
- * ends both threads; all that has no result goes back to the queue. */
+ * The runner calls the module. When the module lacks memory for a chunk, the runner halves it, and
+ * grows chunks again later. It also halves a chunk that the module does not support, until only the
+ * unsupported blocks are left: so the choice does not depend on a block's neighbors. A failure of
+ * the device ends both threads; everything without a result is requeued. */
 #include "compute/devices.h"
 
 #include <errno.h>
@@ -21,18 +22,17 @@
 #include "base/clock.h"
 
 enum {
-  LINGER_IDLE_MS =
-      2, /* without a new block, before a device that has nothing to do gets what waits */
-  LINGER_BUSY_MS = 10, /* … and one that has */
-  LINGER_MAX_MS = 50,  /* however steadily they come */
+  LINGER_IDLE_MS = 2,  /* without a new block, before an idle device starts on what waits */
+  LINGER_BUSY_MS = 10, /* the same for a busy device */
+  LINGER_MAX_MS = 50,  /* upper limit, even if blocks keep coming */
   WATCH_MS = 20,
   BUILD_THREADS_MAX = 16,
-  GROW_AFTER = 8 /* chunks without want of memory */
+  GROW_AFTER = 8 /* chunks without lack of memory */
 };
 
-static const double load_s = 10; /* what the load is averaged over */
+static const double load_s = 10; /* time constant of the load's average */
 
-/* Under the mutex; false: the time is over. */
+/* Waits for a wake-up, under the mutex; false: the time is over. */
 static bool wait_ms(struct mo_devices *devices, int ms)
 {
   struct timespec end;
@@ -67,7 +67,7 @@ static void watch(struct mo_unit *unit)
     __atomic_store_n(&unit->cancel, 1, __ATOMIC_RELAXED);
 }
 
-/* Until no more blocks come, or there is enough for everybody. */
+/* Waits until no more blocks arrive, or there are enough for all devices. */
 static void linger(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
@@ -94,7 +94,7 @@ static void linger(struct mo_unit *unit)
   }
 }
 
-/* There is nothing to take, or another device has nothing to do and shall have it. */
+/* Returns whether there is nothing to take, or an idle device should take it instead. */
 static bool has_to_wait(const struct mo_unit *unit)
 {
   const struct mo_devices *devices = unit->devices;
@@ -132,7 +132,7 @@ void *mo_unit_gather(void *context)
   pthread_mutex_lock(&devices->mutex);
   while (gather(unit)) {
     struct mo_chunk *chunk = &unit->chunks[unit->held == &unit->chunks[0]];
-    if (has_to_wait(unit) || !mo_chunk_take(unit, chunk)) /* others were faster */
+    if (has_to_wait(unit) || !mo_chunk_take(unit, chunk)) /* another device took it */
       continue;
     unit->is_building = true;
     pthread_mutex_unlock(&devices->mutex);
@@ -154,7 +154,7 @@ void *mo_unit_gather(void *context)
 
 /* ---- weights ---- */
 
-/* Frees the copies that nobody needs any more. */
+/* Frees the copies that are no longer needed. */
 static void drop_copies(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
@@ -191,7 +191,8 @@ static struct mo_device_copy *find_copy(struct mo_unit *unit,
   return copy;
 }
 
-/* *ret NULL: passive bodies. MO_ERR_UNSUPPORTED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
+/* Finds or creates this device's copy of the weights. *ret NULL: passive bodies.
+ * MO_ERR_UNSUPPORTED, MO_ERR_NO_MEMORY, MO_ERR_DEVICE. */
 static int prepare_controller(struct mo_unit *unit, const struct mo_compute_controller *owner,
                               struct mo_device_controller **ret)
 {
@@ -239,7 +240,8 @@ static void set_status(struct mo_chunk *chunk, uint32_t first, uint32_t last, in
     chunk->status[i] = status;
 }
 
-/* Scores blocks first … last − 1. MO_OK, whatever came of them, or MO_ERR_DEVICE. */
+/* Scores blocks first … last − 1 and sets their statuses. MO_ERR_DEVICE, or MO_OK for any other
+ * result. */
 static int score(struct mo_unit *unit, struct mo_chunk *chunk,
                  struct mo_device_controller *controller, uint32_t first, uint32_t last)
 {
@@ -350,7 +352,7 @@ static void count(struct mo_unit *unit, const struct mo_chunk *chunk)
   unit->status.rows_at_once = unit->row_limit;
 }
 
-/* Under the mutex; it is kept. */
+/* Returns and delivers a chunk. Called under the mutex, which it releases meanwhile. */
 static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
 {
   mo_chunk_return(devices, chunk);
@@ -359,7 +361,7 @@ static void hand_back(struct mo_devices *devices, struct mo_chunk *chunk)
   pthread_mutex_lock(&devices->mutex);
 }
 
-/* Under the mutex. Nobody is left to compute what waits. */
+/* Under the mutex: ends what waits, when the back end stops or no device is left. */
 static void drain(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;
@@ -389,7 +391,7 @@ static void lose(struct mo_unit *unit)
   }
 }
 
-/* Under the mutex: runs what is ready. */
+/* Under the mutex: runs the ready chunk. */
 static void run_chunk(struct mo_unit *unit)
 {
   struct mo_devices *devices = unit->devices;

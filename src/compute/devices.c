@@ -1,5 +1,4 @@
-/* devices.c: a module of devices: loading it, opening its devices, their queue, what can be seen of
- * them. */
+/* devices.c: loads a module, opens its devices, and keeps their queue and status. */
 #include "compute/devices.h"
 
 #include <dlfcn.h>
@@ -13,7 +12,7 @@
 #include "base/thread.h"
 
 #define DEVICES_MAX 64
-/* Estimates of a rollout step before anything was measured. */
+/* Estimated seconds of a rollout step before any measurement. */
 #define SCORING_S  1e-8
 #define GRADIENT_S 3e-8
 
@@ -40,10 +39,6 @@ static int load(struct mo_devices *devices, const char *path, struct mo_message 
                    "one that belongs to it",
                    path, (unsigned)module->abi, (unsigned)MO_DEVICE_ABI);
   devices->module = module;
-  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s", module->name,
-           module->score_code);
-  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint), "%s float32 %s",
-           module->name, module->gradient_code);
   return MO_OK;
 }
 
@@ -95,7 +90,35 @@ static int open_unit(struct mo_devices *devices, struct mo_unit *unit, uint32_t 
   return status;
 }
 
-/* Those that are asked for, or all that can be opened. */
+/* Refuses a device whose bits differ from those of the devices opened before it. */
+static int check_class(const struct mo_devices *devices, struct mo_unit *unit)
+{
+  const struct mo_device_status *first = &devices->units[0].status, *status = &unit->status;
+  if (devices->n == 0 || status->capability == first->capability)
+    return MO_OK;
+  snprintf(unit->status.error, sizeof(unit->status.error),
+           "its compute capability is %u.%u, that of device %u is %u.%u: only devices of one "
+           "capability compute together",
+           (unsigned)status->capability / 10, (unsigned)status->capability % 10,
+           (unsigned)first->index, (unsigned)first->capability / 10,
+           (unsigned)first->capability % 10);
+  unit->status.state = MO_DEVICE_LOST;
+  close_unit(unit);
+  return MO_ERR_DEVICE;
+}
+
+/* Writes what the bits depend on. Tensor cores of different capabilities round differently. */
+static void write_fingerprints(struct mo_devices *devices)
+{
+  const struct mo_device_module *module = devices->module;
+  const unsigned capability = devices->units[0].status.capability;
+  snprintf(devices->fingerprint, sizeof(devices->fingerprint), "%s float32 %s sm%u", module->name,
+           module->score_code, capability);
+  snprintf(devices->gradient_fingerprint, sizeof(devices->gradient_fingerprint),
+           "%s float32 %s sm%u", module->name, module->gradient_code, capability);
+}
+
+/* Opens the requested devices, or all that open and have the first one's capability. */
 static int open_units(struct mo_devices *devices, const struct mo_devices_config *config,
                       struct mo_message *message)
 {
@@ -116,7 +139,10 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
     if (index >= found)
       return mo_fail(message, MO_ERR_RANGE, "there is no device %u: the module %s finds %u",
                      (unsigned)index, devices->module->name, (unsigned)found);
-    status = open_unit(devices, unit, index); /* no memory: its own may be full of others' work */
+    status = open_unit(devices, unit,
+                       index); /* on MO_ERR_NO_MEMORY: other processes may use its memory */
+    if (status == MO_OK)
+      status = check_class(devices, unit);
     if (status == MO_OK) {
       devices->n++;
       continue;
@@ -124,7 +150,7 @@ static int open_units(struct mo_devices *devices, const struct mo_devices_config
     if (config->lost != NULL)
       config->lost(config->context, &unit->status);
     if (config->devices != NULL)
-      return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be opened: %.180s", (unsigned)index,
+      return mo_fail(message, MO_ERR_DEVICE, "device %u cannot be used: %.180s", (unsigned)index,
                      unit->status.error);
   }
   return devices->n > 0
@@ -170,6 +196,7 @@ int mo_compute_add_devices(struct mo_compute *compute, const struct mo_devices_c
   if (status == MO_OK)
     status = open_units(devices, config, message);
   if (status == MO_OK) {
+    write_fingerprints(devices);
     mo_fair_init(&devices->fair, devices->n);
     devices->fair.unit_s[MO_FAIR_SCORING] = SCORING_S;
     devices->fair.unit_s[MO_FAIR_GRADIENT] = GRADIENT_S;
@@ -265,7 +292,7 @@ void mo_devices_forget(struct mo_devices *devices, const struct mo_compute_contr
     for (struct mo_device_copy *copy = devices->units[i].copies; copy != NULL; copy = copy->next)
       if (copy->owner == controller)
         copy->owner = NULL;
-  pthread_cond_broadcast(&devices->wake); /* runners free it */
+  pthread_cond_broadcast(&devices->wake); /* runners free the copies */
   pthread_mutex_unlock(&devices->mutex);
 }
 
@@ -297,7 +324,7 @@ void mo_devices_share_set_weight(struct mo_devices *devices, struct mo_compute_s
   pthread_mutex_unlock(&devices->mutex);
 }
 
-/* ---- what can be seen ---- */
+/* ---- status ---- */
 
 uint32_t mo_compute_devices(const struct mo_compute *compute)
 {

@@ -3,8 +3,8 @@
 
 #define SMOOTHING 0.125
 
-/* Before any block was measured: about what one core of 2.5 GHz takes. A first guess that is far
- * too low lets every worker take a long block of the same share. */
+/* Estimates before any block was measured: about the time of one 2.5 GHz core. A first guess that
+ * is far too low lets every worker take a long block of the same share. */
 static const double unit_s_at_first[MO_FAIR_KINDS] = {
     [MO_FAIR_SCORING] = 3e-6, [MO_FAIR_GRADIENT] = 8e-5};
 
@@ -54,7 +54,7 @@ void mo_fair_set_weight(struct mo_fair *fair, struct mo_compute_share *share, do
   share->virtual_s = fair->virtual_s + lead_s / share->weight;
 }
 
-/* Rollout steps: what the cost of a block is about proportional to. */
+/* Counts rollout steps, to which the cost of a block is about proportional. */
 static double units_of(const struct mo_block *block)
 {
   const uint32_t n = block->gradient != NULL ? block->gradient->n
@@ -79,7 +79,7 @@ void mo_fair_push(struct mo_fair *fair, struct mo_compute_share *share, struct m
   atomic_fetch_add(&fair->waiting, 1);
 }
 
-/* The charge's share has a block that waits: it is taken, and charged for. */
+/* Takes and charges the first block of the charge's share, which must have one waiting. */
 static struct mo_block *take_first(struct mo_fair *fair, struct mo_fair_charge *charge)
 {
   struct mo_compute_share *share = charge->share;

@@ -1,9 +1,12 @@
 /* gradient.c: the gradient of a batch, from blocks that the workers compute in any order.
  *
- * Blocks are handed out in order, and their results are added up in order, by the calling thread,
- * in float64. Between the two lies a window of at most two blocks per worker, each with a float32
- * gradient of its own: a worker never waits for the sum, and memory does not grow with the batch.
- * What a sum's bits depend on is the batch alone. */
+ * The calling thread submits blocks in order, and adds their results in order. Between the two lies
+ * a window of at most two blocks per worker, each with its own float32 gradient: a worker never
+ * waits for the sum, and memory does not grow with the batch.
+ *
+ * Sums are float64: 32 consecutive blocks make the sum of a shard, and the shards' sums make that
+ * of the batch, so that a shard computed elsewhere can be passed as one sum instead of 32
+ * gradients. The bits depend only on the batch. */
 #include "compute/devices.h"
 
 #include <math.h>
@@ -13,11 +16,11 @@
 
 #include "base/memory.h"
 
-enum { BLOCKS_PER_WORKER = 2 };
+enum { BLOCKS_PER_WORKER = 2, SHARD_BLOCKS = MO_DEVICE_SHARD / MO_GRADIENT_ROBOTS };
 
 struct slot {
   struct mo_gradient_task task;
-  bool finished; /* under the state's mutex */
+  bool finished; /* guarded by the state's mutex */
 };
 
 struct mo_gradient_state {
@@ -25,11 +28,12 @@ struct mo_gradient_state {
   struct mo_gradient_pack *pack;
   uint32_t n_slots;
   struct slot *slots;  /* (n_slots); block b of a batch is in slot b mod n_slots */
-  size_t n_parameters; /* that each slot has room for */
+  size_t n_parameters; /* room in each slot and in the shard */
+  double *shard;       /* (n_parameters) NULL before the first large batch */
   struct mo_device_gradients *on_devices; /* NULL: there are none */
   uint32_t *order;                        /* (order_room) */
   size_t order_room;
-  atomic_bool stop; /* the call failed: what still runs may end */
+  atomic_bool stop; /* the call failed: running blocks may end */
   pthread_mutex_t mutex;
   pthread_cond_t finished;
 };
@@ -65,6 +69,7 @@ void mo_gradient_state_free(struct mo_gradient_state *state)
     return;
   for (uint32_t s = 0; s < state->n_slots; s++)
     free(state->slots[s].task.d_parameters);
+  free(state->shard);
   pthread_cond_destroy(&state->finished);
   pthread_mutex_destroy(&state->mutex);
   mo_gradient_pack_free(state->pack);
@@ -79,7 +84,7 @@ static bool same_workspace(struct mo_workspace a, struct mo_workspace b)
   return a.nx == b.nx && a.ny == b.ny && a.nz == b.nz;
 }
 
-/* Of one robot. */
+/* Options for one robot: its share of the batch mean. */
 static struct mo_gradient_options options_of(const struct mo_gradient_batch *batch)
 {
   return (struct mo_gradient_options){.adjoint_bound = batch->adjoint_bound,
@@ -111,7 +116,7 @@ static int check_robots(const struct mo_robot *robots, uint32_t n, struct mo_wor
   return MO_OK;
 }
 
-/* A pack of the batch's controller: the old one if it fits. */
+/* Prepares a pack of the batch's controller; reuses the old one if it fits. */
 static int prepare_pack(struct mo_gradient_state *state, const struct mo_controller *controller)
 {
   int status = MO_ERR_UNSUPPORTED;
@@ -134,6 +139,8 @@ static int prepare(struct mo_gradient_state *state, const struct mo_gradient_bat
       free(state->slots[s].task.d_parameters);
       state->slots[s].task.d_parameters = NULL;
     }
+    free(state->shard);
+    state->shard = NULL;
     state->n_parameters = n;
   }
   for (uint32_t s = 0; s < state->n_slots && s < n_blocks; s++)
@@ -142,6 +149,11 @@ static int prepare(struct mo_gradient_state *state, const struct mo_gradient_bat
       if (state->slots[s].task.d_parameters == NULL)
         return MO_ERR_NO_MEMORY;
     }
+  if (n_blocks > SHARD_BLOCKS && state->shard == NULL) {
+    state->shard = mo_alloc_aligned(state->n_parameters, sizeof(double));
+    if (state->shard == NULL)
+      return MO_ERR_NO_MEMORY;
+  }
   if (batch->n > state->order_room) {
     uint32_t *larger = realloc(state->order, batch->n * sizeof(*larger));
     if (larger == NULL)
@@ -197,13 +209,28 @@ static int wait_for(struct mo_gradient_state *state, const struct slot *slot)
   return slot->task.block.status;
 }
 
+/* Adds a block to the sum of its shard, and that sum to the batch's after the shard's last block.
+ * The first shard is summed in the batch's own array. */
+static void add_parameters(const struct mo_gradient_state *state, const float *block,
+                           uint32_t number, const struct mo_gradient_batch *batch)
+{
+  const size_t n = batch->controller->n_parameters;
+  const uint32_t in_shard = number % SHARD_BLOCKS, last = (batch->n - 1) / MO_GRADIENT_ROBOTS;
+  double *sum = number < SHARD_BLOCKS ? batch->d_parameters : state->shard;
+  if (in_shard == 0)
+    memset(sum, 0, n * sizeof(*sum));
+  for (size_t i = 0; i < n; i++)
+    sum[i] += (double)block[i];
+  if (sum == state->shard && (in_shard == SHARD_BLOCKS - 1 || number == last))
+    for (size_t i = 0; i < n; i++)
+      batch->d_parameters[i] += sum[i];
+}
+
 static void add(const struct mo_gradient_state *state, const struct mo_gradient_task *task,
                 uint32_t number, struct mo_gradient_batch *batch)
 {
   const uint32_t *order = state->order + (size_t)number * MO_GRADIENT_ROBOTS;
-  const size_t n = batch->controller->n_parameters;
-  for (size_t i = 0; i < n; i++)
-    batch->d_parameters[i] += (double)task->d_parameters[i];
+  add_parameters(state, task->d_parameters, number, batch);
   for (uint32_t i = 0; i < task->n; i++)
     batch->outcomes[order[i]] = task->outcomes[i];
   mo_gradient_counts_add(&batch->counts, &task->counts);
@@ -269,7 +296,6 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
   if (status != MO_OK)
     return status;
   clear(batch, MO_ON_CPU);
-  memset(batch->d_parameters, 0, batch->controller->n_parameters * sizeof(double));
   atomic_store(&state->stop, false);
   uint32_t submitted = 0;
   for (uint32_t b = 0; b < n_blocks && (status == MO_OK || b < submitted); b++) {
@@ -277,7 +303,7 @@ int mo_compute_gradient(struct mo_gradient_state *state, struct mo_gradient_batc
       status = submit(state, batch, submitted);
       submitted += status == MO_OK;
     }
-    if (status != MO_OK) /* the first error by position counts; the rest is only waited for */
+    if (status != MO_OK) /* report the first error by position; only wait for the rest */
       atomic_store(&state->stop, true);
     if (b >= submitted)
       break;

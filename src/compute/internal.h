@@ -8,42 +8,43 @@
 #include <stdatomic.h>
 
 /* Part of every fingerprint: raise it by one whenever a change to the fast path changes any bit of
- * any result. tests/unit/rollout/bits.c notices such a change. */
+ * a result. tests/unit/rollout/bits.c detects such a change. */
 #define MO_KERNEL_VERSION 1
-/* The same for gradients: tests/unit/rollout/gradient-bits.c. */
-#define MO_GRADIENT_VERSION 3
+/* The same for gradients: tests/unit/rollout/gradient-bits.c detects changed bits of a block,
+ * tests/unit/compute/gradient.c a changed order of adding blocks. */
+#define MO_GRADIENT_VERSION 4
 
-/* The pack of one precision, made at first use; waits while another thread makes it.
+/* Returns the pack of one precision, made at first use; waits while another thread makes it.
  * MO_ERR_NO_MEMORY, MO_ERR_UNSUPPORTED. */
 int mo_compute_controller_pack(struct mo_compute_controller *controller,
                                enum mo_precision precision, const struct mo_pack **pack);
 enum mo_isa mo_compute_isa(const struct mo_compute *compute);
 uint32_t mo_compute_workers(const struct mo_compute *compute);
 
-/* A gradient block: in the queues by its `block`, of which physics, urgency, cancel, tag, status,
- * done and context mean what they mean in a scoring block. */
+/* A gradient block. Its `block` stands in the queues; physics, urgency, cancel, tag, status, done
+ * and context mean the same as in a scoring block. */
 struct mo_gradient_task {
   struct mo_block block;
   const struct mo_gradient_pack *pack;
   struct mo_robot robots[MO_GRADIENT_ROBOTS];
   uint32_t n;
   struct mo_gradient_options options;
-  const atomic_bool *stop; /* true: as a set `cancel` */
+  const atomic_bool *stop; /* true: same as a set `cancel` */
   /* Results; counts and profile are added to. */
   struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
   float *d_parameters; /* (n_parameters) */
   struct mo_gradient_counts counts;
   struct mo_gradient_profile profile;
 };
-/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots; queued by its `block`, as a
- * gradient block is. */
+/* A part of a batch for one device: shards of MO_DEVICE_SHARD robots. Its `block` stands in the
+ * queue, like that of a gradient block. */
 struct mo_device_layout;
 struct mo_device_task {
   struct mo_block block;
   const struct mo_controller *controller;
   const struct mo_robot *robots; /* (n) */
   uint32_t n;
-  struct mo_device_layout *layout; /* of all of them; NULL: they are not laid out */
+  struct mo_device_layout *layout; /* of all n robots; NULL: not laid out */
   double adjoint_bound, weight;
   enum mo_adjoint_rule adjoint_rule;
   double restart_weight;
@@ -54,9 +55,9 @@ struct mo_device_task {
   struct mo_gradient_counts counts; /* added to */
 };
 
-/* As mo_compute_submit; the task has been checked. MO_ERR_CANCELLED. */
+/* Same as mo_compute_submit, for a task that was checked. MO_ERR_CANCELLED. */
 int mo_compute_submit_gradient(struct mo_compute *compute, struct mo_gradient_task *task);
-/* For a block that was submitted to devices and has to be computed by the workers.
+/* Queues a block for the workers that was submitted to devices, which cannot compute it.
  * MO_ERR_CANCELLED. */
 int mo_compute_submit_to_workers(struct mo_compute *compute, struct mo_block *block);
 

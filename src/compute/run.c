@@ -1,4 +1,4 @@
-/* run.c: blocks that somebody waits for. */
+/* run.c: submits blocks and waits for them. */
 #include "compute/internal.h"
 
 struct waiter {

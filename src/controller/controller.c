@@ -11,23 +11,22 @@
 
 #include <morpho/random.h>
 
-static const char *const sensor_names[] = {"inverse_sqrt", "inverse_square"};
+#include "base/utf8.h"
+#include "base/words.h"
+
+const char *const mo_sensor_words[] = {"inverse_sqrt", "inverse_square", NULL};
 
 const char *mo_sensor_name(enum mo_sensor sensor)
 {
-  return (unsigned)sensor < sizeof(sensor_names) / sizeof(sensor_names[0]) ? sensor_names[sensor]
-                                                                           : "unknown";
+  return mo_word(mo_sensor_words, (unsigned)sensor);
 }
 
 int mo_sensor_from_name(const char *name, enum mo_sensor *sensor)
 {
-  for (unsigned i = 0; i < sizeof(sensor_names) / sizeof(sensor_names[0]); i++) {
-    if (strcmp(name, sensor_names[i]) == 0) {
-      *sensor = (enum mo_sensor)i;
-      return MO_OK;
-    }
-  }
-  return MO_ERR_NOT_FOUND;
+  const int i = mo_word_index(mo_sensor_words, name);
+  if (i >= 0)
+    *sensor = (enum mo_sensor)i;
+  return i >= 0 ? MO_OK : i;
 }
 
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64])
@@ -212,9 +211,9 @@ int mo_controller_put_metadata(struct mo_controller *controller, const char *key
 int mo_controller_set_metadata(struct mo_controller *controller, const char *key, const char *value)
 {
   if (key == NULL || value == NULL || /* only UTF-8 can be written into a JSON header */
-      !mo_text_is_utf8(key) || !mo_text_is_utf8(value))
+      !mo_utf8_is_valid(key) || !mo_utf8_is_valid(value))
     return MO_ERR_INVALID;
-  /* These describe the parameters; another value would make the file lie. */
+  /* These describe the parameters; another value would contradict them. */
   static const char *const fixed[] = {"mass_order", "spring_order", "sensor", "workspace"};
   for (size_t i = 0; i < sizeof(fixed) / sizeof(fixed[0]); i++) {
     if (strcmp(key, fixed[i]) != 0)

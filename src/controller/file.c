@@ -1,5 +1,5 @@
-/* file.c: controllers from and to bytes and files. A file is read piece by piece straight into the
- * parameters, so that a large controller is held once. */
+/* file.c: reads and writes controllers as bytes and files. A file is read in pieces directly into
+ * the parameters, so that a large controller is in memory only once. */
 #include "controller/internal.h"
 
 #include "base/file.h"

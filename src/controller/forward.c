@@ -1,5 +1,5 @@
-/* forward.c: the network in float64, as plainly as speed in tests permits: each neuron's sum runs
- * in input order; four neurons go side by side so that their chains of additions overlap. */
+/* forward.c: the network in float64, as simple as tests' speed permits: each neuron's sum runs in
+ * input order; four neurons run side by side so that their chains of additions overlap. */
 #include "controller/tape.h"
 
 #include <math.h>
@@ -66,7 +66,7 @@ static void norm_relu(const float *gain, const float *shift, double *h, double *
   }
 }
 
-/* The last layer, from the last hidden one. */
+/* Computes the last layer from the last hidden one. */
 static void finish(const struct mo_controller *controller, const double *hidden,
                    const uint32_t *springs, uint32_t n, double *outputs)
 {

@@ -1,7 +1,7 @@
-/* header.c: writes the header of a controller file. By hand, not with the JSON library: its
- * printer, when memory runs out, may return a text with a hole in it; and the bytes of a file, by
- * whose hash a controller is known, should not depend on a library's version. The longest possible
- * header is allocated at once, so that nothing can fail half way. */
+/* header.c: writes the header of a controller file. It does not use the JSON library, whose printer
+ * may return an incomplete text when memory runs out. The bytes of a file, whose hash identifies a
+ * controller, should not depend on a library's version either. The longest possible header is
+ * allocated at once, so that nothing can fail halfway. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -9,41 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Length of the UTF-8 sequence at `text` (ending at its NUL at the latest); 0: not UTF-8. */
-static size_t sequence(const unsigned char *text)
-{
-  static const struct {
-    unsigned char mask, lead;
-    uint32_t lowest; /* of the code point: longer forms than necessary are refused */
-  } forms[] = {{0x80, 0x00, 0}, {0xe0, 0xc0, 0x80}, {0xf0, 0xe0, 0x800}, {0xf8, 0xf0, 0x10000}};
-  for (size_t n = 0; n < 4; n++) {
-    if ((text[0] & forms[n].mask) != forms[n].lead)
-      continue;
-    uint32_t code = text[0] & (unsigned char)~forms[n].mask;
-    for (size_t i = 1; i <= n; i++) {
-      if ((text[i] & 0xc0) != 0x80)
-        return 0;
-      code = code << 6 | (text[i] & 0x3f);
-    }
-    const bool surrogate = code >= 0xd800 && code <= 0xdfff;
-    return code < forms[n].lowest || code > 0x10ffff || surrogate ? 0 : n + 1;
-  }
-  return 0;
-}
-
-bool mo_text_is_utf8(const char *text)
-{
-  const unsigned char *at = (const unsigned char *)text;
-  while (*at != '\0') {
-    const size_t n = sequence(at);
-    if (n == 0)
-      return false;
-    at += n;
-  }
-  return true;
-}
-
-/* A JSON string with its quotes: at most 6 bytes per byte and 2 more. Returns its end. */
+/* Writes a JSON string with its quotes: at most 6 bytes per byte and 2 more. Returns its end. */
 static char *put_string(char *out, const char *text)
 {
   static const char escapes[] =

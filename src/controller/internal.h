@@ -1,4 +1,4 @@
-/* internal.h: what the files of this room share: where each tensor lies in the parameter buffer. */
+/* internal.h: shared by the files of this room: where each tensor lies in the parameter buffer. */
 #ifndef MORPHO_CONTROLLER_INTERNAL_H
 #define MORPHO_CONTROLLER_INTERNAL_H
 
@@ -6,8 +6,8 @@
 
 #include <morpho/controller.h>
 
-/* The format stores little-endian float32, and parameters are copied to and from it as they lie in
- * memory. */
+/* The format stores little-endian float32, and parameters are copied between file and memory
+ * unchanged. */
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "safetensors files are little-endian");
 _Static_assert(sizeof(float) == 4, "safetensors F32");
 
@@ -27,16 +27,16 @@ struct mo_tensor {
 uint64_t mo_controller_tensors(struct mo_workspace workspace,
                                struct mo_tensor tensors[MO_CONTROLLER_TENSORS]);
 
-/* Values of the metadata entries that every file has; 64 bytes each. */
+/* Write the values of the metadata entries that every file has; 64 bytes each. */
 void mo_controller_mass_order(struct mo_workspace workspace, char text[64]);
 void mo_controller_workspace_text(struct mo_workspace workspace, char text[64]);
 #define MO_SPRING_ORDER "lexicographic endpoint pairs"
 
-/* A controller with views and uninitialised parameters, without metadata. MO_ERR_LIMIT,
+/* Creates a controller with views and uninitialized parameters, without metadata. MO_ERR_LIMIT,
  * MO_ERR_NO_MEMORY, as mo_workspace_check. */
 int mo_controller_allocate(struct mo_workspace workspace, enum mo_sensor sensor,
                            struct mo_controller **controller);
-/* As mo_controller_set_metadata, without the guard on the entries that describe the controller
+/* Same as mo_controller_set_metadata, without the check of entries that describe the controller
  * itself. */
 int mo_controller_put_metadata(struct mo_controller *controller, const char *key,
                                const char *value);
@@ -48,7 +48,7 @@ struct mo_safetensors {
   struct mo_tensor tensors[MO_CONTROLLER_TENSORS];
   uint64_t offsets[MO_CONTROLLER_TENSORS];
 };
-/* Length of the JSON header, from the first 8 bytes of a file of `size` bytes. */
+/* Reads the length of the JSON header from the first 8 bytes of a file of `size` bytes. */
 int mo_safetensors_header_size(const uint8_t *prefix, uint64_t size, uint32_t *header_size,
                                struct mo_message *message);
 /* Checks the header (without the 8 bytes) of a file of `size` bytes and allocates the controller
@@ -57,9 +57,8 @@ int mo_safetensors_parse(const char *header, uint32_t header_size, uint64_t size
                          struct mo_safetensors *file, struct mo_message *message);
 /* MO_ERR_FORMAT at the first value that is not finite. */
 int mo_safetensors_check_values(const struct mo_safetensors *file, struct mo_message *message);
-/* header.c: the first bytes of the file, up to the data: 8 bytes and the padded header (malloc).
+/* header.c: encodes the start of the file, up to the data: 8 bytes and the padded header (malloc).
  * MO_ERR_LIMIT, MO_ERR_NO_MEMORY. */
 int mo_safetensors_format(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
-bool mo_text_is_utf8(const char *text);
 
 #endif

@@ -1,4 +1,4 @@
-/* metadata.c: what an entry of the metadata says that is itself JSON. */
+/* metadata.c: reads metadata entries whose value is itself JSON. */
 #include <jansson.h>
 #include <stdbool.h>
 

@@ -1,14 +1,15 @@
-/* safetensors.c: the header of a safetensors file, read with distrust.
+/* safetensors.c: parses and checks the header of a safetensors file, which is untrusted.
  *
- *   8 bytes   length of the header, little-endian
- *   header    JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape", "data_offsets":
- * [begin, end]}, …}, padded with spaces data      the tensors, row-major, at their offsets
+ *   8 bytes  length of the header, little-endian
+ *   header   JSON object {"__metadata__": {text: text}, tensor: {"dtype", "shape",
+ *            "data_offsets": [begin, end]}, …}, padded with spaces
+ *   data     the tensors, row-major, at their offsets
  *
- * A file is a controller only if its tensors are exactly ours, in float32, in the shapes of one
- * workspace, and tile the data without gap or overlap; their order in header and data is free,
- * since the common writers sort by name. Nothing of the file's size is allocated before its header
- * agrees with the number of bytes that are really there. Messages quote the file's own text only
- * after `printable` has made it short and plain. */
+ * A file is a controller only if it has exactly the expected tensors, in float32, in the shapes of
+ * one workspace, and they tile the data without gap or overlap. Their order in header and data is
+ * free, since common writers sort by name. Memory in proportion to the file's size is allocated
+ * only after the header agrees with the actual number of bytes. Messages quote the file's own text
+ * only after `printable` has made it short and plain. */
 #include "controller/internal.h"
 
 #include <inttypes.h>
@@ -27,7 +28,7 @@ struct printable {
   char text[49];
 };
 
-/* At most 48 characters of a text, everything but plain ASCII as '?'. */
+/* Returns at most 48 characters of a text, with '?' for everything but plain ASCII. */
 static struct printable printable(const char *text)
 {
   struct printable p;
@@ -60,7 +61,8 @@ int mo_safetensors_header_size(const uint8_t *prefix, uint64_t size, uint32_t *h
   return MO_OK;
 }
 
-/* Largest nesting of brackets outside strings: checked first because the JSON parser recurses. */
+/* Returns the deepest nesting of brackets outside strings: checked first because the JSON parser
+ * recurses. */
 static uint32_t nesting(const char *text, size_t size)
 {
   uint32_t depth = 0, deepest = 0;
@@ -93,7 +95,7 @@ static int parse_json(const char *header, uint32_t header_size, json_t **ret,
     return mo_fail(message, MO_ERR_FORMAT, "the header nests deeper than %d levels", DEPTH_MAX);
   json_error_t error;
   json_t *root = json_loadb(header, header_size, JSON_REJECT_DUPLICATES, &error);
-  if (root == NULL) { /* the parser does not tell a lack of memory from a bad text */
+  if (root == NULL) { /* the parser does not distinguish lack of memory from invalid text */
     return mo_fail(message, MO_ERR_FORMAT, "the header is not valid JSON: %s",
                    printable(error.text).text);
   }
@@ -123,7 +125,7 @@ static int parse_workspace(const char *text, struct mo_workspace *workspace)
   return mo_workspace_check(*workspace);
 }
 
-/* An entry of the metadata that must have a certain value if it is there. */
+/* Checks a metadata entry that must have a certain value if it is present. */
 static int check_entry(const json_t *metadata, const char *key, const char *expected,
                        struct mo_message *message)
 {
@@ -143,7 +145,7 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
     return MO_OK;
   if (!json_is_object(metadata))
     return mo_fail(message, MO_ERR_FORMAT, "\"__metadata__\" is not an object of texts");
-  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that we add */
+  if (json_object_size(metadata) > MO_METADATA_MAX - 4) /* room for the entries that are added */
     return mo_fail(message, MO_ERR_LIMIT,
                    "\"__metadata__\" has %zu entries; at most %d are accepted",
                    json_object_size(metadata), MO_METADATA_MAX - 4);
@@ -177,7 +179,7 @@ static int check_metadata(json_t *metadata, struct mo_workspace *workspace, enum
   return r < 0 ? r : check_entry(metadata, "spring_order", MO_SPRING_ORDER, message);
 }
 
-/* Writes a shape as the header has it, shortened: "[256, 250]". */
+/* Formats a shape as in the header, shortened: "[256, 250]". */
 static struct printable shape_text(const json_t *shape)
 {
   struct printable p = {"["};
@@ -258,7 +260,8 @@ static int check_tensor(const json_t *entry, const struct mo_tensor *tensor, con
   return MO_OK;
 }
 
-/* The tensors must tile the data: sorted by offset, each starts where the one before ends. */
+/* Checks that the tensors tile the data: sorted by offset, each starts where the one before
+ * ends. */
 static int check_tiling(const struct mo_tensor *tensors, const uint64_t *begins, uint64_t data_size,
                         struct mo_message *message)
 {
@@ -314,7 +317,7 @@ static int check_tensors(json_t *root, struct mo_workspace workspace, uint64_t d
   return check_tiling(file->tensors, file->offsets, data_size, message);
 }
 
-/* The file's metadata in its order, then whatever of sensor and orders it left unsaid. */
+/* Copies the file's metadata in its order, then adds what it lacks of sensor and orders. */
 static int copy_metadata(struct mo_controller *controller, json_t *metadata)
 {
   int r = MO_OK;

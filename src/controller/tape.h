@@ -1,15 +1,14 @@
-/* tape.h: the network with a memory: a forward pass that keeps what its derivative needs, and the
- * backward pass, in float64.
+/* tape.h: a forward pass that keeps what its derivative needs (the tape), and the backward pass, in
+ * float64.
  *
- * The gradient of the parameters is taken for several passes at once (mo_controller_accumulate), so
- * that a row of the gradient is fetched once for all of them. */
+ * The gradient of the parameters is computed for several passes at once (mo_controller_accumulate),
+ * so that a row of the gradient is fetched once for all of them. */
 #ifndef MORPHO_CONTROLLER_TAPE_H
 #define MORPHO_CONTROLLER_TAPE_H
 
 #include <morpho/controller.h>
 
-/* One pass over n springs. All arrays lie in memory of the caller's, see mo_controller_tape_place.
- */
+/* One pass over n springs. All arrays lie in the caller's memory, see mo_controller_tape_place. */
 struct mo_controller_tape {
   double *input;  /* (n_inputs) */
   double *normal; /* (MO_HIDDEN_LAYERS, MO_HIDDEN) LayerNorm before gain and shift */
@@ -22,12 +21,12 @@ struct mo_controller_tape {
   double *d_last;    /* (n) ∂loss/∂ inputs of tanh; likewise */
 };
 
-/* Doubles that the arrays of one tape take, and the tape that lies in them. */
+/* Return the doubles that the arrays of one tape need, and place a tape in them. */
 size_t mo_controller_tape_doubles(const struct mo_controller *controller, uint32_t n);
 struct mo_controller_tape mo_controller_tape_place(const struct mo_controller *controller,
                                                    uint32_t n, double *memory);
 
-/* mo_controller_forward, to the bit, with a tape in place of scratch. */
+/* Same as mo_controller_forward, bit for bit, with a tape in place of scratch. */
 void mo_controller_forward_tape(const struct mo_controller *controller, const double *inputs,
                                 const uint32_t *springs, uint32_t n, double *outputs,
                                 struct mo_controller_tape *tape);

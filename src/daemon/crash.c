@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "daemon/log_writer.h"
 #include "jobs/jobs.h"
 
 static const int signals[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
@@ -17,16 +18,22 @@ static const int signals[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
 
 static volatile sig_atomic_t marker = -1;
 
+void crash_forgive(void)
+{
+  if (marker >= 0 && ftruncate((int)marker, 0) == 0)
+    (void)lseek((int)marker, 0, SEEK_SET);
+}
+
 static void crashed(int number)
 {
-  /* A second thread that faults meanwhile, or a fault in here, ends the process at once. */
+  /* A second thread that faults meanwhile, or a fault in this handler, ends the process at once. */
   for (size_t i = 0; i < N_SIGNALS; i++)
     signal(signals[i], SIG_DFL);
+  crash_forgive();
   if (marker >= 0)
     mo_jobs_crash_note((int)marker, number);
   static const char text[] = "morphod: crashed\n";
-  ssize_t written = write(STDERR_FILENO, text, sizeof(text) - 1);
-  (void)written;
+  log_writer_last_words(text, sizeof(text) - 1);
   raise(number); /* blocked until this handler returns */
 }
 
@@ -35,11 +42,47 @@ static int join(const char *folder, const char *name, char **path)
   return asprintf(path, "%s/%s", folder, name) < 0 ? MO_ERR_NO_MEMORY : MO_OK;
 }
 
-int crash_open(const char *state_dir, char **last, struct mo_message *message)
+#define BOOT_BYTES 64
+
+/* Writes "boot <id>\n"; without an id, "boot unknown\n", which never counts as the same boot. */
+static size_t read_boot(char line[BOOT_BYTES])
+{
+  char id[BOOT_BYTES / 2 + 8] = "";
+  FILE *file = fopen("/proc/sys/kernel/random/boot_id", "re");
+  const bool found = file != NULL && fscanf(file, "%39[0-9a-f-]", id) == 1;
+  if (file != NULL)
+    fclose(file);
+  return (size_t)snprintf(line, BOOT_BYTES, "boot %s\n", found ? id : "unknown");
+}
+
+/* Reads the marker of the last process. *noted: the marker names the crashed job. *killed_us: the
+ * start of the last process, if it was killed in this boot; else 0. */
+static void look(const char *path, const char *boot, size_t size, bool *noted, int64_t *killed_us)
+{
+  struct stat status;
+  char text[BOOT_BYTES + 1] = "";
+  const int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  const ssize_t n = fd >= 0 ? read(fd, text, BOOT_BYTES) : -1;
+  const bool has_boot = n > 0 && strncmp(text, "boot ", 5) == 0;
+  const char *end = has_boot ? strchr(text, '\n') : NULL;
+  if (fd >= 0)
+    close(fd);
+  *noted = n > 0 && (!has_boot || (end != NULL && end[1] != '\0'));
+  *killed_us = 0;
+  if (!*noted && n >= (ssize_t)size && memcmp(text, boot, size) == 0 &&
+      strstr(boot, "unknown") == NULL && stat(path, &status) == 0)
+    *killed_us = (int64_t)status.st_mtim.tv_sec * 1000000 + status.st_mtim.tv_nsec / 1000;
+}
+
+int crash_open(const char *state_dir, char **last, int64_t *killed_us, struct mo_message *message)
 {
   char *current = NULL, *old = NULL;
   struct stat status;
+  char boot[BOOT_BYTES];
+  const size_t boot_size = read_boot(boot);
+  bool noted = false;
   *last = NULL;
+  *killed_us = 0;
   int result = join(state_dir, "crash-marker", &current);
   if (result == MO_OK)
     result = join(state_dir, "crash-marker.last", &old);
@@ -47,16 +90,21 @@ int crash_open(const char *state_dir, char **last, struct mo_message *message)
     free(current);
     return result;
   }
-  /* Renamed first: a crash before the note has been read must not overwrite it. */
-  if (stat(current, &status) == 0 && status.st_size > 0 && rename(current, old) != 0)
+  /* Rename first: a crash before the note is read must not overwrite the note. */
+  look(current, boot, boot_size, &noted, killed_us);
+  if (noted && rename(current, old) != 0)
     result = mo_fail(message, MO_ERR_IO, "%s: %s", current, strerror(errno));
   int fd = -1;
   if (result == MO_OK) {
-    fd = open(current, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0600);
-    if (fd < 0)
+    /* Written over what is there: on a full disk there is no room for another block. */
+    fd = open(current, O_WRONLY | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
+    if (fd < 0 || pwrite(fd, boot, boot_size, 0) != (ssize_t)boot_size ||
+        ftruncate(fd, (off_t)boot_size) != 0)
       result = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO, "%s: %s", current,
                        strerror(errno));
   }
+  if (result != MO_OK && fd >= 0)
+    close(fd);
   if (result == MO_OK) {
     marker = fd;
     struct sigaction action = {.sa_handler = crashed};

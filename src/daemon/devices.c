@@ -9,7 +9,7 @@
 
 #include "daemon/log.h"
 
-/* Told by the back end, on a thread of its own. */
+/* Called by the back end on one of its threads. */
 static void device_is_lost(void *context, const struct mo_device_status *status)
 {
   (void)context;
@@ -17,7 +17,7 @@ static void device_is_lost(void *context, const struct mo_device_status *status)
             LOG_TEXT("id", status->id), LOG_TEXT("detail", status->error));
 }
 
-/* The module of the build tree, beside this program, or that of the installation. */
+/* Finds the module of the build tree, near this program, or the installed module. */
 static void find_module(char path[PATH_MAX])
 {
   static const char *const places[] = {"morphod-cuda.so", "../compute/cuda/morphod-cuda.so"};

@@ -1,4 +1,4 @@
-/* devices.h: which module and which devices the service computes with. */
+/* devices.h: the module and the devices with which the service computes. */
 #ifndef MORPHOD_DAEMON_DEVICES_H
 #define MORPHOD_DAEMON_DEVICES_H
 
@@ -6,10 +6,10 @@
 
 #include "daemon/settings.h"
 
-/* Adds the devices that the settings ask for, before anything else is made of the back end. Where
- * none is asked for by name, a machine without a module or a device is none to complain about: it
- * is logged, and the processors compute. MO_ERR_INVALID: the settings name what is not there, or
- * the module is of another version. */
+/* Adds the devices of the settings; call it before any other use of the back end. If no device or
+ * module is named, a machine without either is no error: it is logged, and the processors compute.
+ * MO_ERR_INVALID: the settings name a missing device or module, or the module has another version.
+ */
 int devices_open(struct mo_compute *compute, const struct settings *settings,
                  struct mo_message *message);
 

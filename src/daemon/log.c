@@ -1,5 +1,5 @@
 /* log.c: see log.h. A line is built in a fixed buffer on the stack: logging allocates nothing and
- * cannot fail loudly. */
+ * returns no errors. */
 #include "log.h"
 
 #include <inttypes.h>
@@ -12,7 +12,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#define LINE_BYTES 4096
+#include "log_writer.h"
 
 static const char *const level_names[] = {"error", "warning", "info", "debug"};
 static const int level_priorities[] = {3, 4, 6, 7};
@@ -26,7 +26,7 @@ static struct {
 
 struct line {
   char *text;
-  size_t capacity, length; /* room for the newline and the NUL is kept */
+  size_t capacity, length; /* space for the newline and the NUL is reserved */
 };
 
 static void put(struct line *line, const char *bytes, size_t n)
@@ -55,8 +55,8 @@ __attribute__((format(printf, 2, 3))) static void put_format(struct line *line, 
     put(line, text, n < (int)sizeof(text) ? (size_t)n : sizeof(text) - 1);
 }
 
-/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so a line stays
- * a line. Bytes above 0x7f pass through: names and labels are UTF-8 by the time they get here. */
+/* JSON string escapes serve all formats: a quoted value holds no raw control byte, so it cannot
+ * break the line. Bytes above 0x7f pass: names and labels are already checked as UTF-8. */
 static void put_quoted(struct line *line, const char *text)
 {
   put_text(line, "\"");
@@ -165,7 +165,7 @@ size_t log_format_line(char *text, size_t capacity, enum log_format format, bool
       if (line.capacity - line.length < 128)
         break; /* so that the closing brace always fits */
       put_format(&line, ",\"%s\":", fields[i].name);
-      /* Leave room for the closing quote and brace, and for the fields' own limit. */
+      /* Leave space for the closing quote and brace, and for the limit of the field itself. */
       struct line part = {.text = line.text, .capacity = line.capacity - 2, .length = line.length};
       put_value(&part, format, &fields[i]);
       line.length = part.length;
@@ -232,18 +232,32 @@ int log_format_from_name(const char *name, enum log_format *format)
   return -1;
 }
 
-void log_write(enum log_level level, const char *message, const struct log_field *fields,
-               size_t n_fields)
+static size_t format_now(char line[LOG_LINE_BYTES], enum log_level level, const char *message,
+                         const struct log_field *fields, size_t n_fields)
 {
-  if (!log_enabled(level))
-    return;
   struct timespec now;
   clock_gettime(CLOCK_REALTIME, &now);
   int64_t time_us = logger.journal ? 0 : (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-  char line[LINE_BYTES];
-  size_t n = log_format_line(line, sizeof(line), logger.format, logger.journal, time_us, level,
-                             message, fields, n_fields);
-  /* A log that cannot be written must not stop the service. */
-  ssize_t written = write(STDERR_FILENO, line, n);
-  (void)written;
+  return log_format_line(line, LOG_LINE_BYTES, logger.format, logger.journal, time_us, level,
+                         message, fields, n_fields);
+}
+
+static size_t format_notice(char line[LOG_LINE_BYTES], uint64_t n)
+{
+  const struct log_field fields[] = {LOG_INT("lines", n)};
+  return format_now(line, LOG_LEVEL_WARNING,
+                    "log lines were dropped: standard error did not take them", fields, 1);
+}
+
+int log_start(void)
+{
+  return log_writer_start(format_notice);
+}
+
+void log_write(enum log_level level, const char *message, const struct log_field *fields,
+               size_t n_fields)
+{
+  char line[LOG_LINE_BYTES];
+  if (log_enabled(level))
+    log_writer_put(line, format_now(line, level, message, fields, n_fields));
 }

@@ -1,9 +1,9 @@
 /* log.h: structured log lines on standard error.
  *
  * A line is a level, a message and fields. Three formats: `text` for people, `logfmt` and `json`
- * for machines. Where standard error is the systemd journal, lines start with their priority
- * ("<6>") and leave the time to the journal. A line is written with one write(2), so that lines of
- * several threads never mix. The level may be changed at any time from any thread. */
+ * for programs. If standard error is the systemd journal, lines start with their priority ("<6>")
+ * and omit the time, which the journal adds. Lines are written whole, so that lines of several
+ * threads never mix. Any thread may change the level at any time. */
 #ifndef MORPHO_DAEMON_LOG_H
 #define MORPHO_DAEMON_LOG_H
 
@@ -49,19 +49,23 @@ struct log_field {
 
 /* Sets format and level, and finds out whether standard error is the journal. */
 void log_open(enum log_format format, enum log_level level);
+/* Starts a thread that writes the lines, so that callers do not wait (log_writer.h). 0, or −1: no
+ * thread. */
+int log_start(void);
 void log_set_level(enum log_level level);
 bool log_enabled(enum log_level level);
 
-/* "error", "warning", "info", "debug"; "text", "logfmt", "json". 0, or −1 for an unknown name. */
+/* Looks up "error", "warning", "info", "debug"; "text", "logfmt", "json". 0, or −1 for an unknown
+ * name. */
 int log_level_from_name(const char *name, enum log_level *level);
 int log_format_from_name(const char *name, enum log_format *format);
 
 void log_write(enum log_level level, const char *message, const struct log_field *fields,
                size_t n_fields);
 
-/* Formats one line, newline included, into `line` (capacity bytes, always terminated); returns its
- * length. Too long a line is cut and still well-formed enough to be one line. `time_us`:
- * microseconds since 1970, 0: leave the time out. */
+/* Formats one line with its newline into `line` (capacity bytes, always terminated); returns its
+ * length. A line that is too long is cut but remains one line. `time_us`: microseconds since 1970;
+ * 0: omit the time. */
 size_t log_format_line(char *line, size_t capacity, enum log_format format, bool priority,
                        int64_t time_us, enum log_level level, const char *message,
                        const struct log_field *fields, size_t n_fields);

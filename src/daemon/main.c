@@ -1,5 +1,5 @@
-/* main.c: the process. Signals are blocked in every thread and taken, one at a time, by the main
- * thread, which otherwise only looks after the watchdog. */
+/* main.c: the process. Signals are blocked in every thread. The main thread takes them one at a
+ * time and otherwise only serves the watchdog. */
 #include <errno.h>
 #include <inttypes.h>
 #include <signal.h>
@@ -12,13 +12,17 @@
 
 #include <systemd/sd-daemon.h>
 
+#include "daemon/crash.h"
 #include "daemon/log.h"
+#include "daemon/log_writer.h"
 #include "daemon/service.h"
 #include "daemon/settings.h"
+#include "daemon/store_command.h"
 
 #define STOP_LIMIT_S                                                                               \
-  9 /* from the first SIGTERM, with a drain of 5 s or less, to the end of the process */
-#define HEARTBEAT_LIMIT_US 15000000 /* a part that did not come round for so long is stuck */
+  9 /* from the first SIGTERM, with a drain of at most 5 s, to the end of the process */
+#define HEARTBEAT_LIMIT_US 15000000 /* a part without a round for this long is stuck */
+#define LOG_FLUSH_MS       2000     /* wait for the last lines if standard error is not read */
 #define ROUND_S            1
 #define WATCHED_SIGNALS    5
 
@@ -28,7 +32,7 @@ struct process {
   struct settings settings;
   struct settings_request request;
   struct service *service;
-  uint64_t watchdog_us; /* 0: nobody watches */
+  uint64_t watchdog_us; /* 0: no watchdog */
 };
 
 static atomic_bool broken; /* set by the store when the process must end */
@@ -57,13 +61,7 @@ static void report_faults(const struct settings_faults *faults)
       log_warning("configuration", LOG_TEXT("fault", faults->texts[i]));
 }
 
-static void print_faults(const struct settings_faults *faults)
-{
-  for (size_t i = 0; i < faults->n; i++)
-    fprintf(stderr, "morphod: %s%s\n", faults->fatal[i] ? "" : "warning: ", faults->texts[i]);
-}
-
-/* Flags, environment and file into `settings`. Faults are collected. */
+/* Loads flags, environment and file into `settings`, and collects faults. */
 static void load(struct process *process, struct settings *settings,
                  struct settings_request *request, struct settings_faults *faults)
 {
@@ -77,7 +75,7 @@ static void load(struct process *process, struct settings *settings,
     settings_fault(faults, true, "out of memory");
 }
 
-/* SIGHUP: takes the new configuration if it is sound; says what needs a restart. */
+/* Applies a valid new configuration on SIGHUP, and logs what needs a restart. */
 static void reload(struct process *process)
 {
   sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%" PRId64, now_us(CLOCK_MONOTONIC));
@@ -110,8 +108,8 @@ static void reload(struct process *process)
       free(fresh);
     }
     log_set_level((enum log_level)settings.log_level);
-    /* What needs a restart keeps its old value for the next comparison; the two that changed take
-     * the new one. */
+    /* Settings that need a restart keep their old value for the next comparison; reloaded ones take
+     * the new value. */
     struct mo_message ignored;
     for (size_t i = 0; i < settings_count; i++)
       if (settings_table[i].reloads) {
@@ -129,14 +127,13 @@ static void reload(struct process *process)
   sd_notify(0, "READY=1");
 }
 
-/* The stop takes longer than it may: everything acknowledged is durable, so the process can simply
- * end. */
+/* Ends the process when a stop exceeds its limit; everything acknowledged is already durable. */
 static void out_of_time(int number)
 {
   (void)number;
   static const char text[] = "morphod: the stop took too long; ended at its deadline\n";
-  ssize_t written = write(STDERR_FILENO, text, sizeof(text) - 1);
-  (void)written;
+  log_writer_last_words(text, sizeof(text) - 1);
+  crash_forgive();
   _exit(EXIT_OK);
 }
 
@@ -205,7 +202,7 @@ static int run(struct process *process, const sigset_t *set)
   for (;;) {
     int number = wait_signal(set, round_us);
     if (atomic_load(&broken)) {
-      /* Nothing that is left could be written. The state recovers at the next start. */
+      /* Remaining work could not be written. The state recovers at the next start. */
       sd_notifyf(0, "STATUS=The state can no longer be written\nERRNO=%d", EIO);
       return EXIT_STATE;
     }
@@ -224,8 +221,8 @@ static int run(struct process *process, const sigset_t *set)
   }
 }
 
-/* One line per address on standard output and in the file that was asked for, written whole before
- * it gets its name. */
+/* Writes one line per address to standard output and to the port file, which gets its name only
+ * when it is complete. */
 static int announce(const struct process *process, struct mo_message *message)
 {
   const char *const *addresses;
@@ -268,6 +265,10 @@ static int serve(struct process *process)
   umask(077);
   log_open((enum log_format)process->settings.log_format,
            (enum log_level)process->settings.log_level);
+  if (log_start() != 0) { /* after the signals are blocked, so that its thread does not take them */
+    log_error("cannot start", LOG_TEXT("reason", "no thread for the log"));
+    return EXIT_SYSTEM;
+  }
   log_info("starting", LOG_TEXT("version", MORPHOD_VERSION),
            LOG_TEXT("state_dir", process->settings.state_dir),
            LOG_TEXT("config", process->request.config_found), LOG_INT("pid", getpid()));
@@ -294,11 +295,13 @@ int main(int argc, char **argv)
 {
   struct process process = {.argc = argc, .argv = (const char *const *)argv};
   struct settings_faults faults = {0};
+  if (argc > 1 && strcmp(argv[1], "store") == 0)
+    return store_command(argc, process.argv);
   load(&process, &process.settings, &process.request, &faults);
   enum settings_action action = process.request.action;
   int status = EXIT_OK;
   if (process.request.usage_fault) {
-    print_faults(&faults);
+    settings_faults_print(&faults);
     status = EXIT_USAGE;
   } else if (action == ACTION_HELP) {
     settings_print_help(stdout);
@@ -311,7 +314,7 @@ int main(int argc, char **argv)
       settings_check(&process.settings, action == ACTION_CHECK, &faults);
     if (faults.n_fatal > 0)
       status = EXIT_CONFIG;
-    print_faults(&faults);
+    settings_faults_print(&faults);
     if (action == ACTION_CHECK && status == EXIT_OK)
       printf("morphod: the configuration is sound (%s)\n",
              process.request.config_found != NULL ? process.request.config_found : "no file");
@@ -320,9 +323,12 @@ int main(int argc, char **argv)
     else if (action == ACTION_RUN && status == EXIT_OK)
       status = serve(&process);
   }
+  log_writer_stop(LOG_FLUSH_MS);
   settings_faults_free(&faults);
-  if (status == EXIT_STATE && process.service != NULL)
-    _exit(status); /* threads of the service still run: no destructors under them */
+  if (status == EXIT_STATE && process.service != NULL) {
+    crash_forgive();
+    _exit(status); /* threads of the service still run, so no destructors may run */
+  }
   settings_request_free(&process.request);
   settings_free(&process.settings);
   return status;

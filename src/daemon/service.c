@@ -1,6 +1,6 @@
-/* service.c: see service.h. Order of start: listeners (cheap to refuse), state folder, store, crash
- * marker, back end, jobs, controller, HTTP. The end goes the other way, except that jobs park
- * before HTTP ends, so that replies can still be given. */
+/* service.c: see service.h. Starts in this order: listeners (cheap to refuse), state folder, store,
+ * crash marker, back end, jobs, controller, HTTP. Stops in the reverse order, except that jobs park
+ * before HTTP ends, so that replies can still be sent. */
 #include "service.h"
 
 #include <errno.h>
@@ -18,12 +18,15 @@
 #include <morpho/compute.h>
 #include <morpho/controller.h>
 
+#include "base/clock.h"
+#include "base/json.h"
 #include "daemon/crash.h"
 #include "daemon/devices.h"
 #include "daemon/log.h"
+#include "daemon/log_writer.h"
+#include "daemon/memory.h"
 #include "daemon/tokens.h"
 #include "http/http.h"
-#include "http/json.h"
 #include "jobs/jobs.h"
 #include "store/store.h"
 
@@ -32,7 +35,7 @@
 #define ADDRESS_BYTES    256
 #define OPEN_LIMIT_US    (UINT64_C(3600) * 1000000)
 #define STORE_READERS                                                                              \
-  8 /* more than threads that read: those of the API, the HTTP clock, the scheduler */
+  8 /* more than the threads that read: those of the API, the HTTP clock, the scheduler */
 #define JOBS_STOP_MS  3000
 #define HTTP_GRACE_MS 1000
 
@@ -42,7 +45,7 @@ struct service {
   size_t n_listeners;
   char address_text[LISTENERS_MAX][ADDRESS_BYTES];
   const char *addresses[LISTENERS_MAX];
-  char *unix_paths[LISTENERS_MAX]; /* sockets that we made and remove at the end; NULL: not ours */
+  char *unix_paths[LISTENERS_MAX]; /* sockets created here, to be removed; else NULL */
   struct mo_store *store;
   struct mo_compute *compute;
   struct mo_jobs *jobs;
@@ -137,7 +140,7 @@ static void store_is_broken(void *context, const char *what)
   service->fatal(what);
 }
 
-/* A text of the event, ended by a NUL, in the room that is left for such. */
+/* Copies a text of the event into the space left, and terminates it. */
 static const char *keep(char **room, struct mo_json_slice text)
 {
   char *kept = *room;
@@ -147,11 +150,11 @@ static const char *keep(char **room, struct mo_json_slice text)
   return kept;
 }
 
-/* The members of an event's data become fields of its line. */
+/* Logs an event, with the members of its data as fields. */
 static void log_event(enum log_level level, const struct mo_event *event)
 {
   struct log_field fields[EVENT_FIELDS_MAX];
-  char kept[sizeof(event->data)], *room = kept; /* suffices: each text had its quotes */
+  char kept[sizeof(event->data)], *room = kept; /* large enough: each text had quotes */
   size_t n = 0;
   fields[n++] = LOG_INT("event", event->sequence);
   if (event->job != 0)
@@ -164,7 +167,7 @@ static void log_event(enum log_level level, const struct mo_event *event)
   while (object && n < EVENT_FIELDS_MAX && mo_json_member(&json, &key)) {
     enum mo_json_kind kind = mo_json_peek(&json);
     double number;
-    if (mo_json_is(key, "id") || mo_json_is(key, "kind")) /* the job's id is there already */
+    if (mo_json_is(key, "id") || mo_json_is(key, "kind")) /* the line already has the job's id */
       mo_json_skip(&json);
     else if (kind == MO_JSON_STRING && mo_json_string(&json, &text)) {
       const char *name = keep(&room, key);
@@ -210,7 +213,7 @@ static void log_events(void *context, const struct mo_event *events, size_t n)
 static void log_request(void *context, const struct mo_http_log_entry *entry)
 {
   (void)context;
-  /* Health checks and scrapes come every few seconds and say nothing, as long as they succeed. */
+  /* Successful health checks and scrapes arrive every few seconds and carry no information. */
   bool probe = entry->status == 200 &&
                (strcmp(entry->path, "/healthz") == 0 || strcmp(entry->path, "/readyz") == 0 ||
                 strcmp(entry->path, "/metrics") == 0);
@@ -229,8 +232,8 @@ static void log_request(void *context, const struct mo_http_log_entry *entry)
 
 enum { CONTROLLER_NAME_BYTES = 128 };
 
-/* The name of a file without folder and ".safetensors"; "default" where that is no name for a
- * controller. */
+/* Returns the name of a file without folder and ".safetensors", or "default" if that is no valid
+ * name for a controller. */
 static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTES])
 {
   static const char ending[] = ".safetensors";
@@ -242,16 +245,16 @@ static const char *name_of_file(const char *path, char name[CONTROLLER_NAME_BYTE
   return mo_controller_name_check(name) == MO_OK ? name : "default";
 }
 
-/* The controller of the first start: "default", and by the name of its file, which stays when
- * "default" is replaced. */
+/* Stores the controller of the first start as "default" and under the name of its file, which
+ * remains when "default" is replaced. */
 static int store_default_controller(struct service *service, const struct settings *settings,
                                     struct mo_message *message)
 {
-  struct mo_controller_record record = {.damage = ""};
+  struct mo_controller_record record;
   int status = mo_store_controller(service->store, "default", &record);
   if (status == MO_ERR_CORRUPT)
     snprintf(message->text, sizeof(message->text), "the controller default cannot be read: %s",
-             record.damage[0] != '\0' ? record.damage : mo_error_text(status));
+             mo_error_text(status));
   if (status != MO_ERR_NOT_FOUND)
     return status;
   const char *path = settings->default_controller != NULL ? settings->default_controller
@@ -263,7 +266,7 @@ static int store_default_controller(struct service *service, const struct settin
   status = mo_controller_read(path, &controller, message);
   if (status == MO_OK)
     status = mo_controller_encode(controller, &bytes, &size);
-  /* The file's own bytes where they are at hand: the hash of a controller is that of its file. */
+  /* Use the file's own bytes if possible: the hash of a controller is that of its file. */
   FILE *file = status == MO_OK ? fopen(path, "re") : NULL;
   if (file != NULL) {
     struct stat info;
@@ -291,6 +294,22 @@ static int store_default_controller(struct service *service, const struct settin
   free(bytes);
   mo_controller_free(controller);
   return status;
+}
+
+static uint64_t max_memory_of(const struct settings *settings)
+{
+  return settings->max_memory > 0 ? settings->max_memory : memory_limit();
+}
+
+/* Returns the memory for bodies: eight of the largest, but not more than an eighth of max_memory.
+ */
+static uint64_t body_memory(const struct settings *settings)
+{
+  const uint64_t larger = settings->max_body_bytes > settings->max_controller_bytes
+                              ? settings->max_body_bytes
+                              : settings->max_controller_bytes;
+  const uint64_t most = max_memory_of(settings) / 8;
+  return 8 * larger < most ? 8 * larger : most;
 }
 
 static int start_http(struct service *service, const struct settings *settings,
@@ -328,18 +347,29 @@ static int start_http(struct service *service, const struct settings *settings,
       .header_timeout_ms = (uint32_t)settings->header_timeout_ms,
       .body_timeout_ms = (uint32_t)settings->body_timeout_ms,
       .idle_timeout_ms = (uint32_t)settings->idle_timeout_ms,
+      .max_body_memory = body_memory(settings),
       .version = MORPHOD_VERSION,
       .log = log_request,
+      .log_dropped = log_dropped,
   };
   struct mo_http_services services = {
       .store = service->store, .jobs = service->jobs, .compute = service->compute};
   if (status == MO_OK) {
-    service->n_listeners = 0; /* taken over, whatever comes of it */
+    service->n_listeners = 0; /* mo_http_start owns the listeners, even if it fails */
     status = mo_http_start(&config, &services, &service->http, message);
     service->n_listeners = config.n_listeners;
     if (status != MO_OK) /* closed by mo_http_start */
       for (size_t i = 0; i < service->n_listeners; i++)
         service->listeners[i] = -1;
+  }
+  if (status == MO_OK) {
+    struct mo_http_stats stats;
+    mo_http_get_stats(service->http, &stats);
+    if (stats.max_connections < settings->max_connections)
+      log_warning("the limit of open files allows fewer connections than max_connections: raise it "
+                  "(LimitNOFILE=)",
+                  LOG_INT("max_connections", settings->max_connections),
+                  LOG_INT("used", stats.max_connections));
   }
   tokens_free(&tokens);
   return status;
@@ -355,6 +385,13 @@ static int exit_status_of(int error, int otherwise)
   case MO_ERR_BUSY: return EXIT_IN_USE;
   default: return otherwise;
   }
+}
+
+int service_store_status(int error)
+{
+  const bool needs_a_person =
+      error == MO_ERR_FORMAT || error == MO_ERR_INVALID || error == MO_ERR_CONFLICT;
+  return exit_status_of(error, needs_a_person ? EXIT_CONFIG : EXIT_STATE);
 }
 
 static int fail_with(struct mo_message *message, int error, int otherwise)
@@ -381,6 +418,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
   service->fatal = fatal;
   service->subscription = -1;
   char *last_marker = NULL;
+  int64_t killed_us = 0;
+  const uint64_t max_memory = max_memory_of(settings);
   int exit_status = EXIT_OK;
   int error = open_listeners(service, settings, message);
   if (error != MO_OK) {
@@ -389,8 +428,8 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
     goto out;
   }
 
-  /* A migration, or the check after an unclean stop, takes as long as the database is large: the
-   * manager must not end it. */
+  /* A migration, or the check after an unclean stop, takes time in proportion to the database:
+   * systemd must not end it. */
   sd_notifyf(0, "STATUS=Opening the state folder\nEXTEND_TIMEOUT_USEC=%" PRIu64, OPEN_LIMIT_US);
   error = make_folders(settings->state_dir, message);
   struct mo_store_config store = {.path = settings->state_dir,
@@ -398,21 +437,24 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
                                   .events_kept = settings->events_kept,
                                   .fatal = store_is_broken,
                                   .fatal_context = service};
+  mo_store_limit_memory(max_memory / 8);
   if (error == MO_OK)
     error = mo_store_open(&store, &service->store, message);
   if (error == MO_OK)
-    error = crash_open(settings->state_dir, &last_marker, message);
+    error = crash_open(settings->state_dir, &last_marker, &killed_us, message);
   if (error != MO_OK) {
-    exit_status = fail_with(message, error, error == MO_ERR_FORMAT ? EXIT_CONFIG : EXIT_STATE);
+    exit_status = fail_with(message, error, service_store_status(error));
     goto out;
   }
   service->crash_marker = true;
   if (last_marker != NULL)
     log_warning("the last process crashed while it computed a job",
                 LOG_TEXT("marker", last_marker));
-  if (mo_store_repairs(service->store)[0] != '\0')
-    log_warning("damaged rows of the test set paper-test were written again",
-                LOG_TEXT("rows", mo_store_repairs(service->store)));
+  const struct mo_orphans *orphans = mo_store_orphans(service->store);
+  if (orphans->n > 0)
+    log_warning("files that nothing refers to are left alone; `morphod store clean` removes them",
+                LOG_INT("files", (int64_t)orphans->n), LOG_INT("bytes", (int64_t)orphans->bytes),
+                LOG_TEXT("first", orphans->first));
   mo_store_subscribe(service->store, log_events, service, &service->subscription);
 
   struct mo_compute_config compute = {.n_workers = (uint32_t)settings->workers,
@@ -446,7 +488,9 @@ int service_start(const struct settings *settings, void (*fatal)(const char *wha
                                 .max_active_trainings = (uint32_t)settings->max_trainings,
                                 .max_active_campaigns = (uint32_t)settings->max_campaigns,
                                 .version = MORPHOD_VERSION,
+                                .max_memory = max_memory,
                                 .crash_marker = last_marker,
+                                .killed_us = killed_us,
                                 .warn = job_has_failed};
   error = mo_jobs_create(service->store, service->compute, &jobs, &service->jobs, message);
   if (error != MO_OK) {
@@ -510,13 +554,6 @@ bool service_is_learning(struct service *service)
   return stats.active_trainings + stats.active_campaigns > 0;
 }
 
-static int64_t monotonic_us(void)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-}
-
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who)
 {
   struct mo_store_stats store;
@@ -525,7 +562,7 @@ bool service_is_alive(struct service *service, int64_t limit_us, const char **wh
   mo_store_get_stats(service->store, &store);
   mo_jobs_get_stats(service->jobs, &jobs);
   mo_http_get_stats(service->http, &http);
-  int64_t oldest_allowed = monotonic_us() - limit_us;
+  int64_t oldest_allowed = mo_clock_us() - limit_us;
   *who = store.heartbeat_us < oldest_allowed  ? "writer"
          : jobs.heartbeat_us < oldest_allowed ? "scheduler"
          : http.heartbeat_us < oldest_allowed ? "http"
@@ -549,8 +586,8 @@ void service_stop(struct service *service)
 {
   if (service->jobs != NULL && mo_jobs_stop(service->jobs, JOBS_STOP_MS) != MO_OK)
     log_warning("work was still being parked at its deadline; it is repeated at the next start");
-  /* While they still listen: later the path may be the socket of a next process, which found ours
-   * without a server. */
+  /* Remove the sockets while they still listen: later, the path may belong to the next process,
+   * which found these sockets without a server. */
   for (size_t i = 0; i < LISTENERS_MAX; i++)
     if (service->unix_paths[i] != NULL) {
       unlink(service->unix_paths[i]);

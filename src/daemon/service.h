@@ -1,4 +1,4 @@
-/* service.h: the parts of the service, put together and taken apart in the right order. */
+/* service.h: starts and stops the parts of the service in the right order. */
 #ifndef MORPHO_DAEMON_SERVICE_H
 #define MORPHO_DAEMON_SERVICE_H
 
@@ -10,7 +10,7 @@
 
 #include "daemon/settings.h"
 
-/* Exit statuses (morphod(8)): the numbers of sysexits.h that fit. */
+/* Exit statuses (morphod(8)), numbered as in sysexits.h. */
 enum exit_status {
   EXIT_OK = 0,
   EXIT_USAGE = 64,
@@ -22,36 +22,39 @@ enum exit_status {
   EXIT_CONFIG = 78
 };
 
+/* Maps an error of mo_store_open() to an exit status: EXIT_CONFIG if another try does not help. */
+int service_store_status(int error);
+
 struct service;
 
-/* Opens state, starts computing, serves. `fatal` is called from some thread when the process must
- * end (a failed write). On failure: what was opened is closed, the exit status is returned and
- * `message` says what is wrong. */
+/* Opens the state, starts computing, and serves. `fatal` is called from any thread when the process
+ * must end (a failed write). On failure, closes what was opened, fills `message` and returns the
+ * exit status. */
 int service_start(const struct settings *settings, void (*fatal)(const char *what),
                   struct service **service, struct mo_message *message);
 
-/* "http://127.0.0.1:8765" or "unix:/path", as many as there are listeners. */
+/* Returns the number of listeners and their addresses: "http://127.0.0.1:8765" or "unix:/path". */
 size_t service_addresses(const struct service *service, const char *const **addresses);
 
 /* Reads the token file again. */
 int service_reload_tokens(struct service *service, const struct settings *settings,
                           struct mo_message *message);
 
-/* Takes no new work from now on. */
+/* Accepts no new jobs from now on. */
 void service_drain(struct service *service);
-/* Whether no evaluation is being computed: what a stop waits for. Trainings and campaigns would
- * take hours: they are parked at once. */
+/* Returns whether no evaluation is being computed, for which a stop waits. Trainings and campaigns
+ * would take hours, so a stop parks them at once. */
 bool service_is_idle(struct service *service);
 bool service_is_learning(struct service *service);
 
-/* Whether scheduler, writer and HTTP came round within `limit_us`; else *who is the one that did
- * not. */
+/* Returns whether scheduler, writer and HTTP each had a round within `limit_us`; *who names the one
+ * that had not. */
 bool service_is_alive(struct service *service, int64_t limit_us, const char **who);
 
-/* Parks what runs, answers what waits, closes everything. */
+/* Parks running jobs, answers waiting requests, and closes everything. */
 void service_stop(struct service *service);
 
-/* A short account of what goes on, for STATUS= and the log. */
+/* Writes a short summary of the activity, for STATUS= and the log. */
 void service_describe(struct service *service, char *text, size_t capacity);
 
 #endif

@@ -1,5 +1,5 @@
-/* settings.c: the table, and how text becomes values. See settings.h; files, flags and checks are
- * in settings_load.c and settings_check.c. */
+/* settings.c: the table, and the conversion of text to values. See settings.h; files, flags and
+ * checks are in settings_load.c and settings_check.c. */
 #include "settings.h"
 
 #include <ctype.h>
@@ -39,7 +39,9 @@ const struct setting settings_table[] = {
     PATH_ROW("state_dir", state_dir, "",
              "$STATE_DIRECTORY, else $XDG_STATE_HOME/morphod, else ~/.local/state/morphod", false,
              "Folder of the database, controllers and recordings; made if missing, for the owner "
-             "alone."),
+             "alone. It must belong "
+             "to the "
+             "user that morphod runs as, and nobody else may write to it."),
     LIST_ROW("listen", listen, "127.0.0.1:8765", NULL, false,
              "Addresses to serve: host:port, [ipv6]:port or unix:/path; port 0 takes a free one. "
              "Sockets that systemd "
@@ -76,7 +78,8 @@ const struct setting settings_table[] = {
         "unix_groups", unix_groups, "", "none", false,
         "Groups whose members may use the unix sockets, besides root and the service's own user."),
     VALUE_ROW("max_connections", SETTING_NUMBER, max_connections, 1, 65536, "1024", NULL,
-              "Connections at one time; more are refused with 503."),
+              "Connections at one time; idle ones give way to new ones, and where none is idle, "
+              "more are refused with 503."),
     VALUE_ROW("max_streams", SETTING_NUMBER, max_streams, 1, 65536, "256", NULL,
               "Event streams at one time; more are refused with 503."),
     VALUE_ROW("max_body", SETTING_BYTES, max_body_bytes, 1 * KIB, 1 * GIB, "32M", NULL,
@@ -99,11 +102,19 @@ const struct setting settings_table[] = {
               "Campaigns that run side by side; the others wait in the order in which they came."),
     VALUE_ROW("max_recorded", SETTING_BYTES, max_recorded_bytes, 0, 16 * GIB, "64M", NULL,
               "Recorded trajectories of one evaluation; a request for more is refused with 422."),
+    VALUE_ROW("max_memory", SETTING_BYTES, max_memory, 0, MIB *GIB, "0",
+              "the machine's memory, or the limit of the cgroup or of the process if that is less, "
+              "without an eighth, "
+              "at least 64M",
+              "Memory that the service may take, at least 128M; a training or campaign that would "
+              "take more waits, or "
+              "is refused with 422."),
     VALUE_ROW("max_in_flight", SETTING_NUMBER, max_in_flight, 1, 65536, "64", NULL,
-              "Requests of one client handled at one time, event streams aside; more are refused "
+              "Requests of one client handled at one time, event streams and waits for jobs aside; "
+              "more are refused "
               "with 429."),
     VALUE_ROW("client_rate", SETTING_NUMBER, client_rate_per_s, 0, 1000000, "0", "no limit",
-              "Accepted submissions per second and client address; more are refused with 429."),
+              "Submissions and uploads per second and client; more are refused with 429."),
     VALUE_ROW("events_kept", SETTING_NUMBER, events_kept, 1000, UINT64_C(100000000), "100000", NULL,
               "Events kept for clients that come back with Last-Event-ID."),
     VALUE_ROW("drain_timeout", SETTING_DURATION, drain_timeout_ms, 0, 60 * SECOND, "5s", NULL,
@@ -139,12 +150,18 @@ void settings_fault(struct settings_faults *faults, bool fatal, const char *form
   if (n < 0)
     return;
   if (texts == NULL || flags == NULL) {
-    free(text); /* the count of fatal faults still says that something is wrong */
+    free(text); /* the count of fatal faults still reports an error */
     return;
   }
   faults->texts[faults->n] = text;
   faults->fatal[faults->n] = fatal;
   faults->n++;
+}
+
+void settings_faults_print(const struct settings_faults *faults)
+{
+  for (size_t i = 0; i < faults->n; i++)
+    fprintf(stderr, "morphod: %s%s\n", faults->fatal[i] ? "" : "warning: ", faults->texts[i]);
 }
 
 void settings_faults_free(struct settings_faults *faults)
@@ -216,7 +233,7 @@ static int units_of(enum setting_type type, const struct unit **units)
   }
 }
 
-/* The shortest way to write a value that reads back as the same value. */
+/* Writes the shortest text that reads back as the same value. */
 static void write_number(enum setting_type type, uint64_t value, char *text, size_t capacity)
 {
   if (type == SETTING_BYTES && value != 0 && value % GIB == 0)
@@ -288,8 +305,8 @@ int settings_set(struct settings *settings, const struct setting *setting, const
   switch (setting->type) {
   case SETTING_PATH: {
     char *copy = NULL;
-    /* Empty takes others back to their default; here it is a variable of a script that was not set.
-     */
+    /* An empty text resets other settings to their default. Here it means an unset variable of a
+     * script. */
     if (*text == 0 && source != SOURCE_DEFAULT &&
         setting->offset == offsetof(struct settings, state_dir))
       return mo_fail(message, MO_ERR_INVALID, "the path is empty");

@@ -1,13 +1,13 @@
-/* settings.h: everything about morphod that can be set, in one table.
+/* settings.h: all settings of morphod, in one table.
  *
  * A row of the table drives the parsing of the file, the environment and the flags, `--help`,
- * `--print-config`,
- * `--check-config`, the table in docs/configuration.md and the list in morphod(8): a setting that
- * is not in the table does not exist. Precedence: flag, environment variable, file, default.
+ * `--print-config`, `--check-config`, the table in docs/configuration.md and the list in
+ * morphod(8). A setting that is not in the table does not exist. Precedence: flag, environment
+ * variable, file, default.
  *
- * From the name `max_body` follow the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. File:
- * `name = value` lines, `#` comments. Lists are separated by commas or white space; a flag given
- * again adds to its list. Sizes take K, M, G (powers of 1024), durations ms, s, min, h. */
+ * The name `max_body` gives the flag `--max-body` and the variable `MORPHOD_MAX_BODY`. The file has
+ * `name = value` lines and `#` comments. Lists are separated by commas or white space; repeating a
+ * flag adds to its list. Sizes take K, M, G (powers of 1024), durations ms, s, min, h. */
 #ifndef MORPHO_DAEMON_SETTINGS_H
 #define MORPHO_DAEMON_SETTINGS_H
 
@@ -57,12 +57,13 @@ struct settings {
   uint64_t max_open_jobs, max_open_rollouts, max_trainings, max_campaigns;
   uint64_t max_in_flight;
   uint64_t max_recorded_bytes;
+  uint64_t max_memory; /* 0: memory_limit() */
   uint64_t client_rate_per_s;
   uint64_t events_kept;
   uint64_t drain_timeout_ms;
   int log_level, log_format;
   char *port_file;
-  /* For messages and --print-config: where each value came from. */
+  /* The source of each value, for messages and --print-config. */
   uint8_t source[SETTINGS_MAX];
 };
 
@@ -72,8 +73,8 @@ struct setting {
   bool reloads;              /* SIGHUP applies a new value */
   size_t offset;             /* of the value in struct settings */
   uint64_t min, max;         /* numbers, sizes, durations (milliseconds) */
-  const char *initial;       /* default, as it would be written in the file */
-  const char *initial_words; /* default in words where `initial` does not tell; else NULL */
+  const char *initial;       /* default, as written in the file */
+  const char *initial_words; /* default in words if `initial` cannot express it; else NULL */
   const char *choices;       /* SETTING_CHOICE: names separated by '|' */
   const char *help;          /* one or two sentences for people */
 };
@@ -89,9 +90,10 @@ struct settings_faults {
 };
 void settings_fault(struct settings_faults *faults, bool fatal, const char *format, ...)
     __attribute__((format(printf, 3, 4)));
+void settings_faults_print(const struct settings_faults *faults); /* on standard error */
 void settings_faults_free(struct settings_faults *faults);
 
-/* What the command line asks for besides settings. */
+/* What the command line requests besides settings. */
 enum settings_action {
   ACTION_RUN = 0,
   ACTION_HELP,
@@ -104,41 +106,42 @@ struct settings_request {
   enum settings_action action;
   const char *config; /* --config or MORPHOD_CONFIG; NULL: the usual places */
   char *config_found; /* the file that was read; NULL: none (malloc) */
-  bool usage_fault;   /* the command line itself is wrong (unknown flag, missing value) */
+  bool usage_fault;   /* the command line itself is invalid (unknown flag, missing value) */
 };
 
-/* All values to their defaults. MO_ERR_NO_MEMORY. */
+/* Sets all values to their defaults. MO_ERR_NO_MEMORY. */
 int settings_init(struct settings *settings);
 void settings_free(struct settings *settings);
 
-/* Reads flags, then file and environment, and applies them in order of precedence. Never stops at
- * the first fault. */
+/* Reads flags, then file and environment, and applies them in order of precedence. Continues after
+ * a fault. */
 void settings_load(struct settings *settings, int argc, const char *const *argv,
                    const char *const *environment, struct settings_request *request,
                    struct settings_faults *faults);
 void settings_request_free(struct settings_request *request);
 
-/* The parts of settings_load, for tests. `name` in messages. */
+/* The parts of settings_load, for tests. `name` is for messages. */
 void settings_read_text(struct settings *settings, const char *name, const char *text,
                         size_t length, struct settings_faults *faults);
 void settings_read_environment(struct settings *settings, const char *const *environment,
                                struct settings_faults *faults);
 
-/* Sets one value from its text. MO_ERR_INVALID, MO_ERR_RANGE with a message, MO_ERR_NO_MEMORY.
- * `append`: lists grow. */
+/* Sets one value from its text. `append`: adds to a list. MO_ERR_INVALID, MO_ERR_RANGE with a
+ * message; MO_ERR_NO_MEMORY. */
 int settings_set(struct settings *settings, const struct setting *setting, const char *text,
                  enum setting_source source, bool append, struct mo_message *message);
 
-/* Fills in what follows from the surroundings: state_dir, token_file from a credential. */
+/* Derives values from the environment: state_dir, token_file from a credential. */
 int settings_complete(struct settings *settings, const char *const *environment);
 
-/* Checks what the values refer to: folders, files, addresses, and what contradicts what. Reads,
- * never writes. `state_dir`: the state folder, too (a start finds out by itself, and tells a broken
- * folder from a broken configuration). */
+/* Checks folders, files and addresses to which the values refer, and contradictions. Reads only,
+ * never writes. `state_dir`: checks the state folder, too. (A start does not need this check: it
+ * reports a broken folder apart from a broken configuration.) */
 void settings_check(const struct settings *settings, bool state_dir,
                     struct settings_faults *faults);
 
-/* "127.0.0.1:8765", "[::1]:8765", "localhost:0", "unix:/run/x": MO_ERR_INVALID with a message. */
+/* Parses "127.0.0.1:8765", "[::1]:8765", "localhost:0" or "unix:/run/x". MO_ERR_INVALID with a
+ * message. */
 struct listen_address {
   bool is_unix, is_loopback;
   char host[256]; /* or the path */
@@ -147,7 +150,7 @@ struct listen_address {
 int settings_parse_address(const char *text, struct listen_address *address,
                            struct mo_message *message);
 
-/* Which devices: "auto", "none", or numbers. */
+/* The requested devices: "auto", "none", or numbers. */
 #define SETTINGS_DEVICES_MAX 64
 struct device_choice {
   bool all;
@@ -158,10 +161,10 @@ int settings_parse_devices(const struct setting_list *list, struct device_choice
 
 void settings_print_help(FILE *file);
 void settings_print(const struct settings *settings,
-                    FILE *file);       /* a file that gives these values */
+                    FILE *file);       /* prints a file with these values */
 void settings_print_table(FILE *file); /* Markdown */
 
-/* The value of a setting as text (malloc, NULL without memory). */
+/* Returns the value of a setting as text (malloc; NULL without memory). */
 char *settings_value_text(const struct settings *settings, const struct setting *setting);
 void settings_flag_name(const struct setting *setting, char *text,
                         size_t capacity); /* "--state-dir" */

@@ -1,5 +1,4 @@
-/* settings_check.c: what the values refer to. Everything here only reads: --check-config changes
- * nothing. */
+/* settings_check.c: checks what the values refer to. Only reads: --check-config changes nothing. */
 #include "settings.h"
 
 #include <arpa/inet.h>
@@ -16,6 +15,7 @@
 #include <morpho/controller.h>
 #include <morpho/rollout.h>
 
+#include "store/store.h"
 #include "tokens.h"
 
 static bool is_loopback(const char *host)
@@ -119,8 +119,8 @@ static void check_devices(const struct settings *settings, struct settings_fault
                    strerror(errno));
 }
 
-/* The state folder: a writable folder, or one that can be made below the deepest existing folder of
- * its path. */
+/* Checks that the state folder is writable, or can be made below the deepest existing folder of its
+ * path. */
 static void check_state_dir(const char *path, struct settings_faults *faults)
 {
   struct stat status;
@@ -129,13 +129,14 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
     return;
   }
   if (stat(path, &status) == 0) {
-    if (!S_ISDIR(status.st_mode))
-      settings_fault(faults, true, "state_dir: %s is not a folder", path);
+    struct mo_message message = {{0}};
+    const int fd = mo_state_folder_open(path, NULL, &message);
+    if (fd < 0)
+      settings_fault(faults, true, "state_dir: %s", message.text);
     else if (faccessat(AT_FDCWD, path, W_OK | X_OK, AT_EACCESS) != 0)
       settings_fault(faults, true, "state_dir: %s cannot be written: %s", path, strerror(errno));
-    else if ((status.st_mode & 022) != 0)
-      settings_fault(faults, false, "state_dir: %s can be written by others (mode %03o)", path,
-                     (unsigned)status.st_mode & 0777);
+    if (fd >= 0)
+      close(fd);
     return;
   }
   if (errno != ENOENT) {
@@ -173,8 +174,7 @@ static void check_state_dir(const char *path, struct settings_faults *faults)
 static void check_token_file(const char *path, struct settings_faults *faults)
 {
   struct stat status;
-  if (stat(path, &status) !=
-      0) { /* before it is opened: the reader of a pipe would wait for ever */
+  if (stat(path, &status) != 0) { /* before opening: reading a pipe would wait forever */
     settings_fault(faults, true, "token_file: %s: %s", path, strerror(errno));
   } else if (!S_ISREG(status.st_mode)) {
     settings_fault(faults, true, "token_file: %s is not a file", path);
@@ -191,7 +191,7 @@ static void check_token_file(const char *path, struct settings_faults *faults)
   }
 }
 
-/* A file that will be made: its folder can be written. */
+/* Checks that the folder of a file to be created is writable. */
 static void check_parent(const char *name, const char *path, struct settings_faults *faults)
 {
   char *folder = strdup(path);
@@ -242,8 +242,8 @@ static void check_controller(const char *path, struct settings_faults *faults)
                    message.text[0] != 0 ? message.text : mo_error_text(status));
 }
 
-/* Without a setting, the first start takes the controller of the installation; later starts need
- * none. */
+/* Checks the installed controller, which the first start takes if no setting names one. Later
+ * starts need none. */
 static void check_shipped_controller(const char *state_dir, struct settings_faults *faults)
 {
   static const char path[] = MORPHOD_DATADIR "/controllers/phototaxis.safetensors";
@@ -283,6 +283,8 @@ void settings_check(const struct settings *settings, bool state_dir, struct sett
     if (getgrnam(settings->unix_groups.items[i]) == NULL)
       settings_fault(faults, true, "unix_groups: there is no group \"%s\"",
                      settings->unix_groups.items[i]);
+  if (settings->max_memory > 0 && settings->max_memory < (UINT64_C(128) << 20))
+    settings_fault(faults, true, "max_memory: at least 128M are needed");
   if (settings->max_streams > settings->max_connections)
     settings_fault(faults, false, "max_streams is larger than max_connections and has no effect");
 }

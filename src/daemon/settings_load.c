@@ -1,5 +1,5 @@
-/* settings_load.c: file, environment and flags, and the texts that the table gives: help, a file,
- * Markdown. */
+/* settings_load.c: reads file, environment and flags, and prints the table as help, as a file and
+ * as Markdown. */
 #include "settings.h"
 
 #include <ctype.h>
@@ -52,7 +52,7 @@ static size_t distance(const char *a, const char *b)
   return row[m];
 }
 
-/* The setting whose name is nearest to a mistyped one; NULL if none is near. */
+/* Returns the setting whose name is nearest to a mistyped one; NULL if none is near. */
 static const struct setting *nearest(const char *name)
 {
   const struct setting *best = NULL;
@@ -100,7 +100,7 @@ static void read_line(struct settings *settings, const char *file, size_t number
   *equals = 0;
   char *name = trim(text);
   char *value = trim(equals + 1);
-  /* A comment may follow the value; a # inside a word belongs to it. */
+  /* A comment may follow the value; a # inside a word is part of the word. */
   for (char *c = value; *c != 0; c++)
     if (*c == '#' && (c == value || c[-1] == ' ' || c[-1] == '\t')) {
       *c = 0;
@@ -159,7 +159,7 @@ static bool read_file(struct settings *settings, const char *path, bool required
 {
   struct stat status;
   if (stat(path, &status) == 0 &&
-      S_ISFIFO(status.st_mode)) { /* a reload would wait for its writer for ever */
+      S_ISFIFO(status.st_mode)) { /* a reload would wait forever for its writer */
     settings_fault(faults, true, "%s is a pipe, not a file", path);
     return false;
   }
@@ -187,7 +187,8 @@ static bool read_file(struct settings *settings, const char *path, bool required
 void settings_read_environment(struct settings *settings, const char *const *environment,
                                struct settings_faults *faults)
 {
-  /* Variables of this prefix that are not settings: morphoctl's, and the name of the file. */
+  /* Variables with this prefix that are not settings: those of morphoctl, and the name of the file.
+   */
   static const char *const others[] = {"config", "server", "token"};
   for (const char *const *entry = environment; entry != NULL && *entry != NULL; entry++) {
     if (strncmp(*entry, "MORPHOD_", 8) != 0)
@@ -238,8 +239,8 @@ static void apply_flag(struct settings *settings, const struct setting *setting,
     settings_fault(faults, true, "%s: %s", flag, message.text);
 }
 
-/* One walk over the command line. `settings` NULL: look only for what comes before everything else
- * (action, --config). */
+/* Reads the command line once. `settings` NULL: looks only for the action and --config, which
+ * precede everything else. */
 static void read_flags(struct settings *settings, int argc, const char *const *argv,
                        struct settings_request *request, struct settings_faults *faults)
 {
@@ -248,7 +249,7 @@ static void read_flags(struct settings *settings, int argc, const char *const *a
     const char *equals = strchr(argv[i], '=');
     size_t length = equals != NULL ? (size_t)(equals - argv[i]) : strlen(argv[i]);
     bool known = length == 12 && strncmp(argv[i], "--foreground", length) ==
-                                     0; /* the only mode: accepted, changes nothing */
+                                     0; /* the only mode: accepted without effect */
     for (size_t a = 0; a < n_action_flags && !known; a++)
       if (strlen(action_flags[a].name) == length &&
           strncmp(argv[i], action_flags[a].name, length) == 0) {
@@ -321,7 +322,7 @@ void settings_load(struct settings *settings, int argc, const char *const *argv,
     if (read_file(settings, request->config, true, faults))
       request->config_found = strdup(request->config);
   } else if (request->config == NULL) {
-    /* systemd names the folder of ConfigurationDirectory=; by hand the usual place. */
+    /* systemd names the folder of ConfigurationDirectory=; otherwise the usual place. */
     const char *folder = variable(environment, "CONFIGURATION_DIRECTORY");
     char *path = NULL;
     if (asprintf(&path, "%s/morphod.conf",
@@ -345,7 +346,7 @@ void settings_request_free(struct settings_request *request)
 int settings_complete(struct settings *settings, const char *const *environment)
 {
   if (settings->state_dir == NULL) {
-    /* systemd gives a list separated by colons; ours has one folder. */
+    /* systemd gives a list separated by colons; morphod's has one folder. */
     const char *state = variable(environment, "STATE_DIRECTORY");
     const char *xdg = variable(environment, "XDG_STATE_HOME");
     const char *home = variable(environment, "HOME");
@@ -445,6 +446,8 @@ static void bounds_text(const struct setting *setting, char *text, size_t capaci
 void settings_print_help(FILE *file)
 {
   fputs("Usage: morphod [FLAG]...\n"
+        "       morphod store clean [--yes] [FLAG]...   removes files that nothing refers to; see "
+        "morphod(8)\n"
         "Scores voxel robots over HTTP. Runs in the foreground until SIGTERM or SIGINT; SIGHUP "
         "reloads tokens and log "
         "level.\n\n"

@@ -19,7 +19,7 @@ void tokens_free(struct tokens *tokens)
   *tokens = (struct tokens){0};
 }
 
-/* The rule of what a token may be is the HTTP room's. */
+/* Checks the tokens by the rules of the HTTP room. */
 static int check(const struct tokens *tokens, const char *path, struct mo_message *message)
 {
   struct mo_tokens taken;

@@ -1,4 +1,4 @@
-/* champions.c: a few designs that stand for a population (paper, appendix: morphological
+/* champions.c: picks a few designs that represent a population (paper, appendix: morphological
  * distinctiveness). */
 #include "evolution/internal.h"
 
@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Places of the population by score; what diverged last. */
+/* Ranks the places of the population by score; diverged ones come last. */
 static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_sound)
 {
   struct mo_rank *ranks = malloc(n * sizeof(*ranks));
@@ -22,8 +22,8 @@ static struct mo_rank *rank_all(const double *scores, uint32_t n, uint32_t *n_so
   return ranks;
 }
 
-/* `chosen`: (m) ranked places, best first; reorders them by distinctiveness. sums, genotypes:
- * scratch for m. */
+/* Orders `chosen`, (m) ranked places, best first, by distinctiveness. sums, genotypes: scratch for
+ * m. */
 static void order(struct mo_workspace workspace, const uint64_t *population, const uint32_t *chosen,
                   uint32_t m, uint64_t *genotypes, double *sums, struct mo_rank *ranks,
                   uint32_t *picks)

@@ -1,6 +1,6 @@
-/* phylogeny.c: who descends from whom. Parents have lower numbers than their children: one pass
- * over the numbers, downwards for ancestors and upwards for descendants, does it, however deep the
- * tree is. A parent that is not lower is not one. */
+/* phylogeny.c: ancestors, descendants and the Newick tree. Parents have lower numbers than their
+ * children, so one pass over the numbers is enough at any depth of the tree: downwards for
+ * ancestors, upwards for descendants. A parent whose number is not lower is ignored. */
 #include "evolution/internal.h"
 
 #include <inttypes.h>
@@ -36,7 +36,7 @@ void mo_descendants(const struct mo_descent *descents, uint32_t n, uint32_t numb
 /* ---- Newick ---- */
 
 #define BUFFER_BYTES 8192
-#define PIECE_BYTES  64 /* more than any one piece: ")4294967295:4294967295;\n" */
+#define PIECE_BYTES  64 /* more than any one piece: ")n4294967295:4294967295;\n" */
 
 struct writer {
   int (*write)(void *context, const char *text, size_t length);
@@ -77,8 +77,8 @@ static uint32_t parent_of(const struct forest *forest, uint32_t i)
   return parent < i ? parent : MO_NO_PARENT;
 }
 
-/* From the last to the first: what hangs on a parent is there before the parent is asked for, and
- * lists end up ascending. */
+/* Builds the child lists from the last design to the first: a parent comes after all its children,
+ * and lists end up ascending. */
 static void grow(const struct forest *forest, const uint8_t *keep, uint32_t n)
 {
   memset(forest->child, 0xff, n * sizeof(*forest->child));
@@ -101,10 +101,10 @@ static int put_label(const struct forest *forest, uint32_t i, struct writer *wri
   const uint32_t parent = parent_of(forest, i);
   int length;
   if (parent == MO_NO_PARENT)
-    length = snprintf(text, sizeof(text), "%" PRIu32 ";\n", i);
+    length = snprintf(text, sizeof(text), "n%" PRIu32 ";\n", i);
   else
     length = snprintf(
-        text, sizeof(text), "%" PRIu32 ":%" PRIu32, i,
+        text, sizeof(text), "n%" PRIu32 ":%" PRIu32, i,
         forest->born[i] > forest->born[parent] ? forest->born[i] - forest->born[parent] : 0);
   return put(writer, text, (size_t)length);
 }

@@ -1,7 +1,7 @@
-/* population.c: the first population: designs that were given, then random ones. */
+/* population.c: the initial population: given designs, then random ones. */
 #include "evolution/internal.h"
 
-#define ASK_EVERY 64 /* draws between two looks at `cancel` */
+#define ASK_EVERY 64 /* draws between two checks of `cancel` */
 
 /* Fills places *n … population − 1. */
 static int fill(const struct mo_campaign_settings *settings, struct mo_seen *seen,

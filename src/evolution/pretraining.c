@@ -1,12 +1,12 @@
-/* pretraining.c: the bodies that a pretraining learned from, drawn again.
+/* pretraining.c: draws again the bodies that a pretraining learned from.
  *
- * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those that are
- * held out and without those whose form came before. An empty set of the default workspace is
- * itself what tells them apart, so that ten million forms are held once.
+ * They are the draws of mo_training_draw: (seed, BODY, 0, i), i = 0, 1, …, without those held out
+ * and those whose form came before. If `set` is empty and of the default workspace, it also detects
+ * duplicates, so that ten million forms are held only once.
  *
- * A draw depends on its number alone, so threads share out a round of draws, and then what tells
- * them apart (form_set.h). A round has no more draws than bodies are wanting: however many of them
- * are new, none is one too many. */
+ * A draw depends only on its number, so threads divide a round of draws, and then the detection of
+ * duplicates (form_set.h). A round has at most as many draws as bodies are still missing, so it
+ * never finds too many new ones. */
 #include "evolution/internal.h"
 
 #include "base/parallel.h"
@@ -24,10 +24,10 @@ struct drawing {
   uint64_t seed;
   uint32_t n_threads;
   const volatile int *cancel;
-  struct mo_form_set *distinct; /* what tells the bodies apart */
-  struct mo_form_set *set;      /* NULL: it is that */
+  struct mo_form_set *distinct; /* detects duplicates */
+  struct mo_form_set *set;      /* NULL: `distinct` is the set */
   struct mo_workspace workspace;
-  size_t words; /* of a form of the workspace */
+  size_t words; /* words of a form of the workspace */
   uint64_t first;
   size_t n, room;
   uint64_t *bodies;    /* (room, MO_DEFAULT_WORDS); NULL without `set` */
@@ -66,7 +66,7 @@ static void draw_some(void *context, size_t first, size_t end)
   }
 }
 
-/* The forms of those that are new and fit the workspace. */
+/* Computes the forms, in the target workspace, of new bodies that fit it. */
 static void move_some(void *context, size_t first, size_t end)
 {
   struct drawing *drawing = context;
@@ -97,8 +97,8 @@ static uint32_t threads_for(const struct drawing *drawing)
   return drawing->n_threads < enough ? drawing->n_threads : (uint32_t)enough;
 }
 
-/* Draws that gave nothing new, in a row, up to the end of the round; MO_ERR_EXHAUSTED: they were
- * too many. */
+/* Counts the round's new bodies, and the draws in a row up to its end that gave nothing new.
+ * MO_ERR_EXHAUSTED: too many in a row. */
 static int count(const struct drawing *drawing, uint64_t *found, uint32_t *fruitless)
 {
   for (size_t i = 0; i < drawing->n; i++) {

@@ -1,5 +1,5 @@
-/* seen.c: which designs a campaign has had, by canonical form, over those that its controller was
- * pretrained on. */
+/* seen.c: the designs that a campaign has had, by canonical form, on top of those that its
+ * controller was pretrained on. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"

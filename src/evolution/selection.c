@@ -1,21 +1,21 @@
-/* selection.c: who lives.
+/* selection.c: selects the survivors.
  *
- * Candidates are ranked by score, then by number: no two have one rank, so that the order of the
- * candidates in memory does not matter to any scheme but novelty's sums, which are exact. A scheme
- * sees only those that did not diverge, by rank, and chooses which of them live; the diverged fill
- * what places are left, the older first. */
+ * Candidates are ranked by score, then by number, so no two have the same rank. The order of
+ * candidates in memory thus matters to no scheme except novelty's sums, which are exact. A scheme
+ * receives the candidates that did not diverge, by rank, and chooses the survivors among them.
+ * Diverged candidates fill the remaining places, oldest first. */
 #include "evolution/internal.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* What a scheme chooses from: (n) ranks, best first, none diverged; n > places. lives: (n), zeroed;
- * `places` of them become 1. */
+/* The input and output of a scheme: (n) ranks, best first, none diverged; n > places. lives: (n),
+ * zeroed; the scheme sets `places` of them to 1. */
 struct choice {
   const struct mo_campaign_settings *settings;
   uint32_t generation;
-  const uint64_t *genotypes; /* of all candidates */
+  const uint64_t *genotypes; /* for all candidates */
   const struct mo_candidate *candidates;
   uint32_t n_candidates;
   const struct mo_rank *ranks;
@@ -23,26 +23,10 @@ struct choice {
   uint8_t *lives;
 };
 
-static int compare_ranks(const void *a, const void *b)
-{
-  const struct mo_rank *one = a, *other = b;
-  if (one->score != other->score)
-    return one->score < other->score ? -1 : 1;
-  if (one->number != other->number)
-    return one->number < other->number ? -1 : 1;
-  return one->place < other->place ? -1 : one->place > other->place;
-}
-
-void mo_rank_sort(struct mo_rank *ranks, uint32_t n)
-{
-  if (n > 1)
-    qsort(ranks, n, sizeof(*ranks), compare_ranks);
-}
-
 /* ---- tournament ---- */
 
-/* The best lives. Each further survivor is the best of `tournament_size` draws, with repetition,
- * from those left. */
+/* Tournament: the best survives. Each further survivor is the best of `tournament_size` draws, with
+ * repetition, from those left. */
 static int choose_by_tournament(struct choice *choice)
 {
   uint32_t left = choice->n - 1; /* n > places ≥ 1 */
@@ -70,9 +54,9 @@ static int choose_by_tournament(struct choice *choice)
 
 /* ---- novelty ---- */
 
-/* The best lives; the others by (1 − weight) · rank by score + weight · rank by novelty, both from
- * 0; equal novelty, and an equal sum: the better score first. With weight 0 the sum is the rank by
- * score: truncation. */
+/* Novelty: the best survives, then those with the smallest (1 − weight) · rank by score + weight ·
+ * rank by novelty, both from 0. With equal novelty, or an equal sum, the better score goes first.
+ * With weight 0 the sum is the rank by score: truncation. */
 static int choose_by_novelty(struct choice *choice)
 {
   const double weight = choice->settings->selection.novelty_weight;
@@ -106,9 +90,9 @@ static int choose_by_novelty(struct choice *choice)
 
 /* ---- layers of age ---- */
 
-/* From the youngest layer to the last: the best of those that are not older than its limit and do
- * not live yet take its share of the places; what it cannot fill goes to the next. The last has no
- * limit and at least one place: the best lives. */
+/* Age layers, from the youngest to the last: the best candidates that are within the layer's age
+ * limit and not yet chosen take its share of the places; unfilled places go to the next layer. The
+ * last layer has no limit and at least one place, so the best survives. */
 static void choose_by_age(struct choice *choice)
 {
   const struct mo_selection *selection = &choice->settings->selection;
@@ -165,7 +149,7 @@ static int select_ranked(const struct mo_campaign_settings *settings, uint32_t g
     if (r < 0)
       return r;
   } else {
-    memset(lives, 1, places); /* the diverged are last in rank */
+    memset(lives, 1, places); /* diverged ones rank last */
   }
   uint32_t found = 0;
   for (uint32_t i = 0; i < n && found < places; i++)

@@ -1,9 +1,11 @@
-/* statistics.c: what designs are made of, and how a population stands.
+/* statistics.c: sizes of designs, and statistics of a population.
  *
- * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, how
- * many of the n genotypes hold voxel v: over all pairs          Σ_v c_v (n − c_v) of one to all
- * others    Σ_v (n − c_v where it holds v, c_v where it does not) Both are integers below 2^53,
- * exact in double as well. Columns are summed 64 at a time: no memory is needed. */
+ * Hamming distances are sums over voxels, so all pairs at once need only the column sums c_v, the
+ * number of the n genotypes that hold voxel v:
+ *   over all pairs          Σ_v c_v (n − c_v)
+ *   of one to all others    Σ_v (n − c_v where it holds v, c_v where it does not)
+ * Both are integers below 2^53, so they are exact in double too. Columns are summed 64 at a time,
+ * which needs no memory. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
@@ -12,7 +14,7 @@
 
 /* ---- distances ---- */
 
-/* Column sums of word w of the genotypes. */
+/* Computes the column sums of word w of the genotypes. */
 static void sum_columns(const uint64_t *genotypes, size_t words, size_t w, uint32_t n,
                         uint32_t counts[64])
 {
@@ -108,7 +110,7 @@ int mo_design_size(const struct mo_lattice *lattice, const uint64_t *bits,
 
 /* ---- populations ---- */
 
-/* Finite scores, ascending, to `sound`; returns how many. */
+/* Writes the finite scores, ascending, to `sound`; returns their number. */
 static uint32_t sort_scores(const double *scores, uint32_t n, struct mo_rank *sound)
 {
   uint32_t found = 0;
@@ -138,7 +140,7 @@ static void describe_scores(const struct mo_rank *sound, uint32_t n,
   }
 }
 
-/* `first`: one field of the first of n sizes. */
+/* Computes the spread of one field. `first`: that field in the first of n sizes. */
 static struct mo_spread spread_of(const uint32_t *first, uint32_t n)
 {
   const size_t stride = sizeof(struct mo_design_size) / sizeof(uint32_t);

@@ -1,20 +1,23 @@
 /* variation.c: the children of a generation (paper, section 2.5).
  *
- * Which numbers are taken from which stream is part of what a seed means: never change it.
- *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of 0 …
- * n − 1; its first round(share · n) places mutate, in this order, the others recombine mutants
- * (MUTATION, generation, i) for the child at place i: mo_genotype_mutate again and again
+ * A seed fixes which numbers are taken from which stream: never change it.
+ *   groups        (SELECTION, generation, MO_STREAM_GROUPS): a partial Fisher-Yates shuffle of
+ *                 0 … n − 1; its first round(share · n) places mutate, in this order, the
+ *                 others recombine
+ *   mutants       (MUTATION, generation, i) for the child at place i: mo_genotype_mutate until
+ *                 the child is new
  *   recombinants  (CROSSOVER, generation, 0): a pair is below(g), then below(g − 1) among the
- * others, g the size of the group fallbacks     (MUTATION, generation, i) for the child at place i:
- * below(g) chooses the parent, then as for mutants Places of children are given to those that are
- * born: what is discarded takes none. */
+ *                 others, g the size of the group
+ *   fallbacks     (MUTATION, generation, i) for the child at place i: below(g) chooses the
+ *                 parent, then as for mutants
+ * Only children that are kept take a place; discarded ones take none. */
 #include "evolution/internal.h"
 
 #include "morphospace/bits.h"
 
 #include <string.h>
 
-#define PAIRS_FRUITLESS 1000 /* discards in a row after which no pair is tried any more */
+#define PAIRS_FRUITLESS 1000 /* discards in a row after which no more pairs are tried */
 #define RATE_MAX        0.5
 #define ASK_EVERY       64
 
@@ -22,7 +25,7 @@ struct nursery {
   const struct mo_campaign_settings *settings;
   uint32_t generation;
   const uint64_t *parents;
-  const uint32_t *group; /* (n_group) places of those that recombine */
+  const uint32_t *group; /* (n_group) places of the parents that recombine */
   uint32_t n_group;
   struct mo_seen *seen;
   uint64_t *children;
@@ -48,7 +51,7 @@ static bool is_due(const struct nursery *nursery, uint32_t attempts)
   return attempts % ASK_EVERY == 1 && mo_is_cancelled(nursery->cancel);
 }
 
-/* What variation left in the next place: 1: it is new and was born; 0: empty or seen. */
+/* Keeps the child in the next place if it is new: 1; 0: empty or seen. */
 static int try_child(struct nursery *nursery, int made)
 {
   if (made == MO_ERR_EMPTY)
@@ -63,7 +66,7 @@ static void bear(struct nursery *nursery, enum mo_operator op, uint32_t first, u
       (struct mo_birth){.op = op, .parents = {first, second}, .attempts = attempts};
 }
 
-/* One mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
+/* Makes one mutant of `place`: 1; 0: nothing new in MO_FRUITLESS_MAX attempts. */
 static int bear_mutant(struct nursery *nursery, uint32_t place, struct mo_random *random)
 {
   const struct mo_campaign_settings *settings = nursery->settings;
@@ -98,7 +101,7 @@ static struct mo_random mutation_stream(const struct nursery *nursery)
   return random;
 }
 
-/* These three return 1 when they did what they could, 0 when the morphospace is exhausted. */
+/* These three functions return 1 when they are done, 0 when the morphospace is exhausted. */
 
 static int bear_mutants(struct nursery *nursery, const uint32_t *places, uint32_t n)
 {
@@ -151,7 +154,7 @@ static int bear_fallbacks(struct nursery *nursery)
   return r;
 }
 
-/* Moves `first` random ones of 0 … n − 1 to the front of `places`. */
+/* Moves `first` random numbers of 0 … n − 1 to the front of `places`. */
 static void shuffle(uint32_t *places, uint32_t n, uint32_t first, struct mo_random *random)
 {
   for (uint32_t i = 0; i < n; i++)

@@ -1,8 +1,9 @@
 /* accept.c: the acceptor, and the table of open connections with their deadlines.
  *
- * libmicrohttpd gets connections from here and never listens itself: this is where the limit on
- * connections is kept, with an answer (its own limit leaves clients in the backlog, and hangs when
- * reached this way), and where peers of the unix socket are checked. */
+ * libmicrohttpd never listens itself; it receives connections from here. So this file keeps the
+ * limit on connections and answers beyond it. (The library's own limit leaves clients in the
+ * backlog, and hangs when connections are added in this way.) It also checks the peers of the unix
+ * socket. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -18,28 +19,17 @@
 
 #include "http/server.h"
 
-#define LINGER_MAX 64
-#define LINGER_US  2000000
-#define LINGER_READS                                                                               \
-  16                     /* at a time: a client that sends without end must not hold the acceptor  \
-                          */
-#define UNACKED_MS 30000 /* a peer that acknowledges nothing for so long is gone */
+#include "base/clock.h"
 
-/* Connections that were answered with a refusal: what they still send is read and thrown away for a
- * moment, since closing at once would take the answer back. */
-struct lingering {
-  int fd[LINGER_MAX];
-  int64_t until_us[LINGER_MAX];
-  size_t n;
-};
+#define UNACKED_MS  30000 /* a peer that acknowledges nothing for this long is gone */
+#define KEPT_MAX    16
+#define LEAVING_MAX 32
+#define OTHER_FILES                                                                                \
+  512 /* descriptors for the database, files, devices, and connections that are ending */
 
-static void refuse(struct mo_http *http, struct lingering *linger, int fd, unsigned status,
-                   const char *detail)
+static void write_refusal(int fd, unsigned status, const char *id, const char *detail)
 {
   struct mo_text body = {0}, head = {0};
-  char id[17];
-  snprintf(id, sizeof(id), "%016llx",
-           (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
   mo_problem_write(&body, status, "about:blank", detail, "", id, NULL);
   mo_text_format(&head,
                  "HTTP/1.1 %u %s\r\nContent-Type: application/problem+json\r\nContent-Length: "
@@ -52,45 +42,37 @@ static void refuse(struct mo_http *http, struct lingering *linger, int fd, unsig
     (void)!send(fd, head.data, head.size, MSG_NOSIGNAL | MSG_DONTWAIT);
   mo_text_free(&head);
   mo_text_free(&body);
+}
+
+static void refuse(struct mo_http *http, struct mo_lingering *linger, int fd, unsigned status,
+                   const char *detail)
+{
+  char id[17];
+  snprintf(id, sizeof(id), "%016llx",
+           (unsigned long long)(http->id_key ^ atomic_fetch_add(&http->next_id, 1)));
+  write_refusal(fd, status, id, detail);
   shutdown(fd, SHUT_WR);
-  if (linger->n < LINGER_MAX) {
-    linger->fd[linger->n] = fd;
-    linger->until_us[linger->n++] = mo_http_clock_us() + LINGER_US;
-  } else {
-    close(fd);
-  }
+  mo_linger_add(linger, fd);
   atomic_fetch_add(&http->metrics.refused, 1);
 }
 
-/* Reads what came; forgets those that are done. */
-static void linger_on(struct lingering *linger, int64_t now_us)
+/* Identifies the client by its user on this machine, so that limits count all of the user's
+ * connections, of any kind. */
+static void set_user(struct mo_connection *connection, uid_t uid)
 {
-  char waste[4096];
-  for (size_t i = 0; i < linger->n;) {
-    ssize_t n = 1;
-    for (int k = 0; k < LINGER_READS && n > 0; k++)
-      n = recv(linger->fd[i], waste, sizeof(waste), MSG_DONTWAIT);
-    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) ||
-        now_us >= linger->until_us[i]) {
-      close(linger->fd[i]);
-      linger->n--;
-      linger->fd[i] = linger->fd[linger->n];
-      linger->until_us[i] = linger->until_us[linger->n];
-    } else {
-      i++;
-    }
-  }
+  memset(connection->client_key, 0, sizeof(connection->client_key));
+  connection->client_key[0] = 'u';
+  memcpy(connection->client_key + 4, &uid, sizeof(uid));
 }
 
-/* May this process use the unix socket? */
+/* Says whether the peer may use the unix socket. */
 static bool peer_allowed(const struct mo_http *http, int fd, struct mo_connection *connection)
 {
   struct ucred peer;
   socklen_t size = sizeof(peer);
   if (getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &peer, &size) != 0)
     return false;
-  connection->client_key[0] = 'u';
-  memcpy(connection->client_key + 4, &peer.uid, sizeof(peer.uid));
+  set_user(connection, peer.uid);
   snprintf(connection->client, sizeof(connection->client), "unix uid %u", (unsigned)peer.uid);
   if (peer.uid == 0 || peer.uid == geteuid())
     return true;
@@ -109,7 +91,8 @@ static bool peer_allowed(const struct mo_http *http, int fd, struct mo_connectio
   return false;
 }
 
-static void describe_tcp(const struct sockaddr_storage *name, struct mo_connection *connection)
+static void describe_tcp(struct mo_http *http, int fd, const struct sockaddr_storage *name,
+                         struct mo_connection *connection)
 {
   char host[INET6_ADDRSTRLEN] = "";
   if (name->ss_family == AF_INET) {
@@ -129,19 +112,130 @@ static void describe_tcp(const struct sockaddr_storage *name, struct mo_connecti
     snprintf(connection->client, sizeof(connection->client), "[%s]:%u", host,
              (unsigned)ntohs(v6.sin6_port));
   }
+  uid_t uid;
+  if (mo_peer_uid(http, fd, name, &uid)) {
+    size_t n = strlen(connection->client);
+    snprintf(connection->client + n, sizeof(connection->client) - n, " uid %u", (unsigned)uid);
+    set_user(connection, uid);
+  }
 }
 
-static void take(struct mo_http *http, struct lingering *linger, size_t listener, int fd,
+/* ---- places ---- */
+
+bool mo_connection_spare(struct mo_connection *connection, int64_t since_us)
+{
+  int64_t seen = atomic_load(&connection->spare_us);
+  while (seen != MO_GAVE_WAY &&
+         !atomic_compare_exchange_weak(&connection->spare_us, &seen, since_us))
+    ;
+  return seen != MO_GAVE_WAY;
+}
+
+static bool is_of(const struct mo_connection *connection, const unsigned char key[16])
+{
+  return memcmp(connection->client_key, key, sizeof(connection->client_key)) == 0;
+}
+
+/* Whether `one` gives way before `other`: an idle connection before one that receives a request,
+ * then the older one. */
+static bool goes_before(const struct mo_connection *one, const struct mo_connection *other)
+{
+  bool receiving = atomic_load(&one->receiving);
+  if (other == NULL || receiving != atomic_load(&other->receiving))
+    return other == NULL || !receiving;
+  return atomic_load(&one->spare_us) < atomic_load(&other->spare_us);
+}
+
+/* The client that more than half of the connections belong to, if there is one. With the
+ * connections' lock. */
+static const unsigned char *find_majority(const struct mo_http *http)
+{
+  const struct mo_connection *majority = NULL;
+  size_t votes = 0, n = 0, own = 0;
+  for (size_t fd = 0; fd < http->connections_top; fd++) {
+    const struct mo_connection *connection = http->connections[fd];
+    if (connection == NULL)
+      continue;
+    n++;
+    if (votes == 0)
+      majority = connection;
+    votes += majority == connection || is_of(connection, majority->client_key) ? 1 : -(size_t)1;
+  }
+  for (size_t fd = 0; fd < http->connections_top && majority != NULL; fd++)
+    own += http->connections[fd] != NULL && is_of(http->connections[fd], majority->client_key);
+  return 2 * own > n ? majority->client_key : NULL;
+}
+
+/* Counts the connections of each place, and finds the one that gives way first: one that has been
+ * spare for MO_STALL_US, or any spare one of a client that has more than half of all connections.
+ * With the connections' lock. */
+static void look_around(struct mo_http *http, int64_t now_us, uint32_t n[MO_PLACES],
+                        struct mo_connection *first[MO_PLACES])
+{
+  const unsigned char *majority = find_majority(http);
+  for (size_t fd = 0; fd < http->connections_top; fd++) {
+    struct mo_connection *connection = http->connections[fd];
+    int64_t since_us = connection != NULL ? atomic_load(&connection->spare_us) : MO_GAVE_WAY;
+    if (since_us == MO_GAVE_WAY)
+      continue;
+    n[connection->place]++;
+    bool spare = since_us <= now_us - MO_STALL_US ||
+                 (since_us != MO_NEVER && majority != NULL && is_of(connection, majority));
+    if (spare && goes_before(connection, first[connection->place]))
+      first[connection->place] = connection;
+  }
+}
+
+/* Cuts a connection, unless a whole request has arrived meanwhile. Call with the connections' lock,
+ * which keeps the descriptor open. */
+static bool give_way(struct mo_http *http, struct mo_connection *connection)
+{
+  int64_t seen = connection != NULL ? atomic_load(&connection->spare_us) : MO_NEVER;
+  if (seen == MO_NEVER ||
+      !atomic_compare_exchange_strong(&connection->spare_us, &seen, MO_GAVE_WAY))
+    return false;
+  atomic_fetch_add(&http->n_leaving, 1);
+  atomic_fetch_add(&http->metrics.gave_way, 1);
+  shutdown(connection->fd, SHUT_RDWR);
+  return true;
+}
+
+/* Finds a place for a new connection: a free one, or that of a connection that is cut. MO_PLACES:
+ * none. */
+static enum mo_place find_place(struct mo_http *http, bool is_unix)
+{
+  uint32_t max = http->config.max_connections, kept = max / 8 < KEPT_MAX ? max / 8 : KEPT_MAX;
+  const uint32_t places[MO_PLACES] = {[MO_PLACE_ORDINARY] = max - kept,
+                                      [MO_PLACE_UNIX] = kept / 2,
+                                      [MO_PLACE_HEALTH] = kept - kept / 2};
+  if (atomic_load(&http->n_connections) < places[MO_PLACE_ORDINARY])
+    return MO_PLACE_ORDINARY;
+  uint32_t n[MO_PLACES] = {0};
+  struct mo_connection *first[MO_PLACES] = {NULL};
+  pthread_mutex_lock(&http->connections_lock);
+  look_around(http, mo_clock_us(), n, first);
+  enum mo_place place = MO_PLACE_ORDINARY;
+  while (place < MO_PLACES && ((place == MO_PLACE_UNIX && !is_unix) ||
+                               (n[place] >= places[place] && !give_way(http, first[place]))))
+    place++;
+  pthread_mutex_unlock(&http->connections_lock);
+  return place;
+}
+
+static void take(struct mo_http *http, struct mo_lingering *linger, size_t listener, int fd,
                  struct sockaddr_storage *name, socklen_t size)
 {
   atomic_fetch_add(&http->metrics.accepted, 1);
-  /* An entry of a descriptor that is new: the library closed that connection before it told of it
-   * (no memory). */
+  /* An old entry for a new descriptor: the library ran out of memory and closed that connection
+   * without a callback. */
   struct mo_connection *lost = mo_connection_find(http, fd);
   if (lost != NULL)
     mo_connection_forget(http, lost);
-  if (atomic_load(&http->n_connections) >= http->config.max_connections ||
-      (size_t)fd >= http->connections_size) {
+  enum mo_transport transport = http->listener_transports[listener];
+  enum mo_place place = (size_t)fd < http->connections_size
+                            ? find_place(http, transport == MO_TRANSPORT_UNIX)
+                            : MO_PLACES;
+  if (place == MO_PLACES) {
     refuse(http, linger, fd, 503, "All connections of the service are in use; try again later.");
     return;
   }
@@ -151,7 +245,8 @@ static void take(struct mo_http *http, struct lingering *linger, size_t listener
     return;
   }
   connection->fd = fd;
-  connection->transport = http->listener_transports[listener];
+  connection->place = place;
+  connection->transport = transport;
   if (connection->transport == MO_TRANSPORT_UNIX) {
     if (!peer_allowed(http, fd, connection)) {
       free(connection);
@@ -164,16 +259,19 @@ static void take(struct mo_http *http, struct lingering *linger, size_t listener
     setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &one, sizeof(one));
     setsockopt(fd, SOL_SOCKET, SO_KEEPALIVE, &one, sizeof(one));
     setsockopt(fd, IPPROTO_TCP, TCP_USER_TIMEOUT, &unacked_ms, sizeof(unacked_ms));
-    describe_tcp(name, connection);
+    describe_tcp(http, fd, name, connection);
   }
-  atomic_store(&connection->deadline_us,
-               mo_http_clock_us() + (int64_t)http->config.header_timeout_ms * 1000);
+  int64_t now_us = mo_clock_us();
+  atomic_store(&connection->spare_us, now_us);
+  atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.header_timeout_ms * 1000);
   pthread_mutex_lock(&http->connections_lock);
   http->connections[fd] = connection;
+  if (http->connections_top <= (size_t)fd)
+    http->connections_top = (size_t)fd + 1;
   pthread_mutex_unlock(&http->connections_lock);
   atomic_fetch_add(&http->n_connections, 1);
-  /* The library compares no addresses of its own: a fixed one serves for unix sockets. Fails: it
-   * has closed the descriptor. */
+  /* The library compares no addresses here, so unix sockets share a fixed one. On failure it has
+   * closed the descriptor. */
   struct sockaddr_in fixed = {.sin_family = AF_INET};
   bool is_unix = connection->transport == MO_TRANSPORT_UNIX;
   if (MHD_add_connection(http->daemon, fd,
@@ -188,37 +286,37 @@ static void take(struct mo_http *http, struct lingering *linger, size_t listener
 static void *acceptor(void *context)
 {
   struct mo_http *http = context;
-  struct lingering linger = {.n = 0};
   struct pollfd *polled = calloc(http->n_listeners + 1, sizeof(*polled));
   if (polled == NULL)
-    return NULL; /* its heartbeat goes stale: the watchdog ends the process */
+    return NULL; /* the heartbeat goes stale, and the watchdog ends the process */
   polled[0] = (struct pollfd){.fd = http->stop_fd, .events = POLLIN};
   for (size_t i = 0; i < http->n_listeners; i++)
     polled[i + 1] = (struct pollfd){.fd = http->listeners[i], .events = POLLIN};
   while (!(polled[0].revents & POLLIN)) {
-    atomic_store(&http->acceptor_us, mo_http_clock_us());
-    if (poll(polled, http->n_listeners + 1, linger.n > 0 ? 20 : 1000) < 0)
+    atomic_store(&http->acceptor_us, mo_clock_us());
+    if (poll(polled, http->n_listeners + 1, 1000) < 0)
       for (size_t i = 0; i <= http->n_listeners; i++)
         polled[i].revents = 0;
-    linger_on(&linger, mo_http_clock_us());
     for (size_t i = 0; i < http->n_listeners; i++) {
       for (int burst = 0; (polled[i + 1].revents & POLLIN) && burst < 64; burst++) {
+        if (atomic_load(&http->n_leaving) >= LEAVING_MAX) {
+          poll(polled, 1, 1); /* wait for the I/O threads to close connections */
+          break;
+        }
         struct sockaddr_storage name = {0};
         socklen_t size = sizeof(name);
         int fd = accept4(http->listeners[i], (struct sockaddr *)&name, &size,
                          SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
-          take(http, &linger, i, fd, &name, size);
+          take(http, &http->lingering, i, fd, &name, size);
           continue;
         }
         if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)
-          poll(polled, 1, 50); /* a descriptor may come free; the backlog waits */
+          poll(polled, 1, 50); /* wait for a free descriptor; new connections stay in the backlog */
         break;
       }
     }
   }
-  for (size_t i = 0; i < linger.n; i++)
-    close(linger.fd[i]);
   free(polled);
   return NULL;
 }
@@ -239,6 +337,8 @@ void mo_connection_forget(struct mo_http *http, struct mo_connection *connection
   if (http->connections[connection->fd] == connection)
     http->connections[connection->fd] = NULL;
   pthread_mutex_unlock(&http->connections_lock);
+  if (atomic_load(&connection->spare_us) == MO_GAVE_WAY)
+    atomic_fetch_sub(&http->n_leaving, 1);
   free(connection);
   atomic_fetch_sub(&http->n_connections, 1);
 }
@@ -251,6 +351,17 @@ void mo_connection_cut(struct mo_http *http, const struct mo_connection *connect
   pthread_mutex_unlock(&http->connections_lock);
 }
 
+void mo_connection_refuse(struct mo_http *http, const struct mo_connection *connection,
+                          const char *id, const char *detail)
+{
+  pthread_mutex_lock(&http->connections_lock);
+  if (http->connections[connection->fd] == connection) {
+    write_refusal(connection->fd, 503, id, detail);
+    shutdown(connection->fd, SHUT_RDWR);
+  }
+  pthread_mutex_unlock(&http->connections_lock);
+}
+
 bool mo_connection_has_left(const struct mo_connection *connection)
 {
   char byte;
@@ -260,10 +371,10 @@ bool mo_connection_has_left(const struct mo_connection *connection)
 
 void mo_connections_expire(struct mo_http *http, int64_t now_us)
 {
-  /* The lock keeps descriptors from being closed, and so from being another connection's, until
-   * shutdown is through. */
+  /* The lock keeps the descriptors open until after the shutdown, so that none can be another
+   * connection's. */
   pthread_mutex_lock(&http->connections_lock);
-  for (size_t fd = 0; fd < http->connections_size; fd++) {
+  for (size_t fd = 0; fd < http->connections_top; fd++) {
     struct mo_connection *connection = http->connections[fd];
     if (connection != NULL && atomic_load(&connection->deadline_us) <= now_us) {
       atomic_store(&connection->deadline_us, MO_NEVER);
@@ -277,13 +388,19 @@ void mo_connections_expire(struct mo_http *http, int64_t now_us)
 int mo_connections_init(struct mo_http *http, struct mo_message *message)
 {
   struct rlimit limit;
-  rlim_t wanted = (rlim_t)http->config.max_connections + 512;
+  rlim_t wanted = (rlim_t)http->config.max_connections + OTHER_FILES;
   if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < wanted) {
     limit.rlim_cur = limit.rlim_max < wanted ? limit.rlim_max : wanted;
     setrlimit(RLIMIT_NOFILE, &limit);
   }
   if (getrlimit(RLIMIT_NOFILE, &limit) != 0)
     limit.rlim_cur = 1024;
+  if (limit.rlim_cur <
+      wanted) { /* accept fewer connections: everything else needs descriptors, too */
+    rlim_t others = limit.rlim_cur / 2 < OTHER_FILES ? limit.rlim_cur / 2 : OTHER_FILES;
+    http->config.max_connections =
+        limit.rlim_cur > others ? (uint32_t)(limit.rlim_cur - others) : 1;
+  }
   http->connections_size = limit.rlim_cur < (1 << 20) ? (size_t)limit.rlim_cur : (1 << 20);
   http->connections =
       calloc(http->connections_size,
@@ -298,7 +415,7 @@ int mo_acceptor_start(struct mo_http *http, struct mo_message *message)
 {
   for (size_t i = 0; i < http->n_listeners; i++)
     fcntl(http->listeners[i], F_SETFL, fcntl(http->listeners[i], F_GETFL) | O_NONBLOCK);
-  atomic_store(&http->acceptor_us, mo_http_clock_us());
+  atomic_store(&http->acceptor_us, mo_clock_us());
   if (pthread_create(&http->acceptor, NULL, acceptor, http) != 0)
     return mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the thread that accepts connections");
   http->acceptor_started = true;

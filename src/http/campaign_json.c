@@ -7,6 +7,7 @@
 
 #include "http/job_json.h"
 #include "http/learning_json.h"
+#include "store/fields.h"
 
 enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
                                           const struct mo_campaign_live *live)
@@ -26,7 +27,7 @@ static void write_reason(struct mo_text *text, const struct mo_campaign_status *
     mo_text_add(text, ",\"reason\":null");
 }
 
-/* The name that the resulting controller has or will have. */
+/* Writes the name that the resulting controller has or will have. */
 static void write_name(struct mo_text *text, const struct mo_campaign_status *status)
 {
   char made[40];
@@ -58,67 +59,25 @@ static void write_initial(struct mo_text *text, const struct mo_campaign_record 
     mo_text_add(text, ",\"initial\":\"random\"");
 }
 
-static void write_selection(struct mo_text *text, const struct mo_selection *selection)
-{
-  mo_text_format(text, ",\"selection\":{\"kind\":\"%s\"", mo_selection_name(selection->kind));
-  switch (selection->kind) {
-  case MO_SELECT_TOURNAMENT: mo_text_member_count(text, "size", selection->tournament_size); break;
-  case MO_SELECT_NOVELTY: mo_text_member_number(text, "weight", selection->novelty_weight); break;
-  case MO_SELECT_AGE_LAYERED:
-    mo_text_member_count(text, "layers", selection->n_layers);
-    mo_text_member_count(text, "age_gap", selection->age_gap);
-    break;
-  default: break;
-  }
-  mo_text_add(text, "}");
-}
-
-static void write_learning(struct mo_text *text, const struct mo_campaign_record *record)
-{
-  const struct mo_campaign_settings *settings = &record->settings;
-  if (settings->mode == MO_ZERO_SHOT) {
-    mo_text_add(text, ",\"learning\":null");
-    return;
-  }
-  mo_text_format(text, ",\"learning\":{\"parent_steps\":%u,\"child_steps\":%u,\"batch\":%u",
-                 settings->parent_steps, settings->child_steps,
-                 settings->batch > 0 ? settings->batch : settings->population);
-  mo_schedule_write(text, &settings->schedule);
-  mo_adam_write(text, settings->beta1, settings->beta2, settings->epsilon);
-  mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
-  mo_text_member_number(text, "adjoint_bound", settings->adjoint_bound);
-  mo_text_member(text, "adjoint_rule", mo_adjoint_rule_name(settings->adjoint_rule));
-  mo_text_member_number(text, "restart_weight", settings->restart_weight);
-  if (record->has_controller)
-    mo_text_add(text, ",\"sensor\":null");
-  else
-    mo_text_member(text, "sensor", mo_sensor_name(settings->sensor));
-  mo_text_member_count(text, "checkpoint_every_s", record->checkpoint_every_s);
-  mo_text_add(text, "}");
-}
-
 static void write_settings(struct mo_text *text, const struct mo_campaign_record *record)
 {
-  const struct mo_campaign_settings *settings = &record->settings;
-  const struct mo_workspace workspace = settings->workspace;
-  double rate =
-      settings->mutation_rate > 0 ? settings->mutation_rate : 1.0 / mo_workspace_voxels(workspace);
-  mo_text_format(text, ",\"settings\":{\"population\":%u,\"generations\":%u,\"seed\":%llu",
-                 settings->population, settings->generations, (unsigned long long)settings->seed);
+  struct mo_campaign_record shown = *record; /* with values in place of null */
+  struct mo_campaign_settings *settings = &shown.settings;
+  if (settings->mutation_rate == 0)
+    settings->mutation_rate = 1.0 / mo_workspace_voxels(settings->workspace);
+  if (settings->batch == 0)
+    settings->batch = settings->population;
+  if (record->has_controller)
+    settings->sensor = (enum mo_sensor) - 1; /* null: that of the controller */
+  mo_text_add(text, ",\"settings\":{");
+  mo_fields_write(text, &mo_campaign_record_fields, &shown);
   write_environments(text, record);
   write_initial(text, record);
-  mo_text_format(text, ",\"workspace\":[%u,%u,%u],\"mutation\":{\"share\":", workspace.nx,
-                 workspace.ny, workspace.nz);
-  mo_text_json_number(text, settings->mutation_share);
-  mo_text_member_number(text, "rate", rate);
-  mo_text_member_number(text, "growth", settings->mutation_growth);
-  mo_text_add(text, "}");
-  write_selection(text, &settings->selection);
-  write_learning(text, record);
-  mo_text_member_bool(text, "exclude_pretraining", settings->exclude_pretraining);
-  mo_text_member_number(text, "collapse_share", settings->collapse_share);
-  mo_text_add(text, ",\"physics\":");
-  mo_physics_write(text, &settings->physics);
+  mo_text_add(text, ",\"learning\":");
+  if (settings->mode == MO_ZERO_SHOT)
+    mo_text_add(text, "null");
+  else
+    mo_fields_write_object(text, &mo_campaign_record_learning_fields, &shown);
   mo_text_add(text, "}");
 }
 
@@ -408,7 +367,7 @@ void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_gen
   }
 }
 
-/* NaN: no campaign has a finite one. */
+/* Returns the spread of a number over the campaigns. NaN: it is finite in no campaign. */
 static struct mo_spread spread_of(const struct mo_replicate_row *row, int i)
 {
   if (row->numbers[i].n == 0)
@@ -490,9 +449,9 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
     mo_text_add(text, "inf");
   mo_text_format(text, ",%s", mo_operator_name((enum mo_operator)row->descent.op));
   mo_csv_number(text, row->score);
-  mo_text_add(text, ",");
+  mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
   mo_bits_write_id_bare(text, &row->form);
-  mo_text_add(text, ",");
+  mo_text_add(text, ",g");
   mo_bits_write_bare(text, &row->genotype);
   mo_text_format(text, ",%u,%u,%u,%u\n", row->size.voxels, row->size.footprint, row->size.masses,
                  row->size.springs);

@@ -1,32 +1,33 @@
-/* campaign_json.h: campaigns as the contract writes them. */
+/* campaign_json.h: writes campaigns as JSON and CSV, as in the contract. */
 #ifndef MORPHO_HTTP_CAMPAIGN_JSON_H
 #define MORPHO_HTTP_CAMPAIGN_JSON_H
 
-#include "http/text.h"
+#include "base/text.h"
 #include "jobs/campaigns.h"
 
-/* The state as it is shown: a running campaign that waits for room on the disk is paused. */
+/* Returns the state to show: a running campaign that waits for disk space is shown as paused. */
 enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
                                           const struct mo_campaign_live *live);
 
-/* The campaign. live: of this moment. */
+/* Writes a campaign. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_campaign_live *live);
 void mo_campaign_json_checkpoint(struct mo_text *text,
                                  const struct mo_campaign_checkpoint_row *row);
-/* The same as an item of the list of jobs. */
+/* Writes a campaign as an item of the list of jobs. */
 void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
                           const struct mo_campaign_live *live);
 
-/* Rows as objects, or as lines of CSV (numbers that are not finite: nothing) under their heading.
- */
+/* Write rows as JSON objects, or as CSV lines under their heading. In CSV a number that is not
+ * finite is an empty cell. */
 void mo_campaign_json_generation(struct mo_text *text, const struct mo_campaign_generation *row);
 void mo_campaign_csv_generation(struct mo_text *text, const struct mo_campaign_generation *row);
 void mo_campaign_json_step(struct mo_text *text, const struct mo_campaign_step *row);
 void mo_campaign_csv_step(struct mo_text *text, const struct mo_campaign_step *row);
 extern const char mo_campaign_csv_generations[], mo_campaign_csv_steps[];
 
-/* One generation of several campaigns: mean, least and most over those whose number is finite. */
+/* One generation over several campaigns: the mean, least and most of each number, over the
+ * campaigns in which it is finite. */
 enum mo_replicate_number {
   MO_REPLICATE_MEAN,
   MO_REPLICATE_BEST,
@@ -45,12 +46,14 @@ void mo_replicate_json(struct mo_text *text, const struct mo_replicate_row *row)
 void mo_replicate_csv(struct mo_text *text, const struct mo_replicate_row *row);
 extern const char mo_replicate_csv_heading[];
 
-/* A design of a campaign: the members of an object, without its braces, so that more can follow. */
+/* Writes a design of a campaign: the members of an object without its braces, so that more can
+ * follow. */
 void mo_campaign_json_design(struct mo_text *text, const struct mo_campaign_design *row);
-/* What the campaign did with it: parents, operator, born, died, score, as further members. */
+/* Writes what the campaign did with the design, as further members: parents, operator, born, died,
+ * score. */
 void mo_campaign_json_life(struct mo_text *text, const struct mo_campaign_design *row);
-/* A line of the phylogeny by the ALife data standard. end: generations after it are not told: what
- * died later lives. */
+/* Writes a line of the phylogeny in the ALife data standard. end: the last generation to report; a
+ * design that died later is written as alive. */
 void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_design *row,
                             int64_t end);
 extern const char mo_campaign_csv_designs[];

@@ -1,20 +1,24 @@
 /* campaign_request.c: see campaign_request.h.
  *
- * The defaults depend on mode and preset: a first pass over the text finds these, a second reads
- * everything over their defaults. What depends on several fields is checked after the last of them.
- */
+ * The defaults depend on mode and preset. A first pass over the text finds these two; a second pass
+ * reads all members over their defaults. Checks that involve several fields come last. */
 #include "http/campaign_request.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/learning_parts.h"
 #include "http/request_parts.h"
+#include "store/fields.h"
 
-/* What was given, as far as other fields depend on it. */
+/* Members of a request besides the settings of the tables. */
+#define OTHER_MEMBERS                                                                              \
+  "mode, preset, replicates, controller, environments, initial, learning, name, label, priority, " \
+  "weight, device"
+
+/* Which members were given, where other members depend on that. */
 struct given {
-  bool mode, known_mode; /* known: one of its words */
+  bool mode, known_mode; /* known_mode: its word is valid */
   bool controller, no_controller, learning, sensor, name;
 };
 
@@ -36,172 +40,18 @@ static int find_preset(const char *word, int *value)
   return code;
 }
 
-static int find_selection(const char *word, int *value)
-{
-  enum mo_selection_kind kind = MO_SELECT_TRUNCATION;
-  int code = mo_selection_from_name(word, &kind);
-  *value = (int)kind;
-  return code;
-}
-
-/* ---- groups of settings ---- */
-
-/* [nx, ny, nz], each at most the service's. Untouched if it is not valid. */
-static void read_workspace(struct mo_json *json, struct mo_workspace *workspace)
-{
-  const struct mo_workspace most = MO_DEFAULT_WORKSPACE;
-  const int64_t limits[3] = {most.nx, most.ny, most.nz};
-  int64_t sides[3] = {0};
-  unsigned depth = json->depth, before = json->faults->n;
-  size_t given = 0;
-  if (!mo_json_array(json))
-    return;
-  while (mo_json_item(json)) {
-    if (given < 3)
-      mo_json_integer(json, 1, limits[given], &sides[given]);
-    else
-      mo_json_skip(json);
-    given++;
-  }
-  if (!json->stop && given != 3)
-    mo_json_fault_at(json, depth, "",
-                     "%zu numbers are given; exactly 3, the voxels along x, y and z, are expected",
-                     given);
-  if (!json->stop && json->faults->n == before)
-    *workspace = (struct mo_workspace){(uint16_t)sides[0], (uint16_t)sides[1], (uint16_t)sides[2]};
-}
-
-static void read_mutation(struct mo_json *json, struct mo_campaign_settings *settings)
-{
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "share")) {
-      mo_json_bounded(json, 0, 1, &settings->mutation_share);
-    } else if (mo_json_is(key, "rate")) {
-      if (mo_json_peek(json) == MO_JSON_NULL)
-        mo_json_skip(json); /* one voxel of the workspace, on average */
-      else
-        mo_read_positive(json, 0.5, &settings->mutation_rate);
-    } else if (mo_json_is(key, "growth")) {
-      mo_json_bounded(json, 1, 2, &settings->mutation_growth);
-    } else {
-      mo_read_unknown(json, "share, rate, growth");
-    }
-  }
-}
-
-#define SELECTIONS "\"truncation\", \"tournament\", \"novelty\" or \"age-layered\""
-
-static void read_selection_object(struct mo_json *json, struct mo_selection *selection)
-{
-  struct mo_selection read = *selection;
-  bool has_kind = false, known = false, size = false, weight = false, layers = false, gap = false;
-  unsigned depth = json->depth, before = json->faults->n;
-  struct mo_json_slice key;
-  int kind = 0;
-  mo_json_object(json);
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "kind")) {
-      has_kind = true;
-      known = mo_read_word(json, find_selection, SELECTIONS, &kind);
-    } else if (mo_json_is(key, "size")) {
-      size = true;
-      mo_read_count(json, 2, 64, &read.tournament_size);
-    } else if (mo_json_is(key, "weight")) {
-      weight = true;
-      mo_json_bounded(json, 0, 1, &read.novelty_weight);
-    } else if (mo_json_is(key, "layers")) {
-      layers = true;
-      mo_read_count(json, 2, 16, &read.n_layers);
-    } else if (mo_json_is(key, "age_gap")) {
-      gap = true;
-      mo_read_count(json, 1, 1000, &read.age_gap);
-    } else {
-      mo_read_unknown(
-          json, "kind; size of a tournament; weight of novelty; layers and age_gap of age-layered");
-    }
-  }
-  if (json->stop)
-    return;
-  if (!has_kind)
-    mo_json_fault_at(json, depth, "", "kind is missing: " SELECTIONS);
-  if (!known)
-    return;
-  read.kind = (enum mo_selection_kind)kind;
-  if (size && read.kind != MO_SELECT_TOURNAMENT)
-    mo_json_fault_at(json, depth, "/size",
-                     "the size is that of a tournament; this selection has none");
-  if (weight && read.kind != MO_SELECT_NOVELTY)
-    mo_json_fault_at(json, depth, "/weight",
-                     "the weight is that of novelty; this selection has none");
-  if (layers && read.kind != MO_SELECT_AGE_LAYERED)
-    mo_json_fault_at(json, depth, "/layers",
-                     "layers are those of age-layered; this selection has none");
-  if (gap && read.kind != MO_SELECT_AGE_LAYERED)
-    mo_json_fault_at(json, depth, "/age_gap",
-                     "the gap is that of age-layered; this selection has none");
-  if (json->faults->n == before)
-    *selection = read;
-}
-
-static void read_selection(struct mo_json *json, struct mo_selection *selection)
-{
-  enum mo_json_kind next = mo_json_peek(json);
-  int kind;
-  if (next == MO_JSON_STRING) {
-    if (mo_read_word(json, find_selection, SELECTIONS ", or an object with kind and its settings,",
-                     &kind))
-      selection->kind = (enum mo_selection_kind)kind;
-  } else if (next == MO_JSON_OBJECT) {
-    read_selection_object(json, selection);
-  } else if (next != MO_JSON_NONE) {
-    mo_json_fault(json, SELECTIONS ", or an object with kind and its settings, is expected");
-    mo_json_skip(json);
-  }
-}
+/* ---- learning ---- */
 
 static void read_learning(struct mo_json *json, struct mo_campaign_record *record,
                           struct given *given)
 {
-  struct mo_campaign_settings *settings = &record->settings;
   struct mo_json_slice key;
   if (!mo_json_object(json))
     return;
   while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "parent_steps")) {
-      mo_read_count(json, 0, MO_CAMPAIGN_STEPS_MAX, &settings->parent_steps);
-    } else if (mo_json_is(key, "child_steps")) {
-      mo_read_count(json, 0, MO_CAMPAIGN_STEPS_MAX, &settings->child_steps);
-    } else if (mo_json_is(key, "batch")) {
-      if (mo_json_peek(json) == MO_JSON_NULL)
-        mo_json_skip(json); /* the population */
-      else
-        mo_read_count(json, 1, MO_TRAINING_BATCH_MAX, &settings->batch);
-    } else if (mo_json_is(key, "schedule")) {
-      mo_read_schedule(json, &settings->schedule);
-    } else if (mo_json_is(key, "adam")) {
-      mo_read_adam(json, &settings->beta1, &settings->beta2, &settings->epsilon);
-    } else if (mo_json_is(key, "gradient_norm_limit")) {
-      mo_read_limit(json, MO_GRADIENT_NORM_LIMIT_MAX, &settings->norm_limit);
-    } else if (mo_json_is(key, "adjoint_bound")) {
-      mo_read_limit(json, MO_ADJOINT_BOUND_MAX, &settings->adjoint_bound);
-    } else if (mo_json_is(key, "adjoint_rule")) {
-      mo_read_adjoint_rule(json, &settings->adjoint_rule);
-    } else if (mo_json_is(key, "restart_weight")) {
-      mo_json_bounded(json, 0, MO_RESTART_WEIGHT_MAX, &settings->restart_weight);
-    } else if (mo_json_is(key, "sensor")) {
-      given->sensor = true;
-      mo_read_sensor(json, &settings->sensor);
-    } else if (mo_json_is(key, "checkpoint_every_s")) {
-      mo_read_count(json, 0, MO_CHECKPOINT_SECONDS_MAX, &record->checkpoint_every_s);
-    } else {
-      mo_read_unknown(
-          json,
-          "parent_steps, child_steps, batch, schedule, adam, gradient_norm_limit, adjoint_bound, "
-          "adjoint_rule, restart_weight, sensor, checkpoint_every_s");
-    }
+    given->sensor |= mo_json_is(key, "sensor");
+    if (!mo_fields_read_member(json, key, &mo_campaign_record_learning_fields, record))
+      mo_fields_unknown(json, NULL, &mo_campaign_record_learning_fields);
   }
 }
 
@@ -247,7 +97,7 @@ static int read_initial(struct mo_json *json, struct mo_parsed_campaign *parsed)
   return code;
 }
 
-/* Voxels that the body takes along x, y, z; zeros for an empty one. */
+/* Finds the size of the body in voxels along x, y, z; zeros for an empty body. */
 static void extent(const struct mo_bits *bits, uint32_t size[3])
 {
   const struct mo_workspace ours = MO_DEFAULT_WORKSPACE;
@@ -267,7 +117,7 @@ static void extent(const struct mo_bits *bits, uint32_t size[3])
 
 struct listed {
   struct mo_bits form;
-  uint32_t place, first; /* first: place of the first with this form */
+  uint32_t place, first; /* first: place of the first design with this form */
 };
 
 static int by_form(const void *a, const void *b)
@@ -283,8 +133,8 @@ static int by_place(const void *a, const void *b)
   return x->place < y->place ? -1 : x->place > y->place;
 }
 
-/* Designs that do not fit the campaign's workspace, or that came before. Those with faults of their
- * own are empty. */
+/* Adds faults for designs that do not fit the campaign's workspace or repeat an earlier one.
+ * Designs with faults of their own are empty here. */
 static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *parsed)
 {
   const struct mo_campaign_record *record = &parsed->request.record;
@@ -329,7 +179,7 @@ static int check_listed(struct mo_json *json, const struct mo_parsed_campaign *p
 
 /* ---- the whole ---- */
 
-/* What depends on the mode. */
+/* Checks what depends on the mode. */
 static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *parsed,
                        const struct given *given)
 {
@@ -357,7 +207,7 @@ static void check_mode(struct mo_json *json, const struct mo_parsed_campaign *pa
                      "alone");
 }
 
-/* What depends on several fields. */
+/* Checks what depends on several fields. */
 static int check_together(struct mo_json *json, const struct mo_parsed_campaign *parsed,
                           const struct given *given)
 {
@@ -416,7 +266,7 @@ static void read_controller(struct mo_json *json, struct mo_parsed_campaign *par
   mo_read_controller(json, parsed->controller);
 }
 
-/* Of the campaign as a job: false if the key is none of these. */
+/* Reads a member that all jobs have. False: `key` is none of these. */
 static bool read_job_field(struct mo_json *json, struct mo_json_slice key,
                            struct mo_parsed_campaign *parsed)
 {
@@ -444,8 +294,6 @@ static int read_field(struct mo_json *json, struct mo_json_slice key,
                       struct mo_parsed_campaign *parsed, struct given *given)
 {
   struct mo_campaign_record *record = &parsed->request.record;
-  struct mo_campaign_settings *settings = &record->settings;
-  int64_t seed;
   int word;
   if (mo_json_is(key, "mode")) {
     given->mode = true;
@@ -453,44 +301,21 @@ static int read_field(struct mo_json *json, struct mo_json_slice key,
         mo_read_word(json, find_mode, "\"zero-shot\", \"few-shot\" or \"simultaneous\"", &word);
   } else if (mo_json_is(key, "preset")) {
     mo_read_word(json, find_preset, "\"paper\", \"workstation\" or \"demo\"", &word);
-  } else if (mo_json_is(key, "population")) {
-    mo_read_count(json, MO_POPULATION_MIN, MO_POPULATION_MAX, &settings->population);
-  } else if (mo_json_is(key, "generations")) {
-    mo_read_count(json, 0, MO_GENERATIONS_MAX, &settings->generations);
-  } else if (mo_json_is(key, "seed")) {
-    if (mo_json_integer(json, 0, MO_SEED_MAX, &seed))
-      settings->seed = (uint64_t)seed;
   } else if (mo_json_is(key, "controller")) {
     read_controller(json, parsed, given);
   } else if (mo_json_is(key, "environments")) {
     return mo_read_environments(json, &parsed->environments, &record->n_environments);
   } else if (mo_json_is(key, "initial")) {
     return read_initial(json, parsed);
-  } else if (mo_json_is(key, "workspace")) {
-    read_workspace(json, &settings->workspace);
-  } else if (mo_json_is(key, "mutation")) {
-    read_mutation(json, settings);
-  } else if (mo_json_is(key, "selection")) {
-    read_selection(json, &settings->selection);
   } else if (mo_json_is(key, "learning")) {
     given->learning = true;
     read_learning(json, record, given);
-  } else if (mo_json_is(key, "exclude_pretraining")) {
-    mo_json_bool(json, &settings->exclude_pretraining);
-  } else if (mo_json_is(key, "collapse_share")) {
-    mo_json_bounded(json, 0, 1, &settings->collapse_share);
-  } else if (mo_json_is(key, "physics")) {
-    mo_read_physics(json, &settings->physics);
   } else if (mo_json_is(key, "name")) {
     given->name = true;
     mo_read_name(json, record->name);
-  } else if (!read_job_field(json, key, parsed)) {
-    mo_read_unknown(
-        json,
-        "mode, preset, population, generations, seed, replicates, controller, environments, "
-        "initial, "
-        "workspace, mutation, selection, learning, exclude_pretraining, collapse_share, physics, "
-        "name, label, priority, weight, device");
+  } else if (!read_job_field(json, key, parsed) &&
+             !mo_fields_read_member(json, key, &mo_campaign_record_fields, record)) {
+    mo_fields_unknown(json, OTHER_MEMBERS, &mo_campaign_record_fields);
   }
   return MO_OK;
 }
@@ -510,7 +335,7 @@ static int read_text(struct mo_json *json, const char *text, size_t size,
   if (code != MO_OK)
     return code;
   if (mo_campaign_mode_from_name(words[0], &mode) != MO_OK)
-    mode = MO_ZERO_SHOT; /* the second pass tells it */
+    mode = MO_ZERO_SHOT; /* the second pass reports the fault */
   if (mo_preset_from_name(words[1], &preset) != MO_OK)
     preset = MO_PRESET_WORKSTATION;
   record->settings = mo_campaign_preset(mode, preset);
@@ -569,7 +394,7 @@ void mo_campaign_parsed_free(struct mo_parsed_campaign *parsed)
 
 /* ---- small bodies ---- */
 
-/* An object of counts. needed: a key that must be there; nullable. */
+/* Reads an object of counts. needed: a required key; nullable. */
 struct count_field {
   const char *key;
   uint32_t min, max, *value;
@@ -586,13 +411,13 @@ static int read_counts(const char *text, size_t size, const struct count_field *
   if (mo_json_object(json)) {
     while (mo_json_member(json, &key)) {
       size_t i = 0;
+      found |= needed != NULL && mo_json_is(key, needed);
       while (i < n && !mo_json_is(key, fields[i].key))
         i++;
       if (i < n)
         mo_read_count(json, fields[i].min, fields[i].max, fields[i].value);
       else
         mo_read_unknown(json, expected);
-      found |= needed != NULL && mo_json_is(key, needed);
     }
     if (!json->stop && !found)
       mo_json_fault_at(json, 0, "", "%s is missing: a positive integer", needed);

@@ -1,5 +1,5 @@
-/* client.c: how much one client has under way. Clients are kept while they have requests, and a few
- * seconds longer for their rate. */
+/* client.c: limits per client: requests in flight, body memory, rate of submissions. A client is
+ * kept while it has requests, and a few seconds longer for its rate. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -10,10 +10,10 @@
 struct mo_client {
   struct mo_client *next;
   unsigned char key[16];
-  uint32_t in_flight;
+  uint32_t in_flight, parked;
   uint64_t body_bytes;  /* held by its requests' bodies */
-  double allowance;     /* submissions that may be made at once */
-  int64_t allowance_us; /* when it was reckoned; 0: full */
+  double allowance;     /* submissions that are allowed at once */
+  int64_t allowance_us; /* when `allowance` was last updated; 0: it is full */
   int64_t left_us;
 };
 
@@ -42,7 +42,7 @@ static struct mo_client **bucket_of(struct mo_clients *clients, const unsigned c
   return &clients->buckets[(hash ^ hash >> 16) & 255];
 }
 
-/* Under the lock. NULL: no memory. */
+/* Finds or adds a client. Call with the lock. NULL: no memory. */
 static struct mo_client *find_or_add(struct mo_clients *clients, const unsigned char key[16])
 {
   struct mo_client **bucket = bucket_of(clients, key), *client = *bucket;
@@ -77,6 +77,14 @@ void mo_client_leave(struct mo_clients *clients, struct mo_client *client, int64
   pthread_mutex_lock(&clients->lock);
   client->in_flight--;
   client->left_us = now_us;
+  pthread_mutex_unlock(&clients->lock);
+}
+
+void mo_client_park(struct mo_clients *clients, struct mo_client *client, bool parked)
+{
+  pthread_mutex_lock(&clients->lock);
+  client->in_flight += parked ? -1U : 1;
+  client->parked += parked ? 1 : -1U;
   pthread_mutex_unlock(&clients->lock);
 }
 
@@ -129,7 +137,8 @@ void mo_clients_sweep(struct mo_clients *clients, int64_t now_us)
   for (size_t b = 0; b < 256; b++)
     for (struct mo_client **at = &clients->buckets[b]; *at != NULL;) {
       struct mo_client *client = *at;
-      if (client->in_flight == 0 && client->body_bytes == 0 && now_us - client->left_us > KEEP_US) {
+      if (client->in_flight == 0 && client->parked == 0 && client->body_bytes == 0 &&
+          now_us - client->left_us > KEEP_US) {
         *at = client->next;
         free(client);
       } else {

@@ -1,32 +1,33 @@
-/* download.c: long replies, written piece by piece.
+/* download.c: long replies, sent piece by piece.
  *
- * A reply that may have hundreds of megabytes (every design of a campaign) is not made in memory:
- * an API thread makes a piece of it, libmicrohttpd takes the piece, and when it is used up the
- * connection is suspended until an API thread has made the next. So neither an I/O thread waits for
- * the store nor does a slow reader hold more than one piece. A reply that fits its first piece is
- * an ordinary one, with its length.
+ * A reply of hundreds of megabytes (every design of a campaign) is never whole in memory. An API
+ * thread makes a piece and libmicrohttpd sends it; then the connection is suspended until an API
+ * thread has made the next piece. So no I/O thread waits for the store, and a slow reader holds
+ * only one piece. A reply that fits into its first piece is an ordinary one, with a Content-Length.
  *
- * Whoever has the request has the download: the I/O thread while the connection runs, one API
- * thread while it is suspended. */
+ * The thread that has the request also has the download: the I/O thread while the connection runs,
+ * one API thread while it is suspended. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/server.h"
 
-#define STALL_US    60000000            /* a reader that takes nothing for so long is cut off */
-#define PIECE_BYTES ((uint64_t)1 << 20) /* what a piece may take, for the limit on memory */
+#include "base/clock.h"
+
+#define STALL_US    60000000            /* a reader that takes nothing for this long is cut off */
+#define PIECE_BYTES ((uint64_t)1 << 20) /* size of a piece, as counted in the limit on memory */
 
 struct mo_download {
   mo_download_more more;
   void *context;
   void (*free_context)(void *context);
   struct mo_text piece;
-  size_t read; /* bytes of the piece that were taken */
+  size_t read; /* bytes of the piece that were sent */
   bool last;   /* the piece is the last one */
-  bool failed; /* the rest cannot be made: the reply ends in the middle, for the client to see */
+  bool failed; /* the rest cannot be made: the reply breaks off, so that the client notices */
 };
 
-/* The next piece. */
+/* Makes the next piece. */
 static int make_piece(struct mo_download *download)
 {
   download->piece.size = download->read = 0;
@@ -39,11 +40,10 @@ static int make_piece(struct mo_download *download)
 
 static bool reserve(struct mo_request *request, uint64_t bytes)
 {
-  struct mo_http *http = request->http;
-  mo_request_drop_body(request); /* it has served */
-  uint64_t before = atomic_fetch_add(&http->body_memory, bytes);
-  request->body_reserved = bytes;
-  return before == 0 || before + bytes <= http->config.max_body_memory;
+  mo_request_drop_body(request); /* the body is no longer needed */
+  bool taken = mo_body_memory_take(request->http, 0, bytes, false);
+  request->body_reserved = taken ? bytes : 0;
+  return taken;
 }
 
 static void discard(struct mo_download *download)
@@ -98,10 +98,10 @@ void mo_download_refill(struct mo_request *request)
   struct mo_download *download = request->download;
   struct MHD_Connection *mhd = request->mhd;
   download->failed = make_piece(download) != MO_OK;
-  MHD_resume_connection(mhd); /* from here on the I/O thread has it */
+  MHD_resume_connection(mhd); /* from here on the I/O thread has the request */
 }
 
-/* libmicrohttpd asks for bytes. */
+/* Gives libmicrohttpd the next bytes. */
 static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
 {
   (void)position;
@@ -109,7 +109,7 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   struct mo_download *download = request->download;
   size_t ready = download->failed ? 0 : download->piece.size - download->read;
   bool closed;
-  atomic_store(&request->connection->deadline_us, mo_http_clock_us() + STALL_US);
+  atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
   if (ready > 0) {
     size_t n = ready < capacity ? ready : capacity;
     memcpy(out, download->piece.data + download->read, n);
@@ -123,7 +123,7 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
     return MHD_CONTENT_READER_END_OF_STREAM;
   struct MHD_Connection *mhd = request->mhd;
   MHD_suspend_connection(mhd);
-  if (!mo_pool_give(request->http, request, &closed)) { /* it stops */
+  if (!mo_pool_give(request->http, request, &closed)) { /* the server is stopping */
     download->failed = true;
     MHD_resume_connection(mhd);
   }
@@ -136,11 +136,11 @@ enum MHD_Result mo_download_send(struct mo_request *request)
       MHD_create_response_from_callback(MHD_SIZE_UNKNOWN, 64 * 1024, reader, request, NULL);
   if (response == NULL)
     return MHD_NO;
-  atomic_store(&request->connection->deadline_us, mo_http_clock_us() + STALL_US);
+  atomic_store(&request->connection->deadline_us, mo_clock_us() + STALL_US);
   if (atomic_load(&request->http->stopping))
     request->reply.close = true;
   enum MHD_Result result = mo_reply_headers(request, response)
-                               ? MHD_queue_response(request->mhd, request->reply.status, response)
+                               ? mo_queue_response(request->mhd, request->reply.status, response)
                                : MHD_NO;
   MHD_destroy_response(response);
   return result;

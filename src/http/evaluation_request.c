@@ -1,11 +1,12 @@
-/* evaluation_request.c: see evaluation_request.h. Every fault names its place: a cell that is out
- * of bounds is /designs/3/cells/7/0. */
+/* evaluation_request.c: see evaluation_request.h. Every fault names its place: a cell out of bounds
+ * is at /designs/3/cells/7/0. */
 #include "http/evaluation_request.h"
 
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/request_parts.h"
+#include "rollout/physics.h"
 
 static void read_record(struct mo_json *json, struct mo_evaluation_request *request)
 {
@@ -49,7 +50,7 @@ static int read_request(struct mo_json *json, struct mo_parsed_evaluation *parse
     } else if (mo_json_is(key, "record_stride")) {
       stride_given = mo_json_integer(json, 1, MO_STEPS_MAX, &stride);
     } else if (mo_json_is(key, "physics")) {
-      mo_read_physics(json, &request->physics);
+      mo_fields_read(json, &mo_physics_fields, &request->physics);
     } else if (mo_json_is(key, "precision")) {
       if (mo_read_choice(json, "float32", "float64", &choice))
         request->precision = choice ? MO_FLOAT64 : MO_FLOAT32;

@@ -1,12 +1,12 @@
-/* evaluation_request.h: the body of POST /v1/evaluations, read and checked. No I/O: the fuzz target
- * calls this. */
+/* evaluation_request.h: parses the body of POST /v1/evaluations. Does no I/O: the fuzz target calls
+ * this. */
 #ifndef MORPHO_HTTP_EVALUATION_REQUEST_H
 #define MORPHO_HTTP_EVALUATION_REQUEST_H
 
-#include "http/fault.h"
+#include "http/problem.h"
 #include "jobs/jobs.h"
 
-/* A request and what its pointers point to. */
+/* A request and the data that its pointers point to. */
 struct mo_parsed_evaluation {
   struct mo_evaluation_request request;
   struct mo_bits *genotypes;
@@ -16,9 +16,9 @@ struct mo_parsed_evaluation {
   char label[MO_LABEL_BYTES_MAX + 1];
 };
 
-/* Reads `size` bytes (text[size] must be NUL). MO_OK; MO_ERR_FORMAT: not JSON (faults->malformed);
- * MO_ERR_INVALID: faults say what; MO_ERR_NO_MEMORY. Free in every case. idempotency_key and
- * body_sha256 are left to the caller. */
+/* Parses `size` bytes (text[size] must be NUL). MO_OK; MO_ERR_FORMAT: not JSON (faults->malformed);
+ * MO_ERR_INVALID: see the faults; MO_ERR_NO_MEMORY. Free in every case. The caller sets
+ * idempotency_key and body_sha256. */
 int mo_evaluation_parse(const char *text, size_t size, struct mo_parsed_evaluation *parsed,
                         struct mo_faults *faults);
 void mo_evaluation_parsed_free(struct mo_parsed_evaluation *parsed);

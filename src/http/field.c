@@ -7,6 +7,8 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/utf8.h"
+
 static int hex_digit(char c)
 {
   return c >= '0' && c <= '9'   ? c - '0'
@@ -75,6 +77,11 @@ bool mo_decimal(const char *text, size_t n, int64_t min, int64_t max, int64_t *v
   return true;
 }
 
+bool mo_id(const char *text, int64_t *id)
+{
+  return text[0] != '0' && mo_decimal(text, strlen(text), 1, INT64_MAX, id);
+}
+
 static const char *skip_blank(const char *at)
 {
   while (*at == ' ' || *at == '\t')
@@ -82,7 +89,7 @@ static const char *skip_blank(const char *at)
   return at;
 }
 
-/* Length of a text without the blanks at its end. */
+/* Returns the length of a text without trailing blanks. */
 static size_t trimmed(const char *at, size_t n)
 {
   while (n > 0 && (at[n - 1] == ' ' || at[n - 1] == '\t'))
@@ -117,7 +124,7 @@ int mo_prefer_wait(const char *field, int max)
   return -1;
 }
 
-/* Quality of one element of Accept: its parameter q in thousandths; −1 if malformed. */
+/* Returns the quality of one element of Accept: its parameter q in thousandths; −1 if malformed. */
 static int quality(const char *at, size_t n)
 {
   const char *end = at + n;
@@ -148,7 +155,7 @@ int mo_accept_choose(const char *field, const char *const *types, size_t n)
   for (size_t t = 0; t < n; t++) {
     const char *type = types[t];
     size_t major = strcspn(type, "/");
-    int q = 0, specific = -1; /* of the most specific element that names this type */
+    int q = 0, specific = -1; /* from the most specific element that matches this type */
     for (const char *at = field; *at != '\0';) {
       at = skip_blank(at);
       size_t size = strcspn(at, ",");

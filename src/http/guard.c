@@ -1,6 +1,7 @@
 /* guard.c: see guard.h. */
 #include "http/guard.h"
 
+#include <arpa/inet.h>
 #include <ctype.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,12 +25,19 @@ static bool is_token(const char *text, size_t n)
   return n > 0;
 }
 
+/* libmicrohttpd appends the further lines of a folded field to its name. */
+static bool is_folded(const struct mo_header *header, const char *name)
+{
+  size_t size = strlen(name);
+  return header->name_size > size && strncasecmp(header->name, name, size) == 0;
+}
+
 bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
                       struct mo_framing *framing, struct mo_refusal *refusal)
 {
   *framing = (struct mo_framing){0};
   const char *length = NULL, *coding = NULL, *expect = NULL;
-  /* Fields of which a second one is a contradiction, whatever it says. */
+  /* Fields that must not come twice, even with equal values. */
   const struct {
     const char *name;
     const char **value;
@@ -44,6 +52,7 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
       {"Content-Encoding", &framing->content_encoding},
       {"Idempotency-Key", &framing->idempotency_key},
       {"Last-Event-ID", &framing->last_event_id},
+      {"Sec-Fetch-Site", &framing->fetch_site},
       {"Prefer", &framing->prefer},
       {"Accept", &framing->accept},
       {"If-None-Match", &framing->if_none_match},
@@ -55,6 +64,9 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
     if (!is_token(header->name, header->name_size))
       return refuse(refusal, 400, true, NULL,
                     "a field name has characters that are not allowed in it");
+    if (is_folded(header, "Content-Length") || is_folded(header, "Transfer-Encoding"))
+      return refuse(refusal, 400, true, NULL,
+                    "a field that frames the body is folded, or has an unknown name");
     for (size_t k = 0; k < header->value_size; k++) {
       unsigned char c = (unsigned char)header->value[k];
       if ((c < 0x20 && c != '\t') || c == 0x7F)
@@ -71,6 +83,8 @@ bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
     return refuse(refusal, 400, true, "Content-Length",
                   "Content-Length and Transfer-Encoding must not be given together");
   if (coding != NULL) {
+    if (coding[0] == '\0')
+      return refuse(refusal, 400, true, "Transfer-Encoding", "the transfer coding is missing");
     if (http10)
       return refuse(refusal, 400, true, "Transfer-Encoding", "HTTP/1.0 has no transfer codings");
     if (strcasecmp(coding, "chunked") != 0)
@@ -156,7 +170,7 @@ void mo_names_free(struct mo_names *names)
   *names = (struct mo_names){0};
 }
 
-/* Is the authority (host, port) one of the configured names? A name without a port stands for every
+/* Says whether host and port are one of the configured names. A name without a port matches every
  * port. */
 static bool is_named(const char *host, unsigned port, const struct mo_names *names)
 {
@@ -171,15 +185,24 @@ static bool is_named(const char *host, unsigned port, const struct mo_names *nam
   return false;
 }
 
-bool mo_guard_host(const char *host, size_t n, const struct mo_names *names)
+/* Says whether a numeric address is one of loopback. */
+static bool is_loopback(const char *name)
+{
+  struct in6_addr v6;
+  return strncmp(name, "127.", 4) == 0 ||
+         (inet_pton(AF_INET6, name, &v6) == 1 && IN6_IS_ADDR_LOOPBACK(&v6));
+}
+
+bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names)
 {
   char name[256];
   unsigned port;
   bool literal;
   if (!mo_authority_split(host, n, name, &port, &literal))
     return false;
-  /* An address in digits cannot be rebound: the browser would have to be at that address already.
-   */
+  /* DNS rebinding cannot fake a numeric address: the browser would already have to be at that
+   * address. */
+  literal = literal && (!local || is_loopback(name));
   return names->any || literal || strcmp(name, "localhost") == 0 || is_named(name, port, names);
 }
 
@@ -200,6 +223,12 @@ bool mo_guard_origin(const char *origin, const char *host, const struct mo_names
     return false;
   unsigned usual = scheme == 7 ? 80 : 443;
   return strcmp(name, own) == 0 && (port == 0 ? usual : port) == (own_port == 0 ? usual : own_port);
+}
+
+bool mo_guard_fetch_site(const char *site)
+{
+  return site == NULL ||
+         (strcasecmp(site, "cross-site") != 0 && strcasecmp(site, "same-site") != 0);
 }
 
 /* ---- tokens ---- */
@@ -258,7 +287,7 @@ int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
   return MO_OK;
 }
 
-/* Equality that looks at every byte of `given`, whatever it finds. */
+/* Compares for equality. Looks at every byte of `given`, so that the time reveals nothing. */
 static unsigned equals(const char *secret, const char *given, size_t given_size)
 {
   size_t secret_size = strlen(secret);

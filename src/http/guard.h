@@ -1,9 +1,9 @@
-/* guard.h: what a request must satisfy before any route sees it.
+/* guard.h: checks that every request must pass before a route sees it.
  *
- * libmicrohttpd 0.9.75 lets through framing that two parsers may read differently (repeated or
- * spaced Content-Length, unknown transfer codings, control bytes in names): such requests are
+ * libmicrohttpd 0.9.75 accepts framing that two parsers may read differently (repeated, spaced or
+ * folded Content-Length, unknown transfer codings, control bytes in names). Such requests are
  * refused and their connection is closed. Host and Origin are checked so that no web page can reach
- * the service by rebinding a name. Tokens are compared in constant time. */
+ * the service by DNS rebinding. Tokens are compared in constant time. */
 #ifndef MORPHO_HTTP_GUARD_H
 #define MORPHO_HTTP_GUARD_H
 
@@ -23,7 +23,7 @@ struct mo_header {
 
 struct mo_refusal {
   unsigned status;
-  bool close;         /* the framing is in doubt: nothing more may be read from the connection */
+  bool close;         /* the framing is in doubt: read nothing more from the connection */
   const char *header; /* the field at fault, or NULL */
   const char *detail;
 };
@@ -34,16 +34,15 @@ struct mo_framing {
   uint64_t length;
   bool expects_continue;
   const char *host, *origin, *authorization, *accept, *content_type, *content_encoding, *prefer,
-      *idempotency_key, *if_none_match, *last_event_id;
+      *idempotency_key, *if_none_match, *last_event_id, *fetch_site;
 };
 
-/* False: *refusal is filled in. http10: the request's version is 1.0. */
+/* Checks the header. False: *refusal is filled in. http10: the request is HTTP/1.0. */
 bool mo_guard_headers(const struct mo_header *headers, size_t n, bool http10,
                       struct mo_framing *framing, struct mo_refusal *refusal);
 
-/* Request target in origin or absolute form: *path_size bytes of path from *path, query behind (not
- * NULL, "" if none; NUL-terminated), *authority: of the absolute form, else NULL. `target` is as it
- * came. */
+/* Splits a request target in origin or absolute form. path: path_size bytes; query: NUL-terminated,
+ * "" if none; authority: NULL unless the form is absolute. `target` is as received. */
 struct mo_target {
   const char *path, *query, *authority;
   size_t path_size, authority_size;
@@ -58,10 +57,14 @@ struct mo_names {
 int mo_names_copy(struct mo_names *names, const char *const *items, size_t n);
 void mo_names_free(struct mo_names *names);
 
-/* Host must be an address in digits, a loopback name, or one of `names`. */
-bool mo_guard_host(const char *host, size_t n, const struct mo_names *names);
-/* Origin must be the same host and port as `host`, or name one of `names`. */
+/* Accepts a Host that is a numeric address, a loopback name, or one of `names`. local: of numeric
+ * addresses, only those of loopback. */
+bool mo_guard_host(const char *host, size_t n, bool local, const struct mo_names *names);
+/* Accepts an Origin that has the host and port of `host`, or is one of `names`. */
 bool mo_guard_origin(const char *origin, const char *host, const struct mo_names *names);
+/* False: Sec-Fetch-Site (nullable) says that the request comes from a page of another site, or of
+ * another name of this site. */
+bool mo_guard_fetch_site(const char *site);
 
 /* ---- tokens ---- */
 
@@ -72,12 +75,12 @@ struct mo_tokens {
 };
 int mo_tokens_init(struct mo_tokens *tokens);
 void mo_tokens_free(struct mo_tokens *tokens);
-/* MO_ERR_INVALID: fewer than 16 or more than 512 characters, or others than printable ASCII; the
- * old ones stay. */
+/* Replaces the tokens. MO_ERR_INVALID: a token has fewer than 16 or more than 512 characters, or
+ * others than printable ASCII; MO_ERR_NO_MEMORY. The old tokens stay on error. */
 int mo_tokens_set(struct mo_tokens *tokens, const char *const *items, size_t n,
                   struct mo_message *message);
-/* "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time does not tell which token, nor
- * how much of it, was right. */
+/* Checks "Bearer <token>": 1 right, 0 wrong, −1 no tokens are set. The time that this takes does
+ * not reveal which token, or how much of it, was right. */
 int mo_tokens_check(struct mo_tokens *tokens, const char *authorization);
 
 #endif

@@ -1,5 +1,5 @@
-/* handle.c: which route is which function, what they share, and the routes that are answered at
- * once. */
+/* handle.c: maps routes to handlers; helpers that handlers share; routes that are answered on the
+ * I/O thread. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -153,7 +153,7 @@ bool mo_query_read(struct mo_request *request, const char *const *names,
   return good;
 }
 
-/* A 400 about one parameter. */
+/* Replies 400 about one parameter. */
 static void bad_parameter(struct mo_request *request, const char *name, const char *detail)
 {
   struct mo_faults *faults = calloc(1, sizeof(*faults));
@@ -194,7 +194,7 @@ bool mo_query_number(struct mo_request *request, const char *name,
 bool mo_path_id(struct mo_request *request, unsigned parameter, int64_t *id)
 {
   const char *text = request->parameters[parameter];
-  if (text[0] != '0' && mo_decimal(text, strlen(text), 1, INT64_MAX, id))
+  if (mo_id(text, id))
     return true;
   mo_reply_problem(request, 404, NULL,
                    "There is no such job: an id is a positive integer in decimal digits.");
@@ -230,7 +230,7 @@ bool mo_query_form(struct mo_request *request, const struct mo_query_value *form
   return false;
 }
 
-/* ---- at once ---- */
+/* ---- answered on the I/O thread ---- */
 
 static void health(struct mo_request *request)
 {

@@ -1,5 +1,5 @@
-/* handle_campaigns.c: campaigns: submission, state, lists, control, checkpoints. Their curves are
- * in handle_curves.c, what was born in them in handle_phylogeny.c. */
+/* handle_campaigns.c: campaigns: submission, state, lists, control, checkpoints. See
+ * handle_curves.c for their curves, and handle_phylogeny.c for their designs. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,12 +8,10 @@
 #include "http/campaign_request.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
 /* ---- POST /v1/campaigns ---- */
 
-/* What the request names must be there: both faults are told at once, besides those of the body
- * itself. */
+/* Checks that what the request names exists, and adds all faults to those of the body. */
 static void look_up(struct mo_store *store, const struct mo_parsed_campaign *parsed,
                     struct mo_faults *faults)
 {
@@ -22,7 +20,7 @@ static void look_up(struct mo_store *store, const struct mo_parsed_campaign *par
                  "/initial/campaign", faults);
 }
 
-/* A listed design, found out by the jobs. */
+/* Adds a fault for a listed design that the jobs room refused. */
 static void design_fault(uint32_t place, const char *words, struct mo_faults *faults)
 {
   char pointer[40] = "";
@@ -82,7 +80,7 @@ int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status
   return code;
 }
 
-/* An error: there is no reply yet. */
+/* Writes the campaign as the reply. On an error no reply is made yet. */
 static int write_reply(struct mo_request *request, unsigned http_status, int64_t id)
 {
   struct mo_campaign_status *status = malloc(sizeof(*status));
@@ -114,7 +112,7 @@ static void reply_campaign(struct mo_request *request, unsigned http_status, int
     mo_reply_error(request, code, "campaign");
 }
 
-/* Parses and stores; false: a reply is made. */
+/* Parses and stores the campaign. False: a reply was made. */
 static bool submit(struct mo_request *request, const struct mo_submission_key *key,
                    struct mo_faults *faults)
 {
@@ -177,45 +175,40 @@ static void reply_list(struct mo_request *request, const struct mo_campaign_quer
   int64_t n = page != NULL ? mo_store_campaigns(http->services.store, query, page, limit)
                            : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_campaign_live live = {.seconds_left = -1};
-    if (page[i].job.damage[0] != '\0') {
-      mo_unreadable_add(&unreadable, &page[i].job);
-      continue;
-    }
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_campaign_live(http->services.jobs, page[i].job.id, &live);
     if (query->state >= 0 &&
         mo_campaign_state_shown(&page[i], &live) != (enum mo_job_state)query->state)
-      continue; /* it has begun or ceased to wait since it was found */
+      continue; /* it has just started or stopped waiting */
     mo_text_add(&text, comma);
     comma = ",";
     mo_campaign_json_write(&text, &page[i], &live);
   }
-  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0, &unreadable);
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
   free(page);
 }
 
 void mo_handle_campaigns(struct mo_request *request)
 {
-  static const char *const names[] = {"state", "group", "limit", "cursor"};
-  struct mo_query_value values[4];
+  static const char *const names[] = {"state", "group", "limit", "cursor", "label"};
+  struct mo_query_value values[5];
   int64_t waiting[MO_WAITING_MAX];
   struct mo_campaign_query query = {.state = -1,
                                     .waiting = waiting,
                                     .n_waiting =
                                         mo_jobs_waiting(request->http->services.jobs, waiting)};
   size_t limit;
-  if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
+  if (!mo_query_read(request, names, values, 5) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[2], &limit) ||
       !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_label(request, &values[4], &query.label) ||
       !mo_query_before(request, &values[3], &query.before))
     return;
-  if (values[1].present &&
-      !mo_decimal(values[1].text, strlen(values[1].text), 1, INT64_MAX, &query.group))
+  if (values[1].present && !mo_id(values[1].text, &query.group))
     mo_reply_bad_parameter(request, "group", "the id of a group, in decimal digits, is expected");
   else
     reply_list(request, &query, limit);
@@ -229,8 +222,7 @@ void mo_handle_campaign_change(struct mo_request *request)
   struct mo_query_value none;
   int64_t id;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
-      !mo_path_id(request, 0, &id) ||
-      !mo_job_is_even_unreadable(request, id, MO_JOB_CAMPAIGN, "campaign"))
+      !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_CAMPAIGN, "campaign"))
     return;
   bool pause = request->route == MO_ROUTE_CAMPAIGN_PAUSE,
        resume = request->route == MO_ROUTE_CAMPAIGN_RESUME;
@@ -239,7 +231,7 @@ void mo_handle_campaign_change(struct mo_request *request)
                       : mo_jobs_cancel(http->services.jobs, id);
   struct mo_job *job = malloc(sizeof(*job));
   if (code == MO_ERR_CONFLICT && job != NULL &&
-      mo_job_is_known(job, mo_store_job(http->services.store, id, job)))
+      mo_store_job(http->services.store, id, job) == MO_OK)
     mo_reply_problem(request, 409, NULL, "The campaign cannot be %s: it is %s.",
                      pause    ? "paused"
                      : resume ? "resumed"
@@ -247,9 +239,7 @@ void mo_handle_campaign_change(struct mo_request *request)
                      mo_job_state_name(job->state));
   else if (code != MO_OK)
     mo_reply_error(request, code, "campaign");
-  else if ((code = write_reply(request, 200, id)) == MO_ERR_CORRUPT && !pause && !resume)
-    mo_reply_cancelled_unreadable(request);
-  else if (code != MO_OK)
+  else if ((code = write_reply(request, 200, id)) != MO_OK)
     mo_reply_error(request, code, "campaign");
   free(job);
 }
@@ -278,6 +268,7 @@ static void extension_error(struct mo_request *request, int64_t id, int code,
   case MO_ERR_DUPLICATE: mo_reply_key_conflict(request, faults); break;
   case MO_ERR_INVALID:
   case MO_ERR_RANGE:
+  case MO_ERR_LIMIT:
     mo_faults_add(faults, MO_FAULT_BODY, "/generations", "%s", words);
     mo_reply_problem(request, 422, faults, NULL);
     break;
@@ -321,9 +312,7 @@ static bool begin_checkpoints(struct mo_request *request, int64_t *id)
 {
   struct mo_query_value none;
   return mo_query_read(request, NULL, &none, 0) && mo_accepts_json(request) &&
-         mo_path_id(request, 0, id) &&
-         (request->method == MO_DELETE ? mo_job_is_even_unreadable
-                                       : mo_job_is)(request, *id, MO_JOB_CAMPAIGN, "campaign");
+         mo_path_id(request, 0, id) && mo_job_is(request, *id, MO_JOB_CAMPAIGN, "campaign");
 }
 
 void mo_handle_campaign_checkpoints(struct mo_request *request)

@@ -1,5 +1,4 @@
-/* handle_controllers.c: controllers by name. */
-#include <inttypes.h>
+/* handle_controllers.c: lists, gives, stores and deletes controllers by name. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,9 +6,8 @@
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
-/* Writes the description; MO_OK or an error of the store. */
+/* Writes the description of a controller. MO_OK or an error of the store. */
 static int write_controller(struct mo_store *store, struct mo_text *text,
                             const struct mo_controller_record *record)
 {
@@ -52,77 +50,36 @@ static void reply_controller(struct mo_request *request, unsigned status,
   mo_reply_etag_of_body(request);
 }
 
-/* A place in the list of controllers: those with names by their names, then those whose names are
- * damaged, which say nothing of a place, by their number. */
-#define MISNAMED '~' /* no name has it */
-struct place {
-  const char *after_name;  /* NULL: from the first */
-  int64_t misnamed_passed; /* > 0: all with names are, too */
-};
-
-static bool read_place(const char *cursor, struct place *place)
-{
-  if (cursor[0] == MISNAMED)
-    return mo_decimal(cursor + 1, strlen(cursor + 1), 1, INT64_MAX, &place->misnamed_passed);
-  place->after_name = cursor;
-  return mo_controller_name_check(cursor) == MO_OK;
-}
-
-/* Returns how many, or an error. *n_misnamed: of these, at their end. */
-static int64_t read_page(struct mo_store *store, const struct place *place,
-                         struct mo_controller_record *records, size_t limit, int64_t *n_misnamed)
-{
-  int64_t n = place->misnamed_passed > 0
-                  ? 0
-                  : mo_store_controllers(store, place->after_name, records, limit);
-  *n_misnamed = n < 0 || (size_t)n == limit
-                    ? 0
-                    : mo_store_controllers_misnamed(store, place->misnamed_passed, records + n,
-                                                    limit - (size_t)n);
-  return *n_misnamed < 0 ? *n_misnamed : n + *n_misnamed;
-}
-
 void mo_handle_controllers(struct mo_request *request)
 {
   static const char *const names[] = {"limit", "cursor"};
   struct mo_store *store = request->http->services.store;
   struct mo_query_value values[2];
-  struct place place = {0};
   size_t limit;
   if (!mo_query_read(request, names, values, 2) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[0], &limit))
     return;
-  if (values[1].present && !read_place(values[1].text, &place)) {
+  if (values[1].present && mo_controller_name_check(values[1].text) != MO_OK) {
     mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
     return;
   }
   struct mo_controller_record *records = malloc(limit * sizeof(*records));
-  int64_t n_misnamed = 0;
+  const char *after = values[1].present ? values[1].text : NULL;
   int64_t n =
-      records != NULL ? read_page(store, &place, records, limit, &n_misnamed) : MO_ERR_NO_MEMORY;
+      records != NULL ? mo_store_controllers(store, after, records, limit) : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   mo_text_add(&text, "{\"items\":[");
   int code = n < 0 ? (int)n : MO_OK;
-  bool is_first = true;
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
-    if (records[i].damage[0] != '\0') {
-      mo_unreadable_add_other(&unreadable, "controller", records[i].name, records[i].damage);
-      continue;
-    }
-    if (!is_first)
+    if (i > 0)
       mo_text_bytes(&text, ",", 1);
-    is_first = false;
     code = write_controller(store, &text, &records[i]);
   }
   mo_text_add(&text, "],\"next_cursor\":");
-  if (n_misnamed > 0 && (size_t)n == limit)
-    mo_text_format(&text, "\"%c%" PRId64 "\"", MISNAMED, place.misnamed_passed + n_misnamed);
-  else if (n > 0 && (size_t)n == limit)
+  if (n > 0 && (size_t)n == limit)
     mo_text_json_string(&text, records[n - 1].name, strlen(records[n - 1].name));
   else
     mo_text_add(&text, "null");
-  mo_unreadable_end(request, &text, &unreadable);
   mo_text_add(&text, "}");
   free(records);
   if (code != MO_OK) {
@@ -152,7 +109,7 @@ void mo_handle_controller_get(struct mo_request *request)
   }
   int code = mo_store_controller(store, request->parameters[0], &record);
   if (code == MO_ERR_FORMAT)
-    code = MO_ERR_NOT_FOUND; /* not even a name */
+    code = MO_ERR_NOT_FOUND; /* not a valid name */
   if (code != MO_OK) {
     mo_reply_error(request, code, "controller");
     return;
@@ -228,6 +185,8 @@ void mo_handle_controller_put(struct mo_request *request)
 void mo_handle_controller_delete(struct mo_request *request)
 {
   const char *name = request->parameters[0];
+  struct mo_store *store = request->http->services.store;
+  struct mo_message message = {""};
   struct mo_query_value none;
   if (!mo_query_read(request, NULL, &none, 0))
     return;
@@ -236,10 +195,11 @@ void mo_handle_controller_delete(struct mo_request *request)
                      "The name default cannot be taken away; PUT points it at another file.");
     return;
   }
-  int code = mo_controller_name_check(name) == MO_OK
-                 ? mo_store_controller_remove(request->http->services.store, name)
-                 : MO_ERR_NOT_FOUND;
-  if (code != MO_OK)
+  int code = strncmp(name, "sha256:", 7) == 0 ? mo_store_controller_delete(store, name, &message)
+                                              : mo_store_controller_remove(store, name);
+  if (code == MO_ERR_CONFLICT)
+    mo_reply_problem(request, 409, NULL, "The file cannot be deleted: %s.", message.text);
+  else if (code != MO_OK)
     mo_reply_error(request, code, "controller");
   else
     mo_reply_static(request, 204, NULL, "", 0);

@@ -1,30 +1,27 @@
-/* handle_curves.c: what a campaign did, row by row: its generations, its learning, and the
- * generations of a group of replicates. A page as JSON, or the whole curve as CSV, read and written
- * a page at a time. */
-#include <stdio.h>
+/* handle_curves.c: the curves of a campaign: its generations, its learning, and the generations of
+ * a group of replicates. Replies with a page as JSON, or with the whole curve as CSV, which is read
+ * and written page by page. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/campaign_json.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
-#define ROWS_READ_MAX 5000 /* of one page of replicates, over all of them: 10 µs each */
+#define PLACE_MAX     INT64_C(9999999999)
+#define ROWS_READ_MAX 5000 /* for one page of replicates, over all of them: 10 µs each */
 
 enum curve_kind { CURVE_GENERATIONS, CURVE_LEARNING, CURVE_REPLICATES };
 
 struct curve {
-  struct mo_request *request;
   struct mo_store *store;
   enum curve_kind kind;
   bool csv, headed;
   int64_t id;
-  int64_t after;                    /* generation; −1: none */
-  uint32_t after_step;              /* learning */
-  uint64_t left;                    /* rows that may still be told */
-  struct mo_unreadable *unreadable; /* NULL: a CSV */
-  /* Replicates: those that count, and the newest generation that all of them have. */
+  int64_t after;       /* generation; −1: none */
+  uint32_t after_step; /* of learning */
+  uint64_t left;       /* rows that may still be written */
+  /* For replicates: the members that count, and the newest generation that all of them have. */
   int64_t members[MO_REPLICATES_MAX];
   uint32_t n_members;
   int64_t newest;
@@ -38,23 +35,6 @@ static void separate(const struct curve *curve, struct mo_text *text)
     mo_text_bytes(text, ",", 1);
 }
 
-static void leave_out_generation(const struct curve *curve, int64_t job,
-                                 const struct mo_campaign_generation *row)
-{
-  char id[24], place[48];
-  snprintf(id, sizeof(id), "%u", row->generation);
-  snprintf(place, sizeof(place), "generation %u", row->generation);
-  mo_unreadable_row(curve->request, curve->unreadable, job, "generation", id, place, &row->damage);
-}
-
-static void leave_out_step(const struct curve *curve, const struct mo_campaign_step *row)
-{
-  char id[24], place[48];
-  snprintf(id, sizeof(id), "%u.%u", row->generation, row->step);
-  snprintf(place, sizeof(place), "step %u of generation %u", row->step, row->generation);
-  mo_unreadable_row(curve->request, curve->unreadable, curve->id, "step", id, place, &row->damage);
-}
-
 static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text *text)
 {
   struct mo_campaign_generation *rows = malloc(limit * sizeof(*rows));
@@ -63,10 +43,6 @@ static int64_t add_generations(struct curve *curve, size_t limit, struct mo_text
                            : MO_ERR_NO_MEMORY;
   for (int64_t i = 0; i < n; i++) {
     curve->after = rows[i].generation;
-    if (rows[i].damage.column != NULL) {
-      leave_out_generation(curve, curve->id, &rows[i]);
-      continue;
-    }
     separate(curve, text);
     (curve->csv ? mo_campaign_csv_generation : mo_campaign_json_generation)(text, &rows[i]);
   }
@@ -84,10 +60,6 @@ static int64_t add_steps(struct curve *curve, size_t limit, struct mo_text *text
   for (int64_t i = 0; i < n; i++) {
     curve->after = rows[i].generation;
     curve->after_step = rows[i].step;
-    if (rows[i].damage.column != NULL) {
-      leave_out_step(curve, &rows[i]);
-      continue;
-    }
     separate(curve, text);
     (curve->csv ? mo_campaign_csv_step : mo_campaign_json_step)(text, &rows[i]);
   }
@@ -114,10 +86,7 @@ static int64_t add_replicates(struct curve *curve, size_t limit, struct mo_text 
     for (int64_t i = 0; i < code; i++) {
       if (rows[i].generation < first || rows[i].generation >= first + n)
         continue;
-      if (rows[i].damage.column != NULL)
-        leave_out_generation(curve, curve->members[m], &rows[i]);
-      else
-        mo_replicate_add(&sums[rows[i].generation - first], &rows[i]);
+      mo_replicate_add(&sums[rows[i].generation - first], &rows[i]);
     }
   }
   for (int64_t i = 0; i < n && code >= 0; i++) {
@@ -134,7 +103,7 @@ static int64_t add_replicates(struct curve *curve, size_t limit, struct mo_text 
   return n;
 }
 
-/* 1: there may be more, 0: there are no more now, or an error. */
+/* Adds a page. Returns 1: there may be more, 0: there are no more now, or an error. */
 static int add_page(struct curve *curve, struct mo_text *text)
 {
   size_t limit = curve->left < MO_PAGE_MAX ? (size_t)curve->left : MO_PAGE_MAX;
@@ -175,7 +144,6 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   mo_text_add(&text, "{\"items\":[");
   int more = add_page(curve, &text);
   if (more < 0) {
-    mo_text_free(&curve->unreadable->items);
     mo_text_free(&text);
     mo_reply_error(request, more, "page");
     return;
@@ -188,13 +156,12 @@ static void reply_page(struct mo_request *request, struct curve *curve)
   else
     mo_text_add(&text, "],\"next_after\":null");
   mo_text_member_bool(&text, "more", more > 0);
-  mo_unreadable_end(request, &text, curve->unreadable);
   mo_text_add(&text, "}");
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
 }
 
-/* Those of the group that can be read and were neither cancelled nor have failed. */
+/* Finds the members of the group that were not cancelled and did not fail. */
 static int find_members(struct curve *curve)
 {
   struct mo_campaign_status *all = malloc(MO_REPLICATES_MAX * sizeof(*all));
@@ -207,8 +174,7 @@ static int find_members(struct curve *curve)
   }
   curve->newest = INT64_MAX;
   for (int64_t i = 0; i < n; i++) {
-    if (all[i].job.damage[0] != '\0' || all[i].job.state == MO_JOB_CANCELLED ||
-        all[i].job.state == MO_JOB_FAILED)
+    if (all[i].job.state == MO_JOB_CANCELLED || all[i].job.state == MO_JOB_FAILED)
       continue;
     curve->members[curve->n_members++] = all[i].job.id;
     curve->newest = all[i].generation < curve->newest ? all[i].generation : curve->newest;
@@ -219,15 +185,16 @@ static int find_members(struct curve *curve)
   return n < 0 ? (int)n : MO_OK;
 }
 
-/* "G.S". */
+/* Reads "G.S", a generation and a step. Each has at most ten digits, enough for 32 bits. */
 static bool read_place(const char *text, int64_t *generation, uint32_t *step)
 {
   size_t n = strcspn(text, ".");
   int64_t number;
-  if (text[n] != '.' || !mo_decimal(text, n, 0, UINT32_MAX, generation) ||
-      !mo_decimal(text + n + 1, strlen(text + n + 1), 0, UINT32_MAX, &number))
+  if (text[n] != '.' || !mo_decimal(text, n, 0, PLACE_MAX, generation) ||
+      !mo_decimal(text + n + 1, strlen(text + n + 1), 0, PLACE_MAX, &number))
     return false;
-  *step = (uint32_t)number;
+  *generation = *generation < UINT32_MAX ? *generation : UINT32_MAX;
+  *step = (uint32_t)(number < UINT32_MAX ? number : UINT32_MAX);
   return true;
 }
 
@@ -237,8 +204,7 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
   static const char *const forms[] = {"json", "csv"};
   static const char *const types[] = {"application/json", "text/csv"};
   struct mo_query_value values[3];
-  struct curve curve = {.request = request,
-                        .store = request->http->services.store,
+  struct curve curve = {.store = request->http->services.store,
                         .kind = kind,
                         .after = kind == CURVE_LEARNING ? 0 : -1};
   int64_t limit = 0;
@@ -264,9 +230,7 @@ static enum mo_handled handle_curve(struct mo_request *request, enum curve_kind 
     mo_reply_error(request, code, "campaign");
     return MO_HANDLED;
   }
-  struct mo_unreadable unreadable = {0};
   if (!curve.csv) {
-    curve.unreadable = &unreadable;
     reply_page(request, &curve);
     return MO_HANDLED;
   }

@@ -9,11 +9,10 @@
 #include "http/field.h"
 #include "http/job_json.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
 #define CAMPAIGNS_MAX 100
 
-/* Opens the object: what every representation of a design has. */
+/* Opens the object and writes what every representation of a design has. */
 static void write_head(struct mo_text *text, const struct mo_bits *form, const struct mo_body *body,
                        int64_t first_seen_us)
 {
@@ -56,7 +55,7 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   mo_text_add(text, "}");
 }
 
-/* Where it was born: its lineage belongs to each campaign. */
+/* Writes the campaigns in which the design was born. Its lineage differs between campaigns. */
 static int write_campaigns(struct mo_store *store, struct mo_text *text, const struct mo_bits *form)
 {
   struct mo_campaign_place *places = malloc(CAMPAIGNS_MAX * sizeof(*places));
@@ -87,6 +86,7 @@ void mo_handle_design(struct mo_request *request)
   struct mo_bits form;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request))
     return;
+  id += id[0] == 'd' && strlen(id) == MO_DEFAULT_ID_DIGITS + 1; /* as in a CSV */
   if (mo_genotype_from_id(MO_DEFAULT_WORKSPACE, id, strlen(id), form.words) != MO_OK) {
     mo_reply_problem(
         request, 404, NULL,
@@ -134,38 +134,29 @@ void mo_handle_design(struct mo_request *request)
   mo_reply_etag_of_body(request);
 }
 
-/* The cursor: of sort=id a row, of sort=score the bits of the score and a row. */
+/* Reads the cursor: for sort=id a row, for sort=score the bits of the score and a row. */
 static bool read_cursor(const char *text, struct mo_design_query *query)
 {
   if (query->sort == MO_DESIGNS_BY_ID)
-    return mo_decimal(text, strlen(text), 1, INT64_MAX, &query->after_row);
+    return mo_id(text, &query->after_row);
   char digits[17] = "";
   size_t n = strspn(text, "0123456789abcdef");
-  if (n != 16 || text[16] != '-' ||
-      !mo_decimal(text + 17, strlen(text + 17), 1, INT64_MAX, &query->after_row))
+  if (n != 16 || text[16] != '-' || !mo_id(text + 17, &query->after_row))
     return false;
   memcpy(digits, text, 16);
   uint64_t bits = strtoull(digits, NULL, 16);
   memcpy(&query->after_score, &bits, sizeof(bits));
-  return !isnan(query->after_score);
+  return !isnan(query->after_score) && !signbit(query->after_score);
 }
 
-/* MO_ERR_NO_MEMORY, or 0. A form that is no body is damage. */
+/* Writes one row. MO_ERR_NO_MEMORY; MO_ERR_CORRUPT: the stored form is no body. */
 static int write_row(struct mo_request *request, struct mo_text *text,
-                     const struct mo_design_query *query, const struct mo_design_row *row,
-                     struct mo_unreadable *unreadable)
+                     const struct mo_design_query *query, const struct mo_design_row *row)
 {
-  const bool whole = row->damage[0] == '\0';
   struct mo_body *body = NULL;
-  char id[24], words[64];
-  if (whole && mo_body_create(request->http->lattice, row->form.words, &body) == MO_ERR_NO_MEMORY)
-    return MO_ERR_NO_MEMORY;
-  if (body == NULL) {
-    snprintf(id, sizeof(id), "%" PRId64, row->row);
-    snprintf(words, sizeof(words), "designs.form of row %" PRId64 " is no body", row->row);
-    mo_unreadable_add_other(unreadable, "design", id, whole ? words : row->damage);
-    return MO_OK;
-  }
+  int error = mo_body_create(request->http->lattice, row->form.words, &body);
+  if (error != MO_OK)
+    return error == MO_ERR_NO_MEMORY ? error : MO_ERR_CORRUPT;
   if (text->data[text->size - 1] == '}')
     mo_text_bytes(text, ",", 1);
   write_head(text, &row->form, body, row->first_seen_us);
@@ -184,11 +175,10 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
                        const struct mo_design_row *rows, size_t n, size_t limit)
 {
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   int error = MO_OK;
   mo_text_add(&text, "{\"items\":[");
   for (size_t i = 0; i < n && error == MO_OK && !text.failed; i++)
-    error = write_row(request, &text, query, &rows[i], &unreadable);
+    error = write_row(request, &text, query, &rows[i]);
   if (n < limit || n == 0) {
     mo_text_add(&text, "],\"next_cursor\":null");
   } else if (query->sort == MO_DESIGNS_BY_ID) {
@@ -199,9 +189,12 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
     mo_text_format(&text, "],\"next_cursor\":\"%016" PRIx64 "-%" PRId64 "\"", bits,
                    rows[n - 1].genotype_row);
   }
-  mo_unreadable_end(request, &text, &unreadable);
   mo_text_add(&text, "}");
-  text.failed |= error != MO_OK;
+  if (error != MO_OK) {
+    mo_text_free(&text);
+    mo_reply_error(request, error, "page");
+    return;
+  }
   mo_reply_json(request, 200, &text);
   mo_reply_etag_of_body(request);
 }

@@ -1,12 +1,10 @@
-/* handle_events.c: events as a page, and the beginning of a stream (stream.c has the rest). */
-#include <inttypes.h>
-#include <stdio.h>
+/* handle_events.c: events as a page, and the start of a stream (see stream.c for the rest). */
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
 static void reply_page(struct mo_request *request, int64_t after, int64_t job, size_t limit)
 {
@@ -23,29 +21,20 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
     return;
   }
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
-    if (events[i].damage[0] != '\0') {
-      char id[24];
-      snprintf(id, sizeof(id), "%" PRId64, events[i].sequence);
-      mo_unreadable_add_other(&unreadable, "event", id, events[i].damage);
-      continue;
-    }
     mo_text_add(&text, comma);
     comma = ",";
     mo_event_write(&text, &events[i]);
   }
-  /* A short page has seen all there is, also of what the filter left out. */
+  /* A short page has reached the newest event, so skip what the filter left out. */
   int64_t next = (size_t)n == limit ? events[n - 1].sequence : newest > after ? newest : after;
-  if (after > newest || next > newest) /* the newest whose place can be told */
+  if (after > newest || next > newest) /* never beyond the newest event */
     next = newest;
   bool reset = (after > 0 && after < oldest - 1) || after > newest;
-  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s", (long long)next,
+  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s}", (long long)next,
                  reset ? "true" : "false");
-  mo_unreadable_end(request, &text, &unreadable);
-  mo_text_add(&text, "}");
   free(events);
   mo_reply_json(request, 200, &text);
 }
@@ -69,8 +58,7 @@ enum mo_handled mo_handle_events(struct mo_request *request)
     mo_reply_bad_parameter(request, "after", "the id of an event, in decimal digits, is expected");
     return MO_HANDLED;
   }
-  if (values[2].present &&
-      !mo_decimal(values[2].text, strlen(values[2].text), 1, INT64_MAX, &job)) {
+  if (values[2].present && !mo_id(values[2].text, &job)) {
     mo_reply_bad_parameter(request, "job", "the id of a job, in decimal digits, is expected");
     return MO_HANDLED;
   }
@@ -101,8 +89,8 @@ enum mo_handled mo_handle_events(struct mo_request *request)
   }
   int code = mo_stream_open(request, after, job);
   if (code == MO_OK) {
-    /* Streams have a limit of their own: they take no place from what their client asks besides. */
-    mo_client_leave(&request->http->clients, request->client, mo_http_clock_us());
+    /* Streams have their own limit, so they take none of their client's places. */
+    mo_client_leave(&request->http->clients, request->client, mo_clock_us());
     request->client = NULL;
     return MO_STREAMED;
   }

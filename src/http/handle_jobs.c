@@ -1,8 +1,10 @@
 /* handle_jobs.c: evaluations and jobs: submission, state, results, waiting, control. */
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "base/number.h"
 #include "http/campaign_json.h"
 #include "http/evaluation_request.h"
@@ -11,7 +13,6 @@
 #include "http/request_parts.h"
 #include "http/server.h"
 #include "http/training_json.h"
-#include "http/unreadable.h"
 
 #define WAIT_MAX_S 60
 
@@ -29,15 +30,16 @@ bool mo_read_wait(struct mo_request *request)
   return false;
 }
 
-/* The tag of a job's representation: results come with the state, so the row's version tells all.
- */
+/* Sets the tag of a job's representation. The row's version identifies the content within one
+ * store, because results are stored together with the state. */
 static void tag(struct mo_request *request, const char *what, const struct mo_job *job)
 {
-  mo_reply_etag(request, "%s-%lld-%lld", what, (long long)job->id, (long long)job->version);
+  mo_reply_etag(request, "%" PRIx64 "-%s-%lld-%lld", mo_store_id(request->http->services.store),
+                what, (long long)job->id, (long long)job->version);
 }
 
-/* An item of the list of jobs, or what is told of a job by its id, after `before`. Nothing if it is
- * not, or not any more, in the state that is asked for (−1: any). */
+/* Writes an item of the list of jobs, or a job by its id, after the text `before`. Writes nothing
+ * if the job is not, or no longer, in `state` (−1: any). */
 static int write_job(struct mo_http *http, struct mo_text *text, const struct mo_job *job,
                      int state, const char *before)
 {
@@ -69,8 +71,8 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
   return code;
 }
 
-/* Writes the evaluation (with results if there are any) or the job, as `status`. An error: there is
- * no reply yet. */
+/* Replies `status` with the evaluation (and results if there are any) or the job. On an error no
+ * reply is made yet. */
 static int write_reply(struct mo_request *request, unsigned status, struct mo_job *job,
                        bool with_results)
 {
@@ -92,7 +94,7 @@ static int write_reply(struct mo_request *request, unsigned status, struct mo_jo
   if (request->reply.status != status)
     return MO_OK;
   if (job->kind != MO_JOB_EVALUATION)
-    mo_reply_etag_of_body(request); /* its progress is not in the row */
+    mo_reply_etag_of_body(request); /* the row's version does not cover its progress */
   else
     tag(request, with_results ? "evaluation" : "job", job);
   if (request->wait_s >= 0)
@@ -118,7 +120,7 @@ enum mo_handled mo_await_job(struct mo_request *request, int64_t id, struct mo_j
     *code = mo_store_job(store, id, job);
     return MO_HANDLED;
   }
-  mo_wait_begin(request, id, mo_http_clock_us() + (int64_t)request->wait_s * 1000000);
+  mo_wait_begin(request, id, mo_clock_us() + (int64_t)request->wait_s * 1000000);
   *code = mo_store_job(store, id, job);
   if (*code != MO_OK || mo_job_state_is_final(job->state)) {
     mo_wait_end(request);
@@ -156,7 +158,7 @@ static void submission_error(struct mo_request *request, int code, const struct 
   free(faults);
 }
 
-/* Parses and stores; false: a reply is made. */
+/* Parses and stores the evaluation. False: a reply was made. */
 static bool submit(struct mo_request *request, const struct mo_submission_key *key,
                    struct mo_faults *faults)
 {
@@ -284,22 +286,36 @@ bool mo_query_state(struct mo_request *request, const struct mo_query_value *val
   return true;
 }
 
+bool mo_query_label(struct mo_request *request, const struct mo_query_value *value,
+                    const char **label)
+{
+  size_t characters = 0;
+  for (const char *c = value->text; *c != '\0'; c++)
+    characters += ((unsigned char)*c & 0xC0) != 0x80;
+  if (value->present && (characters < 1 || characters > 200)) {
+    mo_reply_bad_parameter(request, "label",
+                           "the label of a job, of 1 to 200 characters, is expected");
+    return false;
+  }
+  *label = value->present ? value->text : NULL;
+  return true;
+}
+
 bool mo_query_before(struct mo_request *request, const struct mo_query_value *value,
                      int64_t *before)
 {
   *before = 0;
-  if (!value->present || mo_decimal(value->text, strlen(value->text), 1, INT64_MAX, before))
+  if (!value->present || mo_id(value->text, before))
     return true;
   mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
   return false;
 }
 
 void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
-                   int64_t last, struct mo_unreadable *unreadable)
+                   int64_t last)
 {
   if (n < 0) {
     mo_text_free(text);
-    mo_text_free(&unreadable->items);
     mo_reply_error(request, (int)n, "page");
     return;
   }
@@ -307,7 +323,6 @@ void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, 
     mo_text_format(text, "],\"next_cursor\":\"%lld\"", (long long)last);
   else
     mo_text_add(text, "],\"next_cursor\":null");
-  mo_unreadable_end(request, text, unreadable);
   mo_text_add(text, "}");
   mo_reply_json(request, 200, text);
   mo_reply_etag_of_body(request);
@@ -315,16 +330,17 @@ void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, 
 
 void mo_handle_jobs(struct mo_request *request)
 {
-  static const char *const names[] = {"state", "kind", "limit", "cursor"};
-  struct mo_query_value values[4];
+  static const char *const names[] = {"state", "kind", "limit", "cursor", "label"};
+  struct mo_query_value values[5];
   int64_t waiting[MO_WAITING_MAX];
   struct mo_job_query query = {.state = -1,
                                .kind = -1,
                                .waiting = waiting,
                                .n_waiting = mo_jobs_waiting(request->http->services.jobs, waiting)};
   size_t limit;
-  if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[2], &limit))
+  if (!mo_query_read(request, names, values, 5) || !mo_accepts_json(request) ||
+      !mo_query_limit(request, &values[2], &limit) ||
+      !mo_query_label(request, &values[4], &query.label))
     return;
   enum mo_job_kind kind;
   if (!mo_query_state(request, &values[0], &query.state))
@@ -341,25 +357,16 @@ void mo_handle_jobs(struct mo_request *request)
   int64_t n = jobs != NULL ? mo_store_jobs(request->http->services.store, &query, jobs, limit)
                            : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   int code = n < 0 ? (int)n : MO_OK;
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n && code == MO_OK; i++) {
     size_t size = text.size;
-    if (jobs[i].damage[0] == '\0')
-      code = write_job(request->http, &text, &jobs[i], query.state, comma);
-    if (code == MO_ERR_CORRUPT)
-      (void)mo_store_job_damage(request->http->services.store, jobs[i].id, &jobs[i]);
-    if (jobs[i].damage[0] != '\0') {
-      mo_unreadable_add(&unreadable, &jobs[i]);
-      code = MO_OK;
-    }
+    code = write_job(request->http, &text, &jobs[i], query.state, comma);
     if (text.size > size)
       comma = ",";
   }
-  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0,
-                &unreadable);
+  mo_reply_page(request, &text, code != MO_OK ? code : n, limit, n > 0 ? jobs[n - 1].id : 0);
   free(jobs);
 }
 
@@ -384,26 +391,23 @@ void mo_handle_job_change(struct mo_request *request)
   int code = request->route == MO_ROUTE_JOB_PAUSE    ? mo_jobs_pause(jobs, id)
              : request->route == MO_ROUTE_JOB_RESUME ? mo_jobs_resume(jobs, id)
                                                      : mo_jobs_cancel(jobs, id);
-  const bool conflict = code == MO_ERR_CONFLICT,
-             cancelled = code == MO_OK && request->route == MO_ROUTE_JOB;
+  const bool conflict = code == MO_ERR_CONFLICT;
   if (code == MO_OK || conflict)
     code = mo_store_job(request->http->services.store, id, job);
-  if (conflict && mo_job_is_known(job, code)) {
+  if (conflict && code == MO_OK) {
     mo_reply_problem(request, 409, NULL, "The job cannot be %s: it is %s.", verb,
                      mo_job_state_name(job->state));
   } else {
     if (code == MO_OK)
       code = write_reply(request, 200, job, false);
-    if (code == MO_ERR_CORRUPT && cancelled)
-      mo_reply_cancelled_unreadable(request);
-    else if (code != MO_OK)
+    if (code != MO_OK)
       mo_reply_error(request, code, "job");
   }
   request->reply.retry_after_s = request->reply.status == 200 ? 0 : request->reply.retry_after_s;
   free(job);
 }
 
-/* {"weight": x}. MO_ERR_FORMAT, MO_ERR_INVALID: the faults tell. */
+/* Reads {"weight": x}. MO_ERR_FORMAT, MO_ERR_INVALID: see the faults. */
 static int read_weight(const struct mo_request *request, double *weight, struct mo_faults *faults)
 {
   struct mo_json *json = malloc(sizeof(*json));
@@ -498,8 +502,8 @@ static void write_frames(struct mo_text *text, const struct mo_trajectory *t)
   }
 }
 
-/* The numbers of one array as float32, little-endian (as this machine has them: the build refuses
- * others). */
+/* Replies with one array as float32, little-endian (the byte order of this machine: the build
+ * refuses others). */
 static void reply_binary(struct mo_request *request, const struct mo_trajectory *t, bool masses)
 {
   size_t n = masses ? (size_t)t->n_frames * t->n_masses * 3 : (size_t)t->n_frames * 3;
@@ -592,8 +596,8 @@ void mo_handle_trajectory(struct mo_request *request)
     mo_reply_json(request, 200, &text);
   }
   if (request->reply.status == 200)
-    mo_reply_etag(request, "trajectory-%lld-%lld-%lld-%d%s", (long long)id, (long long)n,
-                  (long long)k, form, values[1].text);
+    mo_reply_etag(request, "%" PRIx64 "-trajectory-%lld-%lld-%lld-%d%s", mo_store_id(store),
+                  (long long)id, (long long)n, (long long)k, form, values[1].text);
   mo_trajectory_free(trajectory);
   free(job);
 }

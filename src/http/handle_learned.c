@@ -1,5 +1,5 @@
-/* handle_learned.c: what a training gives and is measured by: its controller so far, and held-out
- * designs and environments. */
+/* handle_learned.c: results of a training: its controller so far, and its held-out designs and
+ * environments. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,7 +7,6 @@
 #include "http/field.h"
 #include "http/server.h"
 #include "http/training_json.h"
-#include "http/unreadable.h"
 
 #define HELD_OUT_DESIGNS_MAX 1000
 #define HELD_OUT_PLACES_MAX  64
@@ -15,7 +14,7 @@
 
 /* ---- the controller ---- */
 
-/* The controller of a checkpoint (step 0: the newest) as a file. *at: its step. */
+/* Exports the controller of a checkpoint (step 0: the newest) as a file. *at: its step. */
 static int export_checkpoint(struct mo_http *http, const struct mo_training_status *status,
                              uint32_t step, uint8_t **bytes, size_t *size, uint32_t *at)
 {
@@ -44,16 +43,14 @@ static int export_checkpoint(struct mo_http *http, const struct mo_training_stat
   return code == MO_ERR_FORMAT ? MO_ERR_CORRUPT : code;
 }
 
-/* Of the training's result, or of a checkpoint (step 0: the newest): a row says what the file must
- * be, and one of them does not. */
+/* Replies that the file of the training's result, or of a checkpoint (step 0: the newest), is
+ * missing or damaged: it is not what its row says. */
 static void reply_damaged(struct mo_request *request, const struct mo_training_status *status,
                           bool result, uint32_t step)
 {
   static const char words[] = "in the state folder of the service is missing or damaged.";
   struct mo_training_checkpoint_row newest = {.step = step};
   char digits[MO_SHA256_DIGITS + 1];
-  if (mo_reply_unreadable(request))
-    return;
   mo_sha256_to_hex(&status->result_sha256, digits);
   if (step == 0 && !result)
     (void)mo_store_training_checkpoints(request->http->services.store, status->job.id, &newest, 1);

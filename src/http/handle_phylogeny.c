@@ -1,5 +1,6 @@
 /* handle_phylogeny.c: the designs of a campaign: its populations, each design with its lineage, the
  * whole phylogeny, its champions. */
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,6 +10,11 @@
 #include "http/field.h"
 #include "http/newick_pieces.h"
 #include "http/server.h"
+
+/* Cursors have at most as many digits as the contract allows; one beyond the last design is the
+ * end. */
+#define NUMBER_CURSOR_MAX     INT64_C(9999999999)
+#define POPULATION_CURSOR_MAX 999999
 
 /* ---- what the calls share ---- */
 
@@ -23,18 +29,18 @@ static void write_rows(struct mo_text *text, const struct mo_campaign_design *ro
   mo_text_add(text, "]");
 }
 
-/* A cursor that is the number of the last design of the page before; −1 without one. */
+/* Reads a cursor: the number of the last design of the previous page; −1 without one. */
 static bool read_cursor(struct mo_request *request, const struct mo_query_value *value,
                         int64_t *after)
 {
   *after = -1;
-  if (!value->present || mo_decimal(value->text, strlen(value->text), 0, UINT32_MAX, after))
+  if (!value->present || mo_decimal(value->text, strlen(value->text), 0, NUMBER_CURSOR_MAX, after))
     return true;
   mo_reply_bad_parameter(request, "cursor", "the next_cursor of an earlier page is expected");
   return false;
 }
 
-/* ,"next_cursor":… behind the last of the page; −1: it is the last page. */
+/* Writes the member "next_cursor" after the last item of the page; −1: this is the last page. */
 static void write_next(struct mo_text *text, int64_t last)
 {
   if (last >= 0)
@@ -45,12 +51,12 @@ static void write_next(struct mo_text *text, int64_t last)
 
 /* ---- populations ---- */
 
-/* "G-N": N designs of generation G have been told. */
+/* Reads the cursor "G-N": N designs of generation G have been sent. */
 static bool read_population_cursor(const char *text, int64_t *generation, int64_t *offset)
 {
   size_t n = strcspn(text, "-");
-  return text[n] == '-' && mo_decimal(text, n, 0, MO_GENERATIONS_MAX, generation) &&
-         mo_decimal(text + n + 1, strlen(text + n + 1), 0, MO_POPULATION_MAX, offset);
+  return text[n] == '-' && mo_decimal(text, n, 0, POPULATION_CURSOR_MAX, generation) &&
+         mo_decimal(text + n + 1, strlen(text + n + 1), 0, POPULATION_CURSOR_MAX, offset);
 }
 
 void mo_handle_campaign_population(struct mo_request *request)
@@ -77,8 +83,8 @@ void mo_handle_campaign_population(struct mo_request *request)
       status != NULL && rows != NULL ? mo_store_campaign(store, id, status) : MO_ERR_NO_MEMORY;
   bool known = n == MO_OK;
   if (known && generation < 0)
-    generation =
-        status->generation; /* a page is of one generation, also while the next one is committed */
+    generation = status->generation; /* later pages stay in this generation, even if the next one is
+                                        committed meanwhile */
   if (known)
     n = generation >= 0 ? mo_store_campaign_population(store, id, generation, (uint32_t)offset,
                                                        rows, limit, &size)
@@ -110,8 +116,8 @@ void mo_handle_campaign_population(struct mo_request *request)
 
 /* ---- one design and its lineage ---- */
 
-/* The descents of a campaign and a design's number among them, both from the path. Free `descents`
- * in every case. */
+/* The descents of a campaign, and the number of one design, both from the path. Free `descents` in
+ * every case. */
 struct lineage {
   int64_t id;
   uint32_t number, n;
@@ -127,7 +133,7 @@ static void no_such_design(struct mo_request *request, uint32_t n)
                      "There is no such design: the campaign has the numbers 0 to %u.", n - 1);
 }
 
-/* False: the reply is made. */
+/* Reads the lineage. False: the reply is made. */
 static bool read_lineage(struct mo_request *request, struct lineage *lineage)
 {
   const char *text = request->parameters[1];
@@ -153,7 +159,7 @@ static bool read_lineage(struct mo_request *request, struct lineage *lineage)
   return code == MO_OK && number < lineage->n;
 }
 
-/* The page of those marked behind `after`: adds "items" and "next_cursor" to `text`. */
+/* Writes the page of marked designs after `after`: adds "items" and "next_cursor" to `text`. */
 static int write_marked(struct mo_request *request, const struct lineage *lineage,
                         const uint8_t *marks, int64_t after, size_t limit, struct mo_text *text)
 {
@@ -286,10 +292,10 @@ static void reply_page(struct mo_request *request, int64_t id, int64_t after, si
   finish(request, n < 0 ? (int)n : MO_OK, &text);
 }
 
-/* Every design there was when the reply began, as lines of CSV. */
+/* Writes as CSV lines the designs that existed when the reply began. */
 struct lines {
   struct mo_store *store;
-  int64_t id, after, newest; /* newest: the generation that the reply ends with */
+  int64_t id, after, newest; /* newest: the last generation of the reply */
   uint64_t left;
   bool headed;
 };
@@ -313,7 +319,7 @@ static int more_lines(void *context, struct mo_text *text)
   }
   free(rows);
   if (n <= 0)
-    return n < 0 ? (int)n : MO_ERR_CORRUPT; /* there are fewer than the campaign counts */
+    return n < 0 ? (int)n : MO_ERR_CORRUPT; /* fewer designs than the campaign counts */
   lines->left -= (uint64_t)n;
   return lines->left > 0;
 }
@@ -344,11 +350,11 @@ static enum mo_handled reply_newick(struct mo_request *request,
   mo_reply_static(request, 200, "text/x-nh; charset=utf-8", "", 0);
   mo_reply_etag(request, "%s", tag);
   if (request->reply.status == 304)
-    return MO_HANDLED; /* before everything is read */
+    return MO_HANDLED; /* answered by the tag, before anything is read */
   int code = mo_store_campaign_descents(request->http->services.store, status->job.id, &descents,
                                         &born, &n);
   if (code == MO_OK && n > status->n_designs)
-    n = (uint32_t)status->n_designs; /* those of the tag */
+    n = (uint32_t)status->n_designs; /* only designs that the tag covers */
   if (code == MO_OK)
     code = mo_newick_pieces_start(descents, born, n, &pieces);
   if (code != MO_OK) {
@@ -369,7 +375,7 @@ enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request)
   int64_t id, after;
   size_t limit;
   int form;
-  char tag[80];
+  char tag[104];
   if (!mo_query_read(request, names, values, 3) ||
       !mo_query_form(request, &values[0], forms, types, 3, &form) ||
       !mo_query_limit(request, &values[1], &limit) || !read_cursor(request, &values[2], &after) ||
@@ -389,7 +395,8 @@ enum mo_handled mo_handle_campaign_phylogeny(struct mo_request *request)
   } else if (form == 0) {
     reply_page(request, id, after, limit);
   } else {
-    snprintf(tag, sizeof(tag), "phylogeny-%s-%lld-%lld-%llu", forms[form], (long long)id,
+    snprintf(tag, sizeof(tag), "%" PRIx64 "-phylogeny-2-%s-%lld-%lld-%llu",
+             mo_store_id(request->http->services.store), forms[form], (long long)id,
              (long long)status->generation, (unsigned long long)status->n_designs);
     handled = (form == 1 ? reply_csv : reply_newick)(request, status, tag);
   }

@@ -1,5 +1,5 @@
-/* handle_trainings.c: trainings: submission, state, lists, curves, checkpoints. What a training
- * gives and is measured by (its controller, its held-out set) is in handle_learned.c. */
+/* handle_trainings.c: trainings: submission, state, lists, curves, checkpoints. See
+ * handle_learned.c for the controller and the held-out set of a training. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,7 +8,6 @@
 #include "http/server.h"
 #include "http/training_json.h"
 #include "http/training_request.h"
-#include "http/unreadable.h"
 
 #define CSV_ROWS_MAX                                                                               \
   10000 /* of one reply that was not asked for a limit: 5 µs each on a thread that serves others, \
@@ -22,8 +21,7 @@ static const char *population_pointer(const struct mo_parsed_training *parsed)
                                                     : "/population/evaluation";
 }
 
-/* What the request names must be there: both faults are told at once, besides those of the body
- * itself. */
+/* Checks that what the request names exists, and adds all faults to those of the body. */
 static void look_up(struct mo_store *store, const struct mo_parsed_training *parsed,
                     struct mo_faults *faults)
 {
@@ -87,7 +85,7 @@ int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status
   return code;
 }
 
-/* Of the job whose designs a training learns from. */
+/* Returns the kind of the job whose designs a training learns from. */
 static enum mo_job_kind population_kind(struct mo_http *http,
                                         const struct mo_training_status *status)
 {
@@ -123,7 +121,7 @@ static void reply_training(struct mo_request *request, unsigned http_status, int
     request->reply.retry_after_s = 1;
 }
 
-/* Parses and stores; false: a reply is made. */
+/* Parses and stores the training. False: a reply was made. */
 static bool submit(struct mo_request *request, const struct mo_submission_key *key,
                    struct mo_faults *faults)
 {
@@ -134,7 +132,7 @@ static bool submit(struct mo_request *request, const struct mo_submission_key *k
     return false;
   }
   int code = mo_training_parse(request->body, request->body_size, parsed, faults);
-  if (code == MO_OK) /* the job may be of another kind, which has a population, too */
+  if (code == MO_OK) /* the job with this id may be of another kind */
     mo_look_up_job(http->services.store, parsed->request.population, parsed->population_kind,
                    population_pointer(parsed), faults);
   if (code == MO_OK && faults->n > 0)
@@ -185,15 +183,16 @@ enum mo_handled mo_handle_training(struct mo_request *request)
 
 void mo_handle_trainings(struct mo_request *request)
 {
-  static const char *const names[] = {"state", "limit", "cursor"};
+  static const char *const names[] = {"state", "limit", "cursor", "label"};
   struct mo_http *http = request->http;
-  struct mo_query_value values[3];
+  struct mo_query_value values[4];
   struct mo_job_query query = {.state = -1, .kind = -1};
   int64_t waiting[MO_WAITING_MAX];
   size_t limit;
-  if (!mo_query_read(request, names, values, 3) || !mo_accepts_json(request) ||
+  if (!mo_query_read(request, names, values, 4) || !mo_accepts_json(request) ||
       !mo_query_limit(request, &values[1], &limit) ||
       !mo_query_state(request, &values[0], &query.state) ||
+      !mo_query_label(request, &values[3], &query.label) ||
       !mo_query_before(request, &values[2], &query.before))
     return;
   query.waiting = waiting;
@@ -202,34 +201,27 @@ void mo_handle_trainings(struct mo_request *request)
   int64_t n = page != NULL ? mo_store_trainings(http->services.store, &query, page, limit)
                            : MO_ERR_NO_MEMORY;
   struct mo_text text = {0};
-  struct mo_unreadable unreadable = {0};
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
     struct mo_training_live live = {.seconds_left = -1};
-    if (page[i].job.damage[0] != '\0') {
-      mo_unreadable_add(&unreadable, &page[i].job);
-      continue;
-    }
     if (!mo_job_state_is_final(page[i].job.state))
       mo_jobs_training_live(http->services.jobs, page[i].job.id, &live);
     if (query.state >= 0 && mo_training_state(&page[i], &live) != (enum mo_job_state)query.state)
-      continue; /* it has begun or ceased to wait since it was found */
+      continue; /* it has just started or stopped waiting */
     mo_text_add(&text, comma);
     comma = ",";
     mo_training_json_write(&text, &page[i], population_kind(http, &page[i]), &live);
   }
-  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0, &unreadable);
+  mo_reply_page(request, &text, n, limit, n > 0 ? page[n - 1].job.id : 0);
   free(page);
 }
 
 /* ---- curves ---- */
 
-/* One page of either curve; the two differ in their rows alone. */
+/* One page of either curve; the curves differ only in their rows. */
 struct curve {
-  struct mo_request *request;
   struct mo_store *store;
-  struct mo_unreadable *unreadable; /* NULL: a CSV */
   bool validations;
   int64_t id, after; /* after −1: from step 0 */
   uint32_t stride;
@@ -254,20 +246,6 @@ static int64_t step_of_row(const struct curve *curve, int64_t i)
   return curve->validations ? curve->rows.validations[i].step : curve->rows.steps[i].report.step;
 }
 
-static bool leave_out(const struct curve *curve, int64_t i)
-{
-  const struct mo_row_damage *damage =
-      curve->validations ? &curve->rows.validations[i].damage : &curve->rows.steps[i].damage;
-  char place[32];
-  if (damage->column == NULL)
-    return false;
-  snprintf(place, sizeof(place), "step %lld", (long long)step_of_row(curve, i));
-  mo_unreadable_row(curve->request, curve->unreadable, curve->id,
-                    curve->validations ? "validation" : "step", place + strlen("step "), place,
-                    damage);
-  return true;
-}
-
 static void write_row(struct mo_text *text, const struct curve *curve, int64_t i, bool csv)
 {
   if (curve->validations && csv)
@@ -280,7 +258,7 @@ static void write_row(struct mo_text *text, const struct curve *curve, int64_t i
     mo_training_json_step(text, &curve->rows.steps[i]);
 }
 
-/* Rows up to `limit`, page by page. *more: there may be others behind them. */
+/* Writes up to `limit` rows, page by page. *more: there may be more rows. */
 static int write_rows(struct mo_text *text, struct curve *curve, size_t limit, bool csv, bool *more)
 {
   size_t written = 0;
@@ -291,8 +269,6 @@ static int write_rows(struct mo_text *text, struct curve *curve, size_t limit, b
     if (n < 0)
       return (int)n;
     for (int64_t i = 0; i < n; i++, written++) {
-      if (leave_out(curve, i))
-        continue;
       if (!csv && text->size > 0 && text->data[text->size - 1] == '}')
         mo_text_bytes(text, ",", 1);
       write_row(text, curve, i, csv);
@@ -316,8 +292,6 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
                                           : mo_training_csv_steps);
   int code = write_rows(&text, curve, limit, csv, &more);
   if (code != MO_OK || (csv && text.failed)) {
-    if (!csv)
-      mo_text_free(&curve->unreadable->items);
     mo_text_free(&text);
     mo_reply_error(request, code != MO_OK ? code : MO_ERR_NO_MEMORY, "page");
     return;
@@ -332,7 +306,6 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
                      more ? "true" : "false");
     else
       mo_text_add(&text, "],\"next_after\":null,\"more\":false");
-    mo_unreadable_end(request, &text, curve->unreadable);
     mo_text_add(&text, "}");
     mo_reply_json(request, 200, &text);
   }
@@ -341,30 +314,23 @@ static void reply_curve(struct mo_request *request, struct curve *curve, size_t 
 
 static void handle_curve(struct mo_request *request, bool validations)
 {
-  static const char *const names[] = {"after", "limit", "stride"};
+  static const char *const names[] = {"after", "limit", "format", "stride"};
+  static const char *const forms[] = {"json", "csv"};
   static const char *const types[] = {"application/json", "text/csv"};
-  struct mo_query_value values[3] = {0};
+  struct mo_query_value values[4] = {0};
   int64_t id, after = validations ? -1 : 0, stride = 1, limit = MO_PAGE_MAX;
-  if (!mo_query_read(request, names, values, validations ? 2 : 3))
+  int form;
+  if (!mo_query_read(request, names, values, validations ? 3 : 4) ||
+      !mo_query_form(request, &values[2], forms, types, 2, &form))
     return;
-  int form = mo_accept_choose(request->framing.accept, types, 2);
-  if (form < 0) {
-    mo_reply_problem(
-        request, 406, NULL,
-        "This path gives application/json or text/csv, which the Accept field does not allow.");
-    return;
-  }
   if (form == 1)
     limit = CSV_ROWS_MAX;
   if (!mo_query_number(request, "after", &values[0], 0, UINT32_MAX, &after) ||
       !mo_query_number(request, "limit", &values[1], 1, MO_PAGE_MAX, &limit) ||
-      !mo_query_number(request, "stride", &values[2], 1, MO_TRAINING_STEPS_MAX, &stride) ||
+      !mo_query_number(request, "stride", &values[3], 1, MO_TRAINING_STEPS_MAX, &stride) ||
       !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
-  struct mo_unreadable unreadable = {0};
-  struct curve curve = {.request = request,
-                        .unreadable = form == 1 ? NULL : &unreadable,
-                        .store = request->http->services.store,
+  struct curve curve = {.store = request->http->services.store,
                         .validations = validations,
                         .id = id,
                         .after = after,
@@ -422,8 +388,7 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
   bool one = request->route == MO_ROUTE_TRAINING_CHECKPOINT;
   int64_t id, step = 0;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
-      !mo_path_id(request, 0, &id) ||
-      !mo_job_is_even_unreadable(request, id, MO_JOB_TRAINING, "training"))
+      !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
   int code = one && !mo_decimal(text, strlen(text), 1, MO_TRAINING_STEPS_MAX, &step)
                  ? MO_ERR_NOT_FOUND

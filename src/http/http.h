@@ -1,12 +1,12 @@
 /* http.h: the HTTP interface of the service (schema/openapi.yaml is its contract).
  *
  * Threads: one acceptor per server takes connections from every listening socket and hands them to
- * libmicrohttpd's pool, which reads requests and writes replies and never waits for anything else;
- * requests that read the store or parse large bodies are set aside and handled by a pool of API
- * threads; one clock thread enforces deadlines, heartbeats and `Prefer: wait`. Health, readiness
- * and metrics read atomics only and are answered without waiting for any of these.
+ * libmicrohttpd's pool of I/O threads. I/O threads read requests and write replies, and never wait
+ * for anything else. Requests that read the store or parse large bodies go to a pool of API
+ * threads. One clock thread enforces deadlines, heartbeats and `Prefer: wait`. Health, readiness
+ * and metrics read only atomics and wait for none of these threads.
  *
- * Nothing here logs: each finished request is told to the `log` callback. */
+ * This room does not log: the `log` callback receives each finished request. */
 #ifndef MORPHO_HTTP_HTTP_H
 #define MORPHO_HTTP_HTTP_H
 
@@ -22,62 +22,67 @@ struct mo_jobs;
 struct mo_compute;
 struct mo_http;
 
-/* One finished request, for a log line. Texts are valid during the call only and are safe to print:
- * control bytes are replaced. */
+/* One finished request, for a log line. Texts are valid during the call only. They are safe to
+ * print: control bytes are replaced. */
 struct mo_http_log_entry {
   char request_id[17];
-  const char *client; /* "127.0.0.1:51234", "[::1]:51234", "unix uid 1000" */
+  const char *client; /* "127.0.0.1:51234 uid 1000", "192.0.2.7:51234", "unix uid 1000" */
   const char *method;
   const char *path;
   const char *reason; /* why the service failed (status 500 and above), or what it could not read;
                          NULL: nothing */
   unsigned status;    /* 0: the connection ended before a reply was made */
   uint64_t body_in;   /* bytes of the request's body */
-  uint64_t body_out;  /* bytes of the reply's body; of a stream, those written */
+  uint64_t body_out;  /* bytes of the reply's body; for a stream, those written */
   double duration_s;  /* from the end of the header to the end of the reply */
 };
 
-/* The kind of a listening socket is taken from the socket itself: TCP on a loopback address, TCP
+/* The kind of a listening socket is read from the socket itself: TCP on a loopback address, TCP
  * elsewhere, or unix. */
 struct mo_http_config {
-  const int *listeners; /* listening sockets; taken over by mo_http_start, which closes them at the
-                           end even if it fails */
+  const int *listeners; /* listening sockets; mo_http_start takes them over: the server closes them,
+                           even if the start fails */
   size_t n_listeners;
   const char *const
-      *allowed_hosts; /* further names (with or without port) for Host and Origin; loopback names,
-                         and the addresses of the listeners, always count. "*": any Host */
+      *allowed_hosts; /* further names (with or without port) for Host and Origin; loopback names
+                         and the listeners' addresses are always allowed. "*": any Host */
   size_t n_allowed_hosts;
   const char *const
       *tokens; /* bearer tokens (16 to 512 printable characters); see mo_http_set_tokens */
   size_t n_tokens;
-  bool token_on_loopback;   /* ask for a token on loopback even if no listener is beyond it */
+  bool token_on_loopback;   /* require a token on loopback even if every listener is on loopback */
   const gid_t *unix_groups; /* groups whose members may use the unix socket, besides root and the
                                service's own user */
   size_t n_unix_groups;
-  uint32_t n_io_threads;         /* libmicrohttpd's pool; 0: one per processor, at most 4 */
-  uint32_t n_api_threads;        /* 0: 4 */
-  uint32_t max_connections;      /* 0: 1024; beyond: 503 with Retry-After */
-  uint32_t max_streams;          /* 0: 256 event streams */
-  uint32_t max_in_flight;        /* requests of one client handled at a time; 0: 64; beyond: 429 */
-  uint32_t max_queued;           /* requests waiting for an API thread; 0: 256; beyond: 503 */
-  uint32_t client_rate_per_s;    /* submissions per second and client; 0: no limit; beyond: 429 */
-  uint64_t max_body_bytes;       /* JSON body of an evaluation; 0: 32 MiB */
+  uint32_t n_io_threads;    /* libmicrohttpd's pool; 0: one per processor, at most 4 */
+  uint32_t n_api_threads;   /* 0: 4 */
+  uint32_t max_connections; /* 0: 1024; beyond, idle connections are cut, or new ones get 503 with
+                               Retry-After. Lower if the limit of open files requires it: see
+                               mo_http_get_stats */
+  uint32_t max_streams;     /* 0: 256 event streams */
+  uint32_t max_in_flight; /* requests of one client at a time, without those that wait for a job; 0:
+                             64; beyond: 429 */
+  uint32_t max_queued; /* requests that wait for an API thread, lists and others counted apart; 0:
+                          256 each; beyond: 503 */
+  uint32_t client_rate_per_s; /* submissions and uploads per second and client; 0: no limit; beyond:
+                                 429 */
+  uint64_t max_body_bytes;    /* JSON body of an evaluation; 0: 32 MiB */
   uint64_t max_controller_bytes; /* controller file; 0: 16 MiB */
-  uint64_t max_body_memory; /* all bodies being received or handled, and large replies not yet read;
-                               0: 8 of the larger of the two above. Bodies of one client take at
-                               most half: 429 */
-  uint32_t
-      header_timeout_ms; /* from the first moment of a request to the end of its header; 0: 10 s */
-  uint32_t body_timeout_ms; /* from there to the end of the body; 0: 60 s */
-  uint32_t idle_timeout_ms; /* between requests of one connection; 0: 60 s */
-  uint32_t heartbeat_ms;    /* of event streams; 0: 15 s */
-  const char *version;      /* "0.1.0" */
+  uint64_t max_body_memory; /* for bodies being received or handled, and large replies not yet read;
+                               0: 8 times the larger of the two above. Bodies of one client take at
+                               most half; beyond: 429 */
+  uint32_t header_timeout_ms; /* from the start of a request to the end of its header; 0: 10 s */
+  uint32_t body_timeout_ms;   /* from the end of the header to the end of the body; 0: 60 s */
+  uint32_t idle_timeout_ms;   /* between requests of one connection; 0: 60 s */
+  uint32_t heartbeat_ms;      /* of event streams; 0: 15 s */
+  const char *version;        /* "0.1.0" */
   void (*log)(void *context,
-              const struct mo_http_log_entry *entry); /* nullable; called from several threads */
+              const struct mo_http_log_entry *entry); /* nullable; called by several threads */
   void *log_context;
+  uint64_t (*log_dropped)(void); /* nullable: number of log lines that were dropped, for /metrics */
 };
 
-/* What the routes use; all must outlive the server. */
+/* What the routes use. All must outlive the server. */
 struct mo_http_services {
   struct mo_store *store;
   struct mo_jobs *jobs;
@@ -86,40 +91,42 @@ struct mo_http_services {
 
 struct mo_http_stats {
   uint32_t connections, streams, in_flight, queued;
-  uint64_t requests, connections_accepted, connections_refused, connections_timed_out;
-  int64_t
-      heartbeat_us; /* monotonic: the older of the acceptor's and the clock's last signs of life;
-                       API threads wait for the store's writer, whose sign of life is its own */
+  uint32_t max_connections; /* after the limit of open files was applied */
+  uint64_t requests, connections_accepted, connections_refused, connections_timed_out,
+      connections_gave_way;
+  int64_t heartbeat_us; /* monotonic: the older of the acceptor's and the clock's last signs of
+                           life. API threads do not count: they may wait for the store's writer,
+                           which has its own */
 };
 
 /* Opens a listening socket: "127.0.0.1:8765", "[::1]:0", "name:8765" (first address of the name),
- * "unix:/run/morphod.sock". A unix socket replaces a stale one of no living server, has mode 0666 &
- * peers are told apart by their credentials. `address` (nullable, ≥ 128 bytes) receives what is
- * served, with the real port: "http://127.0.0.1:41234" or "unix:/run/…". MO_ERR_INVALID,
+ * "unix:/run/morphod.sock". A unix socket replaces a stale one that no server uses; its mode is
+ * 0666, because peers are checked by their credentials. `address` (nullable, ≥ 128 bytes) receives
+ * the address with the real port: "http://127.0.0.1:41234" or "unix:/run/…". MO_ERR_INVALID,
  * MO_ERR_NOT_FOUND (unknown name), MO_ERR_CONFLICT (address in use), MO_ERR_IO. */
 int mo_http_listen(const char *where, int *fd, char *address, struct mo_message *message);
-/* Describes a listening socket passed by somebody else in the same words. MO_ERR_INVALID: not a
+/* Describes, in the same form, a listening socket that was opened elsewhere. MO_ERR_INVALID: not a
  * listening TCP or unix socket. */
 int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_message *message);
 
-/* Starts serving. Not ready (GET /readyz is 503) until mo_http_set_ready. MO_ERR_INVALID: a
- * listener beyond loopback without tokens, a malformed token, no listener; MO_ERR_NO_MEMORY;
- * MO_ERR_IO. Call before other threads use JSON: it seeds the hash function of jansson. */
+/* Starts the server. GET /readyz is 503 until mo_http_set_ready. MO_ERR_INVALID: a listener beyond
+ * loopback without tokens, a malformed token, no listener; MO_ERR_NO_MEMORY; MO_ERR_IO. Call before
+ * other threads use JSON: this seeds the hash function of jansson. */
 int mo_http_start(const struct mo_http_config *config, const struct mo_http_services *services,
                   struct mo_http **http, struct mo_message *message);
 
-/* False: /readyz gives 503 and new work is refused with 503 (draining); replies to what is under
- * way go on. */
+/* Sets readiness. False (draining): /readyz gives 503 and new work is refused with 503; requests in
+ * flight are still answered. */
 void mo_http_set_ready(struct mo_http *http, bool ready);
 
-/* Replaces the tokens; requests under way are not affected. MO_ERR_INVALID (none given though
- * needed, or malformed): the old ones stay. MO_ERR_NO_MEMORY. */
+/* Replaces the tokens; requests in flight are not affected. MO_ERR_INVALID (none given though
+ * needed, or malformed) and MO_ERR_NO_MEMORY: the old tokens stay. */
 int mo_http_set_tokens(struct mo_http *http, const char *const *tokens, size_t n,
                        struct mo_message *message);
 
-/* Orderly end: no new connections, event streams end, waiting requests are answered, replies under
- * way get up to `grace_ms`, then everything is closed and freed. NULL-safe. store, jobs and compute
- * must still be there. */
+/* Stops the server in order: takes no new connections, ends event streams, answers waiting
+ * requests, waits up to `grace_ms` for replies in flight, then closes and frees everything.
+ * NULL-safe. store, jobs and compute must still exist. */
 void mo_http_stop(struct mo_http *http, uint32_t grace_ms);
 
 void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats);

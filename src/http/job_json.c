@@ -1,5 +1,6 @@
 /* job_json.c: see job_json.h. */
 #include "http/job_json.h"
+#include "rollout/physics.h"
 
 #include <math.h>
 #include <string.h>
@@ -42,24 +43,6 @@ void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash)
 void mo_loss_write(struct mo_text *text, double loss)
 {
   mo_text_json_number(text, loss); /* null when diverged */
-}
-
-void mo_physics_write(struct mo_text *text, const struct mo_physics *physics)
-{
-  mo_text_format(text, "{\"n_steps\":%u", physics->n_steps);
-  mo_text_member_number(text, "dt_s", physics->dt_s);
-  mo_text_member_number(text, "stiffness_n_per_m", physics->stiffness_n_per_m);
-  mo_text_member_number(text, "mass_kg", physics->mass_kg);
-  mo_text_member_number(text, "drag_per_s", physics->drag_per_s);
-  mo_text_member_number(text, "gravity_m_per_s2", physics->gravity_m_per_s2);
-  mo_text_member_number(text, "actuation", physics->actuation);
-  mo_text_member_number(text, "friction", physics->friction);
-  mo_text_member_number(text, "friction_cap", physics->friction_cap);
-  mo_text_member_number(text, "drop_height_m", physics->drop_height_m);
-  if (physics->impact == MO_IMPACT_EXACT)
-    mo_text_add(text, ",\"impact\":\"exact\"}");
-  else
-    mo_text_format(text, ",\"impact\":\"bisection%u\"}", physics->bisections);
 }
 
 static void write_losses(struct mo_text *text, const char *name, const double *losses, uint32_t n)
@@ -156,7 +139,7 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job,
   else
     mo_text_format(text, ",\"environments\":{\"count\":%u}", job->n_environments);
   mo_text_add(text, ",\"physics\":");
-  mo_physics_write(text, &job->physics);
+  mo_fields_write_object(text, &mo_physics_fields, &job->physics);
   mo_text_member(text, "precision", job->precision == MO_FLOAT64 ? "float64" : "float32");
   mo_text_format(text, ",\"record\":[%s%s%s]", job->record_com ? "\"com\"" : "",
                  job->record_com && job->record_masses ? "," : "",

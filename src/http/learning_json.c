@@ -6,27 +6,6 @@
 
 #include "http/job_json.h"
 
-void mo_schedule_write(struct mo_text *text, const struct mo_schedule *schedule)
-{
-  mo_text_format(text, ",\"schedule\":{\"kind\":\"%s\"", mo_schedule_name(schedule->kind));
-  mo_text_member_number(text, "peak", schedule->peak);
-  mo_text_member_number(text, "floor", schedule->floor);
-  mo_text_member_number(text, "decay", schedule->decay);
-  mo_text_member_count(text, "cycle_steps", schedule->cycle_steps);
-  mo_text_member_count(text, "cycle_growth", schedule->cycle_growth);
-  mo_text_member_count(text, "warmup_steps", schedule->warmup_steps);
-  mo_text_add(text, "}");
-}
-
-void mo_adam_write(struct mo_text *text, double beta1, double beta2, double epsilon)
-{
-  mo_text_add(text, ",\"adam\":{\"beta1\":");
-  mo_text_json_number(text, beta1);
-  mo_text_member_number(text, "beta2", beta2);
-  mo_text_member_number(text, "epsilon", epsilon);
-  mo_text_add(text, "}");
-}
-
 void mo_reference_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256)
 {
   mo_text_add(text, "{\"name\":");

@@ -1,4 +1,4 @@
-/* listen.c: listening sockets: opened here, or passed by somebody else. */
+/* listen.c: opens listening sockets, and describes those that were passed to the process. */
 #include <arpa/inet.h>
 #include <errno.h>
 #include <netdb.h>
@@ -13,10 +13,12 @@
 
 #define BACKLOG 1024
 
-static bool is_loopback(const struct sockaddr_storage *address)
+bool mo_address_is_loopback(const struct sockaddr_storage *address)
 {
   if (address->ss_family == AF_INET)
     return ntohl(((const struct sockaddr_in *)address)->sin_addr.s_addr) >> 24 == 127;
+  if (address->ss_family != AF_INET6)
+    return false;
   const struct in6_addr *v6 = &((const struct sockaddr_in6 *)address)->sin6_addr;
   return IN6_IS_ADDR_LOOPBACK(v6) || (IN6_IS_ADDR_V4MAPPED(v6) && v6->s6_addr[12] == 127);
 }
@@ -45,7 +47,7 @@ int mo_http_describe(int fd, char *address, bool *beyond_loopback, struct mo_mes
     }
     return MO_OK;
   }
-  *beyond_loopback = !is_loopback(&name);
+  *beyond_loopback = !mo_address_is_loopback(&name);
   char host[64], port[16];
   if (getnameinfo((struct sockaddr *)&name, size, host, sizeof(host), port, sizeof(port),
                   NI_NUMERICHOST | NI_NUMERICSERV) != 0)

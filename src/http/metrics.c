@@ -1,5 +1,5 @@
-/* metrics.c: see metrics.h. Names follow Prometheus' rules: base units, _total for counters, no
- * labels without bounds. */
+/* metrics.c: see metrics.h. Names follow the rules of Prometheus: base units, _total for counters,
+ * no labels with unbounded values. */
 #include "http/metrics.h"
 
 #include <stdio.h>
@@ -8,8 +8,8 @@
 #include "http/server.h"
 
 static const unsigned statuses[MO_METRIC_STATUSES] = {200, 201, 202, 204, 304, 400, 401, 403, 404,
-                                                      405, 406, 408, 409, 411, 413, 415, 417, 422,
-                                                      429, 431, 500, 501, 503, 507, 0};
+                                                      405, 406, 408, 409, 411, 413, 414, 415, 417,
+                                                      422, 429, 431, 500, 501, 503, 505, 507, 0};
 static const double bounds_s[MO_METRIC_BUCKETS] = {
     0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30, 60};
 
@@ -83,6 +83,9 @@ static void write_http(struct mo_http *http, struct mo_text *text)
   struct mo_http_stats stats;
   mo_http_get_stats(http, &stats);
   whole(text, "morphod_http_connections", "gauge", "Open connections.", stats.connections);
+  whole(text, "morphod_http_connections_max", "gauge",
+        "Connections that may be open: max_connections, or what the limit of open files leaves.",
+        stats.max_connections);
   whole(text, "morphod_http_requests_in_flight", "gauge",
         "Requests under way, event streams included.", stats.in_flight);
   whole(text, "morphod_http_requests_queued", "gauge", "Requests waiting for an API thread.",
@@ -93,6 +96,12 @@ static void write_http(struct mo_http *http, struct mo_text *text)
         "Connections refused: too many, or not allowed.", stats.connections_refused);
   whole(text, "morphod_http_connections_timed_out_total", "counter",
         "Connections cut off at a deadline.", stats.connections_timed_out);
+  whole(text, "morphod_http_connections_gave_way_total", "counter",
+        "Connections without a whole request that were closed for new ones.",
+        stats.connections_gave_way);
+  whole(text, "morphod_http_bodies_gave_way_total", "counter",
+        "Half-sent request bodies that were dropped because others needed their memory.",
+        atomic_load(&m->bodies_gave_way));
   whole(text, "morphod_http_unauthorized_total", "counter", "Requests without a valid token.",
         atomic_load(&m->unauthorized));
   whole(text, "morphod_http_request_body_bytes_total", "counter", "Bytes of request bodies.",
@@ -131,7 +140,7 @@ static void write_compute(struct mo_http *http, struct mo_text *text)
         "Rollouts whose numbers left the sane range.", c.rollouts_diverged);
 }
 
-/* One series for each device. */
+/* Writes one series per device. */
 static void write_devices(struct mo_http *http, struct mo_text *text)
 {
   enum { LOST, LOAD, BUSY, CALLS, ROLLOUTS, ROBOTS, MEMORY, FREE, SERIES };
@@ -195,7 +204,7 @@ static void write_jobs(struct mo_http *http, struct mo_text *text)
         "Rollouts computed once for several jobs since the start.", j.rollouts_shared);
 }
 
-/* Urgent blocks among them. */
+/* Writes the time of the workers, urgent blocks included. */
 static void write_worker_time(struct mo_http *http, struct mo_text *text)
 {
   struct mo_jobs_stats j;
@@ -287,6 +296,9 @@ void mo_metrics_write(struct mo_http *http, struct mo_text *text)
   mo_text_json_string(text, fingerprint, strlen(fingerprint));
   mo_text_add(text, "} 1\n");
   whole(text, "morphod_ready", "gauge", "1 while new work is taken.", atomic_load(&http->ready));
+  if (http->config.log_dropped != NULL)
+    whole(text, "morphod_log_lines_dropped_total", "counter",
+          "Log lines that standard error did not take.", http->config.log_dropped());
   write_requests(http, text);
   write_http(http, text);
   write_compute(http, text);

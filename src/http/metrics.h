@@ -1,15 +1,15 @@
-/* metrics.h: counters of the HTTP room and the page of /metrics (Prometheus text format). Atomics
- * only; nothing waits. */
+/* metrics.h: counters of the HTTP room and the page /metrics (Prometheus text format). Uses only
+ * atomics and never waits. */
 #ifndef MORPHO_HTTP_METRICS_H
 #define MORPHO_HTTP_METRICS_H
 
 #include <stdatomic.h>
 #include <stdint.h>
 
+#include "base/text.h"
 #include "http/route.h"
-#include "http/text.h"
 
-#define MO_METRIC_STATUSES 25
+#define MO_METRIC_STATUSES 27
 #define MO_METRIC_BUCKETS  15
 
 struct mo_metrics {
@@ -17,12 +17,13 @@ struct mo_metrics {
   _Atomic uint64_t latency[MO_METRIC_BUCKETS + 1]; /* not cumulative; the last: above all bounds */
   _Atomic uint64_t latency_us;
   _Atomic uint64_t body_in, body_out;
-  _Atomic uint64_t accepted, refused, timed_out, unauthorized, events_sent, streams_dropped;
+  _Atomic uint64_t accepted, refused, timed_out, gave_way, bodies_gave_way, unauthorized,
+      events_sent, streams_dropped;
 };
 
 struct mo_http;
 
-/* Streams count as requests, but not in the histogram. */
+/* Counts one request. Streams are not in the histogram of latencies. */
 void mo_metrics_request(struct mo_metrics *metrics, enum mo_route route, unsigned status,
                         int64_t duration_us, bool stream);
 void mo_metrics_write(struct mo_http *http, struct mo_text *text);

@@ -13,12 +13,12 @@ struct mo_newick_pieces {
   pthread_t thread;
   pthread_mutex_t lock;
   pthread_cond_t changed;
-  struct mo_text piece; /* that waits to be taken, once it is full */
+  struct mo_text piece; /* waits to be taken once it is full */
   bool full, ended, cancelled;
-  int code; /* how it ended */
+  int code; /* result of mo_newick */
 };
 
-/* On the thread. */
+/* Receives output of mo_newick, on the thread. */
 static int take(void *context, const char *text, size_t length)
 {
   struct mo_newick_pieces *pieces = context;

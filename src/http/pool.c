@@ -1,19 +1,60 @@
-/* pool.c: the API threads, and the requests that wait for a job to end. See server.h for who owns a
- * request when. */
+/* pool.c: the API threads, and the requests that wait for a job to end. server.h says which thread
+ * owns a request. */
 #include <stdlib.h>
+#include <unistd.h>
 
+#include "base/processors.h"
 #include "http/server.h"
+
+#include "base/clock.h"
+
+/* Chooses the queue of a request. Lists take a core for milliseconds each, and clients that read
+ * one often read more. So they have a queue of their own, and run on at most half of the threads
+ * and half of the cores. */
+static struct mo_queue *queue_of(struct mo_pool *pool, const struct mo_request *request)
+{
+  bool list = (request->method & (MO_GET | MO_HEAD)) != 0 && mo_routes[request->route].list &&
+              request->stream == NULL;
+  return list ? &pool->lists : &pool->others;
+}
+
+/* Says whether a request is new: not the next piece of a reply, and not a wait that is over. */
+static bool is_new(const struct mo_request *request)
+{
+  return request->stage == MO_STAGE_HANDLING && !request->wait_over;
+}
 
 static void push(struct mo_pool *pool, struct mo_request *request)
 {
+  struct mo_queue *queue = queue_of(pool, request);
   request->next_queued = NULL;
-  if (pool->last != NULL)
-    pool->last->next_queued = request;
+  if (queue->last != NULL)
+    queue->last->next_queued = request;
   else
-    pool->first = request;
-  pool->last = request;
+    queue->first = request;
+  queue->last = request;
+  queue->n += is_new(request);
   pool->n_queued++;
   pthread_cond_signal(&pool->work);
+}
+
+/* Takes the next request that may run, the older of the two queues' first. NULL: none. */
+static struct mo_request *take(struct mo_pool *pool, bool *is_list)
+{
+  const struct mo_request *other = pool->others.first;
+  struct mo_request *next = pool->n_lists < pool->max_lists ? pool->lists.first : NULL;
+  *is_list = next != NULL && (other == NULL || next->started_us < other->started_us);
+  struct mo_queue *queue = *is_list ? &pool->lists : &pool->others;
+  if ((next = queue->first) == NULL)
+    return NULL;
+  queue->first = next->next_queued;
+  if (queue->first == NULL)
+    queue->last = NULL;
+  queue->n -= is_new(next);
+  pool->n_queued--;
+  pool->n_running++;
+  pool->n_lists += *is_list;
+  return next;
 }
 
 static void unlink_waiting(struct mo_pool *pool, struct mo_request *request)
@@ -34,25 +75,23 @@ static void *worker(void *context)
   struct mo_pool *pool = &http->pool;
   pthread_mutex_lock(&pool->lock);
   for (;;) {
-    while (pool->first == NULL && !pool->quit)
-      pthread_cond_wait(&pool->work, &pool->lock);
-    if (pool->first == NULL)
+    bool is_list;
+    struct mo_request *request = take(pool, &is_list);
+    if (request == NULL && pool->quit)
       break;
-    struct mo_request *request = pool->first;
-    pool->first = request->next_queued;
-    if (pool->first == NULL)
-      pool->last = NULL;
-    pool->n_queued--;
-    pool->n_running++;
+    if (request == NULL) {
+      pthread_cond_wait(&pool->work, &pool->lock);
+      continue;
+    }
     pthread_mutex_unlock(&pool->lock);
-    atomic_store(&pool->heartbeat_us, mo_http_clock_us());
+    atomic_store(&pool->heartbeat_us, mo_clock_us());
     struct MHD_Connection *mhd = request->mhd;
     bool back = true;
     if (request->stage == MO_STAGE_REPLY && request->stream != NULL) {
-      mo_stream_refill(request); /* resumes by itself */
+      mo_stream_refill(request); /* resumes the connection itself */
       back = false;
     } else if (request->stage == MO_STAGE_REPLY && request->download != NULL) {
-      mo_download_refill(request); /* likewise */
+      mo_download_refill(request); /* resumes the connection itself */
       back = false;
     } else {
       back = mo_handle(request) != MO_PARKED;
@@ -63,6 +102,9 @@ static void *worker(void *context)
       MHD_resume_connection(mhd);
     pthread_mutex_lock(&pool->lock);
     pool->n_running--;
+    pool->n_lists -= is_list;
+    if (is_list && pool->lists.first != NULL)
+      pthread_cond_signal(&pool->work); /* a thread that skipped this request may be asleep */
     if (back)
       pool->n_outside--;
     pthread_cond_broadcast(&pool->idle);
@@ -77,7 +119,9 @@ int mo_pool_start(struct mo_http *http)
   pthread_mutex_init(&pool->lock, NULL);
   pthread_cond_init(&pool->work, NULL);
   pthread_cond_init(&pool->idle, NULL);
-  atomic_store(&pool->heartbeat_us, mo_http_clock_us());
+  atomic_store(&pool->heartbeat_us, mo_clock_us());
+  uint32_t half = mo_processors() / 2, most = http->config.n_api_threads / 2;
+  pool->max_lists = half < 1 || most < 1 ? 1 : half < most ? half : most;
   pool->threads = calloc(http->config.n_api_threads, sizeof(pthread_t));
   if (pool->threads == NULL)
     return MO_ERR_NO_MEMORY;
@@ -93,7 +137,7 @@ bool mo_pool_give(struct mo_http *http, struct mo_request *request, bool *closed
   pthread_mutex_lock(&pool->lock);
   bool refill = request->stage == MO_STAGE_REPLY;
   *closed = pool->closed;
-  bool taken = !pool->closed && (refill || pool->n_queued < http->config.max_queued);
+  bool taken = !pool->closed && (refill || queue_of(pool, request)->n < http->config.max_queued);
   if (taken) {
     if (!refill) {
       request->stage = MO_STAGE_HANDLING;
@@ -126,10 +170,12 @@ bool mo_wait_park(struct mo_request *request)
   struct mo_pool *pool = &request->http->pool;
   pthread_mutex_lock(&pool->lock);
   bool park = !request->wait_fired && !pool->closed;
-  if (park)
+  if (park) {
     request->wait_parked = true;
-  else
+    mo_client_park(&request->http->clients, request->client, true);
+  } else {
     unlink_waiting(pool, request);
+  }
   pthread_mutex_unlock(&pool->lock);
   return park;
 }
@@ -142,19 +188,20 @@ void mo_wait_end(struct mo_request *request)
   pthread_mutex_unlock(&pool->lock);
 }
 
-/* A parked request is handled once more; one that is not parked yet sees that it need not. With the
- * pool's lock. */
+/* Ends the wait of a request. A parked one is queued again; one about to park will see wait_fired.
+ * Call with the pool's lock. */
 static void let_go(struct mo_pool *pool, struct mo_request *request)
 {
   request->wait_fired = true;
   if (!request->wait_parked)
     return;
   unlink_waiting(pool, request);
+  mo_client_park(&request->http->clients, request->client, false);
   request->wait_over = true;
   push(pool, request);
 }
 
-/* Lets go of those that wait for this job, or for no longer than now. */
+/* Ends the waits for this job, and those whose deadline has passed. */
 static void fire(struct mo_http *http, int64_t job, int64_t now_us)
 {
   struct mo_pool *pool = &http->pool;

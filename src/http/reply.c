@@ -1,15 +1,15 @@
-/* reply.c: replies and problems, and how they are handed to libmicrohttpd. */
+/* reply.c: makes replies and problems, and hands them to libmicrohttpd. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "http/field.h"
 #include "http/server.h"
-#include "http/unreadable.h"
 
 #define SMALL_BYTES                                                                                \
-  ((uint64_t)64 << 10) /* of a reply that no limit holds back: refusals must get through */
+  ((uint64_t)64 << 10) /* of a reply without a limit on memory: refusals must get through */
 
 void mo_reply_clear(struct mo_reply *reply)
 {
@@ -47,7 +47,7 @@ void mo_reply_json(struct mo_request *request, unsigned status, struct mo_text *
   *text = (struct mo_text){0};
 }
 
-/* The kind of a problem, for programs: what its status does not tell. */
+/* Returns the type of a problem, for programs: what its status alone does not say. */
 static const char *problem_type(unsigned status, const struct mo_faults *faults)
 {
   switch (status) {
@@ -128,8 +128,6 @@ void mo_reply_error(struct mo_request *request, int code, const char *what)
     request->reply.retry_after_s = 30;
     break;
   default:
-    if (code == MO_ERR_CORRUPT && mo_reply_unreadable(request))
-      break;
     mo_reply_problem(request, 500, NULL,
                      "The service failed to handle the %s: %s. Its log has the request's id.", what,
                      mo_error_text(code));
@@ -212,22 +210,8 @@ bool mo_reply_headers(struct mo_request *request, struct MHD_Response *response)
   return good;
 }
 
-void mo_request_drop_body(struct mo_request *request)
-{
-  free(request->body);
-  request->body = NULL;
-  request->body_size = request->body_capacity = 0;
-  atomic_fetch_sub(&request->http->body_memory, request->body_reserved);
-  request->body_reserved = 0;
-  if (request->body_client != NULL)
-    mo_client_give_back(&request->http->clients, request->body_client, request->body_held,
-                        mo_http_clock_us());
-  request->body_client = NULL;
-  request->body_held = 0;
-}
-
-/* The request's body has served. A large reply takes its place in the limit on memory until it is
- * sent: readers that do not read would otherwise hold any amount. One alone always passes. */
+/* Frees the request's body, and counts a large reply in the limit on memory until it is sent: slow
+ * readers could otherwise hold any amount. A reply always passes if nothing else is counted. */
 static bool reserve_reply(struct mo_request *request)
 {
   struct mo_http *http = request->http;
@@ -235,11 +219,8 @@ static bool reserve_reply(struct mo_request *request)
   uint64_t size = request->reply.size;
   if (request->reply.body == NULL || size <= SMALL_BYTES)
     return true;
-  uint64_t before = atomic_fetch_add(&http->body_memory, size);
-  if (before > 0 && before + size > http->config.max_body_memory) {
-    atomic_fetch_sub(&http->body_memory, size);
+  if (!mo_body_memory_take(http, 0, size, false))
     return false;
-  }
   request->body_reserved = size;
   return true;
 }
@@ -261,16 +242,17 @@ enum MHD_Result mo_reply_send(struct mo_request *request)
   if (response == NULL)
     return MHD_NO;
   if (!empty)
-    reply->body = NULL; /* the response has it now */
-  /* The library sends no body with these, but tells its length. */
+    reply->body = NULL; /* the response owns it now */
+  /* The library sends no body for these, only its length. */
   request->sent = request->method == MO_HEAD || reply->status == 304 || empty ? 0 : reply->size;
-  /* A reader that does not read is cut off: a minute, and a second more for every 64 KiB. */
+  /* Slow readers are cut off after a minute, plus a second for every 64 KiB. */
   atomic_store(&request->connection->deadline_us,
-               mo_http_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
+               mo_clock_us() + 60000000 + (int64_t)(reply->size >> 16) * 1000000);
   if (atomic_load(&request->http->stopping))
     reply->close = true;
+  request->connection->lingers |= reply->close;
   enum MHD_Result result = mo_reply_headers(request, response)
-                               ? MHD_queue_response(request->mhd, reply->status, response)
+                               ? mo_queue_response(request->mhd, reply->status, response)
                                : MHD_NO;
   MHD_destroy_response(response);
   return result;

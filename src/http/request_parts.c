@@ -1,5 +1,5 @@
-/* request_parts.c: see request_parts.h. Every fault names its place: a cell that is out of bounds
- * is /designs/3/cells/7/0. */
+/* request_parts.c: see request_parts.h. Every fault names its place: a cell out of bounds is at
+ * /designs/3/cells/7/0. */
 #include "http/request_parts.h"
 
 #include <stdio.h>
@@ -22,7 +22,7 @@ void mo_read_unknown(struct mo_json *json, const char *expected)
 int mo_find_words(struct mo_json *json, const char *text, size_t size, const char *const *keys,
                   char (*words)[MO_WORD_BYTES], size_t n)
 {
-  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass tells them */
+  struct mo_faults *faults = calloc(1, sizeof(*faults)); /* the second pass reports them */
   struct mo_json_slice key, word;
   for (size_t i = 0; i < n; i++)
     words[i][0] = '\0';
@@ -54,32 +54,6 @@ bool mo_read_count(struct mo_json *json, uint32_t min, uint32_t max, uint32_t *c
     return false;
   *count = (uint32_t)number;
   return true;
-}
-
-bool mo_read_positive(struct mo_json *json, double max, double *value)
-{
-  double number;
-  if (!mo_json_number(json, &number))
-    return false;
-  if (number <= 0 || number > max) {
-    mo_json_fault(json, "%s is given; a number above 0, at most %s, is expected", MO_NUMBER(number),
-                  MO_NUMBER(max));
-    return false;
-  }
-  *value = number;
-  return true;
-}
-
-void mo_read_limit(struct mo_json *json, double max, double *value)
-{
-  double number;
-  if (!mo_json_number(json, &number))
-    return;
-  if (number < 0 || number > max)
-    mo_json_fault(json, "%s is given; a number above 0, at most %s, or 0 for no limit, is expected",
-                  MO_NUMBER(number), MO_NUMBER(max));
-  else
-    *value = number;
 }
 
 /* ---- designs ---- */
@@ -154,6 +128,16 @@ static bool read_cells(struct mo_json *json, uint64_t *bits)
   return code == MO_OK;
 }
 
+/* Skips the letter in front of an id (d) or a genotype (g): CSV files have these letters, and their
+ * values may be sent back unchanged. */
+static void without_letter(struct mo_json_slice *text, char letter)
+{
+  if (text->size > 0 && text->bytes[0] == letter && text->size != MO_DEFAULT_ID_DIGITS) {
+    text->bytes++;
+    text->size--;
+  }
+}
+
 static bool read_voxels(struct mo_json *json, uint64_t *bits)
 {
   unsigned depth = json->depth;
@@ -161,6 +145,7 @@ static bool read_voxels(struct mo_json *json, uint64_t *bits)
   struct mo_cell_fault fault;
   if (!mo_json_string(json, &text))
     return false;
+  without_letter(&text, 'g');
   int code = mo_genotype_from_text(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits, &fault);
   switch (code) {
   case MO_OK: break;
@@ -191,6 +176,7 @@ static bool read_id(struct mo_json *json, uint64_t *bits)
   struct mo_json_slice text;
   if (!mo_json_string(json, &text))
     return false;
+  without_letter(&text, 'd');
   int code = mo_genotype_from_id(MO_DEFAULT_WORKSPACE, text.bytes, text.size, bits);
   if (code == MO_ERR_EMPTY || code == MO_ERR_NOT_CONTIGUOUS)
     mo_json_fault_at(json, depth, "", "the id spells a body that is empty or in several pieces");
@@ -258,7 +244,7 @@ int mo_read_designs(struct mo_json *json, struct mo_bits **genotypes, uint32_t *
 
 /* ---- environments ---- */
 
-/* An array of exactly n numbers within ±limit. */
+/* Reads an array of exactly n numbers within ±limit. */
 static bool read_numbers(struct mo_json *json, double limit, size_t n, double *numbers)
 {
   unsigned depth = json->depth, before = json->faults->n;
@@ -356,79 +342,6 @@ int mo_read_environments(struct mo_json *json, struct mo_environment **environme
 }
 
 /* ---- settings ---- */
-
-static void read_impact(struct mo_json *json, struct mo_physics *physics)
-{
-  struct mo_json_slice name;
-  unsigned depth = json->depth;
-  if (!mo_json_string(json, &name))
-    return;
-  if (mo_json_is(name, "exact")) {
-    physics->impact = MO_IMPACT_EXACT;
-    return;
-  }
-  uint32_t n = 0;
-  bool good = name.size > 9 && name.size <= 11 && memcmp(name.bytes, "bisection", 9) == 0 &&
-              name.bytes[9] != '0';
-  for (size_t i = 9; i < name.size && good; i++) {
-    good = name.bytes[i] >= '0' && name.bytes[i] <= '9';
-    n = n * 10 + (uint32_t)(name.bytes[i] - '0');
-  }
-  if (!good || n < 1 || n > 52) {
-    mo_json_fault_at(json, depth, "",
-                     "\"exact\", or \"bisection\" followed by 1 to 52, is expected");
-    return;
-  }
-  physics->impact = MO_IMPACT_BISECTION;
-  physics->bisections = n;
-}
-
-void mo_read_physics(struct mo_json *json, struct mo_physics *physics)
-{
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    /* Each field is checked alone, so that each fault is at its own place. */
-    struct mo_physics one = mo_default_physics();
-    const struct {
-      const char *name;
-      double *in_one, *in_all;
-    } numbers[] = {
-        {"dt_s", &one.dt_s, &physics->dt_s},
-        {"stiffness_n_per_m", &one.stiffness_n_per_m, &physics->stiffness_n_per_m},
-        {"mass_kg", &one.mass_kg, &physics->mass_kg},
-        {"drag_per_s", &one.drag_per_s, &physics->drag_per_s},
-        {"gravity_m_per_s2", &one.gravity_m_per_s2, &physics->gravity_m_per_s2},
-        {"actuation", &one.actuation, &physics->actuation},
-        {"friction", &one.friction, &physics->friction},
-        {"friction_cap", &one.friction_cap, &physics->friction_cap},
-        {"drop_height_m", &one.drop_height_m, &physics->drop_height_m},
-    };
-    size_t field = 0, n_fields = sizeof(numbers) / sizeof(numbers[0]);
-    while (field < n_fields && !mo_json_is(key, numbers[field].name))
-      field++;
-    int64_t steps;
-    struct mo_message message;
-    if (field < n_fields) {
-      if (!mo_json_number(json, numbers[field].in_one))
-        continue;
-      if (mo_physics_check(&one, &message) != MO_OK)
-        mo_json_fault(json, "%s", message.text);
-      else
-        *numbers[field].in_all = *numbers[field].in_one;
-    } else if (mo_json_is(key, "n_steps")) {
-      if (mo_json_integer(json, 1, MO_STEPS_MAX, &steps))
-        physics->n_steps = (uint32_t)steps;
-    } else if (mo_json_is(key, "impact")) {
-      read_impact(json, physics);
-    } else {
-      mo_read_unknown(json, "dt_s, n_steps, stiffness_n_per_m, mass_kg, drag_per_s, "
-                            "gravity_m_per_s2, actuation, friction, friction_cap, "
-                            "drop_height_m, impact");
-    }
-  }
-}
 
 void mo_read_controller(struct mo_json *json, char controller[MO_NAME_BYTES_MAX + 8])
 {
@@ -530,7 +443,6 @@ void mo_read_device(struct mo_json *json, int *back_end)
     mo_json_fault_at(json, depth, "", "\"auto\", \"cpu\" or \"cuda\" is expected");
 }
 
-/* One of two words; false when it is neither. */
 bool mo_read_choice(struct mo_json *json, const char *first, const char *second, int *choice)
 {
   struct mo_json_slice word;

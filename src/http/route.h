@@ -1,5 +1,5 @@
-/* route.h: which path and method is which call. The table is the one list of routes: metrics, Allow
- * and the contract test (tests/api) follow it. */
+/* route.h: maps paths and methods to routes. The table is the only list of routes: metrics, Allow
+ * and the contract test (tests/api) use it. */
 #ifndef MORPHO_HTTP_ROUTE_H
 #define MORPHO_HTTP_ROUTE_H
 
@@ -71,20 +71,22 @@ enum mo_route {
 
 struct mo_route_info {
   const char *path; /* "/v1/jobs/{id}" */
-  unsigned methods; /* without HEAD (as GET) and OPTIONS (always) */
+  unsigned methods; /* without HEAD (allowed with GET) and OPTIONS (always allowed) */
   bool open;        /* needs no token */
   bool direct;      /* answered without an API thread */
+  bool list; /* GET returns many items: a page, a curve, a population. pool.c limits how many run at
+                a time */
 };
 extern const struct mo_route_info mo_routes[MO_ROUTES];
 
 enum mo_method mo_method_of(const char *name);
 
-/* The route of a path as it came (percent escapes resolved per segment). parameters: the {…} in
- * order, terminated. */
+/* Finds the route of a path as received; percent escapes are decoded per segment. parameters: the
+ * values of {…} in order, NUL-terminated. */
 enum mo_route mo_route_find(const char *path, size_t size,
                             char parameters[MO_PATH_PARAMETERS][MO_PATH_PARAMETER_BYTES]);
 
-/* "GET, HEAD, OPTIONS" */
+/* Writes the methods of a route: "GET, HEAD, OPTIONS". */
 void mo_route_allow(enum mo_route route, char allow[64]);
 
 #endif

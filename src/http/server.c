@@ -2,7 +2,9 @@
  * for the life of a request. */
 #include "http/server.h"
 
+#include <fcntl.h>
 #include <inttypes.h>
+#include <malloc.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -10,46 +12,65 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "base/clock.h"
+#include "base/processors.h"
 #include "http/openapi.h"
 
-#define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that take none */
+#define DEFAULT_BODY_BYTES (UINT64_C(64) << 10) /* of routes that need no large body */
+#define MANY_CONNECTIONS   64    /* from so many on, freed memory is returned to the system */
+#define PROGRESS_BYTES     16384 /* fewer bytes of a body count as no progress */
 #define DRAIN_BYTES                                                                                \
-  (UINT64_C(64) << 20) /* of a refused body, read so that the refusal reaches the client */
+  (UINT64_C(64) << 20) /* of a refused body are read, so that the refusal reaches the client */
 
-int64_t mo_http_clock_us(void)
+/* ---- start of a request ---- */
+
+static void end_request(struct mo_connection *connection, bool complete);
+
+struct mo_request *mo_request_begin(struct mo_connection *connection, struct MHD_Connection *mhd,
+                                    const char *target)
 {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-}
-
-/* ---- a request's beginning ---- */
-
-static void *on_target(void *context, const char *target, struct MHD_Connection *mhd)
-{
-  struct mo_http *http = context;
+  struct mo_http *http = connection->http;
   struct mo_request *request = calloc(1, sizeof(*request));
   if (request == NULL)
     return NULL;
-  const union MHD_ConnectionInfo *info =
-      MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
   request->http = http;
   request->mhd = mhd;
-  request->connection = info != NULL ? info->socket_context : NULL;
+  request->connection = connection;
   request->raw_target = strdup(target);
   request->wait_s = -1;
-  request->started_us = mo_http_clock_us();
+  request->started_us = mo_clock_us();
   uint64_t number = http->id_key ^ atomic_fetch_add(&http->next_id, 1);
   snprintf(request->id, sizeof(request->id), "%016" PRIx64, number);
   size_t n = 0;
   for (; target[n] != '\0' && target[n] != '?' && n < sizeof(request->path) - 1; n++)
     request->path[n] =
         (unsigned char)target[n] > 0x20 && (unsigned char)target[n] < 0x7F ? target[n] : '?';
-  if (request->connection !=
-      NULL) /* the request line is here: the rest of the header must follow */
-    atomic_store(&request->connection->deadline_us,
-                 request->started_us + (int64_t)http->config.header_timeout_ms * 1000);
   atomic_fetch_add(&http->n_in_flight, 1);
+  connection->request = request;
+  return request;
+}
+
+static void *on_target(void *context, const char *target, struct MHD_Connection *mhd)
+{
+  struct mo_http *http = context;
+  const union MHD_ConnectionInfo *info =
+      MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
+  struct mo_connection *connection = info != NULL ? info->socket_context : NULL;
+  if (connection == NULL)
+    return NULL;
+  end_request(connection, false);
+  struct mo_request *request = mo_request_begin(connection, mhd, target);
+  /* The library would list the query parameters in the connection's memory, could run out of it,
+   * and would then not report the end of this request. No code here uses that list, so cut off the
+   * query: `target` is the library's own buffer, whose query it parses next. */
+  char *query = strchr(target, '?');
+  if (query != NULL)
+    query[1] = '\0';
+  /* The request line has arrived: the rest of the header must follow. */
+  int64_t now_us = mo_clock_us();
+  atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.header_timeout_ms * 1000);
+  atomic_store(&connection->receiving, true);
+  mo_connection_spare(connection, now_us);
   return request;
 }
 
@@ -80,12 +101,27 @@ static void refuse(struct mo_request *request, const struct mo_refusal *refusal)
   free(faults);
 }
 
-/* Whether it brings work, described at length. */
+/* Says whether the request submits a job, whose description may be long. */
 static bool submits(const struct mo_request *request)
 {
   return request->method == MO_POST &&
          (request->route == MO_ROUTE_EVALUATIONS || request->route == MO_ROUTE_TRAININGS ||
           request->route == MO_ROUTE_CAMPAIGNS);
+}
+
+/* Says whether the request submits work or data, which client_rate limits. Pause, cancel and the
+ * like do not count. */
+static bool submits_or_stores(const struct mo_request *request)
+{
+  switch (request->route) {
+  case MO_ROUTE_EVALUATIONS:
+  case MO_ROUTE_TRAININGS:
+  case MO_ROUTE_CAMPAIGNS:
+  case MO_ROUTE_CAMPAIGN_EXTEND:
+  case MO_ROUTE_CAMPAIGN_CHAMPIONS: return request->method == MO_POST;
+  case MO_ROUTE_CONTROLLER: return request->method == MO_PUT;
+  default: return false;
+  }
 }
 
 static uint64_t body_limit(const struct mo_request *request)
@@ -98,7 +134,7 @@ static uint64_t body_limit(const struct mo_request *request)
   return DEFAULT_BODY_BYTES;
 }
 
-/* Tokens and origins: who may ask. */
+/* Checks tokens and origins. */
 static bool admitted(struct mo_request *request)
 {
   struct mo_http *http = request->http;
@@ -109,14 +145,20 @@ static bool admitted(struct mo_request *request)
                      : host != NULL                    ? strlen(host)
                                                        : 0;
   struct mo_refusal refusal = {403, false, NULL, NULL};
-  if (!is_unix && (request->target.authority != NULL || host != NULL) &&
-      !mo_guard_host(host, host_size, &http->names)) {
+  /* A unix socket has no name, so Host may be empty. Other hosts are checked even here: the socket
+   * may be forwarded to a port that web pages can reach. */
+  bool hosted = request->target.authority != NULL || (host != NULL && (host_size > 0 || !is_unix));
+  if (hosted && !mo_guard_host(host, host_size, is_unix, &http->names)) {
     refusal.header = "Host";
     refusal.detail = "the Host field names a host that this service does not serve";
   } else if (framing->origin != NULL &&
              !mo_guard_origin(framing->origin, framing->host, &http->names)) {
     refusal.header = "Origin";
     refusal.detail = "pages of this origin may not use the service";
+  } else if (strncmp(mo_routes[request->route].path, "/v1/", 4) == 0 &&
+             !mo_guard_fetch_site(framing->fetch_site)) {
+    refusal.header = "Sec-Fetch-Site";
+    refusal.detail = "pages of other sites may not use the service";
   }
   if (refusal.detail != NULL) {
     refuse(request, &refusal);
@@ -140,12 +182,13 @@ static bool admitted(struct mo_request *request)
   return false;
 }
 
-/* The header is complete: everything that can be decided from it. A refusal is in request->reply.
- */
+/* Decides everything that the complete header allows. A refusal is in request->reply. */
 static void begin(struct mo_request *request, struct MHD_Connection *mhd, const char *method,
                   const char *version)
 {
-  struct mo_refusal refusal;
+  struct mo_refusal refusal = {431, true, NULL, "the header is too large; " MO_HEADER_WORDS};
+  const union MHD_ConnectionInfo *info =
+      MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_REQUEST_HEADER_SIZE);
   struct header_list *list = malloc(sizeof(*list));
   size_t n = 0;
   for (; method[n] != '\0' && n < sizeof(request->method_text) - 1; n++)
@@ -160,7 +203,8 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   }
   list->n = 0;
   MHD_get_connection_values_n(mhd, MHD_HEADER_KIND, collect, list);
-  bool good = mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0,
+  bool good = info != NULL && info->header_size <= MO_HEADER_BYTES &&
+              mo_guard_headers(list->items, list->n, strcmp(version, "HTTP/1.0") == 0,
                                &request->framing, &refusal) &&
               mo_guard_target(request->raw_target, &request->target, &refusal);
   free(list);
@@ -176,6 +220,13 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
   if (request->route == MO_ROUTE_NONE && !star) {
     mo_reply_problem(request, 404, NULL,
                      "There is nothing at this path; /openapi.json lists what there is.");
+    return;
+  }
+  if (request->connection->place == MO_PLACE_HEALTH && request->route != MO_ROUTE_HEALTH &&
+      request->route != MO_ROUTE_READY && request->route != MO_ROUTE_METRICS) {
+    mo_reply_problem(request, 503, NULL,
+                     "All connections of the service are in use; try again later.");
+    request->reply.close = true;
     return;
   }
   unsigned allowed = mo_routes[request->route].methods;
@@ -206,46 +257,18 @@ static void begin(struct mo_request *request, struct MHD_Connection *mhd, const 
 
 /* ---- the body ---- */
 
-/* MO_ERR_LIMIT: the client has its share. */
-static int reserve_body(struct mo_request *request, size_t n)
-{
-  if (request->body_size + n + 1 <= request->body_capacity)
-    return MO_OK;
-  size_t capacity = request->body_capacity > 0 ? request->body_capacity : 16384;
-  while (capacity < request->body_size + n + 1)
-    capacity *= 2;
-  if (capacity > request->body_limit + 1)
-    capacity = (size_t)request->body_limit + 1;
-  struct mo_http *http = request->http;
-  uint64_t more = capacity - request->body_capacity;
-  struct mo_client *client =
-      mo_client_hold(&http->clients, request->connection->client_key, request->body_held, more,
-                     http->config.max_body_memory / 2);
-  if (client == NULL)
-    return MO_ERR_LIMIT;
-  request->body_client = client;
-  request->body_held += more;
-  uint64_t total = atomic_fetch_add(&http->body_memory, more) + more;
-  char *body = total <= http->config.max_body_memory ? realloc(request->body, capacity) : NULL;
-  if (body == NULL) {
-    atomic_fetch_sub(&http->body_memory,
-                     more); /* the client's share is given back with the request */
-    return MO_ERR_NO_MEMORY;
-  }
-  request->body_reserved += more;
-  request->body = body;
-  request->body_capacity = capacity;
-  return MO_OK;
-}
-
 static enum MHD_Result receive(struct mo_request *request, const char *bytes, size_t n)
 {
+  if (request->body_seen / PROGRESS_BYTES != (request->body_seen + n) / PROGRESS_BYTES)
+    mo_connection_spare(request->connection, mo_clock_us());
   request->body_seen += n;
   atomic_fetch_add(&request->http->metrics.body_in, n);
   if (request->reply.status == 0) {
     int error =
-        request->body_size + n > request->body_limit ? MO_ERR_RANGE : reserve_body(request, n);
-    if (error == MO_ERR_RANGE) {
+        request->body_seen > request->body_limit ? MO_ERR_RANGE : mo_body_add(request, bytes, n);
+    if (error == MO_ERR_CANCELLED) {
+      return MHD_NO;
+    } else if (error == MO_ERR_RANGE) {
       mo_reply_problem(request, 413, NULL,
                        "The body has more bytes than this path takes, which is %llu.",
                        (unsigned long long)request->body_limit);
@@ -257,18 +280,19 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
       request->reply.retry_after_s = 1;
     } else if (error != MO_OK) {
       mo_reply_error(request, error, "request");
-    } else {
-      memcpy(request->body + request->body_size, bytes, n);
-      request->body_size += n;
-      request->body[request->body_size] = '\0';
     }
+    if (error != MO_OK)
+      mo_request_drop_body(request);
   }
-  return request->body_seen > request->body_limit + DRAIN_BYTES ? MHD_NO : MHD_YES;
+  if (request->body_seen <= request->body_limit + DRAIN_BYTES)
+    return MHD_YES;
+  mo_reply_last(request);
+  return MHD_NO;
 }
 
-/* ---- handing over ---- */
+/* ---- dispatch ---- */
 
-/* The request is complete: a place for its client, then the API pool. */
+/* Dispatches a complete request: takes a place of its client, then queues it for the API pool. */
 static enum MHD_Result dispatch(struct mo_request *request)
 {
   struct mo_http *http = request->http;
@@ -293,11 +317,11 @@ static enum MHD_Result dispatch(struct mo_request *request)
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
   }
-  bool champions = request->method == MO_POST && request->route == MO_ROUTE_CAMPAIGN_CHAMPIONS;
-  if ((submits(request) || champions) &&
+  if (submits_or_stores(request) &&
       !mo_client_spend(&http->clients, request->client, http->config.client_rate_per_s,
-                       mo_http_clock_us())) {
-    mo_reply_problem(request, 429, NULL, "This client has submitted more than %u jobs in a second.",
+                       mo_clock_us())) {
+    mo_reply_problem(request, 429, NULL,
+                     "This client has sent more than %u submissions and uploads in a second.",
                      http->config.client_rate_per_s);
     request->reply.retry_after_s = 1;
     return mo_reply_send(request);
@@ -315,23 +339,27 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
   (void)context;
   (void)url;
   struct mo_request *request = *state;
-  if (request == NULL || request->connection == NULL)
-    return MHD_NO; /* no memory when it began */
+  if (request == NULL)
+    return MHD_NO; /* there was no memory for it */
   switch (request->stage) {
   case MO_STAGE_TARGET:
-    request->started_us = mo_http_clock_us();
+    request->started_us = mo_clock_us();
     atomic_store(&request->connection->deadline_us,
                  request->started_us + (int64_t)request->http->config.body_timeout_ms * 1000);
+    mo_connection_spare(request->connection, request->started_us);
     begin(request, mhd, method, version);
     request->stage = MO_STAGE_BODY;
+    if (request->reply.close) {
+      mo_reply_last(request);
+      return MHD_NO;
+    }
     if (request->reply.status != 0) {
-      /* Answer before the body only where it may not be read, will not come, or is too long to be
-       * read for nothing. */
-      if (request->reply.close || request->framing.expects_continue ||
-          request->framing.length > DRAIN_BYTES) {
+      /* Reply before the body only if the client waits for that (100-continue) or the body is too
+       * long to read and discard. */
+      if (request->framing.expects_continue || request->framing.length > DRAIN_BYTES) {
         request->reply.close = true;
         request->stage = MO_STAGE_REPLY;
-        return mo_reply_send(request);
+        return mo_connection_spare(request->connection, MO_NEVER) ? mo_reply_send(request) : MHD_NO;
       }
     }
     return MHD_YES;
@@ -342,6 +370,9 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
       return result;
     }
     atomic_store(&request->connection->deadline_us, MO_NEVER);
+    if (!mo_body_end(request) ||
+        !mo_connection_spare(request->connection, MO_NEVER)) /* no reply: nothing is done */
+      return MHD_NO;
     if (request->reply.status != 0) {
       request->stage = MO_STAGE_REPLY;
       return mo_reply_send(request);
@@ -360,29 +391,29 @@ static enum MHD_Result on_request(void *context, struct MHD_Connection *mhd, con
   return MHD_NO;
 }
 
-/* ---- a request's end ---- */
+/* ---- end of a request ---- */
 
-static void on_completed(void *context, struct MHD_Connection *mhd, void **state,
-                         enum MHD_RequestTerminationCode why)
+/* Logs and frees the connection's request, if it has one. complete: the whole reply was sent. */
+static void end_request(struct mo_connection *connection, bool complete)
 {
-  (void)mhd;
-  struct mo_http *http = context;
-  struct mo_request *request = *state;
+  struct mo_http *http = connection->http;
+  struct mo_request *request = connection->request;
   if (request == NULL)
     return;
-  *state = NULL;
-  bool stream = request->stream != NULL;
+  connection->request = NULL;
+  bool stream = request->stream != NULL, gave_way = !mo_body_end(request);
   if (stream)
     mo_stream_free(request);
   mo_download_free(request);
-  int64_t now_us = mo_http_clock_us();
-  bool replied =
-      request->reply.status != 0 && (why == MHD_REQUEST_TERMINATED_COMPLETED_OK || stream);
-  unsigned status = replied ? request->reply.status : 0;
+  int64_t now_us = mo_clock_us();
+  bool replied = request->reply.status != 0 && (complete || stream || request->answered);
+  unsigned status = gave_way ? 503 : replied ? request->reply.status : 0;
+  if (gave_way)
+    mo_request_note(request, MO_BODY_GAVE_WAY);
   mo_metrics_request(&http->metrics, request->route, status, now_us - request->started_us, stream);
   atomic_fetch_add(&http->metrics.body_out, request->sent);
-  if (http->config.log != NULL && request->connection != NULL) {
-    struct mo_http_log_entry entry = {.client = request->connection->client,
+  if (http->config.log != NULL) {
+    struct mo_http_log_entry entry = {.client = connection->client,
                                       .method = request->method_text,
                                       .path = request->path,
                                       .reason = request->reason[0] != '\0' ? request->reason : NULL,
@@ -393,9 +424,9 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
     memcpy(entry.request_id, request->id, sizeof(entry.request_id));
     http->config.log(http->config.log_context, &entry);
   }
-  if (request->connection != NULL)
-    atomic_store(&request->connection->deadline_us,
-                 now_us + (int64_t)http->config.idle_timeout_ms * 1000);
+  atomic_store(&connection->deadline_us, now_us + (int64_t)http->config.idle_timeout_ms * 1000);
+  atomic_store(&connection->receiving, false);
+  mo_connection_spare(connection, now_us);
   if (request->client != NULL)
     mo_client_leave(&http->clients, request->client, now_us);
   mo_request_drop_body(request);
@@ -405,21 +436,39 @@ static void on_completed(void *context, struct MHD_Connection *mhd, void **state
   atomic_fetch_sub(&http->n_in_flight, 1);
 }
 
+static void on_completed(void *context, struct MHD_Connection *mhd, void **state,
+                         enum MHD_RequestTerminationCode why)
+{
+  (void)context;
+  (void)mhd;
+  struct mo_request *request = *state;
+  *state = NULL;
+  if (request != NULL)
+    end_request(request->connection, why == MHD_REQUEST_TERMINATED_COMPLETED_OK);
+}
+
 static void on_connection(void *context, struct MHD_Connection *mhd, void **socket_context,
                           enum MHD_ConnectionNotificationCode what)
 {
   struct mo_http *http = context;
+  struct mo_connection *connection = *socket_context;
   if (what == MHD_CONNECTION_NOTIFY_STARTED) {
     const union MHD_ConnectionInfo *info =
         MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
-    *socket_context = info != NULL ? mo_connection_find(http, info->connect_fd) : NULL;
-  } else if (*socket_context != NULL) {
-    mo_connection_forget(http, *socket_context); /* before the library closes the descriptor */
+    *socket_context = connection = info != NULL ? mo_connection_find(http, info->connect_fd) : NULL;
+    if (connection != NULL)
+      connection->http = http;
+  } else if (connection != NULL) {
+    end_request(connection, false); /* after some errors the library does not report its end */
+    int fd = connection->lingers ? fcntl(connection->fd, F_DUPFD_CLOEXEC, 0) : -1;
+    if (fd >= 0)
+      mo_linger_add(&http->lingering, fd);
+    mo_connection_forget(http, connection); /* before the library closes the descriptor */
     *socket_context = NULL;
   }
 }
 
-/* The library's own messages tell nothing that its replies do not. */
+/* Discards the library's own messages: its replies say the same. */
 static void on_log(void *context, const char *format, va_list arguments)
 {
   (void)context;
@@ -427,7 +476,7 @@ static void on_log(void *context, const char *format, va_list arguments)
   (void)arguments;
 }
 
-/* Percent escapes are resolved by us, per segment: here they stay. */
+/* Leaves percent escapes in place: they are decoded later, per segment. */
 static size_t on_unescape(void *context, struct MHD_Connection *mhd, char *text)
 {
   (void)context;
@@ -446,16 +495,30 @@ static void count_jobs(struct mo_http *http)
       atomic_store(&http->jobs_by_state[state], counts[state]);
 }
 
+/* Returns memory to the system when most of many connections have ended; malloc would keep it. */
+static void trim_memory(uint32_t n_connections, uint32_t *peak)
+{
+  if (n_connections > *peak)
+    *peak = n_connections;
+  if (*peak < MANY_CONNECTIONS || n_connections > *peak / 4)
+    return;
+  malloc_trim(0);
+  *peak = n_connections;
+}
+
 static void *clock_thread(void *context)
 {
   struct mo_http *http = context;
   int64_t second_us = 0;
+  uint32_t peak = 0;
   while (!atomic_load(&http->clock_stop)) {
     struct timespec pause = {.tv_nsec = 100000000};
     nanosleep(&pause, NULL);
-    int64_t now_us = mo_http_clock_us();
+    int64_t now_us = mo_clock_us();
     mo_connections_expire(http, now_us);
     mo_waits_expire(http, now_us);
+    mo_linger_on(&http->lingering, now_us);
+    trim_memory(atomic_load(&http->n_connections), &peak);
     if (now_us - second_us >= 1000000) {
       second_us = now_us;
       mo_streams_tick(http, now_us);
@@ -477,9 +540,9 @@ static uint32_t or_default(uint32_t value, uint32_t usual)
 
 static void fill_defaults(struct mo_http_config *config)
 {
-  long processors = sysconf(_SC_NPROCESSORS_ONLN);
+  const uint32_t processors = mo_processors();
   config->n_io_threads = or_default(config->n_io_threads, processors >= 4   ? 4
-                                                          : processors >= 2 ? (uint32_t)processors
+                                                          : processors >= 2 ? processors
                                                                             : 2);
   config->n_api_threads = or_default(config->n_api_threads, 4);
   config->max_connections = or_default(config->max_connections, 1024);
@@ -501,7 +564,7 @@ static void fill_defaults(struct mo_http_config *config)
     config->max_body_memory = 8 * larger;
 }
 
-/* Listening sockets: takes them over, and tells whether tokens are needed. */
+/* Takes over the listening sockets, and finds out whether one is beyond loopback. */
 static int adopt_listeners(struct mo_http *http, const struct mo_http_config *config,
                            struct mo_message *message)
 {
@@ -534,7 +597,8 @@ static int adopt_listeners(struct mo_http *http, const struct mo_http_config *co
 
 static int start_daemon(struct mo_http *http, struct mo_message *message)
 {
-  /* The library's limit on connections is out of reach: ours, in the acceptor, answers. */
+  /* The library's limit on connections is set too high to be reached: the acceptor keeps the limit,
+   * because it replies. */
   http->daemon = MHD_start_daemon(
       MHD_USE_EPOLL_INTERNAL_THREAD | MHD_ALLOW_SUSPEND_RESUME | MHD_USE_NO_LISTEN_SOCKET |
           MHD_USE_ERROR_LOG,
@@ -543,8 +607,9 @@ static int start_daemon(struct mo_http *http, struct mo_message *message)
       (unsigned)(http->config.max_connections + 64) * http->config.n_io_threads,
       MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)(http->config.idle_timeout_ms / 1000 + 60),
       MHD_OPTION_CONNECTION_MEMORY_LIMIT, (size_t)32768, MHD_OPTION_URI_LOG_CALLBACK, on_target,
-      http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL, MHD_OPTION_NOTIFY_COMPLETED,
-      on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection, http, MHD_OPTION_END);
+      http, MHD_OPTION_UNESCAPE_CALLBACK, on_unescape, NULL, MHD_OPTION_STRICT_FOR_CLIENT, 1,
+      MHD_OPTION_NOTIFY_COMPLETED, on_completed, http, MHD_OPTION_NOTIFY_CONNECTION, on_connection,
+      http, MHD_OPTION_END);
   return http->daemon != NULL ? MO_OK
                               : mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the HTTP threads");
 }
@@ -554,9 +619,13 @@ static void destroy(struct mo_http *http)
   mo_tokens_free(&http->tokens);
   mo_names_free(&http->names);
   mo_clients_free(&http->clients);
+  mo_linger_end(&http->lingering);
   pthread_mutex_destroy(&http->connections_lock);
+  pthread_mutex_destroy(&http->bodies_lock);
   if (http->stop_fd >= 0)
     close(http->stop_fd);
+  if (http->peers_fd >= 0)
+    close(http->peers_fd);
   mo_lattice_free(http->lattice);
   free(http->connections);
   free(http->listeners);
@@ -569,7 +638,13 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
                    struct mo_message *message)
 {
   http->stop_fd = -1;
+  mo_peers_open(http);
   pthread_mutex_init(&http->connections_lock, NULL);
+  pthread_mutex_init(&http->bodies_lock, NULL);
+  pthread_mutex_init(&http->lingering.lock, NULL);
+  if (!mo_last_replies_init())
+    return mo_fail(message, MO_ERR_INVALID,
+                   "libmicrohttpd has no MHD_queue_response: it cannot be used");
   if (mo_tokens_init(&http->tokens) != MO_OK || mo_clients_init(&http->clients) != MO_OK)
     return mo_fail(message, MO_ERR_NO_MEMORY, "no memory for the server");
   http->config = *config;
@@ -580,8 +655,8 @@ static int prepare(struct mo_http *http, const struct mo_http_config *config,
   mo_sha256_of(mo_openapi_json, mo_openapi_json_size, &contract);
   mo_sha256_to_hex(&contract, http->contract_tag);
   if (getrandom(&http->id_key, sizeof(http->id_key), 0) != (ssize_t)sizeof(http->id_key))
-    http->id_key = (uint64_t)mo_http_clock_us() << 20;
-  http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up below a random prefix */
+    http->id_key = (uint64_t)mo_clock_us() << 20;
+  http->id_key &= ~UINT64_C(0xFFFFFFFF); /* ids count up after a random prefix */
   int code = adopt_listeners(http, config, message);
   if (code == MO_OK && (code = mo_lattice_create(MO_DEFAULT_WORKSPACE, &http->lattice)) != MO_OK)
     mo_fail(message, code, "no memory for the server");
@@ -624,8 +699,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
   }
   atomic_store(&http->jobs_changed, true);
   count_jobs(http);
-  /* The pool first: the listener that mo_streams_start registers uses its lock from the first event
-   * on. */
+  /* Start the pool first: the event listener of mo_streams_start may use its lock at once. */
   code = mo_pool_start(http);
   if (code != MO_OK)
     mo_fail(message, code, "cannot start the API threads");
@@ -634,7 +708,7 @@ int mo_http_start(const struct mo_http_config *config, const struct mo_http_serv
     mo_fail(message, code, "cannot follow the store's events: %s", mo_error_text(code));
   if (code == MO_OK)
     code = start_daemon(http, message);
-  atomic_store(&http->clock_us, mo_http_clock_us());
+  atomic_store(&http->clock_us, mo_clock_us());
   if (code == MO_OK && pthread_create(&http->clock, NULL, clock_thread, http) != 0)
     code = mo_fail(message, MO_ERR_NO_MEMORY, "cannot start the clock's thread");
   else
@@ -668,24 +742,24 @@ void mo_http_stop(struct mo_http *http, uint32_t grace_ms)
   if (http == NULL)
     return;
   atomic_store(&http->ready, false);
-  atomic_store(&http->stopping, true); /* replies from now on end their connections */
+  atomic_store(&http->stopping, true); /* from now on replies end their connections */
   mo_acceptor_stop(http);
   mo_streams_close(http);
   mo_pool_close(
-      http); /* no connection is suspended from here on: the library could not stop otherwise */
-  int64_t until_us = mo_http_clock_us() + (int64_t)grace_ms * 1000;
-  while (atomic_load(&http->n_in_flight) > 0 && mo_http_clock_us() < until_us) {
+      http); /* from here on no connection is suspended: the library could not stop otherwise */
+  int64_t until_us = mo_clock_us() + (int64_t)grace_ms * 1000;
+  while (atomic_load(&http->n_in_flight) > 0 && mo_clock_us() < until_us) {
     struct timespec pause = {.tv_nsec = 5000000};
     nanosleep(&pause, NULL);
   }
-  /* Never MHD_quiesce_daemon: with several threads it can abort the process. */
+  /* Do not call MHD_quiesce_daemon: with several threads it can abort the process. */
   if (http->daemon != NULL)
     MHD_stop_daemon(http->daemon);
   if (http->clock_started) {
     atomic_store(&http->clock_stop, true);
     pthread_join(http->clock, NULL);
   }
-  mo_streams_stop(http); /* no event comes from here on */
+  mo_streams_stop(http); /* from here on no event arrives */
   mo_pool_stop(http);
   destroy(http);
 }
@@ -695,9 +769,11 @@ void mo_http_get_stats(struct mo_http *http, struct mo_http_stats *stats)
   *stats = (struct mo_http_stats){
       .connections = atomic_load(&http->n_connections),
       .in_flight = atomic_load(&http->n_in_flight),
+      .max_connections = http->config.max_connections,
       .connections_accepted = atomic_load(&http->metrics.accepted),
       .connections_refused = atomic_load(&http->metrics.refused),
       .connections_timed_out = atomic_load(&http->metrics.timed_out),
+      .connections_gave_way = atomic_load(&http->metrics.gave_way),
   };
   for (size_t r = 0; r < MO_ROUTES; r++)
     for (size_t s = 0; s < MO_METRIC_STATUSES; s++)

@@ -1,39 +1,42 @@
 /* stream.c: event streams (server-sent events).
  *
  * A stream is live or behind. Live: the store's listener writes each new event into the stream's
- * buffer and wakes its connection. Behind (it asked for older events, or its reader is slower than
- * the events come): the listener leaves it alone, and whenever its buffer has been read empty an
- * API thread fills it from the store; when nothing is left there, it is live again. So the memory
- * of a stream is bounded, no event is lost or sent twice, and an idle stream costs nothing but its
+ * buffer and wakes its connection. Behind (the client asked for older events, or reads more slowly
+ * than events come): the listener skips the stream. Whenever its buffer is empty, an API thread
+ * fills it from the store; when the store has no more events, the stream is live again. So the
+ * memory of a stream is bounded, no event is lost or sent twice, and an idle stream costs only its
  * heartbeat.
  *
- * A connection that waits for events is suspended. Everything here is guarded by one lock. */
+ * The connection of a stream that waits for events is suspended. One lock guards everything
+ * here. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "http/server.h"
 
-#define BUFFER_BYTES (256 * 1024) /* a live stream with more unread falls behind */
+#include "base/clock.h"
+
+#define BUFFER_BYTES (256 * 1024) /* a live stream with more unread bytes falls behind */
 #define PAGE_EVENTS  200
-#define STALL_US     60000000 /* a reader that takes nothing for so long is dropped */
-#define RETRY_MS     2000     /* what clients are told to wait before they reconnect */
+#define STALL_US     60000000 /* a reader that takes nothing for this long is dropped */
+#define RETRY_MS     2000     /* how long clients should wait before they reconnect */
 
 struct mo_stream {
   struct mo_request *request;
   struct mo_stream *next, *previous;
-  int64_t last; /* sequence of the last event in the buffer or before it */
-  int64_t job;  /* filter, 0: all */
+  int64_t last; /* sequence of the newest event in the buffer or already sent */
+  int64_t job;  /* send only events of this job; 0: all */
   bool live;
-  bool news; /* behind: events came since the store was read last */
+  bool news; /* for a stream that is behind: events came since the last read of the store */
   bool ended;
-  bool suspended; /* the connection waits for mo_stream_wake */
-  bool busy;      /* an API thread fills it; the connection is suspended until that ends */
-  bool greeted;   /* the place where it begins has been checked */
+  bool suspended; /* the connection waits for wake */
+  bool busy;      /* an API thread fills the buffer; the connection stays suspended until then */
+  bool greeted;   /* the sequence to start after has been checked */
   struct mo_text buffer;
-  size_t read;        /* bytes of the buffer that were taken */
-  int64_t written_us; /* when something was put into the buffer */
-  int64_t taken_us;   /* when the reader last took something, or had nothing to take */
+  size_t read;        /* bytes of the buffer that were sent */
+  int64_t written_us; /* when bytes were last put into the buffer */
+  int64_t taken_us;   /* when the reader last took bytes, or had none to take */
 };
 
 void mo_event_write(struct mo_text *text, const struct mo_event *event)
@@ -81,7 +84,7 @@ static void put(struct mo_stream *stream, const char *bytes, size_t n, int64_t n
   stream->written_us = now_us;
 }
 
-/* On the store's writer thread, after a commit. */
+/* Receives new events on the store's writer thread, after a commit. */
 static void listener(void *context, const struct mo_event *events, size_t n)
 {
   struct mo_http *http = context;
@@ -92,7 +95,7 @@ static void listener(void *context, const struct mo_event *events, size_t n)
       mo_waits_job_ended(http, events[i].job);
   }
   pthread_mutex_lock(&http->streams.lock);
-  int64_t now_us = http->streams.first != NULL ? mo_http_clock_us() : 0;
+  int64_t now_us = http->streams.first != NULL ? mo_clock_us() : 0;
   for (size_t i = 0; i < n && http->streams.first != NULL; i++) {
     struct mo_text text = {0};
     frame(&text, &events[i]);
@@ -106,8 +109,7 @@ static void listener(void *context, const struct mo_event *events, size_t n)
       if (events[i].sequence <= stream->last)
         continue;
       if (text.failed || stream->buffer.size - stream->read + text.size > BUFFER_BYTES) {
-        stream->live =
-            false; /* the reader comes back for the rest when it has read what is there */
+        stream->live = false; /* the rest comes from the store, once the buffer is empty */
         stream->news = true;
       } else {
         put(stream, text.data, text.size, now_us);
@@ -134,7 +136,7 @@ int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
   struct mo_stream *stream = calloc(1, sizeof(*stream));
   if (stream == NULL)
     return MO_ERR_NO_MEMORY;
-  int64_t newest = 0, now_us = mo_http_clock_us();
+  int64_t newest = 0, now_us = mo_clock_us();
   char greeting[32];
   int n = snprintf(greeting, sizeof(greeting), "retry: %d\n\n", RETRY_MS);
   stream->request = request;
@@ -153,7 +155,8 @@ int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
     }
     stream->greeted = true;
   }
-  /* What comes between this reading and the entry into the list is fetched as if it were older. */
+  /* Events between this read and the entry into the list are fetched from the store, like older
+   * ones. */
   stream->last = after < 0 ? newest : after;
   pthread_mutex_lock(&http->streams.lock);
   int result = http->streams.closed                          ? MO_ERR_BUSY
@@ -175,8 +178,8 @@ int mo_stream_open(struct mo_request *request, int64_t after, int64_t job)
   return result;
 }
 
-/* One page from the store; true: there may be more. The stream's connection is suspended, its
- * buffer empty. */
+/* Reads one page from the store into the buffer. True: there may be more. The connection is
+ * suspended and the buffer empty. */
 static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event *page)
 {
   pthread_mutex_lock(&http->streams.lock);
@@ -187,32 +190,26 @@ static bool fill(struct mo_http *http, struct mo_stream *stream, struct mo_event
   int64_t n = mo_store_events(http->services.store, after, stream->job, page, PAGE_EVENTS, &oldest,
                               &newest);
   struct mo_text text = {0};
+  if (n == MO_ERR_CORRUPT)
+    mo_request_note(stream->request, "the events cannot be read: %s", mo_error_text((int)n));
   if (n >= 0 && (after < oldest - 1 || (!stream->greeted && after > newest))) {
-    /* The place is not known (pruned, or from another life of the store): the client must start
-     * afresh. */
+    /* The sequence is unknown (pruned, or of another database): the client must start again. */
     after = after > newest ? newest : oldest - 1;
     mo_text_format(&text,
                    "id: %lld\nevent: reset\ndata: {\"oldest\":\"%lld\",\"newest\":\"%lld\"}\n\n",
                    (long long)after, (long long)oldest, (long long)newest);
   }
-  uint64_t n_sent = 0;
   for (int64_t i = 0; i < n; i++)
-    if (page[i].damage[0] == '\0') {
-      frame(&text, &page[i]);
-      n_sent++;
-    } else if (stream->request->reason[0] == '\0') {
-      mo_request_note(stream->request, "event %lld cannot be read: %s", (long long)page[i].sequence,
-                      page[i].damage);
-    }
+    frame(&text, &page[i]);
   pthread_mutex_lock(&http->streams.lock);
   if (n < 0 || text.failed) {
-    stream->ended = true; /* the client comes back and asks again from where it was */
+    stream->ended = true; /* the client reconnects and asks again from its last event */
   } else {
     stream->greeted = true;
     stream->last = n > 0 ? page[n - 1].sequence : after;
     if (text.size > 0)
-      put(stream, text.data, text.size, mo_http_clock_us());
-    atomic_fetch_add(&http->metrics.events_sent, n_sent);
+      put(stream, text.data, text.size, mo_clock_us());
+    atomic_fetch_add(&http->metrics.events_sent, (uint64_t)n);
     stream->live = n < PAGE_EVENTS && !stream->news;
   }
   bool more =
@@ -237,7 +234,7 @@ void mo_stream_refill(struct mo_request *request)
   free(page);
 }
 
-/* libmicrohttpd asks for bytes. */
+/* Gives libmicrohttpd the next bytes. */
 static ssize_t reader(void *context, uint64_t position, char *out, size_t capacity)
 {
   (void)position;
@@ -247,7 +244,7 @@ static ssize_t reader(void *context, uint64_t position, char *out, size_t capaci
   ssize_t result = 0;
   pthread_mutex_lock(&http->streams.lock);
   size_t ready = stream->buffer.size - stream->read;
-  stream->taken_us = mo_http_clock_us();
+  stream->taken_us = mo_clock_us();
   if (ready > 0) {
     size_t n = ready < capacity ? ready : capacity;
     memcpy(out, stream->buffer.data + stream->read, n);
@@ -280,14 +277,14 @@ enum MHD_Result mo_stream_send(struct mo_request *request)
   if (response == NULL)
     return MHD_NO;
   request->reply.status = 200;
-  atomic_store(&request->connection->deadline_us, MO_NEVER); /* mo_streams_tick watches it */
+  atomic_store(&request->connection->deadline_us, MO_NEVER); /* see mo_streams_tick */
   enum MHD_Result result = MHD_NO;
   if (MHD_add_response_header(response, "Content-Type", "text/event-stream") == MHD_YES &&
       MHD_add_response_header(response, "Cache-Control", "no-store") == MHD_YES &&
       MHD_add_response_header(response, "X-Accel-Buffering", "no") == MHD_YES &&
       MHD_add_response_header(response, "X-Content-Type-Options", "nosniff") == MHD_YES &&
       MHD_add_response_header(response, "X-Request-Id", request->id) == MHD_YES)
-    result = MHD_queue_response(request->mhd, 200, response);
+    result = mo_queue_response(request->mhd, 200, response);
   MHD_destroy_response(response);
   return result;
 }

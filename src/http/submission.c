@@ -1,4 +1,4 @@
-/* submission.c: what the calls that bring work have in common. */
+/* submission.c: what all submissions of jobs have in common. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -67,7 +67,7 @@ bool mo_handle_submission(struct mo_request *request, const char *what,
     stored = submit(request, &key, faults);
   free(faults);
   if (stored)
-    mo_request_drop_body(request); /* while it waits for a result, others may send theirs */
+    mo_request_drop_body(request); /* frees memory while this request waits for a result */
   return stored;
 }
 
@@ -138,40 +138,21 @@ void mo_look_up_controller(struct mo_store *store, const char *reference, struct
                   controller.workspace.nz, ours.nx, ours.ny, ours.nz);
 }
 
-bool mo_job_is_known(const struct mo_job *job, int code)
-{
-  return code == MO_OK || (code == MO_ERR_CORRUPT && job->damage[0] != '\0');
-}
-
 bool mo_job_is_another(const struct mo_job *job, int code, int kind)
 {
-  return mo_job_is_known(job, code) && kind >= 0 && job->kind != (enum mo_job_kind)kind;
+  return code == MO_OK && kind >= 0 && job->kind != (enum mo_job_kind)kind;
 }
 
-static bool check_kind(struct mo_request *request, int64_t id, enum mo_job_kind kind, bool readable,
-                       const char *what)
+bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
 {
   struct mo_job *job = malloc(sizeof(*job));
   int code = job != NULL ? mo_store_job(request->http->services.store, id, job) : MO_ERR_NO_MEMORY;
   if (job != NULL && mo_job_is_another(job, code, (int)kind))
     code = MO_ERR_NOT_FOUND;
-  else if (job != NULL && !readable && mo_job_is_known(job, code))
-    code = MO_OK;
   free(job);
   if (code != MO_OK)
     mo_reply_error(request, code, what);
   return code == MO_OK;
-}
-
-bool mo_job_is(struct mo_request *request, int64_t id, enum mo_job_kind kind, const char *what)
-{
-  return check_kind(request, id, kind, true, what);
-}
-
-bool mo_job_is_even_unreadable(struct mo_request *request, int64_t id, enum mo_job_kind kind,
-                               const char *what)
-{
-  return check_kind(request, id, kind, false, what);
 }
 
 void mo_look_up_job(struct mo_store *store, int64_t id, enum mo_job_kind kind, const char *pointer,

@@ -7,6 +7,8 @@
 
 #include "http/job_json.h"
 #include "http/learning_json.h"
+#include "rollout/physics.h"
+#include "store/fields.h"
 
 enum mo_job_state mo_training_state(const struct mo_training_status *status,
                                     const struct mo_training_live *live)
@@ -15,7 +17,8 @@ enum mo_job_state mo_training_state(const struct mo_training_status *status,
   return waits ? MO_JOB_PAUSED : status->job.state;
 }
 
-/* Why nothing happens: also of one that was paused and has no room for its checkpoint. */
+/* Writes why the training makes no progress, also if it was paused and has no space for its
+ * checkpoint. */
 static void write_reason(struct mo_text *text, const struct mo_training_status *status,
                          const struct mo_training_live *live)
 {
@@ -27,7 +30,7 @@ static void write_reason(struct mo_text *text, const struct mo_training_status *
     mo_text_add(text, ",\"reason\":null");
 }
 
-/* The name that the result has or will have. */
+/* Writes the name that the result has or will have. */
 static void write_name(struct mo_text *text, const struct mo_training_status *status)
 {
   char made[40];
@@ -35,8 +38,8 @@ static void write_name(struct mo_text *text, const struct mo_training_status *st
   mo_text_member(text, "name", status->record.name[0] != '\0' ? status->record.name : made);
 }
 
-/* Steps applied: a run that went on from a checkpoint after a crash may be behind the curve that is
- * stored; one that is being prepared does not know yet. */
+/* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
+ * stored curve. A run that is being prepared does not know its step yet. */
 static uint32_t step_of(const struct mo_training_status *status,
                         const struct mo_training_live *live)
 {
@@ -50,37 +53,20 @@ static uint32_t step_of(const struct mo_training_status *status,
 static void write_settings(struct mo_text *text, const struct mo_training_record *record,
                            enum mo_job_kind population_kind)
 {
-  const struct mo_training_settings *settings = &record->settings;
-  mo_text_format(text, ",\"settings\":{\"steps\":%u", settings->n_steps);
-  mo_text_member_count(text, "batch", settings->batch);
-  mo_text_member_count(text, "seed", settings->seed);
+  struct mo_training_record shown = *record;
   if (record->has_parent)
-    mo_text_add(text, ",\"sensor\":null");
-  else
-    mo_text_member(text, "sensor", mo_sensor_name(settings->sensor));
-  if (settings->kind == MO_TRAINING_FINETUNE)
+    shown.settings.sensor = (enum mo_sensor) - 1; /* null: that of the parent */
+  mo_text_add(text, ",\"settings\":{");
+  mo_fields_write(text, &mo_training_record_fields, &shown);
+  if (record->settings.kind == MO_TRAINING_FINETUNE)
     mo_text_member_count(text, "n_designs", record->n_designs);
   else
     mo_text_add(text, ",\"n_designs\":null");
   if (record->population > 0)
-    mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}", mo_job_kind_name(population_kind),
+    mo_text_format(text, ",\"population\":{\"%s\":\"%lld\"}}", mo_job_kind_name(population_kind),
                    (long long)record->population);
   else
-    mo_text_add(text, ",\"population\":null");
-  mo_schedule_write(text, &settings->schedule);
-  mo_adam_write(text, settings->beta1, settings->beta2, settings->epsilon);
-  mo_text_member_number(text, "gradient_norm_limit", settings->norm_limit);
-  mo_text_member_number(text, "adjoint_bound", settings->adjoint_bound);
-  mo_text_member(text, "adjoint_rule", mo_adjoint_rule_name(settings->adjoint_rule));
-  mo_text_member_number(text, "restart_weight", settings->restart_weight);
-  mo_text_add(text, ",\"physics\":");
-  mo_physics_write(text, &settings->physics);
-  mo_text_format(text, ",\"validation\":{\"every_steps\":%u,\"designs\":%u,\"environments\":%u}",
-                 record->validate_every_steps, settings->held_out_designs,
-                 settings->held_out_environments);
-  mo_text_format(text, ",\"checkpoint\":{\"every_steps\":%u,\"every_s\":%u,\"keep\":%u}}",
-                 record->checkpoint_every_steps, record->checkpoint_every_s,
-                 record->checkpoints_kept);
+    mo_text_add(text, ",\"population\":null}");
 }
 
 /* ---- progress ---- */
@@ -89,8 +75,7 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
                            const struct mo_training_live *live)
 {
   const struct mo_training_report *last = &status->last.report;
-  bool runs = live->phase != MO_TRAINING_IDLE,
-       any = status->step > 0 && status->last.damage.column == NULL;
+  bool runs = live->phase != MO_TRAINING_IDLE, any = status->step > 0;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
   mo_text_member_number(text, "mean_loss", any ? last->mean_loss : (double)NAN);
@@ -160,7 +145,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_settings(text, record, population_kind);
   write_progress(text, status, live);
   mo_text_add(text, ",\"validation\":");
-  if (status->has_validation && status->validation.damage.column == NULL)
+  if (status->has_validation)
     mo_training_json_validation(text, &status->validation);
   else
     mo_text_add(text, "null");
@@ -267,7 +252,7 @@ void mo_held_out_write(struct mo_text *text, const struct mo_bits *genotypes, ui
   mo_text_add(text, "]");
   if (physics != NULL) {
     mo_text_add(text, ",\"physics\":");
-    mo_physics_write(text, physics);
+    mo_fields_write_object(text, &mo_physics_fields, physics);
   }
   mo_text_add(text, "}");
 }

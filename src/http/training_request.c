@@ -1,60 +1,29 @@
 /* training_request.c: see training_request.h.
  *
- * The defaults depend on kind and preset, and JSON has no order of members: a first pass over the
- * text finds these, a second reads everything over their defaults. What depends on several fields
- * is checked after the last of them. */
+ * The defaults depend on kind and preset, and JSON members have no order. A first pass over the
+ * text finds these two; a second pass reads all members over their defaults. Checks that involve
+ * several fields come last. */
 #include "http/training_request.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "http/learning_parts.h"
 #include "http/request_parts.h"
+#include "store/fields.h"
 
-/* What was given, as far as other fields depend on it. */
+/* Members of a request besides the settings of the table. */
+#define OTHER_MEMBERS                                                                              \
+  "kind, preset, name, controller, designs, population, priority, weight, device, label"
+
+/* Which members were given, where other members depend on that. */
 struct given {
   bool kind, controller, no_controller, sensor, designs, population;
-  bool known_kind; /* kind is one of its words */
-  bool object;     /* the body is one: it has fields to speak of */
+  bool known_kind; /* kind is a valid word */
+  bool object;     /* the body is an object, so fields can be missing */
   enum mo_learning_preset preset;
 };
 
-/* ---- further groups of settings ---- */
-
-static void read_validation(struct mo_json *json, struct mo_training_record *record)
-{
-  struct mo_training_settings *settings = &record->settings;
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "every_steps"))
-      mo_read_count(json, 0, MO_TRAINING_STEPS_MAX, &record->validate_every_steps);
-    else if (mo_json_is(key, "designs"))
-      mo_read_count(json, 1, MO_TRAINING_DESIGNS_MAX, &settings->held_out_designs);
-    else if (mo_json_is(key, "environments"))
-      mo_read_count(json, 1, MO_HELD_OUT_ENVIRONMENTS_MAX, &settings->held_out_environments);
-    else
-      mo_read_unknown(json, "every_steps, designs, environments");
-  }
-}
-
-static void read_checkpoint(struct mo_json *json, struct mo_training_record *record)
-{
-  struct mo_json_slice key;
-  if (!mo_json_object(json))
-    return;
-  while (mo_json_member(json, &key)) {
-    if (mo_json_is(key, "every_steps"))
-      mo_read_count(json, 0, MO_TRAINING_STEPS_MAX, &record->checkpoint_every_steps);
-    else if (mo_json_is(key, "every_s"))
-      mo_read_count(json, 0, MO_CHECKPOINT_SECONDS_MAX, &record->checkpoint_every_s);
-    else if (mo_json_is(key, "keep"))
-      mo_read_count(json, 1, MO_CHECKPOINTS_KEPT_MAX, &record->checkpoints_kept);
-    else
-      mo_read_unknown(json, "every_steps, every_s, keep");
-  }
-}
+/* ---- the designs of another job ---- */
 
 static void read_population(struct mo_json *json, struct mo_parsed_training *parsed)
 {
@@ -120,7 +89,7 @@ static void read_parent(struct mo_json *json, struct mo_parsed_training *parsed,
 
 /* ---- the whole ---- */
 
-/* What depends on several fields. */
+/* Checks what depends on several fields. */
 static void check_together(struct mo_json *json, struct mo_parsed_training *parsed,
                            const struct given *given)
 {
@@ -176,10 +145,8 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
 {
   struct mo_training_request *request = &parsed->request;
   struct mo_training_record *record = &request->record;
-  struct mo_training_settings *settings = &record->settings;
   struct mo_json_slice key;
   int code = MO_OK, choice;
-  int64_t seed;
   given->object = mo_json_object(json);
   if (!given->object)
     return MO_OK;
@@ -192,40 +159,12 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
       mo_read_name(json, record->name);
     } else if (mo_json_is(key, "controller")) {
       read_parent(json, parsed, given);
-    } else if (mo_json_is(key, "sensor")) {
-      given->sensor = true;
-      mo_read_sensor(json, &settings->sensor);
     } else if (mo_json_is(key, "designs")) {
       given->designs = true;
       code = mo_read_designs(json, &parsed->genotypes, &record->n_designs);
     } else if (mo_json_is(key, "population")) {
       given->population = true;
       read_population(json, parsed);
-    } else if (mo_json_is(key, "steps")) {
-      mo_read_count(json, 1, MO_TRAINING_STEPS_MAX, &settings->n_steps);
-    } else if (mo_json_is(key, "batch")) {
-      mo_read_count(json, 1, MO_TRAINING_BATCH_MAX, &settings->batch);
-    } else if (mo_json_is(key, "seed")) {
-      if (mo_json_integer(json, 0, MO_SEED_MAX, &seed))
-        settings->seed = (uint64_t)seed;
-    } else if (mo_json_is(key, "schedule")) {
-      mo_read_schedule(json, &settings->schedule);
-    } else if (mo_json_is(key, "adam")) {
-      mo_read_adam(json, &settings->beta1, &settings->beta2, &settings->epsilon);
-    } else if (mo_json_is(key, "gradient_norm_limit")) {
-      mo_read_limit(json, MO_GRADIENT_NORM_LIMIT_MAX, &settings->norm_limit);
-    } else if (mo_json_is(key, "adjoint_bound")) {
-      mo_read_limit(json, MO_ADJOINT_BOUND_MAX, &settings->adjoint_bound);
-    } else if (mo_json_is(key, "adjoint_rule")) {
-      mo_read_adjoint_rule(json, &settings->adjoint_rule);
-    } else if (mo_json_is(key, "restart_weight")) {
-      mo_json_bounded(json, 0, MO_RESTART_WEIGHT_MAX, &settings->restart_weight);
-    } else if (mo_json_is(key, "physics")) {
-      mo_read_physics(json, &settings->physics);
-    } else if (mo_json_is(key, "validation")) {
-      read_validation(json, record);
-    } else if (mo_json_is(key, "checkpoint")) {
-      read_checkpoint(json, record);
     } else if (mo_json_is(key, "priority")) {
       if (mo_read_choice(json, "batch", "interactive", &choice))
         request->priority = choice ? MO_INTERACTIVE : MO_BATCH;
@@ -237,11 +176,9 @@ static int read_request(struct mo_json *json, struct mo_parsed_training *parsed,
       if (mo_read_label(json, parsed->label))
         request->label = parsed->label;
     } else {
-      mo_read_unknown(json, "kind, preset, name, controller, sensor, designs, population, steps, "
-                            "batch, seed, schedule, adam, "
-                            "gradient_norm_limit, adjoint_bound, adjoint_rule, restart_weight, "
-                            "physics, validation, checkpoint, "
-                            "priority, weight, device, label");
+      given->sensor |= mo_json_is(key, "sensor");
+      if (!mo_fields_read_member(json, key, &mo_training_record_fields, record))
+        mo_fields_unknown(json, OTHER_MEMBERS, &mo_training_record_fields);
     }
   }
   return code;
@@ -262,7 +199,7 @@ static int read_text(struct mo_json *json, const char *text, size_t size,
       strcmp(words[0], "finetune") == 0 ? MO_TRAINING_FINETUNE : MO_TRAINING_PRETRAIN;
   enum mo_learning_preset preset = MO_LEARNING_PRESET_WORKSTATION;
   if (mo_learning_preset_from_name(words[1], &preset) != MO_OK)
-    preset = MO_LEARNING_PRESET_WORKSTATION; /* the second pass tells it */
+    preset = MO_LEARNING_PRESET_WORKSTATION; /* the second pass reports the fault */
   record->settings = mo_training_preset(kind, preset);
   record->validate_every_steps = 50;
   record->checkpoint_every_s = 60;

@@ -1,9 +1,11 @@
-/* attempt.c: what every run of a job with a thread of its own does in the same way: waiting for
- * room, failing, winding down.
+/* attempt.c: what all runs of jobs with their own thread have in common: waiting for space,
+ * failing, stopping.
  *
- * Want of room is waited for: a write is tried again every second (retry_ms) until it succeeds or a
- * wish comes. A stop does not wait: the next start goes on from what is saved. An error ends the
- * attempt; the third one in a row ends the job. */
+ * A write that lacks disk space, memory or descriptors is tried again every second (retry_ms) until
+ * it succeeds or a request arrives. A stop request does not wait: the next process continues from
+ * the saved state. Lack of memory outside a write ends the attempt, which frees memory for other
+ * jobs; the runner repeats the attempt. Any other error ends the attempt, too; the third one in a
+ * row ends the job (max_attempts). */
 #include <stdlib.h>
 #include <string.h>
 
@@ -15,10 +17,10 @@ int mo_attempt_fail(struct mo_attempt *attempt, int error, const char *text)
   return error;
 }
 
-int mo_attempt_fail_unreadable(struct mo_attempt *attempt, int error, const struct mo_job *job)
+int mo_attempt_fail_unreadable(struct mo_attempt *attempt, int error)
 {
   snprintf(attempt->text, sizeof(attempt->text), "the job cannot be read: %s",
-           error == MO_ERR_CORRUPT && job->damage[0] != '\0' ? job->damage : mo_error_text(error));
+           mo_error_text(error));
   return error;
 }
 
@@ -47,14 +49,13 @@ static const struct mo_runner_kind *kind_of(const struct mo_attempt *attempt)
   return attempt->runner->runners->kind;
 }
 
-/* ---- writes that wait for room ---- */
+/* ---- writes that wait for space ---- */
 
-/* What passes by itself. Want of memory ends an attempt, and so it must not be in the way of the
- * note of that. */
+/* Returns whether the error can pass without a request. */
 static bool is_passing(const struct mo_attempt *attempt, int error)
 {
   return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ||
-         (error == MO_ERR_NO_MEMORY && attempt->winding_down);
+         (error == MO_ERR_NO_MEMORY && !attempt->is_short);
 }
 
 static const char *passing_text(int error)
@@ -65,17 +66,9 @@ static const char *passing_text(int error)
   case MO_ERR_BUSY:
     return "another program holds the database locked, %s cannot be written: end it; it goes on by "
            "itself";
-  default: return "no memory for %s: it goes on by itself when there is some";
+  default:
+    return "no memory, or no file descriptor, for %s: it goes on by itself when there is some";
   }
-}
-
-static int set_waiting(struct mo_attempt *attempt, bool waits, int phase, const char *reason)
-{
-  struct mo_runners *runners = attempt->runner->runners;
-  pthread_mutex_lock(&runners->mutex);
-  attempt->runner->waits = waits;
-  pthread_mutex_unlock(&runners->mutex);
-  return runners->kind->set_phase(attempt, phase, reason);
 }
 
 int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), void *context,
@@ -92,7 +85,7 @@ int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), 
       break;
     if (!waits) {
       snprintf(reason, sizeof(reason), passing_text(error), what);
-      phase = set_waiting(attempt, true, kind->waiting, reason);
+      phase = mo_runner_set_waiting(attempt->runner, true, kind->waiting, reason);
       mo_attempt_warn(attempt, error, reason);
       waits = true;
     }
@@ -103,21 +96,20 @@ int mo_attempt_persist(struct mo_attempt *attempt, int (*write)(void *context), 
     mo_runner_sleep(attempt->runner, attempt->runner->jobs->config.retry_ms, least);
   }
   if (waits)
-    (void)set_waiting(attempt, false, phase, "");
+    (void)mo_runner_set_waiting(attempt->runner, false, phase, "");
   return error;
 }
 
 /* ---- the end ---- */
 
-/* Back to the queue, unless somebody has paused or cancelled it. */
+/* Requeues the job. A paused or cancelled job keeps its state. */
 static int write_park(void *context)
 {
   struct mo_attempt *attempt = context;
   return kind_of(attempt)->park(attempt->jobs->store, attempt->id, MO_OK, NULL, 0, NULL);
 }
 
-/* Somebody has stopped it: what it has computed is saved, and the job goes back to the queue if it
- * is to go on. */
+/* Ends a stopped attempt: saves computed results and requeues the job, unless it was cancelled. */
 static void wind_down(struct mo_attempt *attempt, int (*save)(void *context), void *context)
 {
   int error, parked;
@@ -154,7 +146,7 @@ static int write_failure(void *context)
   return note_failure(attempt->jobs, kind_of(attempt), attempt->id, attempt->error, attempt->text);
 }
 
-/* No device is left to compute it: it is paused where it stands. */
+/* Saves and pauses a job for which no device is left. */
 static void halt(struct mo_attempt *attempt, int (*save)(void *context), void *context)
 {
   attempt->winding_down = true;
@@ -165,15 +157,12 @@ static void halt(struct mo_attempt *attempt, int (*save)(void *context), void *c
   (void)mo_attempt_persist(attempt, write_failure, attempt, "the note of an error");
 }
 
-/* Words for an error that came without any: of stored data that cannot be read, which row it is. */
-static void describe(struct mo_attempt *attempt, int error)
+/* Saves a job that lacks memory and lets its runner repeat the attempt once its memory is freed. */
+static void make_way(struct mo_attempt *attempt, int (*save)(void *context), void *context)
 {
-  struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
-  const bool found =
-      job != NULL && mo_store_job_damage(attempt->jobs->store, attempt->id, job) == MO_OK;
-  snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s", kind_of(attempt)->noun,
-           found ? job->damage : mo_error_text(error));
-  free(job);
+  attempt->winding_down = attempt->is_short = true;
+  (void)save(context);
+  attempt->runner->is_short = true;
 }
 
 bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *context),
@@ -186,27 +175,17 @@ bool mo_attempt_settle(struct mo_attempt *attempt, int error, int (*save)(void *
     return false;
   case MO_ERR_CANCELLED: wind_down(attempt, save, context); return false;
   case MO_ERR_DEVICE: halt(attempt, save, context); return false;
+  case MO_ERR_NO_MEMORY: make_way(attempt, save, context); return false;
   case MO_ERR_CONFLICT:
-    return false; /* paused or cancelled while its end was written: the job has that state */
+    return false; /* paused or cancelled while its end was written: keeps that state */
   default: break;
   }
   if (attempt->text[0] == '\0')
-    describe(attempt, error);
+    snprintf(attempt->text, sizeof(attempt->text), "the %s cannot go on: %s",
+             kind_of(attempt)->noun, mo_error_text(error));
   mo_attempt_warn(attempt, error, attempt->text);
   attempt->winding_down = true;
   attempt->error = error;
   (void)mo_attempt_persist(attempt, write_failure, attempt, "the note of an error");
   return true;
-}
-
-void mo_attempt_give_up(struct mo_runner *runner, int64_t id)
-{
-  for (;;) {
-    int error =
-        note_failure(runner->jobs, runner->runners->kind, id, MO_ERR_NO_MEMORY, "out of memory");
-    if ((error != MO_ERR_NO_SPACE && error != MO_ERR_BUSY && error != MO_ERR_NO_MEMORY) ||
-        mo_runner_wished(runner) >= MO_WISH_STOP)
-      return;
-    mo_runner_sleep(runner, runner->jobs->config.retry_ms, MO_WISH_STOP);
-  }
 }

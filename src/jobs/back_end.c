@@ -1,11 +1,11 @@
 /* back_end.c: which jobs devices compute.
  *
- * It is chosen at submission and never changes: bits differ between devices and workers, and a
- * training or a campaign that went on elsewhere would not be a function of its settings any more.
- * So a job whose devices are gone waits for them, paused. */
+ * The back end is chosen at submission and never changes. Bits differ between devices and workers,
+ * so a training or campaign that continued elsewhere would no longer be a function of its settings.
+ * A job whose devices are lost waits for them, paused. */
 #include "jobs/internal.h"
 
-#define BLOCKS_A_DEVICE 16384 /* more than a call, at ten environments a block */
+#define BLOCKS_A_DEVICE 16384 /* more than one call, at ten environments per block */
 #define BLOCKS_A_WORKER 2
 
 int mo_back_end_choose(const struct mo_jobs *jobs, int asked, bool suits, bool is_large,

@@ -1,18 +1,18 @@
-/* blocks.c: from the cells of a job to blocks in the back end, and back.
+/* blocks.c: cuts the cells of a job into blocks for the back end, and stores the results.
  *
- * A cell that is to do is looked up in this order: among the rollouts that are being computed or
- * wait for their commit (the cell waits with them), in the store (the cell is done), else it
- * becomes part of a new block. Only the scheduler adds and removes rollouts, and removes one only
- * after its commit, so a score is in one of the two places at any time and is never computed twice,
- * but for an interactive job that would have to wait for a device. Verify and recording jobs run
- * every cell in blocks of their own. */
+ * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
+ * commit (the cell waits, too), then the store (the cell is done). Otherwise the cell joins a new
+ * block. Only the scheduler adds and removes rollouts, and removes a rollout only after its commit.
+ * So a score is always in one of the two places and is never computed twice. The exception is an
+ * interactive job, which does not wait for a device. Verify and recording jobs compute every cell
+ * in their own blocks. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/internal.h"
 
-#define NOT_A_LOSS MO_ERR_RANGE /* which back ends do not give */
+#define NOT_A_LOSS MO_ERR_RANGE /* a code that back ends do not return */
 
 /* ---- the table of rollouts ---- */
 
@@ -36,8 +36,9 @@ static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_wor
   return rollout;
 }
 
-/* Who waits for an answer does not wait for a device, whose queue may be seconds long: it is
- * computed once more, and the store keeps the one that is saved first. */
+/* Returns whether the job may wait for the rollout. An interactive job does not wait for a device,
+ * whose queue may be seconds long: it computes the rollout again, and the store keeps the result
+ * that is saved first. */
 static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active *active)
 {
   return active->priority != MO_INTERACTIVE || rollout->flight == NULL ||
@@ -131,6 +132,7 @@ static void free_flight(struct mo_flight *flight)
     free(flight->recordings[i].com_m);
     free(flight->recordings[i].mass_m);
   }
+  flight->jobs->recording_bytes -= flight->recorded_bytes;
   mo_body_free(flight->body);
   free(flight);
 }
@@ -175,7 +177,7 @@ static enum mo_lane lane_of(const struct mo_flight *flight)
   return mo_lane_of(flight->block.urgency, flight->block.back_end);
 }
 
-/* Hands the block over. The job must outlive it: it uses the job's environments and controller. */
+/* Submits the block. The job must outlive the block, which uses its environments and controller. */
 static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_flight *flight)
 {
   double cost = (double)flight->block.n_environments * flight->block.physics.n_steps;
@@ -207,6 +209,10 @@ static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
   flight->frames = frames;
   flight->block.body = flight->body;
   flight->block.recordings = flight->recordings;
+  flight->recorded_bytes =
+      (uint64_t)flight->block.n_environments * frames *
+      ((job->record_com ? 24 : 0) + (job->record_masses ? flight->body->n_masses * 12 : 0));
+  jobs->recording_bytes += flight->recorded_bytes;
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
     struct mo_recording *recording = &flight->recordings[i];
     recording->stride = job->record_stride;
@@ -221,7 +227,7 @@ static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
   return MO_OK;
 }
 
-/* A verify or recording job: the next cells of the design as they are. */
+/* Launches the next cells of a design of a verify or recording job, without look-ups. */
 static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
@@ -250,7 +256,7 @@ static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32
   return 1;
 }
 
-/* A cell that neither the table nor the store knows joins the block. false: out of memory. */
+/* Adds a cell that neither the table nor the store knows to the block. false: out of memory. */
 static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t design, uint32_t k,
                         struct mo_flight **flight)
 {
@@ -274,8 +280,8 @@ static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t
   return true;
 }
 
-/* Answers what can be answered of one design and launches at most one block. 1: launched; 0: not;
- * −1: the job failed. */
+/* Finishes the known cells of one design and launches at most one block. 1: launched; 0: not; −1:
+ * the job failed. */
 static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
@@ -373,7 +379,7 @@ int mo_block_check(const struct mo_block *block, uint32_t i)
   return block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
 }
 
-/* The waiting cells of a rollout learn its fate, and the list ends. */
+/* Reports the outcome to all cells that wait for the rollout, and frees the list. */
 static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int status)
 {
   char text[128];
@@ -386,7 +392,7 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
                   waiter->owner ? COMPUTED : SHARED);
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
-      /* A job that only waited for another's rollout computes it itself. */
+      /* A job that only waited for another job's rollout computes the rollout itself. */
       if (status != MO_ERR_CANCELLED &&
           (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
         mo_block_describe(status, text);
@@ -463,7 +469,7 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
                                         .com_m = flight->recordings[i].com_m,
                                         .mass_m = flight->recordings[i].mass_m};
     error = mo_pending_trajectory(jobs, &saved);
-    if (error == MO_OK) { /* the arrays are the save's now */
+    if (error == MO_OK) { /* the save owns the arrays now */
       flight->recordings[i].com_m = NULL;
       flight->recordings[i].mass_m = NULL;
     }

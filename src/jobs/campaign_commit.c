@@ -1,36 +1,36 @@
-/* campaign_commit.c: a generation is described and committed, while the next one is under way.
+/* campaign_commit.c: describes and commits a generation while the next one runs.
  *
- * A commit of thousands of designs takes some tenths of a second, in which a device would have
- * nothing to do. So it is written by a thread of its own, from a copy of what it says, and the
- * campaign goes on: one commit at most is under way. Whatever else the campaign writes comes after
- * it: losses wait for it, and checkpoints, the next commit, the end and a pause wait until it is
- * there. What a crash costs is one generation that was not committed, and it gives the same again.
- */
+ * A commit of thousands of designs takes some tenths of a second, during which a device would idle.
+ * So a separate thread writes the commit from a copy, and the campaign continues. At most one
+ * commit is in progress. All other writes of the campaign come after it: losses, checkpoints, the
+ * next commit, the end and a pause wait for the commit. A crash loses at most one uncommitted
+ * generation, which is computed again with the same result. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_run.h"
 
-/* Rows in the store's order, of a generation that nothing changes any more. */
+/* The rows of a finished generation, in the store's order. */
 struct mo_campaign_writing {
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_commit commit; /* of what follows */
+  struct mo_campaign_commit commit; /* points to the arrays below */
   struct mo_birth *births;          /* (population) */
   struct mo_bits *forms, *genotypes;
   struct mo_design_size *sizes;
   double *child_scores, *parent_scores;
   uint32_t *parent_numbers, *survivors;
-  struct mo_campaign_loss *losses; /* the run's own, taken over */
+  struct mo_campaign_loss *losses; /* taken over from the run */
   struct mo_campaign_step *steps;
   uint8_t *checkpoint;
   char generation_data[480], collapse_data[256];
   pthread_t thread;
-  bool is_pending; /* begun, and not known to be there */
+  bool is_pending; /* started, and not yet known to be committed */
   bool has_thread;
-  bool was_tried;    /* by the thread, whose status nobody has looked at */
+  bool was_tried;    /* the thread has tried to write; its status was not read yet */
   atomic_bool ended; /* the thread has its status */
   int status;
 };
@@ -54,7 +54,7 @@ static double mean_of(const double *scores, uint32_t n)
   return sound > 0 ? sum / sound : NAN;
 }
 
-/* Statistics of the population that lives on, from its rows in the order of the selection. */
+/* Computes the statistics of the surviving population, from its rows in order of selection. */
 static int describe_population(struct mo_campaign_run *run, struct mo_population_stats *stats)
 {
   const uint32_t n = run->n_survivors;
@@ -100,7 +100,7 @@ static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign
       row->rollouts_diverged += run->losses[i].diverged_steps[k] != 0;
 }
 
-/* Warns once of each fall below the share of the largest diversity so far. */
+/* Warns once each time that diversity falls below its share of the maximum so far. */
 static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
   const double share = settings_of(run)->collapse_share;
@@ -132,7 +132,7 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
   count_survivors(run, row);
   count_rollouts(run, row);
   watch_diversity(run, row);
-  row->seconds = run->prepared_s + (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  row->seconds = run->prepared_s + (double)(mo_clock_us() - run->begin_us) * 1e-6;
   return MO_OK;
 }
 
@@ -146,7 +146,7 @@ static void tell_generation(const struct mo_campaign_run *run,
                             const struct mo_campaign_generation *row, char text[480])
 {
   const struct mo_campaign_live *live =
-      &run->attempt.runner->live.campaign; /* which this thread alone changes */
+      &run->attempt.runner->live.campaign; /* only this thread changes it */
   char mean[32], best[32], diversity[32], turnover[32], left[32];
   snprintf(text, 480,
            "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,"
@@ -184,7 +184,7 @@ int mo_campaign_writing_create(struct mo_campaign_run *run)
              : MO_OK;
 }
 
-/* What one generation alone had. */
+/* Frees what belongs to one generation only. */
 static void drop(struct mo_campaign_writing *writing)
 {
   free(writing->losses);
@@ -297,6 +297,7 @@ static int write_generation(struct mo_campaign_writing *writing)
   const struct mo_campaign_generation *row = &writing->commit.row;
   const int error = mo_store_campaign_commit(jobs->store, writing->id, &writing->commit);
   if (error == MO_OK) {
+    mo_memory_prove(jobs, writing->id);
     atomic_fetch_add(&jobs->campaign_generations, 1);
     atomic_fetch_add(&jobs->campaign_designs, row->n_children);
     atomic_fetch_add(&jobs->campaign_cached, row->rollouts_cached);
@@ -349,7 +350,7 @@ void mo_campaign_writing_join(struct mo_campaign_run *run)
   writing->has_thread = false;
 }
 
-/* What the thread came to, then tries of one's own. */
+/* Returns the thread's result on the first call, then writes again. */
 static int write_again(void *context)
 {
   struct mo_campaign_writing *writing = context;
@@ -366,7 +367,7 @@ int mo_campaign_settle(struct mo_campaign_run *run)
     return MO_OK;
   mo_campaign_writing_join(run);
   error = mo_attempt_persist(&run->attempt, write_again, writing, "a generation");
-  if (error != MO_ERR_CANCELLED) /* then it is still to be written, before what else is saved */
+  if (error != MO_ERR_CANCELLED) /* a cancelled commit is still pending and precedes other writes */
     drop(writing);
   return error;
 }

@@ -1,22 +1,22 @@
-/* campaign_excluded.c: the bodies that a campaign's controller was pretrained on, which count as
- * seen.
+/* campaign_excluded.c: the bodies of a controller's pretrainings, which a campaign must not create.
  *
- * The bodies of every pretraining of the controller's lineage (campaign_lineage.c) are drawn again
- * into one set, on as many threads as there are workers, 16 at most, and with their niceness. The
- * set is const once it is made, and campaigns with the same lineage and workspace share it. It is
- * drawn by a thread of its own, which belongs to none of them: the first one starts it, whoever
- * comes meanwhile waits for it, too, and who is paused or cancelled leaves the others to it. The
- * last one to leave ends it. */
+ * The bodies of all pretrainings in the controller's lineage (campaign_lineage.c) are drawn again
+ * into one set, on as many threads as there are workers, at most 16, and with the workers'
+ * niceness. A finished set is const. Campaigns with the same lineage and workspace share it. A
+ * separate thread draws the set. The first campaign starts that thread; later ones wait for it. The
+ * drawing continues when a campaign is paused or cancelled, and stops when the last campaign
+ * leaves. */
 #include <inttypes.h>
 #include <stdlib.h>
 
+#include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/campaign_run.h"
 
 #define WAIT_MS_MAX 50
 #define THREADS_MAX 16
 
-enum state { MAKING = 0, READY, FAILED /* nobody finds it any more */ };
+enum state { MAKING = 0, READY, FAILED /* look-ups skip it */ };
 
 struct mo_exclusion {
   struct mo_jobs *jobs;
@@ -29,12 +29,12 @@ struct mo_exclusion {
   pthread_t thread;
   bool has_thread;
   volatile int cancel;
-  volatile uint64_t n_drawn; /* of the part under way */
+  volatile uint64_t n_drawn; /* of the current part */
   /* Under the mutex. */
   uint32_t users;
-  int64_t drawer;    /* the others say that they wait for this campaign; 0: it has left, the next to
-                        look follows it */
-  uint64_t n_before; /* bodies of the parts that are drawn */
+  int64_t drawer;    /* other campaigns report that they wait for this one; 0: it has left, and the
+                        next to look replaces it */
+  uint64_t n_before; /* bodies of finished parts */
   enum state state;
   int error; /* FAILED */
   struct mo_exclusion *next;
@@ -75,7 +75,7 @@ static void *draw_nicely(void *context)
 {
   struct mo_exclusion *exclusion = context;
   struct mo_compute_stats stats;
-  mo_thread_tag = exclusion->first; /* a fault is that one's, even after it has left */
+  mo_thread_tag = exclusion->first; /* a fault counts as that campaign's, even after it has left */
   mo_compute_get_stats(exclusion->jobs->compute, &stats);
   mo_compute_settle(exclusion->jobs->compute);
   draw(exclusion, stats.n_workers < THREADS_MAX ? stats.n_workers : THREADS_MAX,
@@ -83,8 +83,8 @@ static void *draw_nicely(void *context)
   return NULL;
 }
 
-/* Without a thread alone on the campaign's own, with its niceness: when that one has to go, the
- * others begin anew. */
+/* Starts the drawing. If no thread can be created, the campaign draws on its own thread, with its
+ * niceness; if this campaign is stopped, the others start again. */
 static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
   exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw_nicely, exclusion) == 0;
@@ -107,8 +107,8 @@ static bool is_same(const struct mo_exclusion *a, const struct mo_exclusion *b)
   return true;
 }
 
-/* The set of that lineage, with one user more, or a new one put into the list, which is to be begun
- * (*is_new). NULL: no memory. */
+/* Returns the set of the lineage with one more user, or adds a new one to the list, which the
+ * caller must start (*is_new). NULL: no memory. */
 static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
                                         const struct mo_lineage *lineage, bool *is_new)
 {
@@ -121,7 +121,7 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
                                 .lineage = *lineage,
                                 .first = run->id,
                                 .drawer = run->id,
-                                .begin_us = mo_jobs_clock_us()};
+                                .begin_us = mo_clock_us()};
   for (uint32_t i = 0; i < lineage->n_parts; i++)
     made->n_bodies += lineage->parts[i].n_bodies;
   pthread_mutex_lock(&jobs->exclusions_mutex);
@@ -174,11 +174,11 @@ void mo_exclusion_release(struct mo_campaign_run *run, struct mo_exclusion *excl
 
 /* ---- waiting ---- */
 
-/* 1: it is still drawn, as far as *drawing says; MO_OK: it is ready; or why it will not be. */
+/* Returns 1 with the progress in *drawing while the set is drawn, then MO_OK or the error. */
 static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusion,
                 struct mo_campaign_drawing *drawing)
 {
-  const double passed_s = (double)(mo_jobs_clock_us() - exclusion->begin_us) * 1e-6;
+  const double passed_s = (double)(mo_clock_us() - exclusion->begin_us) * 1e-6;
   int status;
   pthread_mutex_lock(&run->jobs->exclusions_mutex);
   if (exclusion->drawer == 0)
@@ -190,8 +190,8 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
       .drawer = exclusion->drawer};
   status = exclusion->state == MAKING ? 1 : exclusion->error;
   pthread_mutex_unlock(&run->jobs->exclusions_mutex);
-  /* A body takes as long as another: from a second to a minute the rate changes by some per cent.
-   */
+  /* All bodies take about as long: between a second and a minute, the rate changes by a few
+   * percent. */
   if (drawing->done > 0)
     drawing->seconds_left =
         passed_s / (double)drawing->done * (double)(drawing->total - drawing->done);
@@ -243,7 +243,8 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
     error = join(run, &lineage, exclusion);
   while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
   mo_campaign_show_drawing(run, NULL);
-  if (error == MO_ERR_EXHAUSTED) /* which would end the campaign as if no child could be found */
+  if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
+                                    child could be found */
     return mo_attempt_fail(
         &run->attempt, MO_ERR_LIMIT,
         "the controller's lineage names more bodies of pretraining than can be found: submit with "

@@ -1,18 +1,20 @@
 /* campaign_learn.c: how the controller of a campaign learns between generations.
  *
- * Few-shot: each generation has a training of its own, which begins with the pretrained weights,
+ * Few-shot: each generation has its own training, which starts from the pretrained weights and
  * takes parent_steps on the parents, then child_steps on the children. Simultaneous: one training
- * over the whole campaign goes on with the same steps. Generation 0 has no parents: it takes
+ * takes the same steps and continues over the whole campaign. Generation 0 has no parents and takes
  * child_steps on the initial population.
  *
- * A checkpoint is written when it is due, at a pause or a stop, and when a generation's learning is
- * done, so that what interrupts its scoring does not cost the learning. A generation commits with
+ * A checkpoint is written when it is due, at a pause or stop, and at the end of a generation's
+ * learning, so that an interrupted scoring does not lose the learning. A generation commits with
  * the learning state that scored it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/campaign_run.h"
+
+#include "base/clock.h"
 
 static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
 {
@@ -29,7 +31,7 @@ static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
   return parent_steps(run, generation) + settings_of(run)->child_steps;
 }
 
-/* Steps of the training when a generation begins. */
+/* Returns the steps of the training before a generation. */
 static uint32_t steps_before(const struct mo_campaign_run *run, uint32_t generation)
 {
   if (settings_of(run)->mode == MO_FEW_SHOT || generation == 0)
@@ -59,7 +61,7 @@ static int write_checkpoint(void *context)
   free(bytes);
   if (error == MO_OK) {
     run->steps_saved = run->step;
-    run->checkpoint_us = mo_jobs_clock_us();
+    run->checkpoint_us = mo_clock_us();
   }
   return error;
 }
@@ -78,8 +80,8 @@ int mo_campaign_save_learning(struct mo_campaign_run *run)
   return mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
 }
 
-/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: it
- * cannot be used. */
+/* Reads the newest checkpoint of a generation. MO_ERR_NOT_FOUND: there is none. MO_ERR_CORRUPT: the
+ * checkpoint is unusable. */
 static int read_checkpoint(struct mo_campaign_run *run, uint32_t generation, uint32_t *step)
 {
   struct mo_message message = {.text =
@@ -144,8 +146,7 @@ static int begin_training(struct mo_campaign_run *run)
   return error;
 }
 
-/* What an earlier process has learned in this generation. MO_ERR_NOT_FOUND: nothing, or nothing
- * that is whole. */
+/* Loads what an earlier process learned in this generation. MO_ERR_NOT_FOUND: nothing usable. */
 static int restore(struct mo_campaign_run *run)
 {
   int error = read_checkpoint(run, run->generation, &run->step);
@@ -159,7 +160,7 @@ static int restore(struct mo_campaign_run *run)
   return MO_ERR_NOT_FOUND;
 }
 
-/* The training at the place where this generation's learning goes on. */
+/* Prepares the training at the step where this generation's learning continues. */
 static int prepare_training(struct mo_campaign_run *run)
 {
   const bool inherits = settings_of(run)->mode == MO_SIMULTANEOUS && run->generation > 0;
@@ -182,7 +183,7 @@ static int prepare_training(struct mo_campaign_run *run)
   return error;
 }
 
-/* Losses of steps that an earlier process took. */
+/* Reads the first and last loss from the steps of an earlier process. */
 static int read_losses(struct mo_campaign_run *run)
 {
   struct mo_campaign_step row;
@@ -223,13 +224,15 @@ static int tell(struct mo_campaign_run *run)
     error =
         mo_store_campaign_save_losses(run->jobs->store, run->id, run->generation, NULL, 0, data);
   mo_campaign_told(run);
-  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY ? MO_OK : error; /* only news */
+  return error == MO_ERR_NO_SPACE || error == MO_ERR_BUSY
+             ? MO_OK
+             : error; /* a lost progress event is no error */
 }
 
 static bool checkpoint_is_due(const struct mo_campaign_run *run)
 {
   const uint32_t every_s = run->status.record.checkpoint_every_s;
-  return every_s > 0 && mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
+  return every_s > 0 && mo_clock_us() - run->checkpoint_us >= (int64_t)every_s * 1000000;
 }
 
 static int write_what_is_due(void *context)
@@ -281,7 +284,7 @@ int mo_campaign_learn(struct mo_campaign_run *run)
     error = read_losses(run);
   if (error == MO_OK && n_steps > run->step)
     error = set_designs(run);
-  run->checkpoint_us = mo_jobs_clock_us();
+  run->checkpoint_us = mo_clock_us();
   while (error == MO_OK && run->step < n_steps) {
     mo_campaign_advance(run, run->step);
     if (mo_runner_is_interrupted(run->attempt.runner))

@@ -1,9 +1,9 @@
-/* campaign_lineage.c: what a campaign's controller says of the pretrainings behind it.
+/* campaign_lineage.c: reads which pretrainings led to a campaign's controller.
  *
- * A controller says in its metadata how it was made: a pretraining has a seed, a batch and a number
- * of steps, and its bodies follow from these; a finetuning, or a campaign, has a parent, whose own
- * file says the same of it, as far as the store has it. What is said there and cannot be read is
- * told, field by field, as an event of the campaign; what would follow from it is left out. */
+ * The metadata of a controller describes how it was made. A pretraining has a seed, a batch and a
+ * number of steps, which determine its bodies. A finetuning or campaign has a parent, whose file,
+ * if stored, describes the parent in the same way. Each unreadable field is reported as an event of
+ * the campaign, and what depends on the field is omitted. */
 #include <errno.h>
 #include <inttypes.h>
 #include <stdlib.h>
@@ -11,12 +11,14 @@
 
 #include "jobs/campaign_run.h"
 
-#define CONTROLLERS_MAX 64 /* of a lineage, the campaign's own first */
+#define CONTROLLERS_MAX 64 /* in a lineage, including the campaign's own */
 
 struct reading {
-  struct mo_campaign_run *run;
+  struct mo_jobs *jobs;
+  struct mo_campaign_run *run; /* NULL: estimates only, and reports nothing */
+  struct mo_message *message;  /* for an estimate only; nullable */
   struct mo_lineage *lineage;
-  const struct mo_controller *controller; /* the one that is read */
+  const struct mo_controller *controller; /* the controller being read */
   const struct mo_sha256 *sha256;         /* of its file */
 };
 
@@ -38,8 +40,16 @@ static int write_fault(void *context)
 static int tell(const struct reading *reading, const char *field, const char *detail)
 {
   struct fault fault = {reading, field, detail};
+  if (reading->run == NULL)
+    return MO_OK;
   return mo_attempt_persist(&reading->run->attempt, write_fault, &fault,
                             "a warning about the controller's lineage");
+}
+
+static int fail(const struct reading *reading, int error, const char *text)
+{
+  return reading->run != NULL ? mo_attempt_fail(&reading->run->attempt, error, text)
+                              : mo_fail(reading->message, error, "%s", text);
 }
 
 /* ---- one controller ---- */
@@ -54,7 +64,7 @@ static bool read_number(const char *text, uint64_t *number)
   return errno == 0 && *end == '\0';
 }
 
-/* The bodies of a pretraining; n_bodies 0: none, or it cannot be known. */
+/* Reads the seed and size of a pretraining; n_bodies 0: none, or unknown. */
 static int read_pretraining(const struct reading *reading, struct mo_lineage_part *part)
 {
   const struct mo_controller *controller = reading->controller;
@@ -94,7 +104,7 @@ static int add_part(const struct reading *reading)
   struct mo_lineage_part part = {0, 0};
   const char *kind = mo_controller_get_metadata(reading->controller, "morphod.kind");
   char text[256];
-  uint64_t most = MO_TRAINING_BODIES_MAX; /* of all parts together */
+  uint64_t most = MO_TRAINING_BODIES_MAX; /* total of all parts */
   int error = MO_OK;
   if (kind != NULL && strcmp(kind, "pretrain") == 0)
     error = read_pretraining(reading, &part);
@@ -111,7 +121,7 @@ static int add_part(const struct reading *reading)
              "the controller's lineage names more bodies of pretraining than the %" PRIu64
              " that can be drawn again: submit with exclude_pretraining false",
              MO_TRAINING_BODIES_MAX);
-    return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
+    return fail(reading, MO_ERR_LIMIT, text);
   }
   if (lineage->n_parts == MO_LINEAGE_PARTS_MAX) {
     snprintf(text, sizeof(text),
@@ -119,7 +129,7 @@ static int add_part(const struct reading *reading)
              "drawn again: "
              "submit with exclude_pretraining false",
              MO_LINEAGE_PARTS_MAX);
-    return mo_attempt_fail(&reading->run->attempt, MO_ERR_LIMIT, text);
+    return fail(reading, MO_ERR_LIMIT, text);
   }
   lineage->parts[lineage->n_parts++] = part;
   return MO_OK;
@@ -127,7 +137,7 @@ static int add_part(const struct reading *reading)
 
 /* ---- its ancestors ---- */
 
-/* MO_ERR_NOT_FOUND: the controller names none. */
+/* MO_ERR_NOT_FOUND: the controller names no parent. */
 static int read_parent(const struct reading *reading, struct mo_sha256 *sha256)
 {
   const char *parent = mo_controller_get_metadata(reading->controller, "morphod.parent");
@@ -152,28 +162,31 @@ static int tell_of_length(const struct reading *reading)
   return tell(reading, "morphod.parent", text);
 }
 
-/* An ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
-static int load_ancestor(struct mo_campaign_run *run, const struct mo_sha256 *sha256,
-                         struct mo_controller **controller)
+/* Loads an ancestor's file. MO_ERR_NOT_FOUND: the store has none. */
+static int load(const struct reading *reading, const struct mo_sha256 *sha256,
+                struct mo_controller **controller)
 {
   uint8_t *bytes = NULL;
   size_t size = 0;
-  int error = mo_store_controller_bytes(run->jobs->store, sha256, &bytes, &size);
+  int error = mo_store_controller_bytes(reading->jobs->store, sha256, &bytes, &size);
   if (error == MO_OK)
     error = mo_controller_decode(bytes, size, controller, NULL);
   free(bytes);
-  return error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT
-             ? mo_attempt_fail_controller(&run->attempt, error, sha256)
+  return reading->run != NULL &&
+                 (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT)
+             ? mo_attempt_fail_controller(&reading->run->attempt, error, sha256)
              : error;
 }
 
-int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
+/* Reads the lineage from reading->controller up. Frees `ancestor`, which is that controller or
+ * NULL. */
+static int read_all(struct reading *start, struct mo_controller *ancestor)
 {
-  struct mo_sha256 sha256 = run->status.record.controller_sha256;
-  struct mo_controller *ancestor = NULL;
-  struct reading reading = {run, lineage, run->controller, &sha256};
+  struct reading reading = *start;
+  struct mo_sha256 sha256 = *start->sha256;
   int error = MO_OK;
-  lineage->n_parts = 0;
+  reading.sha256 = &sha256;
+  reading.lineage->n_parts = 0;
   for (int i = 1; reading.controller != NULL && error == MO_OK; i++) {
     struct mo_controller *above = NULL;
     struct mo_sha256 parent;
@@ -183,7 +196,7 @@ int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
     if (error == MO_OK && i == CONTROLLERS_MAX)
       error = tell_of_length(&reading);
     else if (error == MO_OK)
-      error = load_ancestor(run, &parent, &above);
+      error = load(&reading, &parent, &above);
     if (error == MO_OK)
       sha256 = parent;
     mo_controller_free(ancestor);
@@ -191,4 +204,24 @@ int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
   }
   mo_controller_free(ancestor);
   return error == MO_ERR_NOT_FOUND ? MO_OK : error;
+}
+
+int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage)
+{
+  struct reading reading = {.jobs = run->jobs,
+                            .run = run,
+                            .lineage = lineage,
+                            .controller = run->controller,
+                            .sha256 = &run->status.record.controller_sha256};
+  return read_all(&reading, NULL);
+}
+
+int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
+                      struct mo_lineage *lineage, struct mo_message *message)
+{
+  struct reading reading = {.jobs = jobs, .message = message, .lineage = lineage, .sha256 = sha256};
+  struct mo_controller *controller = NULL;
+  int error = load(&reading, sha256, &controller);
+  reading.controller = controller;
+  return error == MO_OK ? read_all(&reading, controller) : error;
 }

@@ -1,13 +1,13 @@
-/* campaign_run.c: one campaign, generation by generation, from where it stands to its end or until
- * somebody wants something else.
+/* campaign_run.c: runs one campaign, generation by generation, to its end or until a request.
  *
- * A generation: children, learning, scores, selection, one commit, which is written while the next
- * generation is under way. Everything before the commit can be repeated and gives the same:
- * children follow from the population and from what was ever born, learning from its checkpoint,
- * and losses that were saved are read again. So a campaign is a function of its settings and seed,
- * whatever interrupts it. It ends when all its generations are committed, or when no child can be
- * found any more: the generation that found none is not committed. */
+ * A generation consists of children, learning, scores, selection and one commit, which is written
+ * while the next generation runs. Everything before the commit can be repeated with the same
+ * result: children depend on the population and on all designs ever born, learning continues from
+ * its checkpoint, and saved losses are read again. So a campaign is a function of its settings and
+ * seed, whatever interrupts it. A campaign ends when all its generations are committed, or when no
+ * child can be found; a generation without a child is not committed. */
 #include "jobs/campaign_run.h"
+#include "base/clock.h"
 #include "base/parallel.h"
 
 #include <math.h>
@@ -16,18 +16,17 @@
 
 #define PROGRESS_EVERY_US   INT64_C(1000000)
 #define HISTORY_ROWS        64
-#define CHILDREN_PER_THREAD 1024 /* a millisecond */
+#define CHILDREN_PER_THREAD 1024 /* take about a millisecond */
 
 static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
 {
   return &run->status.record.settings;
 }
 
-/* ---- what others see ---- */
+/* ---- live figures ---- */
 
-static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
+static int set_phase(struct mo_runner *runner, int phase, const char *reason)
 {
-  struct mo_runner *runner = attempt->runner;
   struct mo_campaign_live *live = &runner->live.campaign;
   int before;
   pthread_mutex_lock(&runner->runners->mutex);
@@ -41,22 +40,24 @@ static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
 int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase, uint64_t total)
 {
   struct mo_runner *runner = run->attempt.runner;
+  const uint32_t last = settings_of(run)->generations;
   pthread_mutex_lock(&runner->runners->mutex);
-  runner->live.campaign.generation = run->generation;
+  runner->live.campaign.generation =
+      run->generation < last ? run->generation : last; /* no generation is current at the end */
   runner->live.campaign.done = 0;
   runner->live.campaign.total = total;
   pthread_mutex_unlock(&runner->runners->mutex);
-  return set_phase(&run->attempt, (int)phase, "");
+  return set_phase(runner, (int)phase, "");
 }
 
-/* Of the campaign: by the rollouts that are left, where scores are all that takes time; else by the
- * last whole generation. */
+/* Estimates the rest of the campaign: from the remaining rollouts if only scoring takes time, else
+ * from the last whole generation. Negative: unknown. */
 static double seconds_left(const struct mo_campaign_run *run, const struct mo_campaign_live *live)
 {
   const struct mo_campaign_settings *settings = settings_of(run);
   const double after =
       run->generation < settings->generations ? settings->generations - run->generation : 0;
-  const double passed = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+  const double passed = (double)(mo_clock_us() - run->begin_us) * 1e-6;
   if (settings->mode == MO_ZERO_SHOT && live->rollouts_per_s > 0 && run->generation > 0) {
     double left = after * settings->population + run->n_scored - run->n_done;
     return left * run->n_environments / live->rollouts_per_s;
@@ -75,7 +76,7 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
   pthread_mutex_unlock(&runner->runners->mutex);
 }
 
-/* All generations that are to come, by the newest one; 0: not known. */
+/* Estimates all remaining generations from the newest one; 0: unknown. */
 static double generations_s(const struct mo_campaign_run *run)
 {
   const uint32_t generations = settings_of(run)->generations;
@@ -116,7 +117,7 @@ void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s)
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
                                  uint64_t total, char text[256])
 {
-  if (mo_jobs_clock_us() - run->progress_us < PROGRESS_EVERY_US)
+  if (mo_clock_us() - run->progress_us < PROGRESS_EVERY_US)
     return NULL;
   snprintf(text, 256,
            "{\"id\":\"%lld\",\"generation\":%u,\"phase\":\"%s\",\"done\":%llu,\"total\":%llu}",
@@ -127,10 +128,10 @@ const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase,
 
 void mo_campaign_told(struct mo_campaign_run *run)
 {
-  run->progress_us = mo_jobs_clock_us();
+  run->progress_us = mo_clock_us();
 }
 
-/* ---- where it stands ---- */
+/* ---- resumption ---- */
 
 static int load_controller(struct mo_campaign_run *run)
 {
@@ -174,8 +175,8 @@ static uint64_t *genotype(const struct mo_campaign_run *run, uint32_t place)
   return run->genotypes + run->words * place;
 }
 
-/* The largest diversity so far, whether its fall was told, and how long the newest generation took.
- */
+/* Reads the maximum diversity, whether its collapse was reported, and the time of the newest
+ * generation. */
 static int read_history(struct mo_campaign_run *run)
 {
   struct mo_campaign_generation *rows = calloc(HISTORY_ROWS, sizeof(*rows));
@@ -186,14 +187,12 @@ static int read_history(struct mo_campaign_run *run)
     n = mo_store_campaign_generations(run->jobs->store, run->id, after, rows, HISTORY_ROWS);
     for (int64_t i = 0; i < n; i++) {
       after = rows[i].generation;
-      if (rows[i].damage.column != NULL)
-        continue;
       if (rows[i].stats.diversity > run->diversity_max) {
         run->diversity_max = rows[i].stats.diversity;
         run->is_warned = false;
       }
       run->is_warned = run->is_warned || rows[i].collapse;
-      if (rows[i].generation > 0) /* the first one's has what came before it, too */
+      if (rows[i].generation > 0) /* the time of generation 0 includes the preparation */
         run->generation_s = rows[i].seconds;
     }
   }
@@ -245,7 +244,7 @@ static int remember(void *context, const struct mo_bits *born)
   return error < 0 ? error : MO_OK;
 }
 
-/* What must not be born again. */
+/* Collects the designs that must not be born again. */
 static int read_seen(struct mo_campaign_run *run)
 {
   struct remembering remembering = {run, calloc(run->words, sizeof(uint64_t))};
@@ -265,7 +264,7 @@ static int prepare(struct mo_campaign_run *run)
 {
   int error = mo_store_campaign(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return mo_attempt_fail_unreadable(&run->attempt, error, &run->status.job);
+    return mo_attempt_fail_unreadable(&run->attempt, error);
   run->generation = (uint32_t)(run->status.generation + 1);
   (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, 0);
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
@@ -340,7 +339,7 @@ static void describe_some(void *context, size_t first, size_t end)
   }
 }
 
-/* The children as the store and the back end need them. */
+/* Converts the children for the store and the back end. */
 static int describe_children(struct mo_campaign_run *run)
 {
   struct describing describing = {.run = run};
@@ -381,7 +380,7 @@ static int select_survivors(struct mo_campaign_run *run)
   return error;
 }
 
-/* Replaces rows 0 … n − 1 of an array by those at `places`. */
+/* Replaces rows 0 … n − 1 of an array by the rows at `places`. */
 static int gather(void *array, size_t size, const uint32_t *places, uint32_t n)
 {
   uint8_t *rows = array, *copy = malloc(size * n + 1);
@@ -394,7 +393,7 @@ static int gather(void *array, size_t size, const uint32_t *places, uint32_t n)
   return MO_OK;
 }
 
-/* The survivors become the population. An error leaves nothing that can be used. */
+/* Makes the survivors the population. After an error the run is unusable. */
 static int succeed(struct mo_campaign_run *run)
 {
   const struct {
@@ -418,13 +417,13 @@ static int succeed(struct mo_campaign_run *run)
   return error;
 }
 
-/* ---- the whole ---- */
+/* ---- generations and the end ---- */
 
 /* MO_ERR_EXHAUSTED: no child was found. */
 static int run_generation(struct mo_campaign_run *run)
 {
   int error;
-  run->begin_us = mo_jobs_clock_us();
+  run->begin_us = mo_clock_us();
   error = vary(run);
   if (error == MO_OK && run->n_children == 0)
     error = MO_ERR_EXHAUSTED;
@@ -474,14 +473,14 @@ static int write_end(void *context)
   return error;
 }
 
-/* MO_ERR_CONFLICT: it was extended, paused or cancelled. */
+/* MO_ERR_CONFLICT: the campaign was extended, paused or cancelled. */
 static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
 {
   struct ending ending = {run, end};
   int error = MO_OK;
   if (settings_of(run)->mode != MO_ZERO_SHOT && run->generation > 0) {
-    /* The state of the last committed generation: this run's own, unless it committed none, or
-     * found no children since. */
+    /* The result is the state of the last committed generation. This run has that state unless it
+     * has committed no generation, or has found no children since. */
     if (run->learner.training == NULL)
       error = mo_campaign_load_learning(run);
   } else {
@@ -492,7 +491,8 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
              : error;
 }
 
-/* After each change the campaign is read again: generations may have been added. */
+/* Runs generations to the end of the campaign. Reads the campaign again after each one, because
+ * generations may have been added. */
 static int evolve(struct mo_campaign_run *run)
 {
   bool exhausted = false;
@@ -502,8 +502,7 @@ static int evolve(struct mo_campaign_run *run)
     const bool is_over = exhausted || run->generation > generations;
     if (mo_runner_is_interrupted(run->attempt.runner))
       return MO_ERR_CANCELLED;
-    if (!is_over &&
-        run->seen == NULL) /* it was at its end when it was taken up, and extended then */
+    if (!is_over && run->seen == NULL) /* complete at first, extended since */
       error = read_seen(run);
     if (is_over && error == MO_OK) {
       (void)mo_campaign_enter(run, MO_CAMPAIGN_SAVE, 0);
@@ -524,7 +523,7 @@ static int evolve(struct mo_campaign_run *run)
   return error;
 }
 
-/* For a run that somebody has stopped. */
+/* Saves what a stopped run has computed. */
 static int save_rest(void *context)
 {
   struct mo_campaign_run *run = context;
@@ -565,22 +564,35 @@ static bool run_campaign(struct mo_runner *runner, int64_t id)
   bool failed;
   int error;
   if (run == NULL) {
-    mo_attempt_give_up(runner, id);
-    return true;
+    runner->is_short = true;
+    return false;
   }
   run->attempt = (struct mo_attempt){.jobs = runner->jobs, .runner = runner, .id = id};
   run->jobs = runner->jobs;
   run->id = id;
-  run->begin_us = run->progress_us = mo_jobs_clock_us();
+  run->begin_us = run->progress_us = mo_clock_us();
   error = prepare(run);
   if (run->generation == 0)
-    run->prepared_s = (double)(mo_jobs_clock_us() - run->begin_us) * 1e-6;
+    run->prepared_s = (double)(mo_clock_us() - run->begin_us) * 1e-6;
   if (error == MO_OK)
     error = evolve(run);
-  mo_campaign_writing_join(run); /* it may forgive the attempts before this one */
+  mo_campaign_writing_join(run); /* the commit may reset the count of attempts */
   failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
   free_run(run);
   return failed;
+}
+
+static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
+{
+  struct mo_campaign_status status;
+  int error = mo_store_campaign(jobs->store, id, &status);
+  *need = (struct mo_need){0};
+  if (error == MO_OK)
+    error =
+        mo_need_of_campaign(jobs, &status.record.settings,
+                            status.record.has_controller ? &status.record.controller_sha256 : NULL,
+                            status.job.back_end, need, NULL);
+  return mo_is_shortage(error) ? error : MO_OK;
 }
 
 static void begin(struct mo_runner *runner)
@@ -591,6 +603,7 @@ static void begin(struct mo_runner *runner)
 
 const struct mo_runner_kind mo_campaign_runners = {.noun = "campaign",
                                                    .queued = mo_store_queued_campaigns,
+                                                   .need = need,
                                                    .start = mo_store_campaign_start,
                                                    .park = mo_store_campaign_park,
                                                    .run = run_campaign,

@@ -1,9 +1,9 @@
-/* campaign_run.h: one campaign while it runs. For the files campaign_*.c of this room alone.
+/* campaign_run.h: the state of one running campaign. Only for the files campaign_*.c of this room.
  *
- * Candidates of a generation lie in one row: the population (n_parents, best first), then its
- * children. Everything about candidate i is at place i of each array. Bodies are kept twice: in the
- * campaign's workspace, where variation, selection and diversity work, and in the default
- * workspace, for which controllers are and which the store holds. */
+ * The candidates of a generation lie in one row: the population (n_parents, best first), then its
+ * children. Place i of each array belongs to candidate i. Each body is stored twice: in the
+ * campaign's workspace for variation, selection and diversity, and in the default workspace for the
+ * controllers and the store. */
 #ifndef MORPHO_JOBS_CAMPAIGN_RUN_H
 #define MORPHO_JOBS_CAMPAIGN_RUN_H
 
@@ -13,8 +13,7 @@ struct mo_campaign_run {
   struct mo_attempt attempt; /* first */
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_campaign_status
-      status; /* as it was when the generation began: generations may have been added */
+  struct mo_campaign_status status; /* from the start of the generation; may be extended since */
   struct mo_compute_share *share;
   struct mo_controller *controller; /* as submitted; NULL: random weights */
   struct mo_environment *environments;
@@ -23,7 +22,7 @@ struct mo_campaign_run {
   struct mo_seen *seen;
   size_t words; /* of a genotype of the campaign's workspace */
 
-  uint32_t generation; /* under way */
+  uint32_t generation; /* the current one */
   uint32_t n_parents, n_children;
   uint64_t *genotypes;          /* (2 · population, words) */
   struct mo_bits *bits;         /* (2 · population) in the default workspace */
@@ -34,90 +33,94 @@ struct mo_campaign_run {
   struct mo_birth *births;      /* (population) of the children */
   uint32_t *survivors;          /* (population) */
   uint32_t n_survivors;
-  uint64_t n_designs; /* ever born, before this generation */
+  uint64_t n_designs; /* born before this generation */
   struct mo_variation_counts variation;
   double diversity_max; /* so far */
-  bool is_warned;       /* of a collapse, since that maximum */
-  int64_t begin_us;     /* of the generation in this process */
-  double
-      prepared_s; /* wall time of what came before generation 0, which counts to it; 0 for others */
-  int64_t progress_us; /* when progress was told last */
-  double generation_s; /* wall time of the newest generation, without what came before generation 0;
-                          0: not known */
+  bool is_warned;       /* a collapse was reported since that maximum */
+  int64_t begin_us;     /* start of the generation in this process */
+  double prepared_s;    /* wall time before generation 0, which counts toward it; else 0 */
+  int64_t progress_us;  /* time of the last progress event */
+  double generation_s;  /* wall time of the newest generation, without prepared_s; 0: unknown */
 
   /* Learning (campaign_learn.c). */
   struct mo_learner learner;
   struct mo_campaign_step
-      *steps; /* (parent + child steps): rows from steps_saved on are not written yet */
-  uint32_t step, steps_saved; /* steps done in this generation, as of the last checkpoint */
+      *steps; /* (parent + child steps) rows from steps_saved on are not written yet */
+  uint32_t step, steps_saved; /* steps done in this generation; at the last checkpoint */
   uint32_t steps_base;        /* steps of the training before this generation */
-  bool is_learned;            /* the learning state is of this generation, or later */
+  bool is_learned;            /* the learning state is that of this generation, or later */
   int64_t checkpoint_us;
   double first_loss, last_loss;
 
-  /* Scores (campaign_score.c): of the candidates from `first_scored` on. */
+  /* Scores of the candidates from `first_scored` on (campaign_score.c). */
   uint32_t first_scored, n_scored;
   struct mo_compute_controller
-      *frozen; /* zero-shot: the weights, ready for the back end; NULL before the first scores */
+      *frozen;                     /* zero-shot: weights ready for the back end; NULL at first */
   struct mo_campaign_loss *losses; /* (n_scored) */
-  uint8_t *left;                   /* (n_scored) blocks of the candidate that are not done */
-  uint32_t *unsaved;               /* (n_scored) places whose losses are to be saved */
+  uint8_t *left;                   /* (n_scored) blocks of the candidate still to finish */
+  uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
-  uint32_t n_cached; /* of these, found in `scores` */
+  uint32_t n_cached; /* of n_done, found in the table `scores` */
 
-  struct mo_campaign_writing *writing; /* the commit that is under way (campaign_commit.c) */
+  struct mo_campaign_writing *writing; /* the commit in progress (campaign_commit.c) */
 };
 
 /* ---- campaign_run.c ---- */
 int mo_campaign_enter(struct mo_campaign_run *run, enum mo_campaign_phase phase, uint64_t total);
-void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done); /* live figure of the phase */
-/* Bodies of pretrainings that are drawn again. */
+/* Sets the progress that the live figures show for the phase. */
+void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done);
+/* Progress of drawing the bodies of pretrainings again. */
 struct mo_campaign_drawing {
   uint64_t done, total;
   double seconds_left; /* < 0: not known yet */
   int64_t drawer;      /* the campaign that draws them */
 };
+/* Shows the progress of the drawing; NULL: the drawing has ended. */
 void mo_campaign_show_drawing(struct mo_campaign_run *run,
-                              const struct mo_campaign_drawing *drawing); /* NULL: it is over */
+                              const struct mo_campaign_drawing *drawing);
 void mo_campaign_show_rate(struct mo_campaign_run *run, double rollouts_per_s);
-/* JSON of "campaign.progress" once a second; else NULL. */
+/* Returns the JSON of "campaign.progress" at most once a second, else NULL. */
 const char *mo_campaign_progress(struct mo_campaign_run *run, const char *phase, uint64_t done,
                                  uint64_t total, char text[256]);
-void mo_campaign_told(struct mo_campaign_run *run); /* it was written */
+/* Records that a progress event was written. */
+void mo_campaign_told(struct mo_campaign_run *run);
 
 /* ---- campaign_commit.c ---- */
-/* The thread that writes, and room for what it writes; freed with NULL, too. */
+/* Allocates the state and buffers of the commit thread. The free function accepts a run without
+ * them. */
 int mo_campaign_writing_create(struct mo_campaign_run *run); /* MO_ERR_NO_MEMORY */
 void mo_campaign_writing_free(struct mo_campaign_run *run);
-/* Describes the generation that was selected and begins its commit; the run goes on with copies of
- * its own, but for the losses. */
+/* Describes the selected generation and starts its commit. The run continues with its own copies,
+ * except for the losses, which the commit takes over. */
 int mo_campaign_commit(struct mo_campaign_run *run);
-/* Whether settling would wait for the store. */
+/* Returns whether mo_campaign_settle would have to wait for the store. */
 bool mo_campaign_is_writing(const struct mo_campaign_run *run);
-/* Waits until what was begun is committed; to be called before anything else is written. MO_OK also
- * if nothing was begun; errors as mo_attempt_persist. MO_ERR_CANCELLED: a wish came while it waited
- * for room; it can be called again. */
+/* Waits for the commit in progress; call it before any other write. MO_OK also if there is none;
+ * errors as mo_attempt_persist. MO_ERR_CANCELLED: a request arrived while the commit waited for
+ * space; the call may be repeated. */
 int mo_campaign_settle(struct mo_campaign_run *run);
-void mo_campaign_writing_join(struct mo_campaign_run *run); /* only until the thread has ended */
+/* Waits only until the thread has ended. */
+void mo_campaign_writing_join(struct mo_campaign_run *run);
 
 /* ---- campaign_learn.c ---- */
-/* Learns what this generation is to learn, from where it stands, to its end. */
+/* Runs the remaining learning steps of this generation. */
 int mo_campaign_learn(struct mo_campaign_run *run);
-int mo_campaign_save_learning(
-    struct mo_campaign_run *run); /* a checkpoint of what was learned since the last one */
-/* The state that the newest committed generation ended with, for the result. */
+/* Saves a checkpoint of the steps since the last one. */
+int mo_campaign_save_learning(struct mo_campaign_run *run);
+/* Loads the learning state at the end of the newest committed generation, for the result. */
 int mo_campaign_load_learning(struct mo_campaign_run *run);
 void mo_campaign_free_learning(struct mo_campaign_run *run);
 
 /* ---- campaign_score.c ---- */
-/* Scores the children; of a campaign that learns the parents, too. */
+/* Scores the children; in a campaign that learns, the parents, too. */
 int mo_campaign_score(struct mo_campaign_run *run);
-int mo_campaign_save_losses(struct mo_campaign_run *run); /* those that are not saved yet */
+/* Saves the losses that are not saved yet. */
+int mo_campaign_save_losses(struct mo_campaign_run *run);
 void mo_campaign_free_scores(struct mo_campaign_run *run);
 
 /* ---- campaign_lineage.c ---- */
-/* The pretrainings behind the campaign's controller, its own first. */
+/* The pretrainings in the lineage of the campaign's controller, newest first. */
 #define MO_LINEAGE_PARTS_MAX 16
 struct mo_lineage_part {
   uint64_t seed, n_bodies; /* ≥ 1 */
@@ -126,15 +129,19 @@ struct mo_lineage {
   struct mo_lineage_part parts[MO_LINEAGE_PARTS_MAX];
   uint32_t n_parts;
 };
-/* Tells of every field that cannot be read, and leaves out what would follow from it. MO_ERR_LIMIT:
- * more bodies than can be drawn again. MO_ERR_CANCELLED: a wish came while it waited for room to
- * tell. */
+/* Reads the lineage, reports each unreadable field as an event, and omits what depends on that
+ * field. MO_ERR_LIMIT: more bodies than can be drawn again. MO_ERR_CANCELLED: a request arrived
+ * while an event waited for space. */
 int mo_lineage_read(struct mo_campaign_run *run, struct mo_lineage *lineage);
 
+/* Reads the lineage before there is a run, and reports nothing. MO_ERR_LIMIT with a message. */
+int mo_lineage_reckon(struct mo_jobs *jobs, const struct mo_sha256 *sha256,
+                      struct mo_lineage *lineage, struct mo_message *message);
+
 /* ---- campaign_excluded.c ---- */
-/* The forms of the bodies that the campaign's controller and its ancestors were pretrained on:
- * drawn again, or shared with another campaign that has them or draws them. *exclusion NULL: there
- * are none. MO_ERR_CANCELLED: a wish came. */
+/* Returns the forms of the bodies on which the campaign's controller and its ancestors were
+ * pretrained. Draws these bodies again, or shares the set of another campaign that has or draws
+ * them. *exclusion NULL: there are none. MO_ERR_CANCELLED: a request arrived. */
 int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **exclusion);
 void mo_exclusion_release(struct mo_campaign_run *run,
                           struct mo_exclusion *exclusion); /* NULL-safe */

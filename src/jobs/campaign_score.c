@@ -1,17 +1,18 @@
 /* campaign_score.c: the scores of a generation.
  *
- * Candidates become blocks of one body and up to MO_BLOCK_LANES environments, in order; two blocks
- * per worker are kept in the back end, of devices some thousands. Losses of a candidate are known
- * when all its blocks are; they are saved at once, of devices as soon as no more come, or after a
- * second, several candidates in one transaction where they come faster than the disk writes. What a
- * crash costs is the blocks in flight and those that wait for their commit. What an earlier process
- * saved, or, in a zero-shot campaign, what `scores` holds of a body under this controller, is not
- * computed again. */
+ * Candidates are cut, in order, into blocks of one body and up to MO_BLOCK_LANES environments. The
+ * back end holds two blocks per worker, or some thousands per device. A candidate is done when all
+ * its blocks are. Its losses are saved at once; on devices, when no more blocks arrive, or after a
+ * second. If losses arrive faster than the disk writes, one transaction saves several candidates. A
+ * crash loses the blocks in flight and the losses that wait for their commit. Losses that an
+ * earlier process saved are not computed again; nor, in a zero-shot campaign, those that `scores`
+ * holds for a body under this controller. */
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "base/parallel.h"
 #include "jobs/campaign_run.h"
 
@@ -19,15 +20,15 @@
 #define RATE_AFTER_US           INT64_C(500000)
 #define QUIET_US                INT64_C(20000)
 #define SAVED_AFTER_US          INT64_C(1000000)
-#define LOOK_UP_THREADS         4 /* the store has some more connections, which others want, too */
+#define LOOK_UP_THREADS         4 /* the store has a few more connections, for others */
 #define LOOK_UPS_WORTH_A_THREAD 1024
 
 /* One block in the back end. */
 struct flight {
   struct mo_block block;
   struct scoring *scoring;
-  uint32_t place, first; /* candidate among those to be scored; its first environment */
-  struct flight *next;   /* among the finished, or the free */
+  uint32_t place, first; /* index of the candidate among those to score; its first environment */
+  struct flight *next;   /* in the list of finished or free ones */
 };
 
 struct scoring {
@@ -35,10 +36,10 @@ struct scoring {
   struct mo_compute_controller *controller;
   struct flight *flights, *free;
   uint32_t n_in_flight, window;
-  uint32_t place, environment; /* next to be computed */
+  uint32_t place, environment; /* the next to compute */
   int64_t begin_us;
-  int64_t unsaved_us; /* since when there have been losses that are not saved; 0: there are none */
-  uint64_t computed;  /* rollouts, in this call */
+  int64_t unsaved_us; /* time of the oldest unsaved loss; 0: none */
+  uint64_t computed;  /* rollouts in this call */
   /* Shared with the workers. */
   pthread_mutex_t mutex;
   pthread_cond_t news;
@@ -100,14 +101,14 @@ static int read_saved(struct mo_campaign_run *run)
   return error;
 }
 
-/* Looking up thousands of bodies takes some tens of milliseconds: on several of the store's
- * connections at once. */
+/* A look-up of thousands of bodies takes some tens of milliseconds, so several connections of the
+ * store share it. */
 struct looking {
   struct mo_campaign_run *run;
   const struct mo_bits *asked; /* (n) */
   struct mo_campaign_loss
-      *known;        /* (n) of each part, those that were found, from the part's first on */
-  uint32_t *n_known; /* (n) at the first of each part */
+      *known;        /* (n) the known losses of each part, from the first index of the part on */
+  uint32_t *n_known; /* (n) their number, at the first index of each part */
   atomic_int error;
 };
 
@@ -126,7 +127,7 @@ static void look_up(void *context, size_t first, size_t end)
     looking->known[first + (size_t)i].place += (uint32_t)first;
 }
 
-/* Zero-shot: bodies that an evaluation, or another campaign, has scored. */
+/* Finds bodies that an evaluation or another campaign has scored. Zero-shot only. */
 static int read_known(struct mo_campaign_run *run)
 {
   struct mo_bits *asked = calloc((size_t)run->n_scored + 1, sizeof(*asked));
@@ -179,7 +180,7 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
   struct save save = {.run = run};
   int error = MO_OK;
   if (run->n_unsaved == 0 || (!run->attempt.winding_down && mo_campaign_is_writing(run)))
-    return MO_OK; /* they wait for the generation before theirs */
+    return MO_OK; /* they wait for the commit of the previous generation */
   error = mo_campaign_settle(run);
   if (error != MO_OK)
     return error;
@@ -304,10 +305,10 @@ static int land(struct scoring *scoring, struct flight *flight)
   return error;
 }
 
-/* Whether no more blocks come for now. */
+/* Waits for the next block. Returns whether none arrived within QUIET_US. */
 static bool is_quiet(struct scoring *scoring)
 {
-  const int64_t end_us = mo_jobs_clock_us() + QUIET_US;
+  const int64_t end_us = mo_clock_us() + QUIET_US;
   const struct timespec deadline = {.tv_sec = end_us / 1000000,
                                     .tv_nsec = (end_us % 1000000) * 1000};
   int status = 0;
@@ -319,13 +320,14 @@ static bool is_quiet(struct scoring *scoring)
   return quiet;
 }
 
-/* A device hands back thousands of candidates within milliseconds: those that end a generation are
- * in its commit. Workers that compute for it what it does not support hand back one after the
- * other, and may never be quiet. */
+/* Saves the losses that arrived. A device returns thousands of candidates within milliseconds, so
+ * saving waits until it is quiet; the last ones of a generation are saved by its commit. Workers
+ * that compute what the device does not support return one candidate after the other and may never
+ * be quiet, so saving waits at most SAVED_AFTER_US. */
 static int save_what_came(struct scoring *scoring)
 {
   struct mo_campaign_run *run = scoring->run;
-  const int64_t now_us = mo_jobs_clock_us();
+  const int64_t now_us = mo_clock_us();
   if (run->n_unsaved == 0)
     return MO_OK;
   if (scoring->unsaved_us == 0)
@@ -337,7 +339,7 @@ static int save_what_came(struct scoring *scoring)
   return mo_campaign_save_losses(run);
 }
 
-/* Waits for a block, and takes in those that are finished. A wish ends all of them soon. */
+/* Waits for a block and stores the finished ones. A request cancels all blocks soon. */
 static int take_in(struct scoring *scoring)
 {
   struct flight *flight;
@@ -361,13 +363,13 @@ static int take_in(struct scoring *scoring)
 static void show(const struct scoring *scoring)
 {
   struct mo_campaign_run *run = scoring->run;
-  int64_t passed = mo_jobs_clock_us() - scoring->begin_us;
+  int64_t passed = mo_clock_us() - scoring->begin_us;
   if (passed >= RATE_AFTER_US)
     mo_campaign_show_rate(run, (double)scoring->computed / ((double)passed * 1e-6));
   mo_campaign_advance(run, run->n_done);
 }
 
-/* Everything that is to do; ends with nothing in flight, whatever happens. */
+/* Computes all remaining blocks. Returns with no block in flight, even after an error. */
 static int compute(struct scoring *scoring)
 {
   const struct mo_campaign_run *run = scoring->run;
@@ -378,7 +380,7 @@ static int compute(struct scoring *scoring)
       error = MO_ERR_CANCELLED;
     if (error == MO_OK)
       error = fill(scoring);
-    if (scoring->n_in_flight == 0) /* what is not saved yet commits with the generation */
+    if (scoring->n_in_flight == 0) /* unsaved losses are committed with the generation */
       return error;
     if (error == MO_OK)
       error = save_what_came(scoring);
@@ -394,7 +396,7 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
   const uint32_t window = mo_back_end_window(run->jobs, run->status.job.back_end);
   const uint32_t all = blocks_per_candidate(run) * (run->n_scored > 0 ? run->n_scored : 1);
   *scoring = (struct scoring){
-      .run = run, .window = window < all ? window : all, .begin_us = mo_jobs_clock_us()};
+      .run = run, .window = window < all ? window : all, .begin_us = mo_clock_us()};
   pthread_condattr_t monotonic;
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
@@ -412,7 +414,7 @@ static int open_scoring(struct scoring *scoring, struct mo_campaign_run *run)
   if (run->learner.training != NULL)
     return mo_compute_controller_create(
         run->jobs->compute, mo_training_controller(run->learner.training), &scoring->controller);
-  if (run->frozen == NULL) { /* as long as the campaign runs: devices have copies of it */
+  if (run->frozen == NULL) { /* kept while the campaign runs: devices have copies */
     const int error =
         mo_compute_controller_create(run->jobs->compute, run->controller, &run->frozen);
     if (error != MO_OK)
@@ -431,7 +433,7 @@ static void close_scoring(struct scoring *scoring)
   pthread_cond_destroy(&scoring->news);
 }
 
-/* The mean over the environments; of a body of which a rollout diverged, infinity. */
+/* Computes each score as the mean over the environments; infinity if a rollout diverged. */
 static void read_scores(struct mo_campaign_run *run)
 {
   for (uint32_t i = 0; i < run->n_scored; i++) {

@@ -51,7 +51,7 @@ static int check_request(const struct mo_campaign_request *request, struct mo_me
              : mo_submission_check_texts(request->label, request->idempotency_key, message);
 }
 
-/* Listed designs fit the campaign's workspace, and no two have one form. */
+/* Checks that listed designs fit the campaign's workspace and that no two have one form. */
 static int check_designs(const struct mo_campaign_request *request, const struct mo_bits *forms,
                          const struct mo_bits *genotypes, uint32_t *fault,
                          struct mo_message *message)
@@ -78,7 +78,7 @@ static int check_designs(const struct mo_campaign_request *request, const struct
   return error;
 }
 
-/* What it refers to is there. */
+/* Checks that the environment set and the initial campaign of the record exist. */
 static int check_references(struct mo_jobs *jobs, const struct mo_campaign_record *record,
                             struct mo_message *message)
 {
@@ -98,6 +98,23 @@ static int check_references(struct mo_jobs *jobs, const struct mo_campaign_recor
     return mo_fail(message, MO_ERR_CONFLICT, "campaign %" PRId64 " has no population yet",
                    record->initial_campaign);
   return error;
+}
+
+/* Checks whether the campaign can ever run, before it is stored. A later check reports a controller
+ * that is missing or unreadable. */
+static int check_memory(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+                        const char *controller, enum mo_back_end back_end,
+                        struct mo_message *message)
+{
+  struct mo_controller_record record;
+  struct mo_need need;
+  bool has_controller =
+      controller != NULL && mo_store_controller(jobs->store, controller, &record) == MO_OK;
+  int error = mo_need_of_campaign(jobs, settings, has_controller ? &record.sha256 : NULL, back_end,
+                                  &need, message);
+  if (error != MO_OK)
+    return error == MO_ERR_LIMIT || error == MO_ERR_NO_MEMORY ? error : MO_OK;
+  return mo_memory_check(jobs, &need, message);
 }
 
 static int admit(struct mo_jobs *jobs, uint32_t n, struct mo_message *message)
@@ -168,6 +185,9 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
   error = mo_back_end_choose(jobs, request->back_end, true, true, &submission.back_end, message);
   if (error == MO_OK)
     error = check_references(jobs, &request->record, message);
+  if (error == MO_OK)
+    error = check_memory(jobs, &request->record.settings, submission.controller,
+                         submission.back_end, message);
   if (error != MO_OK)
     return error;
   forms = calloc((size_t)n + 1, sizeof(*forms));
@@ -219,6 +239,21 @@ static int explain_extension(int error, struct mo_message *message)
   }
 }
 
+static int check_extension(struct mo_jobs *jobs, int64_t id, uint32_t generations,
+                           struct mo_message *message)
+{
+  struct mo_campaign_status status;
+  struct mo_campaign_settings *settings = &status.record.settings;
+  char digits[MO_SHA256_DIGITS + 8] = "sha256:";
+  if (mo_store_campaign(jobs->store, id, &status) != MO_OK ||
+      generations > MO_GENERATIONS_MAX - settings->generations)
+    return MO_OK; /* rejected elsewhere, with another message */
+  settings->generations += generations;
+  mo_sha256_to_hex(&status.record.controller_sha256, digits + strlen(digits));
+  return check_memory(jobs, settings, status.record.has_controller ? digits : NULL,
+                      status.job.back_end, message);
+}
+
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
                             const struct mo_request_key *key, struct mo_message *message)
 {
@@ -231,7 +266,9 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     return mo_fail(message, MO_ERR_INVALID, "an extension has at least one generation");
   if (key != NULL && mo_store_replay(jobs->store, key->text, &key->sha256, &known) == MO_OK)
     return MO_OK;
-  error = mo_jobs_admit(jobs, 0, message); /* one that has succeeded is open again */
+  error = check_extension(jobs, id, generations, message);
+  if (error == MO_OK)
+    error = mo_jobs_admit(jobs, 0, message); /* a campaign that has succeeded is open again */
   if (error != MO_OK)
     return error;
   error = mo_store_extend_campaign(jobs->store, id, generations, key, &before);
@@ -239,6 +276,6 @@ int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generatio
     mo_jobs_closed(jobs, 0);
   if (error != MO_OK)
     return explain_extension(error, message);
-  mo_runners_wake(&jobs->campaigns);
+  mo_memory_renew(jobs, &mo_campaign_runners, id);
   return MO_OK;
 }

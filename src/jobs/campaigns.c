@@ -1,5 +1,4 @@
-/* campaigns.c: what is asked about campaigns besides their records: how they stand now, and their
- * champions. */
+/* campaigns.c: live figures and champions of campaigns. */
 #include "jobs/campaigns.h"
 
 #include <stdlib.h>
@@ -23,6 +22,8 @@ int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_l
   if (runner != NULL)
     *live = runner->live.campaign;
   pthread_mutex_unlock(&jobs->campaigns.mutex);
+  if (runner == NULL && mo_memory_reason(jobs, id, live->reason))
+    live->phase = MO_CAMPAIGN_WAIT;
   if (runner != NULL)
     live->busy_s = mo_jobs_busy_s(jobs, id);
   return MO_OK;
@@ -30,7 +31,7 @@ int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_l
 
 /* ---- champions ---- */
 
-/* A whole population, best first (malloc). */
+/* Reads a whole population, best first (malloc). */
 static int read_population(struct mo_store *store, int64_t id, int64_t generation,
                            struct mo_campaign_design **designs, uint32_t *n)
 {
@@ -55,7 +56,7 @@ static int read_population(struct mo_store *store, int64_t id, int64_t generatio
       break;
     got = mo_store_campaign_population(store, id, generation, read, rows + read,
                                        size - read < MO_PAGE_MAX ? size - read : MO_PAGE_MAX, n);
-    if (*n != size) /* the newest generation is another one by now */
+    if (*n != size) /* a newer generation was committed meanwhile */
       got = MO_ERR_BUSY;
   }
   if (got < 0) {
@@ -125,7 +126,7 @@ int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generat
 
 /* ---- recordings ---- */
 
-/* A name that nobody uses for another file. */
+/* Finds a name that no other file has. */
 static int free_name(struct mo_store *store, int64_t id, int64_t generation,
                      const struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1])
 {
@@ -141,8 +142,8 @@ static int free_name(struct mo_store *store, int64_t id, int64_t generation,
   return error == MO_ERR_NOT_FOUND ? MO_OK : error == MO_OK ? MO_ERR_CONFLICT : error;
 }
 
-/* The controller that scored the newest generation of a campaign that learns, from its checkpoint.
- */
+/* Exports the controller that scored the newest generation of a campaign that learns, from its
+ * checkpoint. */
 static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                              struct mo_controller **controller)
 {
@@ -165,8 +166,8 @@ static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_stat
   return error;
 }
 
-/* Stores it under a name of its own; *created: the name is to be removed when a job refers to the
- * file. */
+/* Stores that controller under a new name; *created: remove the name when a job refers to the file.
+ */
 static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
                             struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
                             bool *created)
@@ -265,7 +266,7 @@ int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t
   else
     error =
         submit_recording(jobs, &status, &sha256, genotypes, n, stride, key, evaluation, message);
-  if (created) /* the evaluation refers to it by its hash */
+  if (created) /* the evaluation refers to the file by its hash */
     (void)mo_store_controller_remove(jobs->store, name);
   free(rows);
   free(genotypes);

@@ -1,15 +1,14 @@
-/* campaigns.h: campaigns as jobs: accepted, run generation by generation on the compute back end,
- * saved, resumed, extended.
+/* campaigns.h: campaigns as jobs: submission, generations on the compute back end, saving,
+ * resumption, extension.
  *
- * Each running campaign has a thread of its own, which makes the children, waits for learning and
- * scores, selects, and commits. max_active_campaigns run side by side; the others wait in the order
- * in which they came. Pause, stop and cancel break off the blocks that are under way. After a crash
- * a campaign goes on from its newest committed generation; losses and checkpoints saved inside the
- * generation under way are not computed again. docs/evolution.md, "As a job", has what is decided
- * here.
+ * Each running campaign has its own thread, which makes the children, waits for learning and
+ * scores, selects, and commits. max_active_campaigns run concurrently; the others wait in the order
+ * of their submission. Pause, stop and cancel requests cancel the blocks in flight. After a crash a
+ * campaign continues from its newest committed generation. Losses and checkpoints saved during the
+ * current generation are not computed again. The reasons are in docs/evolution.md, "As a job".
  *
- * A full disk: the campaign waits (paused, with its reason in `live`) and goes on by itself when
- * there is room. */
+ * When the disk is full, or memory or descriptors run out, the campaign waits (shown as paused,
+ * with a reason in mo_campaign_live) and continues without a request. */
 #ifndef MORPHO_JOBS_CAMPAIGNS_H
 #define MORPHO_JOBS_CAMPAIGNS_H
 
@@ -17,66 +16,67 @@
 #include "store/campaigns.h"
 
 struct mo_campaign_request {
-  struct mo_campaign_record record; /* settings checked here; controller fields, group, replicate
-                                       are filled in by the store */
-  const char *controller; /* name or "sha256:<hex>"; NULL: "default", in a simultaneous campaign
-                             random weights */
-  const struct mo_environment *environments; /* (record.n_environments) when there is no set */
+  struct mo_campaign_record
+      record; /* settings checked here; the store fills in controller fields, group and replicate */
+  const char *controller; /* name or "sha256:<hex>"; NULL: "default", or random weights in a
+                             simultaneous campaign */
+  const struct mo_environment *environments; /* (record.n_environments) if no set is named */
   const struct mo_bits
-      *genotypes; /* (record.n_listed) as asked for: valid; placed here; of the default workspace */
+      *genotypes; /* (record.n_listed) valid, not yet placed; of the default workspace */
   int priority;   /* MO_BATCH */
   int back_end;   /* enum mo_back_end or MO_BACK_END_AUTO */
   double weight;  /* 0.001 … 1000 */
   const char *label, *idempotency_key;
   struct mo_sha256 body_sha256;
 };
-/* As mo_jobs_submit_training. MO_ERR_DUPLICATE: two listed designs have one form; MO_ERR_RANGE: one
- * does not fit the campaign's workspace; more listed than the population. *fault: which. */
+/* Submits a campaign as mo_jobs_submit_training submits a training. *fault: the listed design at
+ * fault. MO_ERR_DUPLICATE: two listed designs have one form; MO_ERR_RANGE: a listed design does not
+ * fit the campaign's workspace, or more designs are listed than the population holds. */
 int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_request *request,
                             int64_t *id, bool *replayed, uint32_t *fault,
                             struct mo_message *message);
-/* As mo_store_extend_campaign; key (nullable): one that is known is answered even when the queue is
- * full. */
+/* Extends a campaign as mo_store_extend_campaign does. key (nullable): a known key is answered even
+ * when the queue is full. */
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
                             const struct mo_request_key *key, struct mo_message *message);
 /* mo_jobs_cancel, mo_jobs_pause, mo_jobs_resume and mo_jobs_wait work on campaigns, too. */
 
 enum mo_campaign_phase {
-  MO_CAMPAIGN_IDLE = 0, /* not running here */
+  MO_CAMPAIGN_IDLE = 0, /* does not run in this process */
   MO_CAMPAIGN_PREPARE,  /* reads its state; draws the bodies of the pretraining again */
   MO_CAMPAIGN_VARY,
   MO_CAMPAIGN_LEARN,
   MO_CAMPAIGN_SCORE,
   MO_CAMPAIGN_SAVE,
-  MO_CAMPAIGN_WAIT /* for room on the disk */
+  MO_CAMPAIGN_WAIT /* for disk space or memory */
 };
 const char *
 mo_campaign_phase_name(enum mo_campaign_phase phase); /* "idle", "preparing", "varying", "learning",
                                                          "scoring", "saving", "waiting" */
 struct mo_campaign_live {
   enum mo_campaign_phase phase;
-  uint32_t generation;   /* under way */
-  uint64_t done, total;  /* of the phase: bodies drawn again, by whichever campaign, learning steps,
+  uint32_t generation;   /* the current one */
+  uint64_t done, total;  /* of the phase: bodies drawn again (by any campaign), learning steps, or
                             designs scored */
-  double rollouts_per_s; /* 0: not known yet */
-  double seconds_left;   /* of the campaign; of the drawing alone while nothing is known of
-                            generations; < 0: not known */
-  double busy_s; /* worker seconds that it has had since it was last started; < 0: it has no share
-                    now */
-  char reason[160]; /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: whose drawing it
-                       waits for; "" */
+  double rollouts_per_s; /* 0: unknown */
+  double seconds_left;   /* of the campaign; of the drawing only, before the first generation is
+                            timed; < 0: unknown */
+  double busy_s;         /* worker seconds since the last start; < 0: no share now */
+  char reason[160]; /* MO_CAMPAIGN_WAIT: why, and what to do; MO_CAMPAIGN_PREPARE: which campaign's
+                       drawing this one waits for; else "" */
 };
 int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live);
 
-/* Champions of a generation (−1: the newest): mo_champions of its population. rows: room for m; *n:
- * how many. MO_ERR_NOT_FOUND. */
+/* Selects the champions of a generation's population with mo_champions (generation −1: the newest).
+ * rows: space for m; *n: the number of champions. MO_ERR_NOT_FOUND. */
 int mo_jobs_campaign_champions(struct mo_jobs *jobs, int64_t id, int64_t generation, uint32_t m,
                                struct mo_campaign_design *rows, double *distinctiveness,
                                uint32_t *n);
-/* An evaluation of the champions of the newest generation in the campaign's environments with the
- * controller that scored them (of a campaign that learns: stored from its newest checkpoint, by
- * hash), recording the centre of mass every `stride` steps. key (nullable): known, the evaluation
- * that it brought; MO_ERR_DUPLICATE: known with another request. */
+/* Submits an evaluation of the newest generation's champions in the campaign's environments that
+ * records the center of mass every `stride` steps. The controller is the one that scored the
+ * champions; in a campaign that learns, its newest checkpoint is stored as a controller, by hash.
+ * key (nullable): a known key returns its evaluation; MO_ERR_DUPLICATE: the key was used with
+ * another request. */
 int mo_jobs_campaign_record_champions(struct mo_jobs *jobs, int64_t id, uint32_t m, uint32_t stride,
                                       const struct mo_request_key *key, int64_t *evaluation,
                                       struct mo_message *message);

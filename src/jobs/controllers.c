@@ -1,5 +1,5 @@
-/* controllers.c: the few controllers that are kept ready for the back end; the least recently used
- * goes. */
+/* controllers.c: a small cache of controllers that are ready for the back end; evicts the least
+ * recently used. */
 #include <stdlib.h>
 
 #include "jobs/internal.h"
@@ -11,7 +11,7 @@ static void free_loaded(struct mo_loaded *loaded)
   free(loaded);
 }
 
-/* Drops unused ones until `keep` remain, oldest first. */
+/* Evicts unused controllers, oldest first, until `keep` remain. */
 static void trim(struct mo_jobs *jobs, uint32_t keep)
 {
   for (;;) {

@@ -1,4 +1,4 @@
-/* crash.c: the note that a dying process leaves about the job that it was working on. */
+/* crash.c: writes which job a dying process was working on. */
 #include <unistd.h>
 
 #include "base/thread.h"

@@ -1,4 +1,4 @@
-/* jobs.c: the room's door: start, stop, control, waiting, figures. */
+/* jobs.c: start, stop, control, waiting and statistics of the jobs. */
 #include "jobs/jobs.h"
 
 #include <errno.h>
@@ -8,6 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "jobs/internal.h"
 
 #define MARKER_BYTES_MAX 4096
@@ -20,6 +21,8 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers, uint
     config->max_open_rollouts = 20000000;
   if (config->max_recorded_bytes == 0)
     config->max_recorded_bytes = UINT64_C(64) << 20;
+  if (config->max_memory > 0 && config->max_recorded_bytes > config->max_memory / 4)
+    config->max_recorded_bytes = config->max_memory / 4;
   if (config->max_active_batch == 0)
     config->max_active_batch = 8;
   if (config->max_active_interactive == 0)
@@ -46,13 +49,13 @@ static void set_defaults(struct mo_jobs_config *config, uint32_t n_workers, uint
     config->retry_ms = 1000;
   if (config->save_interval_ms == 0)
     config->save_interval_ms = 100;
-  config->crash_marker = NULL; /* read by now; the callers' texts are not kept */
+  config->crash_marker = NULL; /* already read; the caller's strings are not kept */
   config->version = NULL;
 }
 
 /* ---- the marker ---- */
 
-/* The last line "<job> <signal>" of the marker; job 0: none. */
+/* Reads the last line "<job> <signal>" of the marker; job 0: none. */
 static void read_marker(const char *path, int64_t *job, int *signal_number)
 {
   char text[MARKER_BYTES_MAX + 1];
@@ -71,7 +74,7 @@ static void read_marker(const char *path, int64_t *job, int *signal_number)
   text[n] = '\0';
   end = strrchr(text, '\n');
   if (end == NULL)
-    return; /* not written to its end */
+    return; /* incomplete */
   *end = '\0';
   line = strrchr(text, '\n');
   line = line != NULL ? line + 1 : text;
@@ -79,6 +82,20 @@ static void read_marker(const char *path, int64_t *job, int *signal_number)
   *signal_number = (int)strtol(end, NULL, 10);
   if (*job < 0)
     *job = 0;
+}
+
+/* Chooses the job that counts as crashed after a kill, whose cause is unknown: the only job that
+ * had saved nothing since the process began. If several had, or none, no job counts as crashed, and
+ * jobs start one at a time. */
+static int blame(struct mo_jobs *jobs, int64_t *crashed)
+{
+  uint32_t n = 0, n_idle = 0;
+  const int error = mo_store_running(jobs->store, jobs->config.killed_us, crashed, &n_idle, &n);
+  if (n_idle != 1) {
+    *crashed = 0;
+    jobs->memory.n_suspects = n;
+  }
+  return error;
 }
 
 static int recover(struct mo_jobs *jobs, const char *marker)
@@ -91,6 +108,15 @@ static int recover(struct mo_jobs *jobs, const char *marker)
   snprintf(text, sizeof(text), "the process was ended by signal %d (%s) while it ran this job",
            signal_number,
            sigdescr_np(signal_number) != NULL ? sigdescr_np(signal_number) : "unknown");
+  if (crashed == 0 && jobs->config.killed_us > 0) {
+    snprintf(
+        text, sizeof(text),
+        "the process was killed while it ran this job, which had saved nothing: it may need more "
+        "memory than there is");
+    error = blame(jobs, &crashed);
+    if (error != MO_OK)
+      return error;
+  }
   error = mo_store_requeue(jobs->store, crashed, jobs->config.max_attempts, text);
   if (error == MO_OK && marker != NULL && truncate(marker, 0) != 0 && errno != ENOENT)
     error = MO_ERR_IO;
@@ -99,7 +125,7 @@ static int recover(struct mo_jobs *jobs, const char *marker)
 
 /* ---- start and stop ---- */
 
-/* Wakes those who wait for the end of a job. */
+/* Wakes the threads that wait for the end of a job. */
 static void hear(void *context, const struct mo_event *events, size_t n)
 {
   struct mo_jobs *jobs = context;
@@ -126,7 +152,8 @@ int mo_jobs_recount(struct mo_jobs *jobs)
   return MO_OK;
 }
 
-/* What the bits of a trained controller depend on besides its settings. */
+/* Composes the code versions, on which the bits of a trained controller depend besides its
+ * settings. */
 static int name_code(struct mo_jobs *jobs, const char *version)
 {
   const char *const fingerprints[] = {mo_compute_gradient_fingerprint(jobs->compute),
@@ -175,6 +202,7 @@ static void init_locks(struct mo_jobs *jobs)
   pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->mutex, NULL);
   pthread_mutex_init(&jobs->exclusions_mutex, NULL);
+  mo_memory_init(jobs);
   mo_runners_init(&jobs->trainings, &monotonic);
   mo_runners_init(&jobs->campaigns, &monotonic);
   pthread_mutex_init(&jobs->weigh_mutex, NULL);
@@ -211,6 +239,7 @@ static void free_jobs(struct mo_jobs *jobs)
   mo_lattice_free(jobs->lattice);
   free(jobs->code_versions[MO_ON_CPU]);
   free(jobs->code_versions[MO_ON_DEVICE]);
+  mo_memory_free(jobs);
   mo_runners_destroy(&jobs->trainings);
   mo_runners_destroy(&jobs->campaigns);
   pthread_mutex_destroy(&jobs->exclusions_mutex);
@@ -226,7 +255,7 @@ static void free_jobs(struct mo_jobs *jobs)
   free(jobs);
 }
 
-/* All are asked to stop before the first is waited for. */
+/* Requests all threads to stop before it waits for the first. */
 static void free_runners(struct mo_jobs *jobs)
 {
   mo_runners_stop(&jobs->trainings);
@@ -252,7 +281,7 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
                mo_back_end_window(jobs, MO_ON_DEVICE));
   init_locks(jobs);
   jobs->look = true;
-  atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
+  atomic_store(&jobs->heartbeat_us, mo_clock_us());
   error = prepare(jobs, config->crash_marker, config->version);
   if (error == MO_OK)
     error = mo_runners_start(jobs, &jobs->trainings, &mo_training_runners,
@@ -315,7 +344,7 @@ void mo_jobs_free(struct mo_jobs *jobs)
     return;
   atomic_store(&jobs->is_stopping, true);
   pthread_mutex_lock(&jobs->mutex);
-  jobs->abandon = jobs->stopping; /* a stop was tried: it had its time */
+  jobs->abandon = jobs->stopping; /* an earlier stop has used its time */
   jobs->stopping = true;
   jobs->look = true;
   pthread_cond_signal(&jobs->news);
@@ -336,7 +365,7 @@ static void tell_scheduler(struct mo_jobs *jobs, struct mo_wish *wish)
   pthread_mutex_unlock(&jobs->mutex);
 }
 
-/* Of jobs that have a thread of their own; NULL: the scheduler runs them. */
+/* Returns the runners of jobs with their own thread; NULL: the scheduler runs the job. */
 static struct mo_runners *runners_of(struct mo_jobs *jobs, enum mo_job_kind kind)
 {
   switch (kind) {
@@ -346,7 +375,7 @@ static struct mo_runners *runners_of(struct mo_jobs *jobs, enum mo_job_kind kind
   }
 }
 
-/* One that has failed is open again; the queue must have room for it. */
+/* Opens a failed job again; the queue must have space for it. */
 static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
 {
   enum mo_job_state before = MO_JOB_QUEUED;
@@ -355,31 +384,11 @@ static int retry(struct mo_jobs *jobs, int64_t id, struct mo_runners *runners)
   if (error != MO_OK)
     return error;
   error = mo_store_change_job(jobs->store, id, MO_CHANGE_RETRY, &before);
-  if (error != MO_OK || before != MO_JOB_FAILED) /* somebody else was faster */
+  if (error != MO_OK || before != MO_JOB_FAILED) /* another request was faster */
     mo_jobs_closed(jobs, 0);
   if (error == MO_OK)
     mo_runners_wake(runners);
   return error;
-}
-
-/* One that cannot be read: it goes to all who may run it, for even its kind may be what cannot be
- * read. */
-static int cancel_unreadable(struct mo_jobs *jobs, int64_t id, struct mo_wish *wish)
-{
-  int error = mo_store_change_job(jobs->store, id, MO_CHANGE_CANCEL, NULL);
-  if (error != MO_OK) {
-    free(wish);
-    return error;
-  }
-  atomic_fetch_add(&jobs->cancelled, 1);
-  if (mo_jobs_recount(jobs) != MO_OK)
-    mo_jobs_closed(jobs, 0);
-  mo_runners_wish(&jobs->trainings, id, MO_WISH_CANCEL);
-  mo_runners_wish(&jobs->campaigns, id, MO_WISH_CANCEL);
-  wish->id = id;
-  wish->cancel = true;
-  tell_scheduler(jobs, wish);
-  return MO_OK;
 }
 
 static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to)
@@ -392,8 +401,6 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   if (wish == NULL)
     return MO_ERR_NO_MEMORY;
   error = mo_store_job(jobs->store, id, &job);
-  if (error == MO_ERR_CORRUPT && change_to == MO_CHANGE_CANCEL)
-    return cancel_unreadable(jobs, id, wish);
   runners = error == MO_OK ? runners_of(jobs, job.kind) : NULL;
   if (runners != NULL && change_to == MO_CHANGE_RESUME && job.state == MO_JOB_FAILED) {
     free(wish);
@@ -411,6 +418,8 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   }
   if (runners != NULL || change_to == MO_CHANGE_RESUME) {
     free(wish);
+    if (runners != NULL)
+      mo_memory_forget(jobs, id);
     if (runners == NULL)
       mo_jobs_wake(jobs);
     else if (change_to == MO_CHANGE_RESUME)
@@ -420,7 +429,6 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
     return MO_OK;
   }
   wish->id = id;
-  wish->cancel = change_to == MO_CHANGE_CANCEL;
   tell_scheduler(jobs, wish);
   return MO_OK;
 }

@@ -1,17 +1,18 @@
 /* learner.c: one step of learning on the back end, for trainings and for campaigns that learn.
  *
  * A device computes the gradient of a thousand robots in the time that a processor needs to draw
- * them. So while it does, a thread of this step draws the robots of the next one and has them laid
- * out, and the thread of the job writes what there is to write. On the workers, where a gradient
- * takes a hundred times as long, that would gain nothing. */
+ * them. So during the gradient one thread of the step draws and lays out the robots of the next
+ * step, and the job's thread writes what is due. On workers, where a gradient takes a hundred times
+ * as long, that would gain nothing. */
 #include <stdlib.h>
 
+#include "base/clock.h"
 #include "base/thread.h"
 #include "jobs/internal.h"
 
 #define THREADS_MAX 16
 
-/* What fails here fails again, and is told, when the step is due. */
+/* Draws and lays out the next robots. An error recurs, and is reported, when the step is due. */
 static void *draw_ahead(void *context)
 {
   struct mo_learner *learner = context;
@@ -64,7 +65,7 @@ int mo_learner_set_designs(struct mo_learner *learner, const uint64_t *designs, 
 
 static void begin(struct mo_learner *learner)
 {
-  learner->start_us = mo_jobs_clock_us();
+  learner->start_us = mo_clock_us();
   learner->computes = learner->draws = false;
   if (learner->back_end != MO_ON_DEVICE)
     return;
@@ -97,9 +98,9 @@ int mo_learner_gradient(struct mo_learner *learner, const struct mo_robot *robot
                                  .robots = robots,
                                  .n = settings->batch,
                                  .physics = settings->physics,
-                                 .adjoint_bound = settings->adjoint_bound,
-                                 .adjoint_rule = settings->adjoint_rule,
-                                 .restart_weight = settings->restart_weight,
+                                 .adjoint_bound = settings->learning.adjoint_bound,
+                                 .adjoint_rule = settings->learning.adjoint_rule,
+                                 .restart_weight = settings->learning.restart_weight,
                                  .urgency = turn->urgency,
                                  .cancel = turn->cancel,
                                  .tag = turn->tag,
@@ -118,7 +119,7 @@ int mo_learner_apply(struct mo_learner *learner, struct mo_training_report *repo
 {
   int error = mo_training_apply(learner->training, learner->d_parameters, learner->outcomes,
                                 &learner->batch.counts, report);
-  *seconds = (double)(mo_jobs_clock_us() - learner->start_us) * 1e-6;
+  *seconds = (double)(mo_clock_us() - learner->start_us) * 1e-6;
   return error;
 }
 

@@ -1,14 +1,16 @@
-/* saver.c: what came in since the last save, and the one save that is under way.
+/* saver.c: batches results into transactions; at most one save is in progress.
  *
- * Losses wait at most save_interval_ms, those of interactive jobs not at all. A save holds the
- * losses of that time, the counts of the jobs that they belong to, and the ends of jobs whose last
- * loss is among them: one transaction. When the disk is full the save is kept and tried again every
- * second; nothing new is computed meanwhile, nor while the store is so slow that what waits for it
+ * Losses wait at most save_interval_ms; losses of interactive jobs do not wait. A save is one
+ * transaction: the losses since the last save, the counts of their jobs, and the ends of jobs whose
+ * last loss is included. If the disk is full, the save is kept and tried again every second
+ * (retry_ms). No new work starts meanwhile, nor while the store is so slow that unsaved results
  * would fill the memory. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/internal.h"
+
+#include "base/clock.h"
 
 #define EVENT_EVERY_US 1000000
 #define SCORES_AT_ONCE 4096
@@ -20,7 +22,7 @@ static uint64_t larger(uint64_t a, uint64_t b)
   return a > b ? a : b;
 }
 
-/* Room for one more in an array. */
+/* Grows an array for one more element. */
 static bool grow(void **array, size_t n, size_t *room, size_t size)
 {
   size_t more;
@@ -39,7 +41,7 @@ static bool grow(void **array, size_t n, size_t *room, size_t size)
 void mo_pending_touch(struct mo_jobs *jobs)
 {
   if (jobs->pending.since_us == 0)
-    jobs->pending.since_us = mo_jobs_clock_us();
+    jobs->pending.since_us = mo_clock_us();
 }
 
 int mo_pending_score(struct mo_jobs *jobs, const struct mo_saved_score *score)
@@ -106,7 +108,7 @@ int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_jo
                                    .done = larger(active->done, active->done_before),
                                    .cached = larger(active->cached, active->cached_before),
                                    .diverged = larger(active->diverged, active->diverged_before),
-                                   .started_us = step == MO_STEP_START ? mo_store_now_us() : 0,
+                                   .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
                                    .error = error,
                                    .max_attempts = jobs->config.max_attempts};
   if (text != NULL)
@@ -118,7 +120,7 @@ int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_jo
   return MO_OK;
 }
 
-/* Empties, keeping the arrays. */
+/* Empties the batch but keeps its arrays. */
 static void clear(struct mo_pending *pending)
 {
   for (size_t i = 0; i < pending->save.n_trajectories; i++) {
@@ -153,9 +155,16 @@ bool mo_saver_is_behind(const struct mo_jobs *jobs)
 {
   const struct mo_pending *pending = &jobs->pending;
   if (jobs->saving.since_us != 0 && !jobs->save_under_way)
-    return true; /* it failed and will be tried again */
+    return true; /* the save failed and will be tried again */
   return pending->save.n_scores + pending->save.n_designs >= SCORES_BEHIND ||
          pending->recorded_bytes >= BYTES_BEHIND;
+}
+
+bool mo_saver_is_full(const struct mo_jobs *jobs)
+{
+  const uint64_t most = jobs->config.max_memory > 0 ? jobs->config.max_memory / 8 : BYTES_BEHIND;
+  return jobs->recording_bytes + jobs->pending.recorded_bytes + jobs->saving.recorded_bytes >=
+         (most < BYTES_BEHIND ? most : BYTES_BEHIND);
 }
 
 static void save_done(struct mo_save *save, int status)
@@ -179,10 +188,10 @@ static void start(struct mo_jobs *jobs)
     save_done(&jobs->saving.save, error);
 }
 
-/* The counts and ends of the jobs whose losses are pending. */
+/* Adds the counts and ends of the jobs whose losses are pending. */
 static void add_counts(struct mo_jobs *jobs)
 {
-  int64_t now = mo_jobs_clock_us();
+  int64_t now = mo_clock_us();
   for (struct mo_active *active = jobs->actives; active != NULL; active = active->next) {
     bool ended = !active->detached && active->done == active->total;
     int error;
@@ -191,7 +200,7 @@ static void add_counts(struct mo_jobs *jobs)
     error =
         mo_pending_update(jobs, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
     if (error != MO_OK)
-      continue; /* comes with the next save */
+      continue; /* retried with the next save */
     active->changed = false;
     active->finishing = ended;
     if (!ended) {
@@ -214,12 +223,12 @@ static bool interactive_ended(const struct mo_jobs *jobs)
 
 int64_t mo_saver_run(struct mo_jobs *jobs, bool at_once)
 {
-  int64_t now = mo_jobs_clock_us();
+  int64_t now = mo_clock_us();
   int64_t due;
   struct mo_pending swap;
   if (jobs->save_under_way || jobs->broken)
     return INT64_MAX;
-  if (jobs->saving.since_us != 0) { /* one that failed for want of space */
+  if (jobs->saving.since_us != 0) { /* a save that failed for lack of space */
     if (now < jobs->retry_save_us)
       return jobs->retry_save_us;
     start(jobs);
@@ -246,8 +255,7 @@ static void delay(struct mo_jobs *jobs, int64_t id)
   if (jobs->n_delayed == MO_DELAYED_MAX)
     return; /* tried again at once */
   jobs->delayed[jobs->n_delayed].id = id;
-  jobs->delayed[jobs->n_delayed].until_us =
-      mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
+  jobs->delayed[jobs->n_delayed].until_us = mo_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
   jobs->n_delayed++;
 }
 
@@ -258,7 +266,7 @@ static void settle_update(struct mo_jobs *jobs, struct mo_active *active,
   case MO_STEP_START:
   case MO_STEP_PROGRESS:
     if (!update->applied)
-      active->detached = true; /* a person stopped it */
+      active->detached = true; /* paused or cancelled by a request */
     break;
   case MO_STEP_SUCCEED:
     active->detached = true;
@@ -303,7 +311,7 @@ static void settle(struct mo_jobs *jobs, int status)
     } else if (saving->save.updates[i].step == MO_STEP_RETRY ||
                saving->save.updates[i].step == MO_STEP_HALT) {
       const struct mo_job_update *lost =
-          &saving->save.updates[i]; /* again, without what could not be saved */
+          &saving->save.updates[i]; /* repeated without the lost results */
       active->failing =
           mo_pending_update(jobs, active, lost->step, lost->error, lost->error_text) == MO_OK;
     }
@@ -321,7 +329,7 @@ void mo_saver_finished(struct mo_jobs *jobs, int status)
   case MO_ERR_NO_SPACE:
   case MO_ERR_BUSY:
   case MO_ERR_NO_MEMORY:
-    jobs->retry_save_us = mo_jobs_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
+    jobs->retry_save_us = mo_clock_us() + (int64_t)jobs->config.retry_ms * 1000;
     break;
   case MO_ERR_IO:
   case MO_ERR_CANCELLED: jobs->broken = true; break;

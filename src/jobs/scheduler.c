@@ -1,12 +1,12 @@
 /* scheduler.c: the thread that decides what is computed next.
  *
- * Each round: take in finished blocks, wishes and the result of a save; claim queued jobs while
- * there are places; fill the back end's window, interactive jobs first; start a save when one is
- * due; sleep until news or the next due time. Among jobs of one priority the one with the least
- * virtual time goes next: a block advances its job's time by rollouts × steps over its weight, and
- * a job that comes new starts at the time of those that run, so that none waits for the others to
- * end. What all of them together get beside trainings and campaigns is the back end's business:
- * their share there weighs as much as they do. */
+ * Each round takes finished blocks, requests and the result of a save from the inbox; claims queued
+ * jobs while places are free; fills the back end's window, interactive jobs first; starts a save
+ * when one is due; and sleeps until news or the next due time. Among jobs of one priority, the job
+ * with the least virtual time goes next. A block advances the virtual time of its job by rollouts ×
+ * steps / weight. A new job starts at the virtual time of the running ones, so that no job waits
+ * for the others to end. The back end divides its time between all evaluations together and the
+ * trainings and campaigns; the share of evaluations weighs as much as they do. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,16 +14,11 @@
 
 #include "jobs/internal.h"
 
+#include "base/clock.h"
+
 #define DESIGNS_A_ROUND 256
 #define ROUND_US        1000000
 #define CLAIMS_MAX      1024
-
-int64_t mo_jobs_clock_us(void)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-}
 
 void mo_jobs_wake(struct mo_jobs *jobs)
 {
@@ -64,7 +59,7 @@ void mo_active_release(struct mo_jobs *jobs, struct mo_active *active)
 {
   if (active->references > 0)
     active->references--;
-  (void)jobs; /* freed by sweep(), when no loop over the list is under way */
+  (void)jobs; /* sweep() frees the job outside of loops over the list */
 }
 
 void mo_actives_free_all(struct mo_jobs *jobs)
@@ -76,8 +71,8 @@ void mo_actives_free_all(struct mo_jobs *jobs)
   }
 }
 
-/* Frees the detached jobs that nothing refers to and whose counts are saved. Returns whether there
- * was one: the same job may be claimed again. */
+/* Frees the detached jobs that have no references and whose counts are saved. Returns whether there
+ * was one, because the same job may be claimed again. */
 static bool sweep(struct mo_jobs *jobs)
 {
   struct mo_active **link = &jobs->actives;
@@ -133,8 +128,9 @@ static uint32_t count_active(const struct mo_jobs *jobs, enum mo_urgency priorit
   return n;
 }
 
-/* A job that was paused and resumed is claimed again when the blocks that it had in flight are back
- * and saved: earlier, they would be computed twice and counted as somebody else's. */
+/* Returns whether an earlier claim of the job still exists. A resumed job is claimed only when its
+ * earlier blocks have finished and are saved; otherwise they would be computed twice and counted as
+ * another job's. */
 static bool is_held(const struct mo_jobs *jobs, int64_t id)
 {
   for (const struct mo_active *active = jobs->actives; active != NULL; active = active->next)
@@ -151,7 +147,7 @@ static bool is_delayed(const struct mo_jobs *jobs, int64_t id)
   return false;
 }
 
-/* What a job did before is behind it. */
+/* Marks what earlier claims of the job have done. */
 static void mark_finished(struct mo_active *active)
 {
   const struct mo_work *work = active->work;
@@ -179,11 +175,7 @@ static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text
 {
   char digits[MO_SHA256_DIGITS + 1];
   int error = mo_store_load_work(jobs->store, active->id, &active->work);
-  struct mo_job *job = error == MO_ERR_CORRUPT ? malloc(sizeof(*job)) : NULL;
-  const bool found = job != NULL && mo_store_job_damage(jobs->store, active->id, job) == MO_OK;
-  snprintf(text, 256, "the job could not be prepared: %s",
-           found ? job->damage : mo_error_text(error));
-  free(job);
+  snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(error));
   if (error != MO_OK)
     return error;
   active->cells = calloc(active->work->job.rollouts_total, 1);
@@ -219,7 +211,7 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
   active->id = id;
   active->priority = priority;
   active->weight = 1;
-  active->last_event_us = mo_jobs_clock_us();
+  active->last_event_us = mo_clock_us();
   error = load_active(jobs, active, text);
   active->pass = jobs->pass[lane_of(active)];
   active->next = jobs->actives;
@@ -231,7 +223,7 @@ static bool claim_one(struct mo_jobs *jobs, int64_t id, enum mo_urgency priority
   if (error != MO_OK) {
     mo_active_fail(jobs, active, error, text);
   } else if (active->done == active->total) {
-    mo_pending_touch(jobs); /* its last rollouts were saved, its end was not */
+    mo_pending_touch(jobs); /* its last rollouts were saved, but not its end */
   }
   return true;
 }
@@ -248,7 +240,7 @@ static void claim_priority(struct mo_jobs *jobs, enum mo_urgency priority, uint3
     limit += active->detached;
   n = mo_store_queued(jobs->store, priority, 0, ids, limit < CLAIMS_MAX ? limit : CLAIMS_MAX);
   if (n < 0)
-    jobs->look_again = true; /* in a second at most */
+    jobs->look_again = true; /* within a second */
   for (int64_t i = 0; i < n && n_active < places; i++) {
     if (is_held(jobs, ids[i]) || is_delayed(jobs, ids[i]))
       continue;
@@ -258,10 +250,10 @@ static void claim_priority(struct mo_jobs *jobs, enum mo_urgency priority, uint3
   }
 }
 
-/* Jobs whose time of waiting after an error is over. Returns the next such time. */
+/* Releases the jobs whose delay after an error is over. Returns the next such time. */
 static int64_t release_delayed(struct mo_jobs *jobs)
 {
-  int64_t now = mo_jobs_clock_us(), next = INT64_MAX;
+  int64_t now = mo_clock_us(), next = INT64_MAX;
   for (unsigned i = 0; i < jobs->n_delayed;) {
     if (jobs->delayed[i].until_us <= now) {
       jobs->delayed[i] = jobs->delayed[--jobs->n_delayed];
@@ -279,15 +271,17 @@ static int64_t release_delayed(struct mo_jobs *jobs)
 
 static struct mo_active *pick(struct mo_jobs *jobs, enum mo_lane lane)
 {
+  const bool is_full = mo_saver_is_full(jobs);
   struct mo_active *best = NULL;
   for (struct mo_active *active = jobs->actives; active != NULL; active = active->next)
     if (!active->detached && !active->finishing && lane_of(active) == lane &&
+        !(is_full && (active->work->job.record_com || active->work->job.record_masses)) &&
         active->cursor < active->work->n_designs && (best == NULL || active->pass < best->pass))
       best = active;
   return best;
 }
 
-/* true: the round's budget of designs is used up, there is more. */
+/* true: the round's budget of designs is used up, and work is left. */
 static bool fill(struct mo_jobs *jobs, enum mo_lane lane, uint32_t window)
 {
   unsigned budget = DESIGNS_A_ROUND;
@@ -332,9 +326,9 @@ static void take_inbox(struct mo_jobs *jobs, int64_t until_us, struct inbox *inb
   pthread_mutex_unlock(&jobs->mutex);
 }
 
-/* A wish to pause may come after the job was resumed, by somebody else or before its start was
- * written: then it runs by the database, and nobody runs it. So it is parked, which changes nothing
- * for one that is paused or cancelled. */
+/* A pause request can arrive after the job was resumed, or before its start was committed. The
+ * database would then say "running" although no thread runs the job, so requeue it. Requeueing a
+ * paused or cancelled job is a no-op. */
 static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
 {
   struct mo_active *active = mo_active_find(jobs, wish->id);
@@ -342,11 +336,10 @@ static void detach(struct mo_jobs *jobs, const struct mo_wish *wish)
     active->detached = true;
     (void)mo_pending_update(jobs, active, MO_STEP_PARK, MO_OK, NULL);
   }
-  if (wish->cancel) /* also when it was paused before: its blocks are still under way */
-    mo_flights_cancel(jobs, false);
+  mo_flights_cancel(jobs, false); /* a block may take minutes; it is computed again after a pause */
 }
 
-/* What the job is ahead or behind stays the same in rollout steps. */
+/* Changes the weight of a job, and keeps its lead or lag in rollout steps. */
 static void reweigh(struct mo_jobs *jobs, int64_t id)
 {
   struct mo_active *active = mo_active_find(jobs, id);
@@ -392,7 +385,7 @@ static void weigh_evaluations(struct mo_jobs *jobs)
   mo_compute_share_set_weight(jobs->evaluations, sum);
 }
 
-/* Claims and computes. Returns whether there is more to do at once. */
+/* Claims jobs and launches blocks. Returns whether more can be done at once. */
 static bool go_on(struct mo_jobs *jobs, bool look)
 {
   bool more;
@@ -408,7 +401,7 @@ static bool go_on(struct mo_jobs *jobs, bool look)
   return fill(jobs, MO_LANE_BATCH, jobs->config.window_batch) || more;
 }
 
-/* One round of stopping. true: nothing is left. */
+/* Runs one round of stopping. true: all is done. */
 static bool wind_down(struct mo_jobs *jobs, bool abandon, bool *parked)
 {
   mo_flights_cancel(jobs, true);
@@ -428,7 +421,7 @@ static void publish(struct mo_jobs *jobs)
 {
   atomic_store(&jobs->active_batch, count_active(jobs, MO_BATCH));
   atomic_store(&jobs->active_interactive, count_active(jobs, MO_INTERACTIVE));
-  atomic_store(&jobs->heartbeat_us, mo_jobs_clock_us());
+  atomic_store(&jobs->heartbeat_us, mo_clock_us());
 }
 
 void *mo_scheduler_loop(void *context)
@@ -455,7 +448,7 @@ void *mo_scheduler_loop(void *context)
     if (sweep(jobs))
       more = jobs->look_again = true;
     publish(jobs);
-    until = mo_jobs_clock_us() + (more ? 0 : ROUND_US);
+    until = mo_clock_us() + (more ? 0 : ROUND_US);
     if (due < until)
       until = due;
     if (retry < until)

@@ -1,9 +1,9 @@
-/* shares.c: who has which part of the back end: one share for each running training and campaign,
- * one for all evaluations.
+/* shares.c: the shares of the back end: one per running training or campaign, one for all
+ * evaluations.
  *
- * The store says what a job weighs. A share that is opened takes its weight from there after it can
- * be found here, and a new weight is written there before the share is looked for: whichever comes
- * first, the share ends up with the newest. */
+ * The store holds the weight of a job. An opened share is listed here before its weight is read
+ * from the store; a new weight is stored before its share is looked up. So in either order the
+ * share gets the newest weight. */
 #include <stdlib.h>
 
 #include "jobs/internal.h"
@@ -89,8 +89,8 @@ void mo_share_close(struct mo_jobs *jobs, int64_t id)
 
 void mo_share_reweigh(struct mo_jobs *jobs, int64_t id)
 {
-  (void)take_weight(
-      jobs, id); /* a store that cannot be read now: the weight counts from the next start */
+  (void)take_weight(jobs,
+                    id); /* if the store cannot be read, the weight counts from the next start */
 }
 
 double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id)

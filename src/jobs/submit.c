@@ -5,7 +5,12 @@
 #include "base/number.h"
 #include "jobs/internal.h"
 
-#define INTERACTIVE_ROLLOUTS 64
+#define INTERACTIVE_ROLLOUTS 64 /* limit if the request has no priority */
+/* Interactive jobs go first, so they must be short: about a second of one core. In that time, the
+ * float32 kernel moves 40 million springs by one step; the hidden layers of the network cost as
+ * much as 100 more springs per rollout. float64 takes twice as long. */
+#define INTERACTIVE_COST 40e6
+#define NETWORK_SPRINGS  100
 
 int mo_submission_check_texts(const char *label, const char *idempotency_key,
                               struct mo_message *message)
@@ -94,7 +99,7 @@ int mo_designs_place(const struct mo_bits *asked, uint32_t n, struct mo_bits *fo
   return MO_OK;
 }
 
-/* The bytes that the recordings of an evaluation will take. */
+/* Checks the bytes that the recordings of an evaluation will take. */
 static int check_recording(struct mo_jobs *jobs, const struct mo_submission *submission,
                            struct mo_message *message)
 {
@@ -176,14 +181,34 @@ static int admit_and_store(struct mo_jobs *jobs, const struct mo_submission *sub
   return MO_OK;
 }
 
+/* Returns whether the evaluation is short enough to be interactive. */
+static int is_short(const struct mo_jobs *jobs, const struct mo_submission *submission, bool *ret)
+{
+  double cost = (double)submission->n_designs * NETWORK_SPRINGS;
+  const double springs_max = INTERACTIVE_COST / submission->n_environments /
+                             submission->physics.n_steps /
+                             (submission->precision == MO_FLOAT64 ? 2 : 1);
+  for (uint32_t i = 0; i < submission->n_designs && cost <= springs_max; i++) {
+    struct mo_design_size size;
+    int error = mo_design_size(jobs->lattice, submission->genotypes[i].words, &size);
+    if (error != MO_OK)
+      return error;
+    cost += size.springs;
+  }
+  *ret = cost <= springs_max;
+  return MO_OK;
+}
+
 static int choose(const struct mo_jobs *jobs, const struct mo_evaluation_request *request,
                   struct mo_submission *submission, struct mo_message *message)
 {
   const uint64_t n = (uint64_t)request->n_designs * submission->n_environments;
   const bool is_small = n <= INTERACTIVE_ROLLOUTS && request->back_end != MO_ON_DEVICE;
-  submission->priority = request->priority >= 0 ? (enum mo_urgency)request->priority
-                         : is_small             ? MO_INTERACTIVE
-                                                : MO_BATCH;
+  bool is_interactive = request->priority >= 0 ? request->priority == MO_INTERACTIVE : is_small;
+  int error = is_interactive ? is_short(jobs, submission, &is_interactive) : MO_OK;
+  if (error != MO_OK)
+    return mo_fail(message, error, "%s", mo_error_text(error));
+  submission->priority = is_interactive ? MO_INTERACTIVE : MO_BATCH;
   return mo_back_end_choose(jobs, request->back_end,
                             submission->priority == MO_BATCH && request->precision == MO_FLOAT32 &&
                                 !request->record_com && !request->record_masses,
@@ -233,9 +258,6 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   }
   if (request->record_com || request->record_masses)
     submission.record_stride = request->record_stride;
-  error = choose(jobs, request, &submission, message);
-  if (error != MO_OK)
-    return error;
   forms = calloc(request->n_designs, sizeof(*forms));
   genotypes = calloc(request->n_designs, sizeof(*genotypes));
   if (forms == NULL || genotypes == NULL) {
@@ -246,6 +268,8 @@ int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_r
   submission.forms = forms;
   submission.genotypes = genotypes;
   error = mo_designs_place(request->genotypes, request->n_designs, forms, genotypes, message);
+  if (error == MO_OK)
+    error = choose(jobs, request, &submission, message);
   if (error == MO_OK && (request->record_com || request->record_masses))
     error = check_recording(jobs, &submission, message);
   if (error == MO_OK)

@@ -1,8 +1,8 @@
-/* training_held_out.c: what a training is validated on, and its score.
+/* training_held_out.c: the held-out designs of a training's validation, and their score.
  *
- * The score of a design is its mean loss over the environments, as everywhere; the mean over
- * designs leaves out those of which a rollout diverged, and counts them. Sums run in the order of
- * designs and environments: the same bits for any number of workers. */
+ * The score of a design is its mean loss over the environments. The mean over designs omits designs
+ * of which a rollout diverged; diverged rollouts are counted. Sums run in the order of designs and
+ * environments, so they have the same bits for any number of workers. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -66,7 +66,7 @@ int mo_jobs_training_held_out(struct mo_jobs *jobs, int64_t id, struct mo_held_o
 struct tally {
   double sum, sum_of_squares;
   uint32_t n;
-  /* Of the design under way. */
+  /* Of the current design. */
   double losses;
   bool diverged;
 };

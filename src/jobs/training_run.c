@@ -1,56 +1,54 @@
-/* training_run.c: one training, from where it stands to its end or until somebody wants something
- * else.
+/* training_run.c: runs one training to its end or until a request.
  *
- * A step: draw its robots, wait for their gradient, apply it. Rows of steps are written about once
- * a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at a
- * stop, and at the end, before the controller; on devices while the next gradient is computed. What
- * a crash costs is the time since the last checkpoint: the steps from there are run again and give
- * the same numbers.
+ * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
+ * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
+ * a stop, and at the end, before the controller; on devices, during the next gradient. A crash
+ * loses the time since the last checkpoint: the steps from there are run again with the same
+ * results.
  *
- * Want of room is waited for: the run tries again every second until it succeeds or a wish comes. A
- * stop does not wait: the next start goes on from the last checkpoint. */
+ * A run that lacks space tries again every second (retry_ms) until it succeeds or a request
+ * arrives. A stop request does not wait: the next process continues from the last checkpoint. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/internal.h"
 
+#include "base/clock.h"
+
 #define ROWS_MAX      256
-#define RATES         16 /* steps that the speed is averaged over */
+#define RATES         16 /* steps over which the speed is averaged */
 #define ROWS_EVERY_US INT64_C(1000000)
 
 struct run {
   struct mo_attempt attempt;
   struct mo_jobs *jobs;
   int64_t id;
-  struct mo_training_status status; /* as it was at the claim */
+  struct mo_training_status status; /* from the time of the claim */
   struct mo_learner learner;
   struct mo_compute_share *share;
   struct mo_held_out held_out;
   struct mo_training_step_row rows[ROWS_MAX]; /* not written yet */
   size_t n_rows;
-  int64_t rows_us, checkpoint_us; /* when they were written last */
-  uint32_t checkpoint_step;       /* of the newest good checkpoint; 0: none */
-  int64_t validated;              /* newest step of which there is a validation; −1: none */
+  int64_t rows_us, checkpoint_us; /* times of the last writes */
+  uint32_t checkpoint_step;       /* of the newest usable checkpoint; 0: none */
+  int64_t validated;              /* newest validated step; −1: none */
   struct {
     double seconds;
     int64_t end_us;
   } rates[RATES];
   uint64_t n_rates;
-  bool code_noted; /* this run's code is in the lineage: */
+  bool code_noted; /* the lineage has this run's code, for the back end `noted` */
   enum mo_back_end noted;
 };
 
-static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
+static int set_phase(struct mo_runner *runner, int phase, const char *reason)
 {
-  struct run *run = (struct run *)attempt;
-  struct mo_runner *runner = attempt->runner;
   struct mo_training_live *live = &runner->live.training;
   enum mo_training_phase before;
   pthread_mutex_lock(&runner->runners->mutex);
   before = live->phase;
   live->phase = (enum mo_training_phase)phase;
-  live->step = run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
   snprintf(live->reason, sizeof(live->reason), "%s", reason);
   pthread_mutex_unlock(&runner->runners->mutex);
   return (int)before;
@@ -58,10 +56,15 @@ static int set_phase(struct mo_attempt *attempt, int phase, const char *reason)
 
 static int enter(struct run *run, enum mo_training_phase phase)
 {
-  return set_phase(&run->attempt, phase, "");
+  struct mo_runner *runner = run->attempt.runner;
+  pthread_mutex_lock(&runner->runners->mutex);
+  runner->live.training.step =
+      run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
+  pthread_mutex_unlock(&runner->runners->mutex);
+  return set_phase(runner, (int)phase, "");
 }
 
-/* ---- writes that wait for room ---- */
+/* ---- writes that wait for space ---- */
 
 static const char *number(double value, char text[32])
 {
@@ -74,7 +77,7 @@ static int write_rows(void *context)
   struct run *run = context;
   const struct mo_training_report *report = &run->rows[run->n_rows - 1].report;
   const struct mo_training_live *live =
-      &run->attempt.runner->live.training; /* which this thread alone changes */
+      &run->attempt.runner->live.training; /* only this thread changes it */
   char data[480], loss[32], norm[32], rate[32], clipped[32], speed[32], left[32];
   int error;
   snprintf(
@@ -88,7 +91,7 @@ static int write_rows(void *context)
   error = mo_store_training_progress(run->jobs->store, run->id, run->rows, run->n_rows, NULL, data);
   if (error == MO_OK) {
     run->n_rows = 0;
-    run->rows_us = mo_jobs_clock_us();
+    run->rows_us = mo_clock_us();
   }
   return error;
 }
@@ -112,13 +115,14 @@ static int write_checkpoint(void *context)
   free(bytes);
   if (error == MO_OK) {
     run->checkpoint_step = step;
-    run->checkpoint_us = mo_jobs_clock_us();
+    run->checkpoint_us = mo_clock_us();
     atomic_fetch_add(&run->jobs->training_checkpoints, 1);
+    mo_memory_prove(run->jobs, run->id);
   }
   return error;
 }
 
-/* Rows first: the curve has no holes before a checkpoint. */
+/* Writes the rows, then a checkpoint, so that the curve has no gaps before a checkpoint. */
 static int save(struct run *run)
 {
   char what[64];
@@ -129,13 +133,13 @@ static int save(struct run *run)
   snprintf(what, sizeof(what), "the checkpoint of step %u",
            (unsigned)mo_training_step(run->learner.training));
   error = mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
-  (void)set_phase(&run->attempt, phase, "");
+  (void)set_phase(run->attempt.runner, phase, "");
   return error;
 }
 
-/* ---- where it stands ---- */
+/* ---- resumption ---- */
 
-/* The newest checkpoint that is whole. MO_ERR_NOT_FOUND: there is none. */
+/* Loads the newest undamaged checkpoint. MO_ERR_NOT_FOUND: there is none. */
 static int load_checkpoint(struct run *run)
 {
   struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
@@ -201,7 +205,7 @@ static int prepare(struct run *run)
 {
   int error = mo_store_training(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return mo_attempt_fail_unreadable(&run->attempt, error, &run->status.job);
+    return mo_attempt_fail_unreadable(&run->attempt, error);
   run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
   if (error != MO_OK)
@@ -211,7 +215,7 @@ static int prepare(struct run *run)
     error = begin_anew(run);
   if (error != MO_OK)
     return error;
-  run->checkpoint_us = mo_jobs_clock_us();
+  run->checkpoint_us = mo_clock_us();
   error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   if (error == MO_OK)
     error = mo_share_open(run->jobs, run->id, MO_JOB_TRAINING, &run->share);
@@ -227,7 +231,7 @@ static void note_speed(struct run *run, double seconds)
   const struct mo_training_settings *settings = &run->status.record.settings;
   uint32_t left = settings->n_steps - mo_training_step(run->learner.training);
   uint64_t n = run->n_rates < RATES ? run->n_rates + 1 : RATES;
-  int64_t now = mo_jobs_clock_us(), oldest = now;
+  int64_t now = mo_clock_us(), oldest = now;
   double sum = 0;
   run->rates[run->n_rates % RATES].seconds = seconds;
   run->rates[run->n_rates % RATES].end_us = now;
@@ -241,7 +245,7 @@ static void note_speed(struct run *run, double seconds)
   run->attempt.runner->live.training.step = mo_training_step(run->learner.training);
   run->attempt.runner->live.training.robots_per_s =
       sum > 0 ? (double)settings->batch * (double)n / sum : 0;
-  /* With what lies between steps: validations, checkpoints. */
+  /* Includes the time between steps: validations, checkpoints. */
   run->attempt.runner->live.training.seconds_left =
       left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
   pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
@@ -284,8 +288,9 @@ static int write_code(void *context)
                                 fingerprint, &run->status.code);
 }
 
-/* Other code gives other bits: it goes on, but says so, before the step is applied. Also when
- * workers compute what a device does not support. */
+/* Records in the lineage, before the step is applied, which code computed the gradient, because
+ * other code gives other bits. This includes workers that compute what a device does not support.
+ */
 static int note_code(struct run *run)
 {
   int error;
@@ -305,16 +310,16 @@ static bool checkpoint_is_due(const struct run *run)
     return false;
   return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
          (record->checkpoint_every_s > 0 &&
-          mo_jobs_clock_us() - run->checkpoint_us >= (int64_t)record->checkpoint_every_s * 1000000);
+          mo_clock_us() - run->checkpoint_us >= (int64_t)record->checkpoint_every_s * 1000000);
 }
 
-/* What is due to be written of the steps applied so far. */
+/* Writes what is due of the steps applied so far. */
 static int write_what_is_due(void *context)
 {
   struct run *run = context;
   if (checkpoint_is_due(run))
     return save(run);
-  if (run->n_rows == ROWS_MAX || mo_jobs_clock_us() - run->rows_us >= ROWS_EVERY_US)
+  if (run->n_rows == ROWS_MAX || mo_clock_us() - run->rows_us >= ROWS_EVERY_US)
     return flush(run);
   return MO_OK;
 }
@@ -434,7 +439,7 @@ static int learn(struct run *run)
   return error;
 }
 
-/* For a run that somebody has stopped. */
+/* Saves what a stopped run has computed. */
 static int save_rest(void *context)
 {
   struct run *run = context;
@@ -447,8 +452,8 @@ static bool run_training(struct mo_runner *runner, int64_t id)
   bool failed;
   int error;
   if (run == NULL) {
-    mo_attempt_give_up(runner, id);
-    return true;
+    runner->is_short = true;
+    return false;
   }
   run->attempt = (struct mo_attempt){.jobs = runner->jobs, .runner = runner, .id = id};
   run->jobs = runner->jobs;
@@ -464,6 +469,16 @@ static bool run_training(struct mo_runner *runner, int64_t id)
   return failed;
 }
 
+static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
+{
+  struct mo_training_status status;
+  const int error = mo_store_training(jobs->store, id, &status);
+  *need = (struct mo_need){0};
+  if (error == MO_OK)
+    *need = mo_need_of_training(jobs, &status.record, status.job.back_end);
+  return mo_is_shortage(error) ? error : MO_OK;
+}
+
 static void begin(struct mo_runner *runner)
 {
   runner->live.training = (struct mo_training_live){.phase = MO_TRAINING_LEARN, .seconds_left = -1};
@@ -471,6 +486,7 @@ static void begin(struct mo_runner *runner)
 
 const struct mo_runner_kind mo_training_runners = {.noun = "training",
                                                    .queued = mo_store_queued_trainings,
+                                                   .need = need,
                                                    .start = mo_store_training_start,
                                                    .park = mo_store_training_park,
                                                    .run = run_training,

@@ -102,6 +102,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
                                               .idempotency_key = request->idempotency_key,
                                               .body_sha256 = request->body_sha256};
   struct mo_bits *population = NULL, *forms = NULL, *genotypes = NULL;
+  struct mo_need need;
   uint32_t n = request->record.n_designs;
   int error;
   if (atomic_load(&jobs->is_stopping))
@@ -127,7 +128,7 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
     if (error != MO_OK)
       return error;
   }
-  if (n > MO_TRAINING_DESIGNS_MAX) { /* a campaign's */
+  if (n > MO_TRAINING_DESIGNS_MAX) { /* the population of a campaign */
     free(population);
     return mo_fail(message, MO_ERR_RANGE,
                    "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
@@ -135,6 +136,12 @@ int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_reque
   }
   submission.record.n_designs = n;
   submission.record.population = request->population;
+  need = mo_need_of_training(jobs, &submission.record, submission.back_end);
+  error = mo_memory_check(jobs, &need, message);
+  if (error != MO_OK) {
+    free(population);
+    return error;
+  }
   forms = calloc((size_t)n + 1, sizeof(*forms));
   genotypes = calloc((size_t)n + 1, sizeof(*genotypes));
   if (forms == NULL || genotypes == NULL)

@@ -1,4 +1,4 @@
-/* trainings.c: what is asked about trainings besides their records. */
+/* trainings.c: live figures of trainings. */
 #include "jobs/trainings.h"
 
 #include "jobs/internal.h"
@@ -22,6 +22,8 @@ int mo_jobs_training_live(struct mo_jobs *jobs, int64_t id, struct mo_training_l
     live->replayed = __atomic_load_n(&runner->replayed, __ATOMIC_RELAXED);
   }
   pthread_mutex_unlock(&jobs->trainings.mutex);
+  if (runner == NULL && mo_memory_reason(jobs, id, live->reason))
+    live->phase = MO_TRAINING_WAIT;
   live->busy_s = busy_s;
   return MO_OK;
 }

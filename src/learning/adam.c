@@ -1,11 +1,12 @@
 /* adam.c: Adam (Kingma & Ba, ICLR 2015) with float64 moments and float32 weights.
  *
- *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²,  w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t))
- * + ε)
+ *   m ← β1 m + (1 − β1) g,  v ← β2 v + (1 − β2) g²
+ *   w ← w − rate · m/(1 − β1^t) / (√(v/(1 − β2^t)) + ε)
  *
  * Only +, −, ×, ÷ and √, which IEEE 754 rounds correctly, element by element, or summed in the
  * order of the elements: equal bits on every machine, on any number of threads. An update is
- * computed twice, first to see that all of it is finite, so that it happens whole or not at all. */
+ * computed twice, first to check that all of it is finite, so that it happens completely or not at
+ * all. */
 #include "learning/internal.h"
 
 #include "base/parallel.h"
@@ -20,8 +21,8 @@ void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *sett
   adam->beta1_power = 1.0;
   adam->beta2_power = 1.0;
   for (uint32_t i = 0; i < updates; i++) {
-    adam->beta1_power *= settings->beta1;
-    adam->beta2_power *= settings->beta2;
+    adam->beta1_power *= settings->learning.beta1;
+    adam->beta2_power *= settings->learning.beta2;
   }
 }
 
@@ -35,7 +36,7 @@ static double norm_of_scaled(const double *gradient, size_t n, double scale)
 
 double mo_gradient_norm(const double *gradient, size_t n)
 {
-  uint64_t most = 0; /* of the magnitudes, whose order is that of their bits */
+  uint64_t most = 0; /* largest magnitude, compared as bits, which have the same order */
   for (size_t i = 0; i < n; i++) {
     uint64_t bits;
     memcpy(&bits, gradient + i, sizeof(bits));
@@ -46,7 +47,7 @@ double mo_gradient_norm(const double *gradient, size_t n)
   memcpy(&largest, &most, sizeof(largest));
   if (!isfinite(largest))
     return NAN;
-  /* Powers of two change no bit of the sum where both ways are possible. */
+  /* Scaling by a power of two changes no bit of the sum when both ways are possible. */
   const double scale = largest > 0x1p400 ? 0x1p-600 : largest < 0x1p-400 ? 0x1p+500 : 1.0;
   return norm_of_scaled(gradient, n, scale);
 }
@@ -56,7 +57,7 @@ struct constants {
   double correct1, correct2; /* 1 − β^t */
 };
 
-/* An update under way: ranges of elements, each on a thread. */
+/* An update in progress: ranges of elements, each on a thread. */
 struct update {
   struct mo_adam *adam;
   const double *gradient;
@@ -119,13 +120,14 @@ bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *set
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded)
 {
-  const double power1 = adam->beta1_power * settings->beta1;
-  const double power2 = adam->beta2_power * settings->beta2;
+  const double power1 = adam->beta1_power * settings->learning.beta1;
+  const double power2 = adam->beta2_power * settings->learning.beta2;
   struct update update = {.adam = adam,
                           .gradient = gradient,
                           .weights = weights,
-                          .c = {settings->beta1, settings->beta2, settings->epsilon, scale, rate,
-                                1.0 - power1, 1.0 - power2}};
+                          .c = {settings->learning.beta1, settings->learning.beta2,
+                                settings->learning.epsilon, scale, rate, 1.0 - power1,
+                                1.0 - power2}};
   mo_parallel(n_threads, n, look, &update);
   if (atomic_load(&update.is_infinite))
     return false;

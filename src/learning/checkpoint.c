@@ -1,12 +1,11 @@
-/* checkpoint.c: a training as bytes.
+/* checkpoint.c: encodes and decodes a training.
  *
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the
  * order of header() below, then designs (24 bytes each), weights (float32), first and second
- * moments (float64 each), and a CRC-64 of everything before it. The same list of fields is written
- * and read by one function. Version 1, which is still read, has neither rule of the adjoint nor
- * weight of what begins anew: it clips, with the usual weight. Nothing is trusted when it is read:
- * sizes must agree to the byte, settings pass the checks of a new training, and numbers are finite.
- */
+ * moments (float64 each), and a CRC-64 of everything before it. One function writes and reads the
+ * same list of fields. Version 1 is still read: it lacks the adjoint's rule and the restart weight,
+ * so it clips, with the default weight. Decoding trusts nothing: sizes must agree to the byte,
+ * settings must pass the checks of a new training, and numbers must be finite. */
 #include "learning/internal.h"
 
 #include "base/file.h"
@@ -21,7 +20,7 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are littl
 
 #define VERSION      2
 #define HEADER_BYTES 240
-#define RULE_BYTES   (sizeof(int) + sizeof(double)) /* what version 1 is shorter by */
+#define RULE_BYTES   (sizeof(int) + sizeof(double)) /* version 1 is shorter by this */
 #define SUM_BYTES    sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
@@ -57,7 +56,7 @@ static void field_f64(struct codec *codec, double *value)
   field(codec, value, sizeof(*value));
 }
 
-/* Returns what an enumeration's field holds; it may not be one of its values. */
+/* Reads or writes an enumeration's field; a value read may be invalid. */
 static int field_kind(struct codec *codec, int value)
 {
   field(codec, &value, sizeof(value));
@@ -104,15 +103,16 @@ static void header(struct codec *codec, struct mo_training_settings *settings,
   field_u64(codec, &settings->seed);
   field_u32(codec, &settings->n_steps);
   field_u32(codec, &settings->batch);
-  schedule_fields(codec, &settings->schedule);
-  field_f64(codec, &settings->beta1);
-  field_f64(codec, &settings->beta2);
-  field_f64(codec, &settings->epsilon);
-  field_f64(codec, &settings->norm_limit);
-  field_f64(codec, &settings->adjoint_bound);
+  schedule_fields(codec, &settings->learning.schedule);
+  field_f64(codec, &settings->learning.beta1);
+  field_f64(codec, &settings->learning.beta2);
+  field_f64(codec, &settings->learning.epsilon);
+  field_f64(codec, &settings->learning.norm_limit);
+  field_f64(codec, &settings->learning.adjoint_bound);
   if (counters->version > 1) {
-    settings->adjoint_rule = (enum mo_adjoint_rule)field_kind(codec, (int)settings->adjoint_rule);
-    field_f64(codec, &settings->restart_weight);
+    settings->learning.adjoint_rule =
+        (enum mo_adjoint_rule)field_kind(codec, (int)settings->learning.adjoint_rule);
+    field_f64(codec, &settings->learning.restart_weight);
   }
   physics_fields(codec, &settings->physics);
   settings->sensor = (enum mo_sensor)field_kind(codec, (int)settings->sensor);
@@ -131,7 +131,7 @@ static size_t body_bytes(uint64_t n_designs, uint64_t n_parameters)
          n_parameters * (sizeof(float) + 2 * sizeof(double));
 }
 
-/* The arrays that follow the header, to be read or written in this order. */
+/* Reads or writes the arrays after the header, in this order. */
 static void body(struct codec *codec, struct mo_training *training)
 {
   const size_t n = training->controller->n_parameters;
@@ -145,7 +145,8 @@ static void body(struct codec *codec, struct mo_training *training)
 
 int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size_t *size)
 {
-  /* Fields are passed by address; writing changes none. A draw ahead may be changing the others. */
+  /* Fields are passed by address, but writing changes none. A concurrent draw ahead may change the
+   * other members. */
   struct mo_training copy = {.settings = training->settings,
                              .controller = training->controller,
                              .adam = training->adam,
@@ -260,8 +261,8 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {.adjoint_rule = MO_ADJOINT_CLIP,
-                                          .restart_weight = MO_RESTART_WEIGHT};
+  struct mo_training_settings settings = {.learning.adjoint_rule = MO_ADJOINT_CLIP,
+                                          .learning.restart_weight = MO_RESTART_WEIGHT};
   struct counters counters = {0};
   header(&codec, &settings, &counters);
   const int r = check_header(&settings, &counters, message);

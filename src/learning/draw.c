@@ -1,13 +1,13 @@
 /* draw.c: the robots of a step.
  *
- * Pretraining: the next bodies of the stream of the seed that are not held out. The set of bodies
- * seen is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and
- * must arrive at the same number of draws. Finetuning: the designs in turn, which go on from one
- * step to the next. Whatever stops a draw, the next call goes on where it stopped.
+ * Pretraining: the next bodies of the seed's stream that are not held out. The set of bodies seen
+ * is not saved: a restored training draws its earlier bodies again, about 3.5 µs each, and must
+ * arrive at the same number of draws. Finetuning: the designs in turn, continuing from one step to
+ * the next. After an interrupted draw the next call continues where it stopped.
  *
- * Two hands hold robots: the current step's and, drawn ahead while that one's gradient is computed,
- * the next one's. Bodies come out of the stream one after the other; all else about a robot depends
- * on its number alone, and is made on several threads. */
+ * Two hands hold robots: those of the current step and, drawn ahead while their gradient is
+ * computed, those of the next. Bodies come from the stream one after the other. Everything else
+ * about a robot depends only on its number, and is made on several threads. */
 #include "learning/internal.h"
 
 #include "base/parallel.h"
@@ -16,7 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define ASK_EVERY 64 /* bodies between two looks at `cancel` */
+#define ASK_EVERY 64 /* bodies between two checks of `cancel` */
 
 static int take(struct mo_training *training, uint64_t *body)
 {
@@ -38,8 +38,8 @@ static bool is_cancelled(const struct mo_training *training, const volatile int 
          __atomic_load_n(cancel, __ATOMIC_RELAXED) != 0;
 }
 
-/* Draws that failed have left the stream beyond the step's beginning: what it must arrive at is
- * checked once. */
+/* Replays the stream of a restored training. A failed draw may leave the stream past the start of
+ * the step, so the number of draws is checked only once. */
 static int replay(struct mo_training *training, const volatile int *cancel,
                   volatile uint64_t *replayed)
 {
@@ -85,7 +85,7 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
     r = mo_body_stream_create(MO_DEFAULT_WORKSPACE, training->settings.seed, &training->stream);
     if (r == MO_OK)
       (void)mo_body_stream_set_threads(training->stream,
-                                       training->n_threads); /* slower, if it cannot */
+                                       training->n_threads); /* on failure only slower */
   }
   if (r < 0)
     return r;
@@ -107,13 +107,13 @@ static int prepare(struct mo_training *training, struct mo_hand *hand)
              : MO_OK;
 }
 
-/* What is to be made of genotypes and numbers alone. */
+/* What is made from only genotypes and numbers. */
 struct making {
   const struct mo_training *training;
   const struct mo_hand *hand;
   const uint64_t *genotypes;
   struct mo_body **bodies;
-  atomic_int error; /* the last one */
+  atomic_int error; /* the last error */
 };
 
 static void make_bodies(void *context, size_t first, size_t end)
@@ -231,8 +231,8 @@ const struct mo_robot *mo_training_robots_ahead(struct mo_training *training)
   return hand != NULL ? hand->robots : NULL;
 }
 
-/* To free the bodies of thousands of robots takes milliseconds: where the next ones are there
- * already, a draw ahead does it, while nobody waits. */
+/* Freeing the bodies of thousands of robots takes milliseconds: if the next robots are ready, a
+ * later draw ahead frees these, while no thread waits. */
 void mo_training_forget_robots(struct mo_training *training)
 {
   struct mo_hand *hand = &training->hands[training->step % 2];

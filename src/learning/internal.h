@@ -5,70 +5,68 @@
 #include <morpho/learning.h>
 
 struct mo_training {
-  struct mo_training_settings settings; /* sensor: the controller's, whatever was asked for */
+  struct mo_training_settings settings; /* its sensor is always the controller's */
   struct mo_controller *controller;
   struct mo_adam {
     double *first, *second;          /* (n_parameters) moments */
     double beta1_power, beta2_power; /* β^updates */
   } adam;
   uint32_t step;    /* applied */
-  uint32_t skipped; /* of these, the ones that changed no weight; the others are Adam's updates */
+  uint32_t skipped; /* steps that changed no weight; the others are Adam's updates */
   uint32_t n_designs;
   uint64_t *designs; /* finetune: (n_designs, MO_DEFAULT_WORDS) */
-  uint64_t
-      draws; /* pretrain: of the stream, up to the current step; what a replay must arrive at */
+  uint64_t draws; /* pretrain: draws of the stream up to the current step; a replay must arrive at
+                     this number */
 
   /* Made at the first draw; not part of a checkpoint. */
-  uint32_t n_threads; /* that draw, and apply a gradient */
+  uint32_t n_threads; /* threads of draw and apply */
   struct mo_lattice *lattice;
   struct mo_body_stream *stream;
   uint64_t taken; /* bodies taken from the stream */
-  bool replayed;  /* the stream is where the current step begins, or beyond */
+  bool replayed;  /* the stream has reached the start of the current step */
   uint32_t n_bodies;
   struct mo_body **bodies; /* finetune: (n_bodies) of the designs, NULL where not made yet */
   struct mo_hand {
     uint32_t step;
-    uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step … */
-    uint32_t n_drawn;        /* … so far */
+    uint64_t *drawn;         /* pretrain: (batch, MO_DEFAULT_WORDS) bodies of the step */
+    uint32_t n_drawn;        /* number of bodies drawn so far */
     struct mo_body **bodies; /* pretrain: (batch), NULL where not made yet */
     struct mo_environment *environments; /* (batch) */
     struct mo_robot *robots;             /* (batch) */
-    uint64_t draws;                      /* pretrain: of the stream, up to the step's end */
-    bool ready;                          /* robots holds the step's */
-    bool stale;                          /* it has bodies that nobody needs any more */
-  } hands[2]; /* of the current step, by its lowest bit, and of the one after it */
+    uint64_t draws;                      /* pretrain: draws of the stream up to the step's end */
+    bool ready;                          /* `robots` is complete */
+    bool stale;                          /* its bodies are no longer needed */
+  } hands[2]; /* the current step and the next; the index is the step's lowest bit */
 };
 
-/* training.c: everything that a checkpoint holds is allocated, nothing is filled in but the
- * settings. */
+/* training.c: allocates everything that a checkpoint holds, but fills in only the settings. */
 int mo_training_allocate(const struct mo_training_settings *settings, uint32_t n_designs,
                          struct mo_training **training);
-/* Placed, contiguous, not empty; where they are not, message names the design. */
+/* Checks that designs are placed, contiguous and not empty; else message names the design. */
 int mo_training_check_designs(const uint64_t *designs, size_t n, struct mo_message *message);
 
 /* draw.c */
 struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
 void mo_training_forget_robots(
-    struct mo_training *training); /* the current step is over: its bodies are not needed any more,
-                                      and go with the next draw */
-void mo_training_forget_designs(
-    struct mo_training *training); /* finetune: the bodies are of other designs now */
+    struct mo_training *training); /* the current step is over: the next draw frees its bodies */
+void mo_training_forget_designs(struct mo_training *training); /* finetune: the designs changed */
 size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);
 
 /* adam.c */
 void mo_adam_count(struct mo_adam *adam, const struct mo_training_settings *settings,
                    uint32_t updates); /* β^updates */
-/* Global L2 norm, without overflow or underflow on the way; infinite or NaN if the gradient is. */
+/* Returns the global L2 norm, computed without overflow or underflow; infinite or NaN if the
+ * gradient is. */
 double mo_gradient_norm(const double *gradient, size_t n);
-/* One update with gradient · scale. Returns false, and changes nothing, if any new moment or weight
- * were not finite. */
+/* Performs one update with gradient · scale. If any new moment or weight were not finite, changes
+ * nothing and returns false. */
 bool mo_adam_update(struct mo_adam *adam, const struct mo_training_settings *settings, double rate,
                     double scale, const double *gradient, float *weights, size_t n,
                     uint32_t n_threads, uint32_t *bounded);
 
-/* checksum.c: CRC-64/XZ: finds every error within 64 bits in a row, and others but for 1 in 2^64.
- */
+/* checksum.c: CRC-64/XZ: detects every error within 64 bits in a row, and all but 1 in 2^64
+ * others. */
 uint64_t mo_checksum(const uint8_t *bytes, size_t n);
 
 #endif

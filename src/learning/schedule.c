@@ -1,35 +1,27 @@
-/* schedule.c: learning rates. Cosine annealing with warm restarts (Loshchilov & Hutter, ICLR 2017),
- * of which one cosine over the whole training is the case of one cycle; before it a linear warm-up.
+/* schedule.c: learning rates: a linear warm-up, then cosine annealing with warm restarts
+ * (Loshchilov & Hutter, ICLR 2017); one cosine over the whole training is the case of one cycle.
  *
- * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first is
- * the peak, the floor would be reached by the step after the last. The cosine is our own, of
- * correctly rounded operations only, so that a rate has the same bits on every machine. */
-#include <morpho/learning.h>
+ * Step s of a cycle of n steps has the rate floor + (peak − floor) (1 + cos(π s/n))/2: the first
+ * step has the peak, and the step after the last would reach the floor. The cosine is computed here
+ * from correctly rounded operations only, so that a rate has the same bits on every machine. */
+#include "learning/fields.h"
 
-#include <string.h>
+#define PI           3.14159265358979323846
+#define COSINE_TERMS 13 /* terms of the series on [0, π/2]: the next one is below 1e-21 */
 
-#include "base/number.h"
-
-#define PI            3.14159265358979323846
-#define COSINE_TERMS  13   /* of the series on [0, π/2]: the next one is below 1e-21 */
-#define GROWTH_MAX    1000 /* of a cycle over the one before */
-#define SCHEDULE_KIND 3
-
-static const char *const names[SCHEDULE_KIND] = {"restarts", "cosine", "constant"};
+const char *const mo_schedule_words[] = {"restarts", "cosine", "constant", NULL};
 
 const char *mo_schedule_name(enum mo_schedule_kind kind)
 {
-  return (unsigned)kind < SCHEDULE_KIND ? names[kind] : "unknown";
+  return mo_word(mo_schedule_words, (unsigned)kind);
 }
 
 int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind)
 {
-  for (unsigned i = 0; i < SCHEDULE_KIND; i++)
-    if (strcmp(name, names[i]) == 0) {
-      *kind = (enum mo_schedule_kind)i;
-      return MO_OK;
-    }
-  return MO_ERR_NOT_FOUND;
+  const int i = mo_word_index(mo_schedule_words, name);
+  if (i >= 0)
+    *kind = (enum mo_schedule_kind)i;
+  return i >= 0 ? MO_OK : i;
 }
 
 struct mo_schedule mo_schedule_paper_pretrain(void)
@@ -124,36 +116,4 @@ double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint3
   case MO_SCHEDULE_CONSTANT: break;
   }
   return schedule->peak;
-}
-
-static int check_count(const char *name, uint32_t value, uint32_t low, uint32_t high,
-                       struct mo_message *message)
-{
-  if (value >= low && value <= high)
-    return MO_OK;
-  return mo_fail(message, MO_ERR_RANGE, "%s is %u; it must be %u to %u", name, value, low, high);
-}
-
-int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *message)
-{
-  if ((unsigned)schedule->kind >= SCHEDULE_KIND)
-    return mo_fail(message, MO_ERR_INVALID,
-                   "schedule kind is %d; it must be 0 (restarts), 1 (cosine) or 2 (constant)",
-                   (int)schedule->kind);
-  const struct mo_bounded rates[] = {{"peak", schedule->peak, 0.0, 1.0, true, false},
-                                     {"floor", schedule->floor, 0.0, 1.0, true, false},
-                                     {"decay", schedule->decay, 0.0, 1.0, true, false}};
-  int r = mo_bounded_check(rates, sizeof(rates) / sizeof(rates[0]), message);
-  if (r != MO_OK)
-    return r;
-  if (schedule->floor > schedule->peak)
-    return mo_fail(message, MO_ERR_RANGE,
-                   "floor is %s, above the peak of %s; lower the floor or raise the peak",
-                   MO_NUMBER(schedule->floor), MO_NUMBER(schedule->peak));
-  r = check_count("cycle_steps", schedule->cycle_steps, 1, MO_TRAINING_STEPS_MAX, message);
-  if (r == MO_OK)
-    r = check_count("cycle_growth", schedule->cycle_growth, 1, GROWTH_MAX, message);
-  if (r == MO_OK)
-    r = check_count("warmup_steps", schedule->warmup_steps, 0, MO_TRAINING_STEPS_MAX, message);
-  return r;
 }

@@ -45,7 +45,7 @@ static int check_parent(const struct mo_controller *parent, struct mo_message *m
   return MO_OK;
 }
 
-/* Of a finetuning. */
+/* Checks the designs of a finetuning. */
 static int check_designs(const uint64_t *designs, size_t n, struct mo_message *message)
 {
   if (designs == NULL || n == 0)
@@ -157,7 +157,7 @@ int mo_training_set_steps(struct mo_training *training, uint32_t n_steps)
       (settings->kind == MO_TRAINING_PRETRAIN &&
        (uint64_t)n_steps * settings->batch > MO_TRAINING_BODIES_MAX))
     return MO_ERR_RANGE;
-  if (settings->schedule.kind == MO_SCHEDULE_COSINE && n_steps != settings->n_steps)
+  if (settings->learning.schedule.kind == MO_SCHEDULE_COSINE && n_steps != settings->n_steps)
     return MO_ERR_UNSUPPORTED;
   training->settings.n_steps = n_steps;
   return MO_OK;
@@ -215,7 +215,7 @@ static struct mo_training_report report_of(const struct mo_training *training,
   const struct mo_training_settings *settings = &training->settings;
   struct mo_training_report report = {
       .step = training->step + 1,
-      .rate = mo_schedule_rate(&settings->schedule, training->step, settings->n_steps),
+      .rate = mo_schedule_rate(&settings->learning.schedule, training->step, settings->n_steps),
       .clipped_share = share(counts->clipped_steps, counts->steps),
       .clipped_robots_share = share(counts->clipped_robots, counts->robots),
       .zeroed = (uint32_t)counts->zeroed_robots,
@@ -242,7 +242,7 @@ int mo_training_apply(struct mo_training *training, const double *d_parameters,
   struct mo_training_report made = report_of(training, outcomes, counts);
   struct mo_controller *controller = training->controller;
   const double norm = mo_gradient_norm(d_parameters, controller->n_parameters);
-  const double limit = settings->norm_limit;
+  const double limit = settings->learning.norm_limit;
   const double scale = limit > 0.0 && norm > limit ? limit / norm : 1.0;
   made.skipped = !isfinite(norm) || (uint64_t)made.diverged + made.zeroed >= settings->batch ||
                  !mo_adam_update(&training->adam, settings, made.rate, scale, d_parameters,

@@ -1,5 +1,4 @@
-/* bits.h: bit arrays of 64-bit words, and scratch ones that live on the stack while they are small.
- */
+/* bits.h: bit arrays of 64-bit words, and scratch arrays that stay on the stack while small. */
 #ifndef MORPHO_MORPHOSPACE_BITS_H
 #define MORPHO_MORPHOSPACE_BITS_H
 
@@ -53,7 +52,7 @@ static inline int mo_bits_empty(const uint64_t *bits, uint32_t words)
 
 #define MO_SCRATCH_WORDS 16 /* 1024 voxels */
 
-/* A zeroed bit array for the length of a call. */
+/* A zeroed bit array that lives for one call. */
 struct mo_scratch {
   uint64_t local[MO_SCRATCH_WORDS];
   uint64_t *bits;

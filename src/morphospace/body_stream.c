@@ -1,8 +1,8 @@
 /* body_stream.c: random bodies without repetition.
  *
- * Draws and their canonical forms depend on their numbers alone, so they are made some hundred
- * ahead, on as many threads as are allowed; which of them are new is decided one after the other,
- * in the order of their numbers. With one thread nothing is made ahead. */
+ * Draws and their canonical forms depend only on their numbers, so some hundred are made ahead, on
+ * as many threads as allowed. Which of them are new is decided one after the other, in the order of
+ * their numbers. With one thread nothing is made ahead. */
 #include <morpho/morphospace.h>
 
 #include "base/parallel.h"
@@ -19,7 +19,7 @@ struct mo_body_stream {
   uint64_t draws;
   struct mo_form_set *seen;
   uint32_t n_threads;
-  /* Draws made ahead: `first` … `first + n − 1`, each a body, its form, and what came of it. */
+  /* Draws made ahead: `first` … `first + n − 1`, each a body, its form, and a result code. */
   uint64_t first;
   size_t n, room;
   uint64_t *ahead; /* (room, 2, words) */
@@ -87,7 +87,7 @@ int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads
   n_threads = n_threads < 1                         ? 1
               : n_threads < MO_PARALLEL_THREADS_MAX ? n_threads
                                                     : MO_PARALLEL_THREADS_MAX;
-  if (n_threads == stream->n_threads) { /* what was made ahead stays */
+  if (n_threads == stream->n_threads) { /* keep the draws made ahead */
     return MO_OK;
   }
   const int code = make_room(stream, n_threads == 1 ? 1 : (size_t)n_threads * AHEAD_PER_THREAD);
@@ -111,7 +111,7 @@ static void draw(void *context, size_t first, size_t end)
   }
 }
 
-/* Where the draw of number stream->draws lies. */
+/* Returns the index of draw number stream->draws. */
 static size_t draw_next(struct mo_body_stream *stream)
 {
   const uint64_t at = stream->draws - stream->first;
@@ -139,7 +139,7 @@ int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint
     }
     code = mo_form_set_add(stream->seen, body + stream->words);
     if (code < 0) {
-      return code; /* the same draw is tried again by the next call */
+      return code; /* the next call repeats the same draw */
     }
     stream->draws++;
     if (code == 1) {

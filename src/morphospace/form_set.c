@@ -1,26 +1,27 @@
 /* form_set.c: an exact set of canonical forms, made for tens of millions of them.
  *
  * Open addressing with linear probing over bare forms of ceil(voxels / 8) bytes (18 in the default
- * workspace); a slot of zeros is free, because no form is empty. The hash's top bits choose one of
+ * workspace). A slot of zeros is free, because no form is empty. The hash's top bits choose one of
  * SEGMENTS tables, its other bits the slot. Each table grows by a quarter on its own when it is 4/5
  * full, so that a growing set never holds two copies of itself: the peak is the set plus one table,
  * and forms take between 1.25 and 1.57 times their own size.
  *
- * Threads that add many forms share out the tables: each takes the forms of its own ones, in their
- * order, so that no two touch one table and every table comes out as it would alone. A form's slot
- * is fetched some forms ahead: in a set of millions it is in no cache. */
+ * Threads that add many forms divide the tables: each thread adds the forms of its own tables, in
+ * their order. So no two threads touch one table, and every table gets the same content as on one
+ * thread. A form's slot is prefetched some forms ahead: in a set of millions it is in no cache. */
 #include "morphospace/form_set.h"
 
 #include "base/parallel.h"
 #include "morphospace/bits.h"
 
+#include <math.h>
 #include <stdatomic.h>
 
 #define SEGMENTS       256
 #define SEGMENT_FIRST  16 /* slots of a table's first size */
 #define SLOTS_MAX      (UINT64_C(1) << 32)
-#define FETCHED        16  /* forms whose slots are on their way; a power of two */
-#define WORTH_A_THREAD 512 /* forms, about 50 µs */
+#define FETCHED        16  /* forms whose slots are being prefetched; a power of two */
+#define WORTH_A_THREAD 512 /* forms that are worth a thread, about 50 µs */
 
 struct segment {
   uint8_t *slots; /* (capacity, form_bytes) */
@@ -136,7 +137,8 @@ static uint64_t first_slot(const struct segment *segment, uint64_t hashed)
   return (hashed & UINT32_MAX) * segment->capacity >> 32;
 }
 
-/* Where the form is, or the free slot where it would be. The table has a free slot. */
+/* Finds the slot of the form, or the free slot where it belongs. The table must have a free
+ * slot. */
 static uint64_t find(const struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed,
                      int *found)
 {
@@ -169,7 +171,7 @@ static int grow(struct segment *segment, size_t n)
   return MO_OK;
 }
 
-/* 1: added; 0: was there. */
+/* Adds a form. 1: added; 0: already present. */
 static int add(struct segment *segment, const uint8_t *form, size_t n, uint64_t hashed)
 {
   int found = 0;
@@ -240,13 +242,13 @@ static void add_to_segments(void *context, size_t first, size_t end)
 {
   struct adding *adding = context;
   const struct mo_form_set *set = adding->set;
-  size_t waiting[FETCHED]; /* the last ones that were found */
+  size_t waiting[FETCHED]; /* the last ones found */
   size_t found = 0, added = 0;
   int code = MO_OK;
   for (size_t i = 0; i < adding->n && code >= 0; i++) {
     const uint64_t hashed = adding->hashes[i];
     if (hashed >> 56 < first || hashed >> 56 >= end || adding->marks[i] == MO_FORM_OUT) {
-      continue; /* the marks of other threads' forms are theirs */
+      continue; /* marks of other threads' forms belong to those threads */
     }
     const struct segment *segment = &set->segments[hashed >> 56];
     if (segment->capacity > 0) {
@@ -296,6 +298,19 @@ int mo_form_set_has(const struct mo_form_set *set, const uint64_t *form)
     find(segment, bytes, set->form_bytes, hashed, &found);
   }
   return found;
+}
+
+/* Each table has a 256th part of the forms, and some more: four standard deviations. A fifth comes
+ * on top: all tables grow at about the same time, and the heap cannot use the holes of the old
+ * tables until all have grown. */
+size_t mo_form_set_reckon(struct mo_workspace workspace, uint64_t n)
+{
+  const double forms = (double)n / SEGMENTS;
+  const size_t form_bytes = (mo_workspace_voxels(workspace) + 7) / 8;
+  double capacity = SEGMENT_FIRST;
+  while (capacity * 4 < (forms + 4 * sqrt(forms) + 1) * 5)
+    capacity = floor(capacity * 5 / 4);
+  return sizeof(struct mo_form_set) + (size_t)(capacity * SEGMENTS * 1.2 * (double)form_bytes);
 }
 
 uint64_t mo_form_set_count(const struct mo_form_set *set)

@@ -1,4 +1,5 @@
-/* genotype.c: genotypes in and out of lists of cells, text and bytes; counting and comparing. */
+/* genotype.c: converts genotypes from and to lists of cells, text and bytes; counts and
+ * compares. */
 #include <morpho/morphospace.h>
 
 #include "morphospace/bits.h"
@@ -18,7 +19,7 @@ static void tell(struct mo_cell_fault *fault, size_t cell, size_t other, int axi
   }
 }
 
-/* Sets the cells in `bits`; the first cell out of the workspace or seen before ends it. */
+/* Sets the cells in `bits`; stops at the first cell outside the workspace or already set. */
 static int set_cells(struct mo_workspace workspace, const int64_t (*cells)[3], size_t n,
                      uint64_t *bits, struct mo_cell_fault *fault)
 {
@@ -79,7 +80,7 @@ int mo_genotype_from_cells(struct mo_workspace workspace, const int64_t (*cells)
   return code;
 }
 
-/* The first voxel that the lowest one does not reach; MO_OK if there is none. */
+/* Finds the first voxel not connected to the lowest one; MO_OK if there is none. */
 static int find_apart(struct mo_workspace workspace, const uint64_t *bits, uint32_t *apart)
 {
   uint32_t words = mo_workspace_words(workspace);
@@ -221,7 +222,8 @@ static int digit_value(char digit)
   return -1;
 }
 
-/* The bits that the digits spell; MO_ERR_FORMAT for another digit or bits past the last voxel. */
+/* Reads the bits that the digits spell; MO_ERR_FORMAT for another digit or bits past the last
+ * voxel. */
 static int read_digits(uint32_t voxels, const char *id, size_t n, uint64_t *bits)
 {
   for (size_t i = 0; i < n; i++) {

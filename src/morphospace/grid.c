@@ -2,7 +2,6 @@
 #include "morphospace/grid.h"
 
 #include "morphospace/bits.h"
-#include "morphospace/shape.h"
 
 /* ---- components ---- */
 
@@ -170,6 +169,21 @@ static void shift_bits(uint64_t *bits, uint32_t words, int64_t shift)
   }
 }
 
+/* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is
+ * smallest at one shift or at two neighboring ones, and monotone on either side of them. */
+int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum)
+{
+  int64_t count = (int64_t)n;
+  int64_t lacking =
+      count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
+  /* ceil(lacking / 2n − ½): the nearest integer, the lower one in the middle between two. */
+  int64_t above = lacking - count;
+  int64_t shift = above >= 0 ? (above + 2 * count - 1) / (2 * count) : -(-above / (2 * count));
+  int64_t least = -(int64_t)low;
+  int64_t most = (int64_t)side - 1 - (int64_t)high;
+  return (int32_t)(shift < least ? least : shift > most ? most : shift);
+}
+
 void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
 {
   struct extent extent = measure(workspace, bits);
@@ -185,8 +199,8 @@ void mo_grid_place(struct mo_workspace workspace, uint64_t *bits)
 
 /* ---- another workspace ---- */
 
-int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
-                     uint64_t *moved)
+int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                 uint64_t *moved)
 {
   const struct extent extent = measure(from, bits);
   const uint32_t words = mo_workspace_words(from);
@@ -210,7 +224,6 @@ int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_w
       mo_bits_set(moved, column * to.nz + z);
     }
   }
-  mo_genotype_place(to, moved);
   return MO_OK;
 }
 
@@ -263,7 +276,8 @@ int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
   return get_at(workspace, bits, view, at);
 }
 
-/* Negative, 0, positive as view a shows a smaller, an equal, a larger genotype than b. */
+/* Returns a negative number, 0 or a positive number if view a shows a smaller, an equal or a larger
+ * genotype than b. */
 static int compare(struct mo_workspace workspace, const uint64_t *bits,
                    const struct mo_grid_view *a, const struct mo_grid_view *b)
 {

@@ -10,11 +10,18 @@
 int mo_grid_component(struct mo_workspace workspace, const uint64_t *bits, uint32_t start,
                       uint64_t *reached);
 int mo_grid_keep_largest(struct mo_workspace workspace, uint64_t *bits);
+/* Returns how far to move a body along one axis of `side` voxels. Its `n` voxels have coordinates
+ * from `low` to `high`, with the sum `sum`. Of all shifts that stay inside, the one whose centroid
+ * sum/n + shift is nearest to (side − 1)/2; the lower of two equal ones. */
+int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum);
 void mo_grid_place(struct mo_workspace workspace, uint64_t *bits);
+/* As mo_genotype_move, without placing the result. */
+int mo_grid_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                 uint64_t *moved);
 
-/* One of the 8 images of a genotype, as a way of looking at it: voxel (x, y, z) of the image,
- * aligned to the origin, is a voxel of the genotype. Bits of k: 1 mirrors the image in x, 2 mirrors
- * it in y, 4 (first) swaps x and y. */
+/* A view of one of the 8 images of a genotype: voxel (x, y, z) of the image, aligned to the origin,
+ * maps to a voxel of the genotype. Bits of k: 1 mirrors the image in x, 2 mirrors it in y, 4
+ * (first) swaps x and y. */
 struct mo_grid_view {
   unsigned k;
   uint32_t low[3];  /* lower corner of the genotype's bounding box */
@@ -27,7 +34,7 @@ int mo_grid_view_image(struct mo_workspace workspace, const uint64_t *bits, unsi
 /* The view of the canonical form. */
 void mo_grid_view_canonical(struct mo_workspace workspace, const uint64_t *bits,
                             struct mo_grid_view *view);
-/* Voxel v of the workspace as the view shows it. */
+/* Returns voxel v of the workspace in the view. */
 int mo_grid_view_get(struct mo_workspace workspace, const uint64_t *bits,
                      const struct mo_grid_view *view, uint32_t v);
 /* Writes the view as a genotype; `image` and `bits` do not overlap. */

@@ -24,7 +24,7 @@ static int is_diagonal(struct step step)
   return (step.x != 0) + (step.y != 0) + (step.z != 0) > 1;
 }
 
-/* Bit i: step i leads to a mass of the workspace. */
+/* Returns a bit mask: bit i is set if step i leads to a mass of the workspace. */
 static unsigned steps_at(struct mo_workspace workspace, int32_t x, int32_t y, int32_t z)
 {
   unsigned mask = 0;

@@ -54,21 +54,6 @@ int mo_genotype_keep_largest(struct mo_workspace workspace, uint64_t *bits)
   return MO_OK;
 }
 
-/* The distance to the middle, times 2n, is |2 sum + 2n shift − n (side − 1)|: an integer that is
- * least at one shift or at two neighbouring ones, and monotone on either side of them. */
-int32_t mo_place_shift(uint32_t side, uint32_t low, uint32_t high, uint64_t n, uint64_t sum)
-{
-  int64_t count = (int64_t)n;
-  int64_t lacking =
-      count * ((int64_t)side - 1) - 2 * (int64_t)sum; /* the ideal shift is lacking / 2n */
-  /* ceil(lacking / 2n − ½): the nearest integer, the lower one in the middle between two. */
-  int64_t above = lacking - count;
-  int64_t shift = above >= 0 ? (above + 2 * count - 1) / (2 * count) : -(-above / (2 * count));
-  int64_t least = -(int64_t)low;
-  int64_t most = (int64_t)side - 1 - (int64_t)high;
-  return (int32_t)(shift < least ? least : shift > most ? most : shift);
-}
-
 void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits)
 {
   if (!mo_slabs_fit(workspace)) {
@@ -80,6 +65,16 @@ void mo_genotype_place(struct mo_workspace workspace, uint64_t *bits)
     mo_slabs_place(s, slab);
     mo_slabs_store(s, slab, bits);
   });
+}
+
+int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
+                     uint64_t *moved)
+{
+  int error = mo_grid_move(from, bits, to, moved);
+  if (error == MO_OK) {
+    mo_genotype_place(to, moved);
+  }
+  return error;
 }
 
 void mo_genotype_canonical(struct mo_workspace workspace, const uint64_t *bits, uint64_t *form)
@@ -116,8 +111,8 @@ int mo_genotype_image(struct mo_workspace workspace, const uint64_t *bits, unsig
   return code;
 }
 
-/* Small forms are made in words; others are read off the view voxel by voxel, so that no memory is
- * needed. */
+/* Small forms are computed in words; others are read from the view voxel by voxel, which needs no
+ * memory. */
 void mo_genotype_id(struct mo_workspace workspace, const uint64_t *bits, char *id)
 {
   static const char digits[] = "0123456789abcdef";

@@ -10,7 +10,7 @@
 #define MORPHO_MORPHOSPACE_SLABS_H
 
 #include "morphospace/bits.h"
-#include "morphospace/shape.h"
+#include "morphospace/grid.h"
 
 #define MO_SLABS_MAX    64
 #define MO_SLABS_INLINE static inline __attribute__((always_inline))
@@ -69,14 +69,13 @@ MO_SLABS_INLINE void mo_slabs_store(struct mo_slab_shape s, const uint64_t *slab
 }
 
 /* Arrays below have MO_SLABS_MAX words, of which the first nx are used and written before they are
- * read. The analyzer does not follow that through loops over a run-time nx, and zeroing 512 bytes
- * would double the cost of these operations; the address sanitizer, the fuzz target and the
- * comparison with grid.c watch over it instead. NOLINTBEGIN(clang-analyzer-core.*) */
+ * read. The analyzer cannot follow that through loops over a run-time nx, and zeroing 512 bytes
+ * would double the cost of these operations. The address sanitizer, the fuzz target and the
+ * comparison with grid.c check it instead. NOLINTBEGIN(clang-analyzer-core.*) */
 
 /* ---- components ---- */
 
-/* The voxels of `body` within its slab that touch `seed` through faces, directly or by way of
- * others. */
+/* Returns the voxels of `body` within its slab that are connected to `seed` through faces. */
 MO_SLABS_INLINE uint64_t mo_slabs_spread(struct mo_slab_shape s, uint64_t body, uint64_t seed)
 {
   const uint64_t not_bottom = ~s.bottom;
@@ -122,7 +121,7 @@ MO_SLABS_INLINE uint32_t mo_slabs_count(struct mo_slab_shape s, const uint64_t *
   return n;
 }
 
-/* Leaves in `body` its largest component; of equal ones the one with the lowest voxel. */
+/* Keeps the largest component of `body`; of equal ones the one with the lowest voxel. */
 MO_SLABS_INLINE void mo_slabs_keep_largest(struct mo_slab_shape s, uint64_t *body)
 {
   uint64_t best[MO_SLABS_MAX];

@@ -1,10 +1,11 @@
 /* variation.c: random bodies, mutation, crossover.
  *
- * The numbers taken from a stream, and their order, are part of what a seed means: never change
- * them. random body: one below(volumes), one below(boxes of that volume), one normal, then one
- * 32-bit number per voxel of the box in voxel order; all of it again while no voxel is active. A
- * voxel is active if its number is below p · 2³². mutation: one 32-bit number per voxel of the
- * workspace in voxel order; a voxel flips if it is below rate · 2³². */
+ * A seed fixes which numbers are taken from a stream, and in which order: never change them.
+ *   random body  one below(volumes), one below(boxes of that volume), one normal, then one
+ *                32-bit number per voxel of the box in voxel order; all of it again while no
+ *                voxel is active. A voxel is active if its number is below p · 2³²
+ *   mutation     one 32-bit number per voxel of the workspace in voxel order; a voxel flips if
+ *                its number is below rate · 2³² */
 #include <morpho/morphospace.h>
 
 #include "morphospace/bits.h"
@@ -15,7 +16,7 @@
 #define ACTIVE_MOST  0.6
 #define CHUNK        256
 
-/* Numbers below this, of 2³², are an event of probability p. */
+/* Returns the number below which a 32-bit number is an event of probability p. */
 static uint64_t threshold(double p)
 {
   return (uint64_t)(p * 0x1p32);
@@ -32,7 +33,7 @@ struct box {
 static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
 {
   if (workspace.nx == 6 && workspace.ny == 6 &&
-      workspace.nz == 4) { /* the same as below, which takes a fifth of a draw */
+      workspace.nz == 4) { /* precomputed result of the loop below, which costs a fifth of a draw */
     volumes[0] = UINT64_C(0x104521114b15977e);
     volumes[1] = UINT64_C(0x0100101104010901);
     volumes[2] = UINT64_C(0x0000000000010000);
@@ -48,8 +49,8 @@ static void find_volumes(struct mo_workspace workspace, uint64_t *volumes)
   }
 }
 
-/* Draws a volume from the set of those that boxes inside the workspace can have, then one of the
- * boxes that have it, in lexicographic order. */
+/* Draws a volume that boxes inside the workspace can have, then one of the boxes of that volume, in
+ * lexicographic order. */
 static struct box draw_box(struct mo_workspace workspace, struct mo_random *random,
                            const uint64_t *volumes)
 {
@@ -84,8 +85,8 @@ static struct box draw_box(struct mo_workspace workspace, struct mo_random *rand
   return (struct box){1, 1, 1}; /* not reached: 1 ≤ boxes */
 }
 
-/* Activates each voxel of a box at the origin with the probability that the limit stands for;
- * returns how many. */
+/* Activates each voxel of a box at the origin with the probability of `limit` (see threshold);
+ * returns the number of active voxels. */
 static uint32_t activate(struct mo_workspace workspace, struct box box, uint64_t limit,
                          struct mo_random *random, uint64_t *bits)
 {
@@ -144,7 +145,7 @@ int mo_genotype_random(struct mo_workspace workspace, struct mo_random *random, 
 
 /* ---- children ---- */
 
-/* Makes a child of what variation left in `made`. */
+/* Makes a valid, placed child from the raw result of a variation. */
 static int finish(struct mo_workspace workspace, uint64_t *made, uint64_t *child)
 {
   uint32_t words = mo_workspace_words(workspace);

@@ -1,5 +1,4 @@
-/* adjoint.h: one step of the reference rollout backwards, and the gradient with a window into it
- * for tests. */
+/* adjoint.h: one backward step of the reference rollout, and a gradient that tests can observe. */
 #ifndef MORPHO_ROLLOUT_ADJOINT_H
 #define MORPHO_ROLLOUT_ADJOINT_H
 
@@ -7,7 +6,7 @@
 
 #include <morpho/gradient.h>
 
-/* dx is ∂loss/∂x. */
+/* The adjoint of a state; dx is ∂loss/∂x. */
 struct mo_adjoint {
   double *d_position;   /* (n_masses, 3) per m */
   double *d_velocity;   /* (n_masses, 3) per m/s */
@@ -16,18 +15,18 @@ struct mo_adjoint {
   double *d_input;      /* (n_inputs) */
 };
 
-/* From ∂loss/∂ the state after the step on the tape to ∂loss/∂ the state before it. Leaves in the
- * tape what mo_controller_accumulate needs. */
+/* Turns ∂loss/∂ the state after the step on the tape into ∂loss/∂ the state before it. Leaves in
+ * the tape what mo_controller_accumulate needs. */
 void mo_adjoint_step(const struct mo_reference *reference, struct mo_step_tape *tape,
                      struct mo_adjoint *adjoint);
 
-/* ∂loss/∂ the final state, with its centre of mass there, times `weight`. scale_m: what the loss
- * divides the distance by. */
+/* Computes ∂loss/∂ the final state, whose center of mass is com_m, times `weight`. scale_m: the
+ * divisor of the distance in the loss. */
 void mo_adjoint_start(const struct mo_reference *reference, const double *com_m, double scale_m,
                       double weight, struct mo_adjoint *adjoint);
 
-/* Called with the adjoint of the state after `step` steps, before it is measured and after it was
- * clipped; nullable. */
+/* Callbacks that receive the adjoint of the state after `step` steps, before it is measured and
+ * after it was clipped; nullable. */
 struct mo_gradient_probe {
   void (*before)(void *context, uint32_t step, double *d_position, double *d_velocity);
   void (*after)(void *context, uint32_t step, double *d_position, double *d_velocity);

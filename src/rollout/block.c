@@ -1,4 +1,4 @@
-/* block.c: one worker's scratch, and the way from mo_rollout_block into the kernels.
+/* block.c: the scratch of one worker, and the code between mo_rollout_block and the kernels.
  *
  * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
  * allocates nothing. */
@@ -44,8 +44,8 @@ static void *carve(char *base, size_t *used, size_t n, size_t size)
   return piece;
 }
 
-/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns the bytes they
- * need. */
+/* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns their size in
+ * bytes. */
 static size_t lay_out(struct mo_fast_run *run, char *base)
 {
   const struct mo_pack *pack = run->pack;
@@ -84,8 +84,8 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how
- * long one is. */
+/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
+ * length of a tick. */
 static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
 {
   struct mo_rollout_profile *total = run->profile, block = {0};

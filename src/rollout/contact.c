@@ -1,13 +1,15 @@
 /* contact.c: one mass against the terrain.
  *
  * A mass moves on a straight segment p + τ v, 0 ≤ τ ≤ dt. Its gap is g(τ) = z(τ) − h(x(τ), y(τ)).
- * Within one terrain cell h = h00 + a u + b w + c u w,   a = h10 − h00,  b = h01 − h00,  c = h11 −
- * h10 − h01 + h00, with u, w the fractions of the cell, linear in τ; so g is a quadratic A τ² + B τ
- * + C. Its first root from ≥ 0 to < 0 is B < 0:  2C / (−B + sqrt(B² − 4AC))        (no
- * cancellation; also right for A = 0) B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can
- * come down again). A segment that leaves its cell is cut where it crosses a border, and the pieces
- * are tried in order. Beyond the map's edge the height is constant along that axis: two more rows
- * of "cells" with a slope of 0. */
+ * Within one terrain cell
+ *   h = h00 + a u + b w + c u w,   a = h10 − h00,  b = h01 − h00,  c = h11 − h10 − h01 + h00,
+ * with u, w the fractions of the cell, linear in τ; so g is a quadratic A τ² + B τ + C. Its first
+ * root from ≥ 0 to < 0 is
+ *   B < 0:  2C / (−B + sqrt(B² − 4AC))        (no cancellation; also right for A = 0)
+ *   B ≥ 0:  (−B − sqrt(B² − 4AC)) / (2A)      (only A < 0 can come down again)
+ * A segment that leaves its cell is cut where it crosses a border, and the pieces are tried in
+ * order. Beyond the map's edge the height is constant along that axis, like two more rows of
+ * "cells" with a slope of 0. */
 #include "rollout/contact.h"
 
 #include <math.h>
@@ -35,7 +37,7 @@ static struct axis make_axis(double position_m, double velocity_m_per_s)
   return axis;
 }
 
-/* When the segment leaves the axis's present cell; infinity: never. */
+/* Returns when the segment leaves the axis's current cell; infinity: never. */
 static double leave_time(const struct axis *axis)
 {
   if (axis->speed > 0 && axis->cell < CELLS)
@@ -45,7 +47,8 @@ static double leave_time(const struct axis *axis)
   return INFINITY;
 }
 
-/* Fraction of the cell at time t, its rate, and the cell of the map whose heights count. */
+/* Computes the fraction of the cell at time t and its rate; returns the map's cell whose heights
+ * count. */
 static int place(const struct axis *axis, double t, double *fraction, double *rate)
 {
   *rate = 0;
@@ -62,7 +65,7 @@ static int place(const struct axis *axis, double t, double *fraction, double *ra
   return axis->cell;
 }
 
-/* First time ≥ 0 at which A t² + B t + C, C ≥ 0, turns negative; infinity: never. */
+/* Returns the first time ≥ 0 at which A t² + B t + C, C ≥ 0, turns negative; infinity: never. */
 static double first_descent(double a, double b, double c)
 {
   const double discriminant = b * b - 4 * a * c;
@@ -96,9 +99,10 @@ double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double 
         return from + descent;
       from = to;
     }
-    /* Not `to >= dt` alone: with a speed that is not finite, no border is ever reached. */
+    /* Not `to >= dt_s`: NaN must end the loop too, because at a speed that is not finite no border
+     * is ever reached. */
     if (!(to < dt_s))
-      return dt_s; /* below the terrain by rounding alone */
+      return dt_s; /* below the terrain only by rounding */
     if (leave_x <= leave_y)
       x.cell += x.speed > 0 ? 1 : -1;
     else
@@ -166,8 +170,8 @@ void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO
 
 /* ---- the way back: dx is ∂loss/∂x; every contribution is added ---- */
 
-/* Second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other two vanish:
- * the patch is bilinear. */
+/* Returns the second derivative ∂²h/∂x∂y of the patch; 0 where a coordinate is clamped. The other
+ * two vanish: the patch is bilinear. */
 static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, double y_m)
 {
   if (!(x_m >= 0 && x_m <= MO_TERRAIN_SIZE_M && y_m >= 0 && y_m <= MO_TERRAIN_SIZE_M))
@@ -178,7 +182,8 @@ static double twist(const double heights_m[MO_TERRAIN_HEIGHTS], double x_m, doub
   return (h[MO_TERRAIN_SIDE + 1] - h[MO_TERRAIN_SIDE] - (h[1] - h[0])) * CELLS_PER_M * CELLS_PER_M;
 }
 
-/* strike() from velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain gradient's dg. */
+/* Differentiates strike() at velocity v; dw: ∂loss/∂ its result. Adds to dv and to the terrain
+ * gradient's dg. */
 static void strike_adjoint(const struct mo_physics *physics, const double g[2], const double v[3],
                            const double dw[3], double dv[3], double dg[2])
 {
@@ -221,12 +226,12 @@ static void strike_adjoint(const struct mo_physics *physics, const double g[2], 
     dg[k] -= (dn[k] - along * normal[k]) / length;
 }
 
-/* The time of impact solves p[2] + τ v[2] = h(p + τ v). By the implicit function theorem, with g
- * the terrain's gradient there and rate = v[2] − g · v the speed at which the gap opens, dτ = (g ·
- * dp − dp[2] + τ (g · dv − dv[2])) / rate. τ = 0 and τ = dt are where it is clamped: constant. A
- * mass that lies on the ground has no gap to begin with, wherever it lies: in place of dp[2] stands
- * ground · dp, with `ground` the gradient there. That mass strikes only where the ground rises to
- * meet it, at a rate that may be next to 0, and so is g − ground. */
+/* Differentiates the time of impact, which solves p[2] + τ v[2] = h(p + τ v). By the implicit
+ * function theorem, with g the terrain's gradient there and rate = v[2] − g · v the speed at which
+ * the gap opens, dτ = (g · dp − dp[2] + τ (g · dv − dv[2])) / rate. At τ = 0 and τ = dt it is
+ * clamped, thus constant. A mass that lies on the ground starts without a gap at any position:
+ * ground · dp replaces dp[2], with `ground` the gradient there. That mass strikes only where the
+ * ground rises to meet it, at a rate that may be close to 0, and so is g − ground. */
 static void impact_adjoint(double impact, double dt, const double *ground, const double g[2],
                            const double v[3], double d_impact, double dp[3], double dv[3])
 {
@@ -255,7 +260,7 @@ void mo_contact_move_adjoint(const struct mo_physics *physics,
       dv[k] += dt * dp[k];
     return;
   }
-  /* Forward again: impact at `hit`, velocity `slid` after it, end of the step `end`. */
+  /* Repeat the forward step: impact at `hit`, velocity `slid` after it, end of the step `end`. */
   const double impact = physics->impact == MO_IMPACT_EXACT
                             ? mo_impact_exact(heights_m, p, v, dt)
                             : mo_impact_bisection(heights_m, p, v, dt, physics->bisections);

@@ -1,11 +1,11 @@
-/* contact.h: one mass against the terrain, float64. */
+/* contact.h: contact of one mass with the terrain, float64. */
 #ifndef MORPHO_ROLLOUT_CONTACT_H
 #define MORPHO_ROLLOUT_CONTACT_H
 
 #include <morpho/rollout.h>
 
-/* When a mass that leaves `position` with `velocity` first comes below the terrain, given that it
- * is below it after dt. In [0, dt]. */
+/* Return when, in [0, dt], a mass that leaves `position` with `velocity` first comes below the
+ * terrain, given that it is below it after dt. */
 double mo_impact_exact(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
                        const double velocity_m_per_s[3], double dt_s);
 double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const double position_m[3],
@@ -15,9 +15,9 @@ double mo_impact_bisection(const double heights_m[MO_TERRAIN_HEIGHTS], const dou
 void mo_contact_move(const struct mo_physics *physics, const double heights_m[MO_TERRAIN_HEIGHTS],
                      double highest_m, double position_m[3], double velocity_m_per_s[3]);
 
-/* The derivative of mo_contact_move at the position and velocity that it was given. d_position,
- * d_velocity: ∂loss/∂ of what it made of them; replaced by ∂loss/∂ of what it was given. With
- * MO_IMPACT_BISECTION the time of impact counts as constant. */
+/* Differentiates mo_contact_move at the given position and velocity. d_position, d_velocity: in,
+ * ∂loss/∂ of its results; out, ∂loss/∂ of its inputs. With MO_IMPACT_BISECTION the time of impact
+ * counts as constant. */
 void mo_contact_move_adjoint(const struct mo_physics *physics,
                              const double heights_m[MO_TERRAIN_HEIGHTS], double highest_m,
                              const double position_m[3], const double velocity_m_per_s[3],

@@ -1,9 +1,9 @@
-/* fast.h: what block.c prepares and kernel.inc runs. Internal to this room.
+/* fast.h: data that block.c prepares and kernel.inc runs on. Internal to this room.
  *
  * Every array of reals is of the pack's precision and 64-byte aligned. "Lanes" are environments:
  * MO_BLOCK_LANES values side by side, so that a spring or a mass is one vector operation for all
  * environments and needs no gather. The controller's matrices are cut into panels of `panel`
- * outputs, (k, panel) row-major, so that its products run with outputs side by side and every
+ * outputs, (k, panel) row-major, so that products run with outputs side by side and every
  * environment is one row. */
 #ifndef MORPHO_ROLLOUT_FAST_H
 #define MORPHO_ROLLOUT_FAST_H
@@ -31,7 +31,7 @@ struct mo_pack {
   uint32_t n_masses, n_springs;
   uint32_t vector, panel; /* reals per vector; outputs per panel: two vectors */
   size_t real_bytes, bytes;
-  /* One allocation; float where the weights are only read to be packed again for a body. */
+  /* One allocation; float where weights are only packed again for a body. */
   float *input_weight;                       /* (n_masses, 256): transposed */
   float *output_weight, *output_bias;        /* (n_springs, 256), (n_springs): as in the file */
   void *cpg_weight;                          /* reals (5, 256): transposed */
@@ -57,7 +57,7 @@ struct mo_fast_run {
   void *output_bias;     /* (n_panels · panel) */
   uint32_t *spring_ends; /* (n_springs, 2) offsets of the masses in the arrays below */
   void *spring_rest;     /* (n_springs) rest lengths */
-  void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's centre */
+  void *position[2];     /* (n_masses, 3, lanes): now and next; x, y from the world's center */
   void *velocity;        /* (n_masses, 3, lanes) */
   double *start;         /* (n_masses, 3) */
   void *sensor;          /* (n_masses, lanes) */
@@ -71,9 +71,9 @@ mo_fast_function mo_fast_baseline_float, mo_fast_baseline_double;
 mo_fast_function mo_fast_avx2_float, mo_fast_avx2_double;
 mo_fast_function mo_fast_avx512_float, mo_fast_avx512_double;
 
-/* tanh over n values in place and the plain product c = init + x·w, for tests: the kernels' own
- * code. n: a multiple of the vector; x (rows, k); w one panel (k, panel); init (panel); c (rows,
- * panel). */
+/* For tests, computed by the kernels' own code: tanh over n values in place, and the plain product
+ * c = init + x·w. n: a multiple of the vector; x (rows, k); w one panel (k, panel); init (panel); c
+ * (rows, panel). */
 struct mo_fast_probe {
   void *tanh_values;
   size_t n_tanh;
@@ -86,14 +86,14 @@ mo_fast_probe_function mo_fast_probe_baseline_float, mo_fast_probe_baseline_doub
 mo_fast_probe_function mo_fast_probe_avx2_float, mo_fast_probe_avx2_double;
 mo_fast_probe_function mo_fast_probe_avx512_float, mo_fast_probe_avx512_double;
 
-/* The kernels of an instruction set; NULL where this build has none. */
+/* Return the kernels of an instruction set; NULL if this build lacks them. */
 mo_fast_function *mo_fast_find(enum mo_isa isa, enum mo_precision precision);
 mo_fast_probe_function *mo_fast_probe_find(enum mo_isa isa, enum mo_precision precision);
 uint32_t mo_isa_vector_bytes(enum mo_isa isa);
 
-/* sin and exp from IEEE operations alone, so that the bits do not depend on the C library's choice
- * for the processor. Within 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤ x ≤ 0 respectively.
- */
+/* Compute sin and exp from only IEEE operations, so that the bits do not depend on which variant
+ * the C library chooses for the processor. Within 2 ulp of the exact value for |x| ≤ 1e6 and −700 ≤
+ * x ≤ 0 respectively. */
 double mo_fast_sin(double x);
 double mo_fast_exp(double x);
 

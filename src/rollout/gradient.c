@@ -1,9 +1,11 @@
 /* gradient.c: backpropagation through a whole reference rollout in bounded memory.
  *
- * Forward, only the state at the start of every segment of about sqrt(n_steps) steps is stored.
- * Backward, segment by segment from the last, the segment is run again on a tape and then walked in
- * reverse; the parameters' gradient is taken once per segment. A robot's gradient is summed in a
- * buffer of its own and handed over only when all of it is finite. */
+ * The forward pass stores only the state at the start of every segment of about sqrt(n_steps)
+ * steps. The backward pass goes from the last segment to the first: it runs the segment again on a
+ * tape, then walks the tape in reverse, and computes the parameters' gradient once per segment. A
+ * robot's gradient is summed in its own buffer and added to the result only when all of it is
+ * finite. */
+#include "base/words.h"
 #include "rollout/adjoint.h"
 #include "rollout/scene.h"
 
@@ -11,23 +13,19 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const char *const rule_names[] = {
-    [MO_ADJOINT_CLIP] = "clip", [MO_ADJOINT_RESTART] = "restart"};
-enum { RULES = sizeof(rule_names) / sizeof(rule_names[0]) };
+const char *const mo_adjoint_words[] = {"clip", "restart", NULL};
 
 const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule)
 {
-  return (unsigned)rule < RULES ? rule_names[rule] : "?";
+  return mo_word(mo_adjoint_words, (unsigned)rule);
 }
 
 int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule)
 {
-  for (unsigned k = 0; k < RULES; k++)
-    if (strcmp(name, rule_names[k]) == 0) {
-      *rule = (enum mo_adjoint_rule)k;
-      return MO_OK;
-    }
-  return MO_ERR_INVALID;
+  const int i = mo_word_index(mo_adjoint_words, name);
+  if (i >= 0)
+    *rule = (enum mo_adjoint_rule)i;
+  return i >= 0 ? MO_OK : i;
 }
 
 struct mo_gradient_options mo_default_gradient_options(void)
@@ -41,7 +39,7 @@ struct mo_gradient_options mo_default_gradient_options(void)
 int mo_gradient_options_check(const struct mo_gradient_options *options)
 {
   if (!isfinite(options->adjoint_bound) || !isfinite(options->weight) ||
-      !isfinite(options->restart_weight) || (unsigned)options->adjoint_rule >= RULES)
+      !isfinite(options->restart_weight) || (unsigned)options->adjoint_rule > MO_ADJOINT_RESTART)
     return MO_ERR_INVALID;
   return options->adjoint_bound < 0 || options->restart_weight < 0 ||
                  options->restart_weight > MO_RESTART_WEIGHT_MAX
@@ -83,7 +81,7 @@ static void release(struct gradient *g)
   free(g->d_parameters);
 }
 
-/* Everything but the reference; release() frees what there is on failure too. */
+/* Allocates everything but the reference; after a failure release() frees what was allocated. */
 static int allocate(struct gradient *g)
 {
   const struct mo_body *body = g->reference.body;
@@ -115,7 +113,8 @@ static int allocate(struct gradient *g)
   return MO_OK;
 }
 
-/* As mo_rollout_reference, keeping the state at the start of each segment. */
+/* Runs the rollout as mo_rollout_reference does, and keeps the state at the start of each
+ * segment. */
 static void run_forward(struct gradient *g, struct mo_outcome *outcome)
 {
   struct mo_reference *r = &g->reference;
@@ -138,7 +137,7 @@ static void run_forward(struct gradient *g, struct mo_outcome *outcome)
           : mo_scene_loss(outcome->com_start_m, outcome->com_end_m, r->environment->light_xy_m);
 }
 
-/* Steps first … first + n − 1 again, onto the tapes. */
+/* Runs steps first … first + n − 1 again, onto the tapes. */
 static void replay(struct gradient *g, uint32_t first, uint32_t n)
 {
   struct mo_reference *r = &g->reference;
@@ -161,7 +160,8 @@ static double norm(const double *x, size_t n)
   return sqrt(sum);
 }
 
-/* Above the bound by m / bound. before_m: where the masses were one step earlier. */
+/* Applies the rule to an adjoint whose m is above the bound. before_m: positions of the masses one
+ * step earlier. */
 static void take_back(struct gradient *g, double m, const double *before_m)
 {
   if (g->options->adjoint_rule == MO_ADJOINT_RESTART) {
@@ -177,8 +177,8 @@ static void take_back(struct gradient *g, double m, const double *before_m)
   }
 }
 
-/* Measures the adjoint of the state after `step` steps and takes it back into the bound. False: it
- * is not finite. */
+/* Measures the adjoint of the state after `step` steps and limits it to the bound. False: it is not
+ * finite. */
 static bool limit(struct gradient *g, uint32_t step, const double *before_m, bool *clipped)
 {
   const size_t n = g->n_state / 2;
@@ -200,7 +200,7 @@ static bool limit(struct gradient *g, uint32_t step, const double *before_m, boo
   return true;
 }
 
-/* False: the adjoint, or a parameter's gradient, is not finite. */
+/* Runs the backward pass. False: the adjoint, or a parameter's gradient, is not finite. */
 static bool run_backward(struct gradient *g, const struct mo_outcome *outcome)
 {
   const struct mo_reference *r = &g->reference;

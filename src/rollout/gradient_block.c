@@ -1,5 +1,5 @@
-/* gradient_block.c: packs, one worker's scratch, and the way from mo_gradient_block into the
- * kernels. */
+/* gradient_block.c: packs, the scratch of one worker, and the code between mo_gradient_block and
+ * the kernels. */
 #include "base/clock.h"
 #include "rollout/fast.h"
 #include "rollout/gradient_fast.h"
@@ -42,8 +42,7 @@ static size_t lay_out(struct mo_gradient_pack *pack, char *base)
   return used;
 }
 
-/* (256 outputs, n inputs) row-major, inputs on the way in, to panels of outputs: (256 / panel, n,
- * panel). */
+/* Packs (256 outputs, n inputs), row-major, into panels of outputs: (256 / panel, n, panel). */
 static void pack_panels(const float *weight, size_t row, size_t n, size_t panel, float *panels)
 {
   for (size_t o = 0; o < MO_HIDDEN; o++)
@@ -158,8 +157,8 @@ static void release(struct mo_gradient_buffer *buffer)
   *buffer = (struct mo_gradient_buffer){0};
 }
 
-/* A tape is long: huge pages, and when it grows, the pages that it has move along and need not be
- * cleared again. */
+/* Reserves huge pages, because a tape is long. When the buffer grows, its pages move along and need
+ * not be cleared again. */
 static int reserve_pages(struct mo_gradient_buffer *buffer, size_t bytes)
 {
   const size_t size = (bytes + HUGE_PAGE - 1) / HUGE_PAGE * HUGE_PAGE;
@@ -172,7 +171,7 @@ static int reserve_pages(struct mo_gradient_buffer *buffer, size_t bytes)
   }
   if (base == MAP_FAILED)
     return MO_ERR_NO_MEMORY;
-  (void)madvise(base, size, MADV_HUGEPAGE); /* a wish */
+  (void)madvise(base, size, MADV_HUGEPAGE); /* only a hint */
   *buffer = (struct mo_gradient_buffer){base, size, true};
   return MO_OK;
 }
@@ -218,8 +217,8 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa)
   return functions[isa];
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, timed both ways, says how
- * long one is. */
+/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
+ * length of a tick. */
 static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
 {
   struct mo_gradient_profile *total = run->profile, block = {0};
@@ -276,7 +275,7 @@ struct place {
   uint32_t n_springs, robot;
 };
 
-/* More springs first. */
+/* Sorts robots with more springs first. */
 static int by_size(const void *a, const void *b)
 {
   const struct place *x = a, *y = b;
@@ -285,10 +284,10 @@ static int by_size(const void *a, const void *b)
   return x->robot < y->robot ? -1 : 1;
 }
 
-/* Bodies of one size: small ones meet in the few springs that all of them have, instead of adding
- * springs that they have alone to the blocks of the large ones. Measured on 256 random bodies: 108
- * tiles to a block instead of 172. To look for pairs that overlap most gains next to nothing more.
- * The largest come first, so that no worker is left alone with one at the end. */
+/* Groups bodies of similar size: small ones share the few springs that all of them have, instead of
+ * adding their own springs to the blocks of large ones. Measured on 256 random bodies: 108 tiles
+ * per block instead of 172. Searching for the pairs that overlap most gains almost nothing more.
+ * The largest come first, so that no worker is left with one at the end. */
 int mo_gradient_arrange(const struct mo_robot *robots, size_t n, uint32_t *order)
 {
   struct place *places = malloc((n > 0 ? n : 1) * sizeof(*places));

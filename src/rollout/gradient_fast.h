@@ -1,5 +1,5 @@
-/* gradient_fast.h: what gradient_block.c prepares and gradient_kernel.inc runs. Internal to this
- * room. */
+/* gradient_fast.h: data that gradient_block.c prepares and gradient_kernel.inc runs on. Internal to
+ * this room. */
 #ifndef MORPHO_ROLLOUT_GRADIENT_FAST_H
 #define MORPHO_ROLLOUT_GRADIENT_FAST_H
 
@@ -27,7 +27,7 @@ struct mo_gradient_pack {
   float *gain[MO_HIDDEN_LAYERS], *shift[MO_HIDDEN_LAYERS];
 };
 
-/* Memory that grows and is kept. */
+/* Memory that grows and never shrinks. */
 struct mo_gradient_buffer {
   char *base;
   size_t size;
@@ -39,8 +39,8 @@ struct mo_gradient_memory {
   struct mo_gradient_buffer block, tiling, work;
 };
 
-/* At least `bytes` at buffer->base, 64-byte aligned; what was there is lost. MO_ERR_NO_MEMORY: the
- * buffer is as it was, or empty. */
+/* Makes buffer->base point to at least `bytes`, 64-byte aligned; old content is lost.
+ * MO_ERR_NO_MEMORY: the buffer did not change, or is empty. */
 int mo_gradient_reserve(struct mo_gradient_buffer *buffer, size_t bytes);
 
 struct mo_gradient_run {

@@ -1,8 +1,8 @@
-/* pack.c: a controller laid out for one instruction set and precision.
+/* pack.c: lays out a controller for one instruction set and precision.
  *
- * Hidden layers become panels for the kernels' products. The first and the last layer are kept as
- * float32 in an order from which a body's own columns and rows are quickly packed when its block
- * starts: only they are multiplied. */
+ * Hidden layers become panels for the kernels' products. The first and the last layer stay float32,
+ * in an order from which a block quickly packs its body's own columns and rows: only those are
+ * multiplied. */
 #include "rollout/fast.h"
 
 #include <stdlib.h>
@@ -15,7 +15,7 @@ static size_t aligned(size_t bytes)
   return (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
 }
 
-/* Hands out pieces of one allocation; with base NULL it only counts. */
+/* Divides one allocation into pieces; with base NULL it only counts. */
 struct carver {
   char *base;
   size_t used;
@@ -45,7 +45,7 @@ static void lay_out(struct mo_pack *pack, struct carver *carver)
 
 static void put(const struct mo_pack *pack, void *array, size_t i, float value)
 {
-  /* + 0: a bias of −0 becomes 0, so that leaving out products of 0 cannot be seen
+  /* + 0: a bias of −0 becomes 0, so that leaving out products of 0 changes no bit
    * (kernel_network.inc). */
   if (pack->precision == MO_FLOAT64)
     ((double *)array)[i] = (double)value + 0.0;

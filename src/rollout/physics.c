@@ -1,7 +1,9 @@
-/* physics.c: the constants of a simulated life, and the bounds within which they are accepted. */
-#include <morpho/rollout.h>
+/* physics.c: the constants of a rollout and their bounds. */
+#include "rollout/physics.h"
 
-#include "base/number.h"
+#include <string.h>
+
+#define BISECTIONS_MAX 52 /* halvings of a float64 mantissa */
 
 struct mo_physics mo_default_physics(void)
 {
@@ -21,32 +23,88 @@ struct mo_physics mo_default_physics(void)
   };
 }
 
-int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
+/* ---- the fields ---- */
+
+static void read_impact(struct mo_json *json, void *value)
 {
-  const struct mo_bounded numbers[] = {
-      {"dt_s", physics->dt_s, 1e-7, 0.1, false, false},
-      {"stiffness_n_per_m", physics->stiffness_n_per_m, 0, 1e9, false, false},
-      {"mass_kg", physics->mass_kg, 1e-6, 1e6, false, false},
-      {"drag_per_s", physics->drag_per_s, 0, 1e4, false, false},
-      {"gravity_m_per_s2", physics->gravity_m_per_s2, 0, 1000, false, false},
-      {"actuation", physics->actuation, 0, 0.9, false, false},
-      {"friction", physics->friction, 0, 1000, false, false},
-      {"friction_cap", physics->friction_cap, 0, 1, false, false},
-      {"drop_height_m", physics->drop_height_m, 0, 1000, false, false},
-  };
-  int r = mo_bounded_check(numbers, sizeof(numbers) / sizeof(numbers[0]), message);
-  if (r != MO_OK)
-    return r;
-  if (physics->n_steps < 1 || physics->n_steps > MO_STEPS_MAX)
-    return mo_fail(message, MO_ERR_RANGE, "n_steps is %u; it must be 1 to %d", physics->n_steps,
-                   MO_STEPS_MAX);
+  struct mo_physics *physics = value;
+  struct mo_json_slice name;
+  const unsigned depth = json->depth;
+  if (!mo_json_string(json, &name))
+    return;
+  if (mo_json_is(name, "exact")) {
+    physics->impact = MO_IMPACT_EXACT;
+    return;
+  }
+  uint32_t n = 0;
+  bool good = name.size > 9 && name.size <= 11 && memcmp(name.bytes, "bisection", 9) == 0 &&
+              name.bytes[9] != '0';
+  for (size_t i = 9; i < name.size && good; i++) {
+    good = name.bytes[i] >= '0' && name.bytes[i] <= '9';
+    n = n * 10 + (uint32_t)(name.bytes[i] - '0');
+  }
+  if (!good || n < 1 || n > BISECTIONS_MAX) {
+    mo_json_fault_at(json, depth, "", "must be \"exact\", or \"bisection\" followed by 1 to %d",
+                     BISECTIONS_MAX);
+    return;
+  }
+  physics->impact = MO_IMPACT_BISECTION;
+  physics->bisections = n;
+}
+
+static void write_impact(struct mo_text *text, const void *value)
+{
+  const struct mo_physics *physics = value;
+  if (physics->impact == MO_IMPACT_EXACT)
+    mo_text_add(text, "\"exact\"");
+  else
+    mo_text_format(text, "\"bisection%u\"", physics->bisections);
+}
+
+static int check_impact(const char *name, const void *value, struct mo_message *message)
+{
+  const struct mo_physics *physics = value;
   if (physics->impact != MO_IMPACT_EXACT && physics->impact != MO_IMPACT_BISECTION)
-    return mo_fail(message, MO_ERR_INVALID, "impact is %d; it must be %d (exact) or %d (bisection)",
-                   (int)physics->impact, (int)MO_IMPACT_EXACT, (int)MO_IMPACT_BISECTION);
-  if (physics->bisections < 1 || physics->bisections > 52)
-    return mo_fail(message, MO_ERR_RANGE, "bisections is %u; it must be 1 to 52",
+    return mo_fail(message, MO_ERR_INVALID, "%s must be %d (exact) or %d (bisection), got %d", name,
+                   (int)MO_IMPACT_EXACT, (int)MO_IMPACT_BISECTION, (int)physics->impact);
+  if (physics->bisections < 1 || physics->bisections > BISECTIONS_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "bisections must be 1 to %d, got %u", BISECTIONS_MAX,
                    physics->bisections);
   return MO_OK;
+}
+
+#define AT(member) offsetof(struct mo_physics, member)
+static const struct mo_field_own impact = {read_impact, write_impact, check_impact};
+static const struct mo_field rows[] = {
+    {"dt_s", MO_FIELD_NUMBER, 0, AT(dt_s), .min = 1e-7, .max = 0.1, .unit = "s",
+     .help = "time step"},
+    {"n_steps", MO_FIELD_COUNT, 0, AT(n_steps), .min = 1, .max = MO_STEPS_MAX, .unit = "steps",
+     .help = "length of a rollout"},
+    {"stiffness_n_per_m", MO_FIELD_NUMBER, 0, AT(stiffness_n_per_m), .min = 0, .max = 1e9,
+     .unit = "N/m", .help = "stiffness of every spring"},
+    {"mass_kg", MO_FIELD_NUMBER, 0, AT(mass_kg), .min = 1e-6, .max = 1e6, .unit = "kg",
+     .help = "mass of every node"},
+    {"drag_per_s", MO_FIELD_NUMBER, 0, AT(drag_per_s), .min = 0, .max = 1e4, .unit = "1/s",
+     .help = "velocities are scaled by exp(-drag dt) in each step"},
+    {"gravity_m_per_s2", MO_FIELD_NUMBER, 0, AT(gravity_m_per_s2), .min = 0, .max = 1000,
+     .unit = "m/s^2", .help = "acceleration downward"},
+    {"actuation", MO_FIELD_NUMBER, 0, AT(actuation), .min = 0, .max = 0.9, .unit = "",
+     .help = "largest relative change of a rest length"},
+    {"friction", MO_FIELD_NUMBER, 0, AT(friction), .min = 0, .max = 1000, .unit = "",
+     .help = "tangential speed lost per normal speed in a contact"},
+    {"friction_cap", MO_FIELD_NUMBER, 0, AT(friction_cap), .min = 0, .max = 1, .unit = "",
+     .help = "largest share of the tangential speed lost in a contact"},
+    {"drop_height_m", MO_FIELD_NUMBER, 0, AT(drop_height_m), .min = 0, .max = 1000, .unit = "m",
+     .help = "extra height of the body at the start"},
+    {"impact", MO_FIELD_OWN, 0, 0, .own = &impact, .unit = "",
+     .help = "time of impact: exact, or bisection with 1 to 52 halvings"},
+};
+#undef AT
+const struct mo_fields mo_physics_fields = {rows, sizeof(rows) / sizeof(rows[0])};
+
+int mo_physics_check(const struct mo_physics *physics, struct mo_message *message)
+{
+  return mo_fields_check(&mo_physics_fields, physics, message);
 }
 
 uint32_t mo_recording_frames(const struct mo_physics *physics, uint32_t stride)

@@ -1,5 +1,5 @@
-/* reference.c: the rollout in plain float64 C, step by step as docs/model.md writes it down. It is
- * the yardstick for every faster path, so it trades speed for being readable; all sums run in index
+/* reference.c: the rollout in plain float64 C, step by step as in docs/model.md. It is the
+ * yardstick for every faster path, so it prefers readability to speed; all sums run in index
  * order. */
 #include "rollout/reference.h"
 
@@ -17,7 +17,8 @@ static double sense(enum mo_sensor sensor, double distance_m)
   return 1.0 / (sqrt(distance_m + 1e-8) + 1e-8);
 }
 
-/* Light at each mass, less the body's mean, into the inputs at the masses' lattice places. */
+/* Writes the light at each mass, minus the body's mean, to the inputs at the masses' lattice
+ * places. */
 static void sense_light(struct mo_reference *r)
 {
   const struct mo_body *body = r->body;
@@ -35,7 +36,7 @@ static void sense_light(struct mo_reference *r)
     r->input[body->mass_lattice[i]] -= mean;
 }
 
-/* Activations of the body's springs at the start of step `step` (from 0). */
+/* Computes the activations of the body's springs at the start of step `step` (from 0). */
 static void control(struct mo_reference *r, uint32_t step)
 {
   sense_light(r);
@@ -51,7 +52,7 @@ static void control(struct mo_reference *r, uint32_t step)
                           r->activation, r->scratch);
 }
 
-/* Impulses of all springs over one step. */
+/* Computes the impulses of all springs over one step. */
 static void pull_springs(struct mo_reference *r)
 {
   const struct mo_body *body = r->body;
@@ -91,7 +92,7 @@ static void move_masses(struct mo_reference *r)
   }
 }
 
-/* Finite everywhere and nothing faster than MO_DIVERGED_SPEED_M_PER_S. */
+/* Checks that everything is finite and nothing is faster than MO_DIVERGED_SPEED_M_PER_S. */
 static bool is_sane(const struct mo_reference *r)
 {
   for (uint32_t i = 0; i < r->body->n_masses; i++) {

@@ -30,17 +30,17 @@ struct mo_reference {
   double *activation;        /* (n_springs) NULL without a controller, as are the next two */
   double *input;             /* (n_inputs) */
   double *scratch;           /* (2, MO_HIDDEN) */
-  struct mo_step_tape *tape; /* where the next step is kept; NULL (the default): it is not */
+  struct mo_step_tape *tape; /* tape for the next step; NULL (the default): none */
 };
 
-/* Borrows all arguments. MO_ERR_INVALID: the controller is for another workspace; MO_ERR_NO_MEMORY.
- */
+/* Initializes a rollout. Borrows all arguments. MO_ERR_INVALID: the controller is for another
+ * workspace; MO_ERR_NO_MEMORY. */
 int mo_reference_init(struct mo_reference *reference, const struct mo_body *body,
                       const struct mo_controller *controller,
                       const struct mo_environment *environment, const struct mo_physics *physics);
 void mo_reference_done(struct mo_reference *reference);
 
-/* Step number `step`, from 0. False: it diverged; the positions are those before the step. */
+/* Runs step number `step`, from 0. False: it diverged; the positions are those before the step. */
 bool mo_reference_step(struct mo_reference *reference, uint32_t step);
 
 #endif

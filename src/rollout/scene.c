@@ -1,4 +1,4 @@
-/* scene.c: start positions, light, centre of mass, loss. */
+/* scene.c: start positions, light, center of mass, loss. */
 #include "rollout/scene.h"
 
 #include <math.h>
@@ -43,9 +43,9 @@ void mo_scene_com(const double *position_m, uint32_t n, double com_m[3])
     com_m[axis] = sum[axis] / n;
 }
 
-/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by what rounding left:
- * one step of Newton's method takes that off. The excess is written so that its parts are small and
- * nearly exact, one way for b near a and one for b below a/2 or so (C. F. Borges, "An improved
+/* With e the square root of the rounded sum of squares, e² exceeds a² + b² by the rounding error,
+ * which one step of Newton's method removes. The excess is written so that its parts are small and
+ * nearly exact: one way for b near a, another for b below about a/2 (C. F. Borges, "An improved
  * algorithm for hypot(a, b)", 2019, algorithm "corrected, unfused"). */
 double mo_scene_distance(double dx_m, double dy_m)
 {
@@ -57,7 +57,7 @@ double mo_scene_distance(double dx_m, double dy_m)
     return NAN;
   if (b <= a * 0x1p-54)
     return a + b;
-  if (a > 0x1p510 || b < 0x1p-459) { /* squares that float64 cannot hold */
+  if (a > 0x1p510 || b < 0x1p-459) { /* the squares leave float64's range */
     unit = a > 0x1p510 ? 0x1p600 : 0x1p-600;
     a /= unit;
     b /= unit;

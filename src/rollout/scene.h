@@ -1,27 +1,27 @@
-/* scene.h: what a rollout starts from and ends in, in float64: shared by every implementation, so
- * that all of them start from the same state and measure the same loss. */
+/* scene.h: start and end of a rollout in float64. All implementations share it, so that they start
+ * from the same state and measure the same loss. */
 #ifndef MORPHO_ROLLOUT_SCENE_H
 #define MORPHO_ROLLOUT_SCENE_H
 
 #include <morpho/rollout.h>
 
-/* Start positions (n_masses, 3): the workspace centred at (2.5, 2.5) m; lifted by the largest
- * terrain height under the masses of the body's lowest layer, and by the drop height. */
+/* Computes start positions (n_masses, 3): the workspace centered at (2.5, 2.5) m, lifted by the
+ * largest terrain height under the masses of the body's lowest layer, and by the drop height. */
 void mo_scene_start(const struct mo_body *body, const struct mo_environment *environment,
                     const struct mo_physics *physics, double *position_m);
 
 /* The light stands on the terrain. */
 void mo_scene_light(const struct mo_environment *environment, double light_m[3]);
 
-/* Plain mean of n positions (n, 3), summed in order. */
+/* Computes the plain mean of n positions (n, 3), summed in order. */
 void mo_scene_com(const double *position_m, uint32_t n, double com_m[3]);
 
-/* Distance in x, y from the centre of mass to the light at the end over the same at the start,
- * guarded against a start at the light itself. */
+/* The loss: distance in x, y from the center of mass to the light at the end over the same distance
+ * at the start, guarded against a start at the light itself. */
 #define MO_LOSS_GUARD_M 1e-8
-/* The length of (dx, dy), within one unit of the last place. The C library's hypot may differ from
- * one to the next in that place; this has the same bits everywhere: losses, and what a training
- * clips by, rest on it. */
+/* Returns the length of (dx, dy), within one unit of the last place. C libraries' hypot may differ
+ * in that place; this has the same bits everywhere, on which losses and the clipping of a training
+ * depend. */
 double mo_scene_distance(double dx_m, double dy_m);
 double mo_scene_loss(const double com_start_m[3], const double com_end_m[3],
                      const double light_xy_m[2]);

@@ -1,14 +1,14 @@
 /* vector.h: one vector of REAL, for the instruction set that this file is compiled for.
  *
- * kernel.inc is written once on these names and compiled six times (float, double × x86-64, AVX2 +
- * FMA, AVX-512). What C's vector extension can say (+ − * /, loads, shuffles, integer bits) is left
- * to it; only what it cannot say is named here: V        MO_VL numbers            I       as many
- * integers of the same size M        one truth value per lane; & | ^ work on it, v_bits gives bit l
- * for lane l v_fma    a·b + c, one rounding where the instruction set has it, two on plain x86-64
- *   v_min    x86 order: the second operand if either is not a number (or both are zeros); the same
- * for v_max Contraction is off for the whole project, so nothing is fused that does not say so:
- * each lane sees the same operations whatever the other lanes hold and however loops are unrolled.
- */
+ * kernel.inc is written once with these names and compiled six times (float, double × x86-64, AVX2
+ * + FMA, AVX-512). C's vector extension covers + − * /, loads, shuffles and integer bits; only the
+ * rest has a name here:
+ *   V        MO_VL numbers            I       as many integers of the same size
+ *   M        one truth value per lane; & | ^ work on it, v_bits gives bit l for lane l
+ *   v_fma    a·b + c, one rounding where the instruction set has it, two on plain x86-64
+ *   v_min    x86 order: the second operand if either is NaN (or both are zeros); also v_max
+ * Contraction is off for the whole project, so only explicit operations are fused: each lane
+ * performs the same operations, whatever the other lanes hold and however loops are unrolled. */
 #ifndef MORPHO_ROLLOUT_VECTOR_H
 #define MORPHO_ROLLOUT_VECTOR_H
 
@@ -53,8 +53,8 @@ MO_INLINE void v_store(REAL *p, V v)
   *(V *)p = v;
 }
 
-/* Loads into a register even what is used only twice: compilers fold it into both operations, and
- * load it twice. */
+/* Loads a vector into a register. Otherwise compilers fold a load that is used twice into both
+ * operations, and load it twice. */
 MO_INLINE V v_load_once(const REAL *p)
 {
   V v = *(const V *)p;
@@ -66,8 +66,8 @@ MO_INLINE V v_load_once(const REAL *p)
   return v;
 }
 
-/* For what is not read again soon: past the caches where the instruction set has such a store of
- * the vector's width. p: aligned. */
+/* Stores a vector that is not read again soon: past the caches, if the instruction set has such a
+ * store of the vector's width. p: aligned. */
 MO_INLINE void v_stream(REAL *p, V v)
 {
 #if MO_VBYTES == 64 && MO_FAST_DOUBLE
@@ -89,6 +89,8 @@ MO_INLINE V v_set(REAL x)
 {
   return x - (V){0};
 }
+
+#define v_div(a, b) ((a) / (b))
 
 /* ---- what only intrinsics can say ---- */
 
@@ -223,7 +225,7 @@ MO_INLINE void v_transpose(V square[MO_VL])
   }
 }
 
-/* Sum of the lanes as a fixed binary tree: lane l with lane l + half, down to one. */
+/* Sums the lanes as a fixed binary tree: lane l with lane l + half, down to one. */
 MO_INLINE REAL v_sum(V v)
 {
 #if MO_VBYTES >= 32
@@ -257,6 +259,12 @@ MO_INLINE REAL v_sum(V v)
 #endif
 }
 
+/* a where m, else 0. */
+MO_INLINE V v_keep(M m, V a)
+{
+  return v_sel(m, a, (V){0});
+}
+
 MO_INLINE V v_abs(V v)
 {
   const I sign = (I)v_set((REAL)-0.0);
@@ -270,14 +278,14 @@ MO_INLINE V v_copysign(V a, V b)
   return (V)(((I)a & ~sign) | ((I)b & sign));
 }
 
-/* Largest whole number ≤ v, for |v| < 2^(MO_MANTISSA_BITS − 2). */
+/* Returns the largest integer ≤ v, for |v| < 2^(MO_MANTISSA_BITS − 2). */
 MO_INLINE V v_floor(V v)
 {
   V nearest = (v + (REAL)MO_ROUND_MAGIC) - (REAL)MO_ROUND_MAGIC;
   return v_sel(v_lt(v, nearest), nearest - (REAL)1, nearest);
 }
 
-/* Whole numbers as integers. */
+/* Converts whole numbers to integers. */
 MO_INLINE I v_int(V whole)
 {
   const V magic = v_set((REAL)MO_ROUND_MAGIC);

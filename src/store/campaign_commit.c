@@ -1,13 +1,15 @@
-/* campaign_commit.c: a generation of a campaign, whole or not at all.
+/* campaign_commit.c: commits a generation of a campaign, completely or not at all.
  *
- * Everything that a generation brought is one operation of the writer; the file of its checkpoint
- * is there before. What the caller says is checked against what is stored: a generation out of turn
- * is a conflict, parents that are not the stored population are a mistake. */
+ * All results of a generation are one operation of the writer; the checkpoint's file is written
+ * before. The operation compares the caller's data with the stored ones: a generation out of turn
+ * is a conflict; parents that are not the stored population are a mistake. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
+
+#include "base/clock.h"
 
 struct commit_arguments {
   int64_t id;
@@ -21,7 +23,7 @@ struct commit_arguments {
   uint8_t *scores;     /* (n_parents, 8) as stored before */
 };
 
-/* ---- what is asked for ---- */
+/* ---- checks of the request ---- */
 
 static uint32_t parent_number(const struct mo_campaign_commit *commit, const struct mo_birth *birth,
                               int which)
@@ -46,7 +48,7 @@ static int check_births(const struct mo_campaign_commit *commit)
   return MO_OK;
 }
 
-/* The blobs, and who lives on. */
+/* Prepares the BLOBs, and marks the survivors. */
 static int prepare(struct commit_arguments *call)
 {
   const struct mo_campaign_commit *commit = call->commit;
@@ -89,7 +91,7 @@ static int prepare(struct commit_arguments *call)
   return MO_OK;
 }
 
-/* The parents must be the newest population, in its order; notes their scores. */
+/* Checks that the parents are the newest population in its order, and notes their stored scores. */
 static int check_parents(struct mo_connection *writer, struct commit_arguments *call)
 {
   const struct mo_campaign_commit *commit = call->commit;
@@ -189,7 +191,7 @@ static int insert_children(struct mo_connection *writer, struct commit_arguments
   return error;
 }
 
-/* Parents that died, or that were scored anew. */
+/* Updates parents that died or have a new score. */
 static int update_parents(struct mo_connection *writer, const struct commit_arguments *call)
 {
   static const char sql[] =
@@ -217,7 +219,7 @@ static int update_parents(struct mo_connection *writer, const struct commit_argu
   return error;
 }
 
-/* The losses of a child, as evaluations save theirs. */
+/* Stores the losses of a child like those of an evaluation. */
 static int insert_child_scores(struct mo_connection *writer, const struct commit_arguments *call,
                                const struct mo_campaign_loss *loss, const int64_t *environments,
                                int64_t now_us)
@@ -315,7 +317,7 @@ static int commit_generation(struct mo_store *store, void *arguments)
   const struct mo_campaign_commit *commit = call->commit;
   struct mo_campaign_generation row = commit->row;
   struct mo_connection *writer = &store->writer;
-  int64_t now_us = mo_store_now_us();
+  int64_t now_us = mo_clock_wall_us();
   int error = check_turn(store, call);
   row.stored_us = now_us;
   if (error == MO_OK)

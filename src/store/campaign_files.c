@@ -1,16 +1,18 @@
 /* campaign_files.c: checkpoints of a campaign's learning: files
  * campaigns/<job>/<generation>-<step>.checkpoint and their rows.
  *
- * Kept are the state after the newest committed generation and the newest one inside the generation
- * under way: what learned last, and what the last population was scored with. As for trainings, one
- * lock is held from the write of a file to the end of those that it replaces. */
+ * Two are kept: the state after the newest committed generation, which scored its population, and
+ * the newest state inside the current generation. As for trainings, one lock is held from the write
+ * of a file to the deletion of those that it replaces. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
 
-/* "campaigns/<job>" (malloc). */
+#include "base/clock.h"
+
+/* Returns "campaigns/<job>" (malloc). */
 static char *folder_of(const struct mo_store *store, int64_t id)
 {
   size_t size = strlen(store->campaigns_path) + 32;
@@ -20,7 +22,7 @@ static char *folder_of(const struct mo_store *store, int64_t id)
   return path;
 }
 
-/* "campaigns/<job>/<generation>-<step>.checkpoint" (malloc). */
+/* Returns "campaigns/<job>/<generation>-<step>.checkpoint" (malloc). */
 static char *path_of(const struct mo_store *store, int64_t id, uint32_t generation, uint32_t step)
 {
   size_t size = strlen(store->campaigns_path) + 80;
@@ -37,7 +39,7 @@ struct found {
   struct mo_sha256 sha256;
 };
 
-/* The newest checkpoint of generations `from` … `to`; step UINT32_MAX: of any step. */
+/* Finds the newest checkpoint of generations `from` … `to`; step UINT32_MAX: of any step. */
 static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int64_t to,
                            uint32_t step, struct found *found)
 {
@@ -90,7 +92,7 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
     error = MO_OK;
   if (error == MO_OK)
     error = mo_folder_make(store, store->campaigns_path, folder);
-  /* A checkpoint inside the learning may be that of its end, too. */
+  /* The checkpoint at the end of the learning may have been stored before as one inside it. */
   if (error == MO_OK && checkpoint->was_there &&
       mo_sha256_equal(&known.sha256, &checkpoint->sha256) &&
       mo_file_read(checkpoint->path, checkpoint->size, &there) == MO_OK &&
@@ -103,8 +105,7 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
   return error;
 }
 
-/* Deletes the rows that the statement (?1 job, ?2 generation, ?3 step) selects, and notes their
- * files. */
+/* Deletes the rows that a query (?1 job, ?2 generation, ?3 step) selects, and notes their files. */
 static int drop_rows(struct mo_connection *writer, const char *list_sql,
                      struct mo_campaign_checkpoint *checkpoint)
 {
@@ -151,8 +152,8 @@ int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkp
   static const char sql[] =
       "INSERT OR REPLACE INTO campaign_checkpoints(job,generation,step,sha256,size,stored_us)"
       " VALUES(?1,?2,?3,?4,?5,?6)";
-  /* The state after a generation is all that the next one needs; inside one, the state before it
-   * stays. */
+  /* The next generation needs only the state after this one. A checkpoint inside a generation keeps
+   * the state before that generation. */
   static const char committed_sql[] =
       "SELECT generation,step FROM campaign_checkpoints WHERE job=?1"
       " AND NOT (generation=?2 AND step=?3)";
@@ -168,7 +169,7 @@ int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkp
   sqlite3_bind_int64(statement, 3, checkpoint->step);
   mo_bind_hash(statement, 4, &checkpoint->sha256);
   sqlite3_bind_int64(statement, 5, (sqlite3_int64)checkpoint->size);
-  sqlite3_bind_int64(statement, 6, mo_store_now_us());
+  sqlite3_bind_int64(statement, 6, mo_clock_wall_us());
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   return error == MO_OK
@@ -179,12 +180,12 @@ int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkp
 void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint,
                                 int error)
 {
-  /* After an I/O error nobody knows whether the row is there. */
+  /* After an I/O error it is unknown whether the row exists, so the file stays. */
   if (error != MO_OK && error != MO_ERR_IO && checkpoint->path != NULL && !checkpoint->was_there) {
     char *folder = folder_of(store, checkpoint->id);
     (void)store->files->unlink(store->files->context, checkpoint->path);
     if (folder != NULL)
-      (void)store->files->rmdir(store->files->context, folder); /* when it was made for this one */
+      (void)store->files->rmdir(store->files->context, folder); /* if it was made for this one */
     free(folder);
   }
   for (size_t i = 0; i < checkpoint->n_dropped && error == MO_OK; i++) {
@@ -192,7 +193,7 @@ void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_check
         path_of(store, checkpoint->id, checkpoint->dropped[i][0], checkpoint->dropped[i][1]);
     if (path != NULL)
       (void)store->files->unlink(store->files->context,
-                                 path); /* one that stays is removed at the next start */
+                                 path); /* if this fails, the next start removes it */
     free(path);
   }
   free(checkpoint->path);
@@ -239,7 +240,7 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 
 /* ---- reading ---- */
 
-/* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
+/* Reads the bytes that a row refers to. MO_ERR_CORRUPT: the file is missing, or is another one. */
 static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row,
                            uint8_t **ret)
 {
@@ -259,7 +260,8 @@ static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t
     error = read_checkpoint(store, id, row, bytes);
     if (error != MO_ERR_CORRUPT)
       break;
-    /* Damaged, unless a newer one has made it go meanwhile: its row goes before its file. */
+    /* The file is damaged, unless a newer checkpoint has replaced it meanwhile: then its row went
+     * first. */
     error = find_checkpoint(store, id, from, to, UINT32_MAX, &again);
     if (error == MO_OK && again.generation == row->generation && again.step == row->step &&
         mo_sha256_equal(&again.sha256, &row->sha256))
@@ -363,7 +365,7 @@ int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
   error = mo_write_urgent(store, remove_rows, &call);
   mo_campaign_checkpoint_end(store, &call.checkpoint, error);
   if (error == MO_OK)
-    (void)store->files->rmdir(store->files->context, folder); /* when nothing is left */
+    (void)store->files->rmdir(store->files->context, folder); /* if it is empty */
   pthread_mutex_unlock(&store->checkpoints_mutex);
   free(folder);
   if (error != MO_OK)
@@ -372,39 +374,4 @@ int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
   removed->n = call.checkpoint.n_dropped;
   removed->bytes = (uint64_t)call.bytes;
   return MO_OK;
-}
-
-/* ---- files without rows ---- */
-
-static bool has_row(void *context, const char *name)
-{
-  static const char sql[] =
-      "SELECT 1 FROM campaign_checkpoints WHERE job=?1 AND generation=?2 AND step=?3";
-  struct mo_cleaning *cleaning = context;
-  sqlite3_stmt *statement;
-  int64_t found;
-  int error = MO_OK;
-  char *dash, *end;
-  long long generation = strtoll(name, &dash, 10), step;
-  if (dash == name || *dash != '-')
-    return true; /* not ours */
-  step = strtoll(dash + 1, &end, 10);
-  if (end == dash + 1 || strcmp(end, ".checkpoint") != 0)
-    return true;
-  statement = mo_sql(cleaning->connection, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, cleaning->job);
-    sqlite3_bind_int64(statement, 2, generation);
-    sqlite3_bind_int64(statement, 3, step);
-    error = mo_sql_integer(cleaning->connection, statement, &found);
-  }
-  if (error != MO_OK && error != MO_ERR_NOT_FOUND)
-    cleaning->error = error;
-  return error != MO_ERR_NOT_FOUND;
-}
-
-int mo_campaigns_clean(struct mo_store *store)
-{
-  struct mo_cleaning cleaning = {.connection = &store->writer};
-  return mo_job_folders_clean(store, store->campaigns_path, has_row, &cleaning);
 }

@@ -1,11 +1,11 @@
-/* campaign_losses.c: losses of a campaign: those of the generation under way, saved as they come,
- * and those that are known from before. */
+/* campaign_losses.c: losses of a campaign: those of the current generation, saved as they come, and
+ * those stored earlier as scores. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
 
-/* ---- losses of the generation under way ---- */
+/* ---- losses of the current generation ---- */
 
 struct losses_arguments {
   int64_t id;
@@ -15,7 +15,8 @@ struct losses_arguments {
   const char *event_data;
 };
 
-/* In the column `diverged`, beside the step: the workers computed it for a campaign of devices. */
+/* A bit in the column `diverged`, beside the step: workers computed this loss of a campaign that
+ * devices compute. */
 #define BY_WORKERS (UINT32_C(1) << 31)
 
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id)
@@ -161,14 +162,14 @@ int mo_store_campaign_losses(struct mo_store *store, int64_t id, uint32_t genera
   return MO_OK;
 }
 
-/* ---- what was scored before ---- */
+/* ---- losses that are stored as scores ---- */
 
 struct known_keys {
   struct mo_campaign_head head;
   int64_t fingerprint, environments[MO_ENVIRONMENTS_MAX], lowest, highest;
 };
 
-/* 1: all of its losses are known. */
+/* Returns 1 if all losses of a genotype are known. */
 static int find_known(struct mo_connection *reader, const struct known_keys *keys,
                       const struct mo_bits *genotype, struct mo_campaign_loss *loss)
 {

@@ -1,7 +1,7 @@
-/* campaign_phylogeny.c: every design that a campaign bore, its populations, its descents.
+/* campaign_phylogeny.c: reads every design of a campaign, its populations, its descents.
  *
- * A page of designs is one range of campaign_designs; a population, and the births of a generation,
- * are one blob each. A campaign of a million designs has 9 MB of births. */
+ * A page of designs is one range of campaign_designs. A population, and the births of a generation,
+ * are one BLOB each. A campaign of a million designs has 9 MB of births. */
 #include <stdlib.h>
 #include <string.h>
 

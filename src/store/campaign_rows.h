@@ -1,4 +1,4 @@
-/* campaign_rows.h: what the files of campaigns share. For this room alone. */
+/* campaign_rows.h: what the source files of campaigns share. Only for this room. */
 #ifndef MORPHO_STORE_CAMPAIGN_ROWS_H
 #define MORPHO_STORE_CAMPAIGN_ROWS_H
 
@@ -8,7 +8,7 @@
 #define MO_BIRTH_BYTES  9  /* operator, two parents */
 #define MO_MEMBER_BYTES 12 /* number, score */
 
-/* What operations need of a campaign's row. */
+/* The part of a campaign's row that operations need. */
 struct mo_campaign_head {
   enum mo_campaign_mode mode;
   uint32_t population, generations, n_environments;
@@ -22,11 +22,11 @@ struct mo_campaign_head {
 int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
                          struct mo_campaign_head *head);
 
-/* Rows of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
+/* Reads the row ids of a campaign's environments, in order; n ≤ MO_ENVIRONMENTS_MAX. */
 int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows,
                                  uint32_t n);
-/* The blobs of a generation; they stay until the statement is reset. MO_ERR_NOT_FOUND;
- * MO_ERR_CORRUPT: of a wrong size. */
+/* The BLOBs of a generation; valid until the statement is reset. MO_ERR_NOT_FOUND; MO_ERR_CORRUPT:
+ * a wrong size. */
 struct mo_campaign_blobs {
   const uint8_t *births, *population; /* (n_births, MO_BIRTH_BYTES), (n, MO_MEMBER_BYTES) */
   uint32_t n_births, n;
@@ -41,9 +41,9 @@ int mo_campaign_step_write(struct mo_connection *writer, int64_t id,
                            const struct mo_campaign_step *row);
 int mo_campaign_losses_drop(struct mo_connection *writer, int64_t id);
 
-/* A checkpoint on its way: the file first (begin, on any thread), its row and the end of those that
- * it makes needless (row, in an operation), then their files (end, always); under
- * checkpoints_mutex. `committed`: it is the state after its generation. */
+/* A checkpoint that is being written, under checkpoints_mutex. Begin (on any thread) writes the
+ * file; row (in an operation) writes the row and deletes the rows of replaced checkpoints; end
+ * (always) deletes the files of these. `committed`: the state after the generation. */
 struct mo_campaign_checkpoint {
   int64_t id;
   uint32_t generation, step;
@@ -58,7 +58,7 @@ struct mo_campaign_checkpoint {
 int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
                                  struct mo_campaign_checkpoint *checkpoint);
 int mo_campaign_checkpoint_row(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
-/* Drops rows only: those of generations before `generation`. */
+/* Deletes the rows of checkpoints of generations before `generation`, and writes none. */
 int mo_campaign_checkpoint_drop(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint);
 void mo_campaign_checkpoint_end(struct mo_store *store, struct mo_campaign_checkpoint *checkpoint,
                                 int error);

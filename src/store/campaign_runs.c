@@ -1,14 +1,16 @@
-/* campaign_runs.c: the runner's side of a campaign between its generations: start, park, end,
- * state.
+/* campaign_runs.c: what the runner of a campaign does between generations: start, park, finish,
+ * read the state.
  *
- * Writes are fenced by the epoch as those of trainings: the campaign must have been started under
- * this opening of the store and must not be over. One that was paused takes losses and generations
- * still: its thread saves what it has computed. */
+ * Writes are fenced by the epoch like those of trainings: the campaign must have been started under
+ * this opening of the store and must not be final. A campaign that was paused still takes losses
+ * and generations, because its thread saves what it has computed. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
+
+#include "base/clock.h"
 
 /* ---- the queue and the attempt ---- */
 
@@ -82,7 +84,7 @@ static int finish(struct mo_store *store, void *arguments)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_store_now_us());
+  sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
   sqlite3_bind_int64(statement, 4, call->generations);
   error = mo_run_changed(writer, statement);
   if (error == MO_OK && call->put != NULL)
@@ -121,11 +123,11 @@ int mo_store_campaign_finish(struct mo_store *store, int64_t id, enum mo_campaig
   if (error == MO_OK)
     error = mo_write(store, finish, &call);
   if (controller != NULL)
-    mo_controller_put_end(&put);
+    mo_controller_put_end(store, &put);
   return error;
 }
 
-/* ---- the state that a run goes on from ---- */
+/* ---- the state from which a run resumes ---- */
 
 void mo_campaign_state_free(struct mo_campaign_state *state)
 {
@@ -209,8 +211,7 @@ int mo_store_campaign_state(struct mo_store *store, int64_t id, struct mo_campai
 
 #define EACH_PAGE 4096
 
-/* Designs are only ever added: a page at a time, so that no reader is held while `take` is at work.
- */
+/* Reads a page of designs. Designs are never deleted, so no reader is held while `take` runs. */
 static int64_t load_page(struct mo_store *store, int64_t id, int64_t after, struct mo_bits *page)
 {
   static const char sql[] =

@@ -1,9 +1,11 @@
-/* campaign_submit.c: accepting a campaign with its replicates, and extending one. */
+/* campaign_submit.c: accepts a campaign with its replicates, and extends a campaign. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/campaign_rows.h"
+
+#include "base/clock.h"
 
 struct submit_arguments {
   const struct mo_campaign_submission *submission;
@@ -34,7 +36,7 @@ static int resolve(struct mo_connection *writer, const struct mo_campaign_submis
                            &setting->physics);
   if (error == MO_OK && record->environment_set[0] != '\0') {
     error = mo_environment_set_find(writer, record->environment_set, &setting->set, &n);
-    if (error == MO_OK && setting->set == 0) /* which says that there is none */
+    if (error == MO_OK && setting->set == 0) /* 0 means that there is no set */
       error = MO_ERR_CORRUPT;
   }
   if (error == MO_OK && (n < 1 || n > MO_ENVIRONMENTS_MAX))
@@ -107,7 +109,7 @@ static int compare_rows(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
-/* Rows of the designs that the group lists, ascending. */
+/* Reads the row ids of the designs that the group lists, ascending. */
 static int load_listed(struct mo_connection *writer, int64_t group, int64_t *designs, uint32_t n)
 {
   static const char sql[] =
@@ -131,13 +133,13 @@ static int fits(const struct mo_bits *bits, struct mo_workspace workspace)
 {
   struct mo_bits moved;
   int error = mo_workspace_words(workspace) > MO_DEFAULT_WORDS
-                  ? MO_OK /* larger than the default one */
+                  ? MO_OK /* the workspace is larger than the default one, so all designs fit */
                   : mo_genotype_move(MO_DEFAULT_WORKSPACE, bits->words, workspace, moved.words);
   return error == MO_OK ? 1 : error == MO_ERR_RANGE ? 0 : error;
 }
 
-/* The row of a member's genotype. 1: it is welcome; 0: its form is listed already, or it does not
- * fit. */
+/* Finds the genotype of a member. Returns 1: the campaign takes it; 0: its form is listed already,
+ * or it does not fit. */
 static int find_member(struct mo_connection *writer, const struct mo_campaign_record *record,
                        uint32_t number, const int64_t *listed, int64_t *genotype)
 {
@@ -218,7 +220,7 @@ static int submit_replicate(struct mo_store *store, const struct mo_campaign_sub
   if (replicate == 0)
     *group = id;
   else if (error == MO_OK && id != *group + replicate)
-    error = MO_ERR_CORRUPT; /* numbers of jobs grow by one */
+    error = MO_ERR_CORRUPT; /* ids of jobs grow by one */
   if (error == MO_OK)
     error = insert_campaign(&store->writer, submission, setting, id, *group);
   if (error != MO_OK)
@@ -239,7 +241,7 @@ static int submit(struct mo_store *store, void *arguments)
   const struct mo_campaign_record *record = &submission->record;
   struct mo_connection *writer = &store->writer;
   struct setting setting;
-  int64_t now_us = mo_store_now_us();
+  int64_t now_us = mo_clock_wall_us();
   int error;
   call->replayed = false;
   if (submission->idempotency_key != NULL) {
@@ -292,7 +294,7 @@ struct extend_arguments {
   enum mo_job_state before;
 };
 
-/* Whether a campaign may have so many generations. */
+/* Checks whether a campaign may have so many generations. */
 static int check_extension(const struct mo_campaign_settings *settings, uint64_t generations)
 {
   uint64_t steps = settings->child_steps +
@@ -302,13 +304,13 @@ static int check_extension(const struct mo_campaign_settings *settings, uint64_t
     return MO_ERR_RANGE;
   if (settings->mode != MO_SIMULTANEOUS)
     return MO_OK;
-  if (settings->schedule.kind == MO_SCHEDULE_COSINE)
+  if (settings->learning.schedule.kind == MO_SCHEDULE_COSINE)
     return MO_ERR_UNSUPPORTED;
   return steps > MO_TRAINING_STEPS_MAX ? MO_ERR_RANGE : MO_OK;
 }
 
-/* Of a campaign whose next generation learns on from what the newest one has learned: whether that
- * is there. */
+/* Checks that the learning state after the newest generation exists, if the next generation starts
+ * from it (simultaneous). MO_ERR_EMPTY: it does not. */
 static int check_learning(struct mo_connection *writer, int64_t id, enum mo_campaign_mode mode)
 {
   static const char sql[] =
@@ -380,7 +382,8 @@ static int extend(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 2, (sqlite3_int64)generations);
   error = mo_sql_run(writer, statement);
   if (error == MO_OK && call->key != NULL)
-    error = mo_key_insert(writer, call->key->text, &call->key->sha256, mo_store_now_us(), call->id);
+    error =
+        mo_key_insert(writer, call->key->text, &call->key->sha256, mo_clock_wall_us(), call->id);
   if (error != MO_OK)
     return error;
   call->before = state;

@@ -1,23 +1,18 @@
-/* campaigns.c: campaigns as they are read: what was asked for, how far they are, their generations
- * and learning curves. */
+/* campaigns.c: reads campaigns: settings, progress, generations, learning curves. */
 #include "store/campaigns.h"
 
-#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/number.h"
 #include "store/campaign_rows.h"
 
-/* ---- rows of numbers: one list gives the columns, and where each goes ---- */
+/* ---- rows of numbers: one list gives the columns and their destinations ---- */
 
-/* REAL: any number, or none. AMOUNT: from 0. SHARE: from 0 to 1. */
-enum kind { U32, U64, TIME, REAL, AMOUNT, SHARE, FLAG };
+enum kind { U32, U64, TIME, REAL, FLAG }; /* REAL: NaN is none */
 struct field {
   enum kind kind;
   size_t offset;
-  const char *name;
 };
 
 static double column_number(sqlite3_stmt *row, int column)
@@ -25,40 +20,19 @@ static double column_number(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL ? NAN : sqlite3_column_double(row, column);
 }
 
-/* Notes the first that no reply can say. */
 static void read_fields(sqlite3_stmt *row, int column, const struct field *fields, size_t n,
-                        void *structure, struct mo_row_damage *damage)
+                        void *structure)
 {
-  damage->column = NULL;
   for (size_t i = 0; i < n; i++, column++) {
-    const enum kind kind = fields[i].kind;
     const int64_t integer = sqlite3_column_int64(row, column);
-    const double real = column_number(row, column);
     void *at = (char *)structure + fields[i].offset;
-    bool is_told = true;
-    switch (kind) {
-    case U32:
-      *(uint32_t *)at = (uint32_t)integer;
-      is_told = integer >= 0 && integer <= UINT32_MAX;
-      break;
-    case U64:
-      *(uint64_t *)at = (uint64_t)integer;
-      is_told = integer >= 0;
-      break;
-    case TIME:
-      *(int64_t *)at = integer;
-      is_told = integer >= 1 && integer <= MO_TIME_US_MAX;
-      break;
-    case REAL: *(double *)at = real; break;
-    case AMOUNT:
-    case SHARE:
-      *(double *)at = real;
-      is_told = real >= 0 && real <= (kind == SHARE ? 1 : DBL_MAX);
-      break;
+    switch (fields[i].kind) {
+    case U32: *(uint32_t *)at = (uint32_t)integer; break;
+    case U64: *(uint64_t *)at = (uint64_t)integer; break;
+    case TIME: *(int64_t *)at = integer; break;
+    case REAL: *(double *)at = column_number(row, column); break;
     case FLAG: *(bool *)at = integer != 0; break;
     }
-    if (!is_told && damage->column == NULL)
-      *damage = (struct mo_row_damage){fields[i].name, real};
   }
 }
 
@@ -71,9 +45,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
     case U32: sqlite3_bind_int64(statement, index, *(const uint32_t *)at); break;
     case U64: sqlite3_bind_int64(statement, index, (sqlite3_int64) * (const uint64_t *)at); break;
     case TIME: sqlite3_bind_int64(statement, index, *(const int64_t *)at); break;
-    case REAL:
-    case AMOUNT:
-    case SHARE: sqlite3_bind_double(statement, index, *(const double *)at); break;
+    case REAL: sqlite3_bind_double(statement, index, *(const double *)at); break;
     case FLAG: sqlite3_bind_int64(statement, index, *(const bool *)at); break;
     }
   }
@@ -93,7 +65,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(score_75, REAL, stats.quantiles[4])                                                            \
   X(score_95, REAL, stats.quantiles[5])                                                            \
   X(most_score, REAL, stats.quantiles[6])                                                          \
-  X(diversity, SHARE, stats.diversity)                                                             \
+  X(diversity, REAL, stats.diversity)                                                              \
   X(species, U32, stats.species)                                                                   \
   X(least_voxels, REAL, stats.voxels.least)                                                        \
   X(mean_voxels, REAL, stats.voxels.mean)                                                          \
@@ -117,7 +89,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(exhausted, FLAG, variation.exhausted)                                                          \
   X(survived_mutants, U32, survived_mutants)                                                       \
   X(survived_recombinants, U32, survived_recombinants)                                             \
-  X(turnover, SHARE, turnover)                                                                     \
+  X(turnover, REAL, turnover)                                                                      \
   X(rollouts, U64, rollouts)                                                                       \
   X(rollouts_cached, U64, rollouts_cached)                                                         \
   X(rollouts_diverged, U64, rollouts_diverged)                                                     \
@@ -125,7 +97,7 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(first_loss, REAL, first_loss)                                                                  \
   X(last_loss, REAL, last_loss)                                                                    \
   X(collapse, FLAG, collapse)                                                                      \
-  X(seconds, AMOUNT, seconds)                                                                      \
+  X(seconds, REAL, seconds)                                                                        \
   X(stored_us, TIME, stored_us)
 
 #define STEP_FIELDS(X)                                                                             \
@@ -134,22 +106,21 @@ static void bind_fields(sqlite3_stmt *statement, int index, const struct field *
   X(on_children, FLAG, on_children)                                                                \
   X(training_step, U32, report.step)                                                               \
   X(mean_loss, REAL, report.mean_loss)                                                             \
-  X(rate, AMOUNT, report.rate)                                                                     \
+  X(rate, REAL, report.rate)                                                                       \
   X(gradient_norm, REAL, report.gradient_norm)                                                     \
-  X(clipped_share, SHARE, report.clipped_share)                                                    \
-  X(clipped_robots_share, SHARE, report.clipped_robots_share)                                      \
+  X(clipped_share, REAL, report.clipped_share)                                                     \
+  X(clipped_robots_share, REAL, report.clipped_robots_share)                                       \
   X(diverged, U32, report.diverged)                                                                \
   X(zeroed, U32, report.zeroed)                                                                    \
   X(skipped, FLAG, report.skipped)                                                                 \
   X(bounded, U32, report.bounded)                                                                  \
-  X(seconds, AMOUNT, seconds)
+  X(seconds, REAL, seconds)
 
 #define COLUMN(column, kind, member) "," #column
 #define PLACE(column, kind, member)  ",?"
 #define GENERATION_PLACE(column, kind, member)                                                     \
-  {kind, offsetof(struct mo_campaign_generation, member), "campaign_generations." #column},
-#define STEP_PLACE(column, kind, member)                                                           \
-  {kind, offsetof(struct mo_campaign_step, member), "campaign_steps." #column},
+  {kind, offsetof(struct mo_campaign_generation, member)},
+#define STEP_PLACE(column, kind, member) {kind, offsetof(struct mo_campaign_step, member)},
 
 static const struct field generation_fields[] = {GENERATION_FIELDS(GENERATION_PLACE)};
 static const struct field step_fields[] = {STEP_FIELDS(STEP_PLACE)};
@@ -227,28 +198,6 @@ int mo_campaign_head_get(struct mo_connection *connection, int64_t id,
 
 enum { FIRST = MO_JOB_N_COLUMNS };
 
-/* What is not in the columns of every job. */
-static int check_row(sqlite3_stmt *row, struct mo_job *job)
-{
-  static const struct mo_column_range ranges[] = {
-      {FIRST + 3, "campaigns.n_listed", 0, MO_POPULATION_MAX},
-      {FIRST + 4, "campaigns.initial_campaign", 0, MO_ID_MAX},
-      {FIRST + 5, "campaigns.replicates_of", 1, MO_ID_MAX},
-      {FIRST + 6, "campaigns.replicate", 0, MO_REPLICATES_MAX - 1},
-      {FIRST + 7, "campaigns.replicates", 1, MO_REPLICATES_MAX},
-      {FIRST + 8, "campaigns.checkpoint_every_s", 0, MO_CHECKPOINT_SECONDS_MAX},
-      {FIRST + 10, "campaigns.n_designs", 0, (int64_t)MO_CAMPAIGN_DESIGNS_MAX},
-      {FIRST + 14, "campaigns.scored", 0, UINT32_MAX}};
-  const char *preset = (const char *)sqlite3_column_text(row, FIRST + 1);
-  enum mo_preset known;
-  int error = mo_job_name(job, row, FIRST, "campaigns.name");
-  if (error == MO_OK && preset != NULL && preset[0] != '\0' &&
-      mo_preset_from_name(preset, &known) != MO_OK)
-    error = mo_job_damaged(job, "campaigns.preset is none");
-  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0]))
-                        : error;
-}
-
 static int load_record(struct mo_connection *reader, int64_t id, struct mo_campaign_status *status)
 {
   static const char sql[] =
@@ -274,8 +223,6 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   if (error == MO_OK)
     error = mo_decode_campaign(sqlite3_column_blob(row, FIRST + 16),
                                (size_t)sqlite3_column_bytes(row, FIRST + 16), &record->settings);
-  if (error == MO_OK)
-    error = check_row(row, &status->job);
   record->settings.generations = status->job.steps_total;
   mo_column_text(row, FIRST, record->name, sizeof(record->name));
   mo_column_text(row, FIRST + 1, record->preset, sizeof(record->preset));
@@ -300,7 +247,7 @@ static int load_record(struct mo_connection *reader, int64_t id, struct mo_campa
   status->has_result = sqlite3_column_type(row, FIRST + 15) != SQLITE_NULL;
   if (error == MO_OK && status->has_result &&
       mo_column_hash(row, FIRST + 15, &status->result_sha256) != MO_OK)
-    error = mo_job_damaged(&status->job, "controllers.sha256 of its result is no hash");
+    error = MO_ERR_CORRUPT;
   (void)sqlite3_reset(row);
   return error;
 }
@@ -324,17 +271,10 @@ static int load_status(struct mo_connection *reader, int64_t id, void *any)
   sqlite3_bind_int64(row, 2, status->generation);
   step = mo_sql_step(reader, row);
   if (step <= 0)
-    return step < 0 ? step
-                    : mo_job_damaged(&status->job,
-                                     "campaign_generations has no generation %lld, its last",
-                                     (long long)status->generation);
-  read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last, &status->last.damage);
+    return step < 0 ? step : MO_ERR_CORRUPT;
+  read_fields(row, 1, generation_fields, N_GENERATION_FIELDS, &status->last);
   (void)sqlite3_reset(row);
-  return status->last.damage.column == NULL
-             ? MO_OK
-             : mo_job_damaged(&status->job, "%s of generation %lld is %s",
-                              status->last.damage.column, (long long)status->generation,
-                              MO_NUMBER(status->last.damage.value));
+  return MO_OK;
 }
 
 int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_status *status)
@@ -347,8 +287,6 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
   mo_reader_release(store, reader);
   if (error == MO_OK)
     *status = found;
-  else if (error == MO_ERR_CORRUPT)
-    memcpy(status->job.damage, found.job.damage, sizeof(status->job.damage));
   return error;
 }
 
@@ -357,32 +295,32 @@ int mo_store_campaign(struct mo_store *store, int64_t id, struct mo_campaign_sta
 int64_t mo_store_campaigns(struct mo_store *store, const struct mo_campaign_query *query,
                            struct mo_campaign_status *statuses, size_t limit)
 {
-  static const char shown_sql[] =
-      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1 "
-      "AND (?4=0 OR m.replicates_of=?4)"
-      " AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY m.job DESC LIMIT ?3";
-  static const char all_sql[] =
-      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
-      " AND (?2<0 OR j.state=?2) AND ?4=0 ORDER BY m.job DESC LIMIT ?3";
-  static const char group_sql[] =
-      "SELECT m.job FROM campaigns m JOIN jobs j ON j.id=m.job AND j.kind=2 WHERE m.job<?1"
-      " AND (?2<0 OR j.state=?2) AND m.replicates_of=?4 ORDER BY m.job DESC LIMIT ?3";
+  static const char *const all_sql[] =
+      MO_PAGES("SELECT j.id FROM jobs j CROSS JOIN campaigns m ON m.job=j.id", "j.kind=2");
+  static const char *const group_sql[] =
+      MO_PAGES("SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job",
+               "m.replicates_of=?4 AND j.kind=2");
+  static const char *const label_sql[2][3] = {
+      MO_PAGES("SELECT j.id FROM jobs j CROSS JOIN campaigns m ON m.job=j.id",
+               "j.label=?6 AND j.kind=2"),
+      MO_PAGES("SELECT j.id FROM campaigns m CROSS JOIN jobs j ON j.id=m.job",
+               "m.replicates_of=?4 AND j.kind=2 AND j.label=?6")};
   const struct mo_job_query shown = {.before = query->before,
                                      .state = query->state,
                                      .waiting = query->waiting,
-                                     .n_waiting = query->n_waiting};
-  const char *sql = mo_job_query_waits(&shown) ? shown_sql
-                    : query->group != 0        ? group_sql
-                                               : all_sql;
-  return mo_read_jobs(store, sql, &shown, query->group, limit, load_status, statuses,
-                      sizeof(*statuses));
+                                     .n_waiting = query->n_waiting,
+                                     .label = query->label};
+  const char *const *sql = query->label != NULL ? label_sql[query->group != 0]
+                           : query->group != 0  ? group_sql
+                                                : all_sql;
+  return mo_read_jobs(store, sql[mo_job_page(&shown)], &shown, query->group, limit, load_status,
+                      statuses, sizeof(*statuses));
 }
 
 static int take_generation(sqlite3_stmt *statement, void *row)
 {
   struct mo_campaign_generation *generation = row;
-  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, generation,
-              &generation->damage);
+  read_fields(statement, 1, generation_fields, N_GENERATION_FIELDS, generation);
   return MO_OK;
 }
 
@@ -390,8 +328,8 @@ int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_
                                       struct mo_campaign_generation *rows, size_t limit)
 {
   static const char sql[] = "SELECT job" GENERATION_FIELDS(
-      COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 AND "
-              "generation<=4294967295 ORDER BY generation LIMIT ?3";
+      COLUMN) " FROM campaign_generations WHERE job=?1 AND generation>?2 "
+              "ORDER BY generation LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, take_generation, rows, sizeof(*rows));
 }
@@ -399,7 +337,7 @@ int64_t mo_store_campaign_generations(struct mo_store *store, int64_t id, int64_
 static int take_step(sqlite3_stmt *statement, void *row)
 {
   struct mo_campaign_step *step = row;
-  read_fields(statement, 1, step_fields, N_STEP_FIELDS, step, &step->damage);
+  read_fields(statement, 1, step_fields, N_STEP_FIELDS, step);
   return MO_OK;
 }
 
@@ -407,14 +345,13 @@ int64_t mo_store_campaign_steps(struct mo_store *store, int64_t id, int64_t afte
                                 uint32_t after_step, struct mo_campaign_step *rows, size_t limit)
 {
   static const char sql[] = "SELECT job" STEP_FIELDS(
-      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) AND "
-              "generation<=4294967295"
-              " AND step BETWEEN 1 AND 4294967295 ORDER BY generation,step LIMIT ?4";
+      COLUMN) " FROM campaign_steps WHERE job=?1 AND (generation,step)>(?2,?3) "
+              "ORDER BY generation,step LIMIT ?4";
   const int64_t values[] = {id, after_generation, after_step};
   return mo_read_rows(store, sql, values, 3, limit, take_step, rows, sizeof(*rows));
 }
 
-/* ---- environments and initial designs: of the group ---- */
+/* ---- environments and initial designs, which the group shares ---- */
 
 int mo_campaign_environment_rows(struct mo_connection *connection, int64_t group, int64_t *rows,
                                  uint32_t n)

@@ -1,13 +1,15 @@
-/* controllers.c: weights by content, names that point to them.
+/* controllers.c: weights, stored by content, and the names that point to them.
  *
- * A file is written beside its place, synced, renamed, and its folder synced, before the row that
- * speaks of it commits: a row never refers to bytes that are not there. A file without a row is
- * harmless: the next upload of the same content finds it. */
+ * A file is written beside its place, synced and renamed, and its folder is synced, before its row
+ * commits. So a row never refers to bytes that are missing. A file without a row is harmless: the
+ * next upload of the same content uses it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"
+
+#include "base/clock.h"
 
 int mo_controller_name_check(const char *name)
 {
@@ -19,8 +21,8 @@ int mo_controller_name_check(const char *name)
   return strspn(name, others) == length ? MO_OK : MO_ERR_FORMAT;
 }
 
-/* "<folder>/<sha256>.safetensors" (malloc). */
-static char *file_path(const struct mo_store *store, const struct mo_sha256 *sha256)
+/* Returns "<folder>/<sha256>.safetensors" (malloc). */
+char *mo_controller_path(const struct mo_store *store, const struct mo_sha256 *sha256)
 {
   char digits[MO_SHA256_DIGITS + 1];
   size_t size = strlen(store->controllers_path) + MO_SHA256_DIGITS + sizeof("/.safetensors");
@@ -35,12 +37,12 @@ static char *file_path(const struct mo_store *store, const struct mo_sha256 *sha
 static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, const uint8_t *bytes,
                       size_t size)
 {
-  char *path = file_path(store, sha256);
+  char *path = mo_controller_path(store, sha256);
   uint8_t *there = NULL;
   int error;
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
-  /* A row may be missing, the file is whole: a crash may have come between the two. */
+  /* A crash may have left a whole file without its row. */
   if (mo_file_read(path, size, &there) == MO_OK && memcmp(there, bytes, size) == 0)
     error = mo_folder_sync(store, store->controllers_path);
   else
@@ -50,8 +52,8 @@ static int write_file(struct mo_store *store, const struct mo_sha256 *sha256, co
   return error;
 }
 
-/* Writes a JSON string to `to` (NULL: only counts) and returns its bytes. The text is UTF-8
- * already. */
+/* Writes `text`, which is UTF-8, as a JSON string to `to` (NULL: only counts) and returns its
+ * bytes. */
 static size_t quote(const char *text, char *to)
 {
   size_t n = 0;
@@ -77,7 +79,7 @@ static size_t quote(const char *text, char *to)
   }
 }
 
-/* The metadata as a JSON object (malloc). */
+/* Returns the metadata as a JSON object (malloc). */
 static char *metadata_json(const struct mo_controller *controller)
 {
   size_t size = 3, at = 0;
@@ -144,7 +146,7 @@ int mo_controller_put_row(struct mo_store *store, struct mo_controller_put *call
       " ON CONFLICT(name) DO UPDATE SET controller=?2,version=?3,stored_us=?4";
   struct mo_connection *writer = &store->writer;
   char digits[MO_SHA256_DIGITS + 1], data[256];
-  int64_t row = 0, known = 0, version = 0, now_us = mo_store_now_us();
+  int64_t row = 0, known = 0, version = 0, now_us = mo_clock_wall_us();
   sqlite3_stmt *statement;
   int step;
   int error = content_row(writer, call, now_us, &row);
@@ -205,11 +207,16 @@ int mo_controller_put_begin(struct mo_store *store, const char *name, const uint
   if (call->metadata == NULL)
     return MO_ERR_NO_MEMORY;
   mo_sha256_of(bytes, size, &call->sha256);
+  pthread_rwlock_rdlock(&store->controllers_lock);
+  call->is_locked = true;
   return write_file(store, &call->sha256, bytes, size);
 }
 
-void mo_controller_put_end(struct mo_controller_put *call)
+void mo_controller_put_end(struct mo_store *store, struct mo_controller_put *call)
 {
+  if (call->is_locked)
+    pthread_rwlock_unlock(&store->controllers_lock);
+  call->is_locked = false;
   free(call->metadata);
   call->metadata = NULL;
 }
@@ -222,7 +229,7 @@ int mo_store_controller_put(struct mo_store *store, const char *name, const uint
   int error = mo_controller_put_begin(store, name, bytes, size, controller, &call);
   if (error == MO_OK)
     error = mo_write(store, put, &call);
-  mo_controller_put_end(&call);
+  mo_controller_put_end(store, &call);
   if (error != MO_OK)
     return error;
   *record = (struct mo_controller_record){.version = call.record.version,
@@ -294,34 +301,7 @@ int mo_controller_find(struct mo_connection *connection, const char *name, int64
 
 #define CONTROLLER_COLUMNS "c.sha256,c.size,c.sensor,c.nx,c.ny,c.nz,c.n_parameters"
 
-/* The first that replies cannot say. */
-static const struct mo_column_range *find_outside(sqlite3_stmt *row)
-{
-  static const struct mo_column_range ranges[] = {
-      {1, "controllers.size", 1, INT64_MAX}, {2, "controllers.sensor", 0, MO_SENSOR_INVERSE_SQUARE},
-      {3, "controllers.nx", 1, UINT16_MAX},  {4, "controllers.ny", 1, UINT16_MAX},
-      {5, "controllers.nz", 1, UINT16_MAX},  {6, "controllers.n_parameters", 1, INT64_MAX},
-      {10, "stored_us", 1, MO_TIME_US_MAX}};
-  for (size_t i = 0; i < sizeof(ranges) / sizeof(ranges[0]); i++) {
-    const int64_t value = sqlite3_column_int64(row, ranges[i].column);
-    if (value < ranges[i].least || value > ranges[i].most)
-      return &ranges[i];
-  }
-  return NULL;
-}
-
-/* Whether a row has a name that can be asked for: of a damaged one there may be any bytes, and any
- * number of them. */
-static bool has_name(sqlite3_stmt *statement, int column)
-{
-  if (sqlite3_column_type(statement, column) != SQLITE_TEXT)
-    return false;
-  const char *name = (const char *)sqlite3_column_text(statement, column);
-  return name != NULL && strlen(name) == (size_t)sqlite3_column_bytes(statement, column) &&
-         mo_controller_name_check(name) == MO_OK;
-}
-
-/* A name that is NULL: asked for by its hash. */
+/* Reads a record. A NULL name means that it was looked up by hash. */
 static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record *record)
 {
   memset(record, 0, sizeof(*record));
@@ -334,52 +314,7 @@ static int record_from_row(sqlite3_stmt *statement, struct mo_controller_record 
   mo_column_text(statement, 8, record->name, sizeof(record->name));
   record->version = sqlite3_column_int64(statement, 9);
   record->stored_us = sqlite3_column_int64(statement, 10);
-  const long long row = sqlite3_column_int64(statement, 7);
-  const struct mo_column_range *outside = find_outside(statement);
-  if (sqlite3_column_type(statement, 8) != SQLITE_NULL && !has_name(statement, 8))
-    snprintf(record->damage, sizeof(record->damage), "controller_names.name is no name");
-  else if (sqlite3_column_type(statement, 0) == SQLITE_NULL)
-    snprintf(record->damage, sizeof(record->damage),
-             "controller_names.controller of %s is %lld, which controllers has not", record->name,
-             row);
-  else if (mo_column_hash(statement, 0, &record->sha256) != MO_OK)
-    snprintf(record->damage, sizeof(record->damage), "controllers.sha256 of row %lld is no hash",
-             row);
-  else if (outside != NULL && outside->column == 10 && record->name[0] != '\0')
-    snprintf(record->damage, sizeof(record->damage), "controller_names.stored_us of %s is %lld",
-             record->name, (long long)record->stored_us);
-  else if (outside != NULL)
-    snprintf(record->damage, sizeof(record->damage), "%s%s of row %lld is %lld",
-             outside->column == 10 ? "controllers." : "", outside->name, row,
-             (long long)sqlite3_column_int64(statement, outside->column));
-  else
-    return MO_OK;
-  return MO_ERR_CORRUPT;
-}
-
-/* Of the names, in their order, those that are sound or those that are not, after the first
- * passed_over of these. after_name: NULL where the statement asks for none. */
-static int64_t list(struct mo_store *store, const char *sql, const char *after_name, bool sound,
-                    int64_t passed_over, struct mo_controller_record *records, size_t limit)
-{
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int error = MO_OK;
-  size_t n = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL) {
-    int step = 0;
-    if (after_name != NULL)
-      sqlite3_bind_text(statement, 1, after_name, -1, SQLITE_STATIC);
-    while (n < limit && (step = mo_sql_step(reader, statement)) > 0)
-      if (has_name(statement, 8) == sound && passed_over-- <= 0)
-        (void)record_from_row(statement, &records[n++]); /* it says so itself */
-    if (step < 0)
-      error = step;
-    (void)sqlite3_reset(statement);
-    (void)sqlite3_clear_bindings(statement);
-  }
-  mo_reader_release(store, reader);
-  return error != MO_OK ? error : (int64_t)n;
+  return mo_column_hash(statement, 0, &record->sha256);
 }
 
 int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
@@ -389,16 +324,22 @@ int64_t mo_store_controllers(struct mo_store *store, const char *after_name,
       "SELECT " CONTROLLER_COLUMNS
       ",n.controller,n.name,n.version,n.stored_us FROM controller_names n"
       " LEFT JOIN controllers c ON c.id=n.controller WHERE n.name>?1 ORDER BY n.name";
-  return list(store, sql, after_name != NULL ? after_name : "", true, 0, records, limit);
-}
-
-/* All names are gone through each time, so what is not told of such a row is not looked up. */
-int64_t mo_store_controllers_misnamed(struct mo_store *store, int64_t passed_over,
-                                      struct mo_controller_record *records, size_t limit)
-{
-  static const char sql[] =
-      "SELECT NULL,0,0,0,0,0,0,0,name,0,0 FROM controller_names ORDER BY name";
-  return list(store, sql, NULL, false, passed_over, records, limit);
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  size_t n = 0;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    int step = 0;
+    sqlite3_bind_text(statement, 1, after_name != NULL ? after_name : "", -1, SQLITE_STATIC);
+    while (error == MO_OK && n < limit && (step = mo_sql_step(reader, statement)) > 0)
+      error = record_from_row(statement, &records[n++]);
+    if (step < 0)
+      error = step;
+    (void)sqlite3_reset(statement);
+    (void)sqlite3_clear_bindings(statement);
+  }
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : (int64_t)n;
 }
 
 int mo_store_controller(struct mo_store *store, const char *name,
@@ -455,13 +396,13 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
   int error = content_size(store, sha256, &size);
   if (error != MO_OK)
     return error;
-  path = file_path(store, sha256);
+  path = mo_controller_path(store, sha256);
   if (path == NULL)
     return MO_ERR_NO_MEMORY;
   error = size >= 0 ? mo_file_read(path, (size_t)size, &bytes) : MO_ERR_CORRUPT;
   free(path);
   if (error == MO_ERR_NOT_FOUND)
-    error = MO_ERR_CORRUPT; /* the row is there, its file is not */
+    error = MO_ERR_CORRUPT; /* the row exists, but its file does not */
   if (error == MO_OK) {
     mo_sha256_of(bytes, (size_t)size, &found);
     if (!mo_sha256_equal(&found, sha256)) {
@@ -479,8 +420,7 @@ int mo_store_controller_bytes(struct mo_store *store, const struct mo_sha256 *sh
 int mo_store_controller_metadata(struct mo_store *store, const struct mo_sha256 *sha256,
                                  char **json)
 {
-  static const char sql[] =
-      "SELECT " MO_JSON_COLUMN("controllers", "metadata") " FROM controllers WHERE sha256=?1";
+  static const char sql[] = "SELECT metadata FROM controllers WHERE sha256=?1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);

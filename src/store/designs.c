@@ -1,12 +1,11 @@
-/* designs.c: reading designs and what is known of them. */
+/* designs.c: reads designs and their scores. */
 #include <math.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"
 
-#define ROLLOUTS_MAX 1000 /* reported of one design */
+#define ROLLOUTS_MAX 1000 /* the most that are reported of one design */
 
 int mo_store_design_count(struct mo_store *store, uint64_t *n)
 {
@@ -25,19 +24,6 @@ int mo_store_design_count(struct mo_store *store, uint64_t *n)
 
 /* ---- lists ---- */
 
-static void damaged(struct mo_design_row *row, const char *column, int64_t at, const char *what)
-{
-  snprintf(row->damage, sizeof(row->damage), "%s of row %lld is %s", column, (long long)at, what);
-}
-
-static void take_time(struct mo_design_row *row, int64_t time_us)
-{
-  row->first_seen_us = time_us;
-  if (row->damage[0] == '\0' && (time_us < 1 || time_us > MO_TIME_US_MAX))
-    snprintf(row->damage, sizeof(row->damage), "designs.first_seen_us of row %lld is %lld",
-             (long long)row->row, (long long)time_us);
-}
-
 static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,
                            struct mo_design_row *rows, size_t limit)
 {
@@ -55,16 +41,15 @@ static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_
     struct mo_design_row *row = &rows[n++];
     memset(row, 0, sizeof(*row));
     row->row = sqlite3_column_int64(statement, 0);
-    if (mo_column_bits(statement, 1, &row->form) != MO_OK)
-      damaged(row, "designs.form", row->row, "no design");
-    take_time(row, sqlite3_column_int64(statement, 2));
+    error = mo_column_bits(statement, 1, &row->form);
+    row->first_seen_us = sqlite3_column_int64(statement, 2);
     row->score = NAN;
   }
   return step < 0 ? step : error != MO_OK ? error : n;
 }
 
-/* The row of a physics setting under a controller's sensor. MO_ERR_NOT_FOUND: nothing was ever
- * scored so. */
+/* Finds the row of a physics setting under a controller's sensor. MO_ERR_NOT_FOUND: it has no
+ * scores. */
 static int find_physics(struct mo_connection *reader, const struct mo_design_query *query,
                         int64_t *row)
 {
@@ -94,8 +79,7 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
                              struct mo_design_row *rows, size_t limit)
 {
   static const char sql[] =
-      "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us,s.score,s.controller,"
-      "s.environment_set FROM set_scores s"
+      "SELECT s.genotype,s.bits,g.bits,d.id,d.form,d.first_seen_us FROM set_scores s"
       " JOIN genotypes g ON g.id=s.genotype JOIN designs d ON d.id=g.design"
       " WHERE s.controller=(SELECT id FROM controllers WHERE sha256=?1) AND s.physics=?2"
       " AND s.environment_set=(SELECT id FROM environment_sets WHERE name=?3)"
@@ -122,18 +106,12 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
     memset(row, 0, sizeof(*row));
     row->genotype_row = sqlite3_column_int64(statement, 0);
     row->row = sqlite3_column_int64(statement, 3);
-    if (mo_column_double(statement, 1, &row->score) != MO_OK) {
-      snprintf(row->damage, sizeof(row->damage),
-               "set_scores.bits of genotype %lld, controller %lld, physics %lld and set %lld is no "
-               "score",
-               (long long)row->genotype_row, (long long)sqlite3_column_int64(statement, 7),
-               (long long)physics, (long long)sqlite3_column_int64(statement, 8));
-      row->score = sqlite3_column_double(statement, 6);
-    } else if (mo_column_bits(statement, 2, &row->genotype) != MO_OK)
-      damaged(row, "genotypes.bits", row->genotype_row, "no design");
-    else if (mo_column_bits(statement, 4, &row->form) != MO_OK)
-      damaged(row, "designs.form", row->row, "no design");
-    take_time(row, sqlite3_column_int64(statement, 5));
+    row->first_seen_us = sqlite3_column_int64(statement, 5);
+    error = mo_column_double(statement, 1, &row->score);
+    if (error == MO_OK)
+      error = mo_column_bits(statement, 2, &row->genotype);
+    if (error == MO_OK)
+      error = mo_column_bits(statement, 4, &row->form);
   }
   (void)sqlite3_reset(statement);
   (void)sqlite3_clear_bindings(statement);
@@ -171,7 +149,7 @@ static int add_orientation(struct mo_design *design, const struct mo_bits *genot
   return MO_OK;
 }
 
-/* A new score of the last orientation. */
+/* Appends an empty score to an orientation. */
 static struct mo_design_score *add_score(struct mo_design_orientation *orientation)
 {
   struct mo_design_score *more =
@@ -203,7 +181,7 @@ static int load_orientations(struct mo_connection *reader, int64_t row, struct m
   return step < 0 ? step : error;
 }
 
-/* Where a score row belongs: consecutive rows of one setting and set are one score. */
+/* What a score row belongs to. Consecutive rows of one group with a set form one score. */
 struct group {
   int64_t controller, physics, set;
 };
@@ -259,7 +237,7 @@ static int load_scores(struct mo_connection *reader, int64_t genotype,
                          sqlite3_column_int64(statement, 2)};
     int64_t position = sqlite3_column_int64(statement, 3);
     if (*room == 0) {
-      *room = UINT32_MAX; /* one row more than there is room for */
+      *room = UINT32_MAX; /* there is at least one row more than reported */
       break;
     }
     (*room)--;
@@ -315,8 +293,6 @@ static int load_design(struct mo_connection *reader, const struct mo_bits *form,
   (void)sqlite3_clear_bindings(statement);
   if (step <= 0)
     return step < 0 ? step : MO_ERR_NOT_FOUND;
-  if (design->first_seen_us < 1 || design->first_seen_us > MO_TIME_US_MAX)
-    return MO_ERR_CORRUPT;
   design->form = *form;
   error = load_orientations(reader, row, design, genotypes);
   for (uint32_t i = 0; i < design->n_orientations && error == MO_OK && room != UINT32_MAX; i++)

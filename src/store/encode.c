@@ -64,7 +64,7 @@ void mo_decode_floats(const uint8_t *bytes, size_t n, float *values)
   }
 }
 
-/* −0 is written as 0: environments that are equal are one, and are computed once. */
+/* Writes −0 as 0, so that equal environments have one row and are computed once. */
 void mo_encode_environment(const struct mo_environment *environment,
                            uint8_t bytes[MO_ENVIRONMENT_BYTES])
 {
@@ -132,8 +132,8 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
   return MO_OK;
 }
 
-/* Settings of version 2 end with the rule of the adjoint, a 32-bit word, and the weight of what
- * begins anew, a double; those of version 1 end before them: they clip, with the usual weight. */
+/* Encodes the end of settings: the rule of the adjoint, a 32-bit word, and the restart weight, a
+ * double. Settings of version 1 lack it: they clip, with the usual restart weight. */
 static void encode_rule(enum mo_adjoint_rule rule, double weight, uint8_t bytes[MO_RULE_BYTES])
 {
   mo_encode_u32((uint32_t)rule, bytes);
@@ -160,19 +160,24 @@ static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_ad
 /* Version 2: the byte 2; 32-bit words kind, steps, batch, schedule kind, cycle steps, cycle growth,
  * warm-up, held-out designs, held-out environments, impact's bisections; the 64-bit seed; doubles
  * peak, floor, decay, beta1, beta2, epsilon, norm limit, adjoint bound; physics with precision and
- * sensor; the adjoint's rule and weight. */
+ * sensor; the adjoint's rule and restart weight. */
 void mo_encode_training(const struct mo_training_settings *settings,
                         uint8_t bytes[MO_TRAINING_BYTES])
 {
-  const struct mo_schedule *schedule = &settings->schedule;
+  const struct mo_schedule *schedule = &settings->learning.schedule;
   const uint32_t words[10] = {
       (uint32_t)settings->kind,    settings->n_steps,          settings->batch,
       (uint32_t)schedule->kind,    schedule->cycle_steps,      schedule->cycle_growth,
       schedule->warmup_steps,      settings->held_out_designs, settings->held_out_environments,
       settings->physics.bisections};
-  const double values[8] = {schedule->peak,       schedule->floor,        schedule->decay,
-                            settings->beta1,      settings->beta2,        settings->epsilon,
-                            settings->norm_limit, settings->adjoint_bound};
+  const double values[8] = {schedule->peak,
+                            schedule->floor,
+                            schedule->decay,
+                            settings->learning.beta1,
+                            settings->learning.beta2,
+                            settings->learning.epsilon,
+                            settings->learning.norm_limit,
+                            settings->learning.adjoint_bound};
   uint8_t *at = bytes;
   *at++ = 2;
   for (size_t i = 0; i < 10; i++, at += 4)
@@ -181,7 +186,8 @@ void mo_encode_training(const struct mo_training_settings *settings,
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, 8, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * 8);
-  encode_rule(settings->adjoint_rule, settings->restart_weight, at + 8 + 8 * 8 + MO_PHYSICS_BYTES);
+  encode_rule(settings->learning.adjoint_rule, settings->learning.restart_weight,
+              at + 8 + 8 * 8 + MO_PHYSICS_BYTES);
 }
 
 int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_settings *settings)
@@ -208,20 +214,20 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
   settings->seed = seed;
   settings->n_steps = words[1];
   settings->batch = words[2];
-  settings->schedule = (struct mo_schedule){.kind = (enum mo_schedule_kind)words[3],
-                                            .peak = values[0],
-                                            .floor = values[1],
-                                            .decay = values[2],
-                                            .cycle_steps = words[4],
-                                            .cycle_growth = words[5],
-                                            .warmup_steps = words[6]};
-  settings->beta1 = values[3];
-  settings->beta2 = values[4];
-  settings->epsilon = values[5];
-  settings->norm_limit = values[6];
-  settings->adjoint_bound = values[7];
-  settings->adjoint_rule = rule;
-  settings->restart_weight = weight;
+  settings->learning.schedule = (struct mo_schedule){.kind = (enum mo_schedule_kind)words[3],
+                                                     .peak = values[0],
+                                                     .floor = values[1],
+                                                     .decay = values[2],
+                                                     .cycle_steps = words[4],
+                                                     .cycle_growth = words[5],
+                                                     .warmup_steps = words[6]};
+  settings->learning.beta1 = values[3];
+  settings->learning.beta2 = values[4];
+  settings->learning.epsilon = values[5];
+  settings->learning.norm_limit = values[6];
+  settings->learning.adjoint_bound = values[7];
+  settings->learning.adjoint_rule = rule;
+  settings->learning.restart_weight = weight;
   settings->held_out_designs = words[7];
   settings->held_out_environments = words[8];
   error = mo_decode_physics(at + 8 + 8 * 8, MO_PHYSICS_BYTES, &settings->physics, &precision,
@@ -238,11 +244,11 @@ int mo_decode_training(const uint8_t *bytes, size_t size, struct mo_training_set
  * schedule kind, cycle steps, cycle growth, warm-up, impact's bisections; the 64-bit seed; doubles
  * mutation share, rate, growth, novelty weight, collapse share, peak, floor, decay, beta1, beta2,
  * epsilon, norm limit, adjoint bound; physics with precision and sensor; the adjoint's rule and
- * weight. */
+ * restart weight. */
 void mo_encode_campaign(const struct mo_campaign_settings *settings,
                         uint8_t bytes[MO_CAMPAIGN_BYTES])
 {
-  const struct mo_schedule *schedule = &settings->schedule;
+  const struct mo_schedule *schedule = &settings->learning.schedule;
   const struct mo_selection *selection = &settings->selection;
   const uint32_t words[CAMPAIGN_WORDS] = {(uint32_t)settings->mode,      settings->workspace.nx,
                                           settings->workspace.ny,        settings->workspace.nz,
@@ -254,12 +260,19 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings,
                                           (uint32_t)schedule->kind,      schedule->cycle_steps,
                                           schedule->cycle_growth,        schedule->warmup_steps,
                                           settings->physics.bisections};
-  const double values[CAMPAIGN_VALUES] = {
-      settings->mutation_share,  settings->mutation_rate,  settings->mutation_growth,
-      selection->novelty_weight, settings->collapse_share, schedule->peak,
-      schedule->floor,           schedule->decay,          settings->beta1,
-      settings->beta2,           settings->epsilon,        settings->norm_limit,
-      settings->adjoint_bound};
+  const double values[CAMPAIGN_VALUES] = {settings->mutation_share,
+                                          settings->mutation_rate,
+                                          settings->mutation_growth,
+                                          selection->novelty_weight,
+                                          settings->collapse_share,
+                                          schedule->peak,
+                                          schedule->floor,
+                                          schedule->decay,
+                                          settings->learning.beta1,
+                                          settings->learning.beta2,
+                                          settings->learning.epsilon,
+                                          settings->learning.norm_limit,
+                                          settings->learning.adjoint_bound};
   uint8_t *at = bytes;
   *at++ = 2;
   for (size_t i = 0; i < CAMPAIGN_WORDS; i++, at += 4)
@@ -268,7 +281,7 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings,
   mo_encode_u32((uint32_t)(settings->seed >> 32), at + 4);
   mo_encode_doubles(values, CAMPAIGN_VALUES, at + 8);
   mo_encode_physics(&settings->physics, MO_FLOAT32, settings->sensor, at + 8 + 8 * CAMPAIGN_VALUES);
-  encode_rule(settings->adjoint_rule, settings->restart_weight,
+  encode_rule(settings->learning.adjoint_rule, settings->learning.restart_weight,
               at + 8 + 8 * CAMPAIGN_VALUES + MO_PHYSICS_BYTES);
 }
 
@@ -306,20 +319,20 @@ int mo_decode_campaign(const uint8_t *bytes, size_t size, struct mo_campaign_set
       .parent_steps = words[11],
       .child_steps = words[12],
       .batch = words[13],
-      .schedule = {.kind = (enum mo_schedule_kind)words[14],
-                   .peak = values[5],
-                   .floor = values[6],
-                   .decay = values[7],
-                   .cycle_steps = words[15],
-                   .cycle_growth = words[16],
-                   .warmup_steps = words[17]},
-      .beta1 = values[8],
-      .beta2 = values[9],
-      .epsilon = values[10],
-      .norm_limit = values[11],
-      .adjoint_bound = values[12],
-      .adjoint_rule = rule,
-      .restart_weight = weight,
+      .learning.schedule = {.kind = (enum mo_schedule_kind)words[14],
+                            .peak = values[5],
+                            .floor = values[6],
+                            .decay = values[7],
+                            .cycle_steps = words[15],
+                            .cycle_growth = words[16],
+                            .warmup_steps = words[17]},
+      .learning.beta1 = values[8],
+      .learning.beta2 = values[9],
+      .learning.epsilon = values[10],
+      .learning.norm_limit = values[11],
+      .learning.adjoint_bound = values[12],
+      .learning.adjoint_rule = rule,
+      .learning.restart_weight = weight,
   };
   error = mo_decode_physics(at + 8 + 8 * CAMPAIGN_VALUES, MO_PHYSICS_BYTES, &settings->physics,
                             &precision, &settings->sensor);

@@ -1,5 +1,4 @@
-/* encode.h: numbers and records as the bytes that the database holds. Little-endian, independent of
- * the machine. */
+/* encode.h: encodes numbers and records as bytes for the database, little-endian everywhere. */
 #ifndef MORPHO_STORE_ENCODE_H
 #define MORPHO_STORE_ENCODE_H
 
@@ -12,7 +11,7 @@
 #define MO_ENVIRONMENT_BYTES (8 * (2 + MO_TERRAIN_HEIGHTS))
 #define MO_PHYSICS_BYTES     (1 + 9 * 8 + 5 * 4)
 #define MO_BITS_BYTES        18
-#define MO_RULE_BYTES        (4 + 8) /* of the adjoint, with the weight */
+#define MO_RULE_BYTES        (4 + 8) /* rule of the adjoint, and the restart weight */
 #define MO_TRAINING_BYTES    (1 + 10 * 4 + 8 + 8 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
 #define MO_CAMPAIGN_BYTES    (1 + 19 * 4 + 8 + 13 * 8 + MO_PHYSICS_BYTES + MO_RULE_BYTES)
 
@@ -36,19 +35,19 @@ void mo_encode_physics(const struct mo_physics *physics, enum mo_precision preci
 int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *physics,
                       enum mo_precision *precision, enum mo_sensor *sensor);
 
-/* All settings of a training, bit for bit; −0 is kept. */
+/* Encodes all settings of a training, bit for bit; −0 is kept. */
 void mo_encode_training(const struct mo_training_settings *settings,
                         uint8_t bytes[MO_TRAINING_BYTES]);
 int mo_decode_training(const uint8_t *bytes, size_t size,
                        struct mo_training_settings *settings); /* MO_ERR_CORRUPT */
 
-/* All settings of a campaign, likewise. */
+/* Encodes all settings of a campaign, bit for bit; −0 is kept. */
 void mo_encode_campaign(const struct mo_campaign_settings *settings,
                         uint8_t bytes[MO_CAMPAIGN_BYTES]);
 int mo_decode_campaign(const uint8_t *bytes, size_t size,
                        struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
 
-/* The stored form of genotypes, as mo_genotype_to_bytes writes it. */
+/* Encodes a genotype as mo_genotype_to_bytes does. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);
 int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits); /* MO_ERR_CORRUPT */
 

@@ -1,4 +1,4 @@
-/* evaluations.c: reading jobs, their results and their trajectories. */
+/* evaluations.c: reads jobs, their results and their trajectories. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -32,12 +32,15 @@ int mo_store_job(struct mo_store *store, int64_t id, struct mo_job *job)
   return error;
 }
 
-bool mo_job_query_waits(const struct mo_job_query *query)
+unsigned mo_job_page(const struct mo_job_query *query)
 {
-  return query->n_waiting > 0 && (query->state == MO_JOB_RUNNING || query->state == MO_JOB_PAUSED);
+  bool waits =
+      query->n_waiting > 0 && (query->state == MO_JOB_RUNNING || query->state == MO_JOB_PAUSED);
+  return query->state < 0 ? 0 : waits ? 2 : 1;
 }
 
-int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_query *query)
+int mo_bind_page(sqlite3_stmt *statement, const struct mo_job_query *query, int64_t fourth,
+                 size_t limit)
 {
   char text[MO_WAITING_MAX * 24 + 8] = "[";
   size_t size = 1;
@@ -47,9 +50,14 @@ int mo_bind_waiting(sqlite3_stmt *statement, int index, const struct mo_job_quer
     size += (size_t)snprintf(text + size, sizeof(text) - size, "%s%lld", i > 0 ? "," : "",
                              (long long)query->waiting[i]);
   text[size++] = ']';
-  return sqlite3_bind_text(statement, index, text, (int)size, SQLITE_TRANSIENT) == SQLITE_OK
-             ? MO_OK
-             : MO_ERR_NO_MEMORY;
+  /* A statement without one of these parameters refuses the binding, which is no error. */
+  (void)sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
+  (void)sqlite3_bind_int64(statement, 2, query->state);
+  (void)sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
+  (void)sqlite3_bind_int64(statement, 4, fourth);
+  return sqlite3_bind_text(statement, 5, text, (int)size, SQLITE_TRANSIENT) == SQLITE_NOMEM
+             ? MO_ERR_NO_MEMORY
+             : MO_OK;
 }
 
 static int64_t read_ids(struct mo_connection *reader, const char *sql,
@@ -59,14 +67,11 @@ static int64_t read_ids(struct mo_connection *reader, const char *sql,
   int64_t n = 0;
   int step;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
+  if (statement == NULL || (error = mo_bind_page(statement, query, group, limit)) != MO_OK)
     return error;
-  sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
-  sqlite3_bind_int64(statement, 2, query->state);
-  sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-  sqlite3_bind_int64(statement, 4, group);
-  if (mo_job_query_waits(query) && (error = mo_bind_waiting(statement, 5, query)) != MO_OK)
-    return error;
+  if (query->label != NULL &&
+      sqlite3_bind_text(statement, 6, query->label, -1, SQLITE_STATIC) != SQLITE_OK)
+    return MO_ERR_NO_MEMORY;
   while ((step = mo_sql_step(reader, statement)) > 0)
     ids[n++] = sqlite3_column_int64(statement, 0);
   return step < 0 ? step : n;
@@ -89,49 +94,41 @@ int64_t mo_read_jobs(struct mo_store *store, const char *sql, const struct mo_jo
   for (int64_t i = 0; i < n && error == MO_OK; i++) {
     char *status = (char *)statuses + (size_t)i * status_size;
     error = load(reader, ids[i], status);
-    if (mo_job_passed_over(error, (const struct mo_job *)(const void *)status))
-      error = MO_OK;
   }
   mo_reader_release(store, reader);
   return error != MO_OK ? error : n;
 }
 
+static int load_job(struct mo_connection *reader, int64_t id, void *job)
+{
+  return get_job(reader, id, job);
+}
+
 int64_t mo_store_jobs(struct mo_store *store, const struct mo_job_query *query, struct mo_job *jobs,
                       size_t limit)
 {
-  static const char all_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
-                                "WHERE j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
-  static const char state_sql[] =
-      "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
-      "WHERE j.state=?4 AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
-  static const char shown_sql[] = "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES "WHERE " MO_JOB_SHOWN_IN(
-      "?4", "?5") " AND j.id<?1 AND (?2<0 OR j.kind=?2) ORDER BY j.id DESC LIMIT ?3";
+#define SELECT "SELECT " MO_JOB_COLUMNS MO_JOB_TABLES
+  static const char *const sql[2][3] = {MO_PAGES(SELECT, "TRUE"), MO_PAGES(SELECT, "j.kind=?4")};
+#undef SELECT
+  static const char *const label_sql[2][3] = {
+      MO_PAGES("SELECT j.id FROM jobs j", "j.label=?6"),
+      MO_PAGES("SELECT j.id FROM jobs j", "j.label=?6 AND j.kind=?4")};
   struct mo_connection *reader;
   sqlite3_stmt *statement;
   int error = MO_OK;
   int64_t n = 0;
   if (limit > MO_PAGE_MAX)
     return MO_ERR_LIMIT;
+  if (query->label != NULL)
+    return mo_read_jobs(store, label_sql[query->kind >= 0][mo_job_page(query)], query, query->kind,
+                        limit, load_job, jobs, sizeof(*jobs));
   reader = mo_reader_acquire(store);
-  statement = mo_sql(reader,
-                     query->state < 0            ? all_sql
-                     : mo_job_query_waits(query) ? shown_sql
-                                                 : state_sql,
-                     &error);
+  statement = mo_sql(reader, sql[query->kind >= 0][mo_job_page(query)], &error);
   if (statement != NULL) {
     int step = 0;
-    sqlite3_bind_int64(statement, 1, query->before > 0 ? query->before : INT64_MAX);
-    sqlite3_bind_int64(statement, 2, query->kind);
-    sqlite3_bind_int64(statement, 3, (sqlite3_int64)limit);
-    if (query->state >= 0)
-      sqlite3_bind_int64(statement, 4, query->state);
-    if (mo_job_query_waits(query))
-      error = mo_bind_waiting(statement, 5, query);
-    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-      error = mo_job_from_row(statement, &jobs[n]);
-      if (mo_job_passed_over(error, &jobs[n++]))
-        error = MO_OK;
-    }
+    error = mo_bind_page(statement, query, query->kind, limit);
+    while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0)
+      error = mo_job_from_row(statement, &jobs[n++]);
     if (step < 0)
       error = step;
   }
@@ -149,7 +146,7 @@ int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   while (statement != NULL && error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     int state = sqlite3_column_int(statement, 0);
-    if (state >= 0 && state < MO_JOB_STATES) /* a damaged row must not hide the others */
+    if (state >= 0 && state < MO_JOB_STATES)
       found[state] = (uint64_t)sqlite3_column_int64(statement, 1);
   }
   if (step < 0)
@@ -166,7 +163,7 @@ struct result_keys {
   int64_t controller, physics;
   bool verify;
   int64_t environments[MO_ENVIRONMENTS_MAX];
-  int64_t lowest, highest; /* environment rows: one range scan per genotype */
+  int64_t lowest, highest; /* bounds of `environments`, for one range scan per genotype */
 };
 
 static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
@@ -243,7 +240,7 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
   return MO_OK;
 }
 
-/* The stored losses of one genotype, into row `n` of the results. */
+/* Reads the stored losses of one genotype into row `n` of the results. */
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys,
                        int64_t genotype, size_t n, struct mo_evaluation_results *results)
 {

@@ -1,9 +1,8 @@
 /* files.c: whole files, written so that a crash at any moment leaves the old file, the new one, or
  * none.
  *
- * A file is written beside its place, synced, renamed, and its folder synced. Only then may a row
- * speak of it. */
-#include <dirent.h>
+ * A file is written beside its place, synced and renamed, and its folder is synced. Only then may a
+ * row refer to it. */
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
@@ -16,7 +15,7 @@
 
 #define PIECE_BYTES ((size_t)1 << 20)
 
-/* Want of descriptors or memory passes: the file is as good as it was. */
+/* Lack of descriptors or memory is temporary, and the file is not to blame. */
 static int open_error(void)
 {
   return errno == EMFILE || errno == ENFILE || errno == ENOMEM ? MO_ERR_NO_MEMORY : MO_ERR_IO;
@@ -24,7 +23,8 @@ static int open_error(void)
 
 int mo_file_read(const char *path, size_t size, uint8_t **ret)
 {
-  int fd = open(path, O_RDONLY | O_CLOEXEC);
+  /* O_NONBLOCK: opening a pipe must not wait for a writer. */
+  int fd = open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
   size_t filled = 0;
   uint8_t *bytes;
   struct stat status;
@@ -71,7 +71,7 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
   return MO_ERR_CORRUPT;
 }
 
-/* ---- what the system does ---- */
+/* ---- the system's operations ---- */
 
 static int system_open(void *context, const char *path, int flags)
 {
@@ -148,7 +148,7 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
   while (written < size) {
     const size_t left = size - written;
     ssize_t n;
-    if (atomic_load(&store->is_short)) /* what was given back is for others */
+    if (atomic_load(&store->is_short)) /* freed space of the reserve is for urgent operations */
       return MO_ERR_NO_SPACE;
     n = files->write(files->context, fd, bytes + written, left < PIECE_BYTES ? left : PIECE_BYTES);
     if (n < 0 && errno == EINTR)
@@ -185,7 +185,8 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
     return MO_ERR_NO_MEMORY;
   snprintf(temporary, temporary_size, "%s/.tmp-%u", folder,
            atomic_fetch_add(&store->file_counter, 1));
-  fd = files->open(files->context, temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC);
+  fd =
+      files->open(files->context, temporary, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW);
   if (fd < 0) {
     error = write_error();
     free(temporary);
@@ -202,8 +203,8 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
   return error == MO_OK ? mo_folder_sync(store, folder) : error;
 }
 
-/* A later fsync of the folder may succeed without the name that this one lost, and the file is
- * there for who looks. */
+/* A failure is fatal: a later fsync of the folder may succeed without the name that this one lost,
+ * although the file is visible until then. */
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
   int error = mo_path_sync(store, path, true);
@@ -212,63 +213,11 @@ int mo_folder_sync(struct mo_store *store, const char *path)
   return error;
 }
 
-/* Also one that is there: whoever made it may have failed to sync its name, for want of a
- * descriptor or by being killed. */
+/* Also syncs a folder that exists already: the call that made it may have been killed, or may have
+ * lacked a descriptor, before it synced the name. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path)
 {
   if (store->files->mkdir(store->files->context, path) != 0 && errno != EEXIST)
     return write_error();
   return mo_folder_sync(store, parent);
-}
-
-int mo_folder_clean(const struct mo_store *store, const char *path,
-                    bool (*keep)(void *context, const char *name), void *context)
-{
-  struct dirent *entry;
-  int error = MO_OK;
-  DIR *folder = opendir(path);
-  if (folder == NULL)
-    return MO_ERR_IO;
-  while (error == MO_OK &&
-         (entry = readdir(folder)) !=
-             NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
-    char *file = NULL;
-    if (strncmp(entry->d_name, ".tmp-", 5) != 0 &&
-        (keep == NULL || entry->d_name[0] == '.' || keep(context, entry->d_name)))
-      continue;
-    if (asprintf(&file, "%s/%s", path, entry->d_name) < 0)
-      error = MO_ERR_NO_MEMORY;
-    else
-      (void)store->files->unlink(store->files->context, file);
-    free(file);
-  }
-  closedir(folder);
-  return error;
-}
-
-int mo_job_folders_clean(const struct mo_store *store, const char *path,
-                         bool (*has_row)(void *cleaning, const char *name),
-                         struct mo_cleaning *cleaning)
-{
-  size_t size = strlen(path) + 32;
-  char *inner = malloc(size);
-  struct dirent *entry;
-  DIR *folder = opendir(path);
-  if (folder == NULL || inner == NULL)
-    cleaning->error = folder == NULL ? MO_ERR_IO : MO_ERR_NO_MEMORY;
-  while (cleaning->error == MO_OK &&
-         (entry = readdir(folder)) !=
-             NULL) { /* NOLINT(concurrency-mt-unsafe): the stream is this thread's own */
-    char *end;
-    cleaning->job = strtoll(entry->d_name, &end, 10);
-    if (cleaning->job <= 0 || *end != '\0')
-      continue;
-    snprintf(inner, size, "%s/%lld", path, (long long)cleaning->job);
-    (void)mo_folder_clean(store, inner, has_row, cleaning);
-    (void)store->files->rmdir(store->files->context, inner); /* when nothing is left */
-  }
-  if (folder != NULL)
-    closedir(folder);
-  free(inner);
-  return cleaning->error;
 }

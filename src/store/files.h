@@ -1,8 +1,8 @@
-/* files.h: the system calls by which the store changes files that it writes itself: weights,
- * checkpoints, the names of backups.
+/* files.h: the system calls that change the store's own files: weights, checkpoints, names of
+ * backups.
  *
- * A table, so that tests can put a disk of their own below the store, as they do with SQLite's file
- * system. The lock and the reserve are not written through it: their content means nothing. */
+ * They are in a table, so that tests can simulate a disk, as they do for SQLite with a VFS. The
+ * lock and the reserve do not use it: their content means nothing. */
 #ifndef MORPHO_STORE_FILES_H
 #define MORPHO_STORE_FILES_H
 
@@ -10,15 +10,15 @@
 #include <stddef.h>
 #include <sys/types.h>
 
-/* Each as the call of its name: −1 and errno. From any thread. */
+/* Each is like the system call of its name: −1 and errno. Called from any thread. */
 struct mo_file_operations {
   int (*open)(void *context, const char *path,
-              int flags); /* new files: mode 0600; folders, to be synced */
+              int flags); /* new files get mode 0600; also opens folders, to sync them */
   ssize_t (*write)(void *context, int fd, const void *bytes, size_t size);
   int (*sync)(void *context, int fd); /* of a file or folder */
   int (*close)(void *context, int fd);
   int (*rename)(void *context, const char *from, const char *to,
-                bool replace); /* else EEXIST if `to` is there */
+                bool replace); /* replace false: EEXIST if `to` exists */
   int (*unlink)(void *context, const char *path);
   int (*mkdir)(void *context, const char *path); /* mode 0700 */
   int (*rmdir)(void *context, const char *path);

@@ -2,8 +2,8 @@
  *
  * Physics encoding, version 1: the byte 1, then little-endian: eight doubles (dt, stiffness, mass,
  * drag, gravity, actuation, friction, friction cap), the double drop height, and the 32-bit words
- * steps, impact, bisections (0 for exact), precision, sensor. An equal value has one encoding: −0
- * is written as 0. */
+ * steps, impact, bisections (0 for exact), precision, sensor. Equal values have one encoding: −0 is
+ * written as 0. */
 #include "store/hash.h"
 
 #include <string.h>

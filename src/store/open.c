@@ -1,16 +1,15 @@
-/* open.c: opening, migrating and closing a state folder; the pool of readers.
+/* open.c: opens, migrates and closes a state folder; the pool of readers.
  *
- * Order: lock, database, application id and version, quick_check after an unclean stop, migrations,
- * epoch, readers, reserve, writer. The folder's lock is a file of its own: opening and closing the
- * database file outside SQLite would drop SQLite's locks. On a full disk the log's index and the
- * epoch get their room from the reserve, a migration does not. */
+ * Order: folder and its lock (folder.c), database, application id and version, quick_check after an
+ * unclean stop, migrations, epoch, readers, reserve, writer. Only SQLite opens the database file:
+ * closing it elsewhere would drop SQLite's locks. On a full disk the log's index and the epoch use
+ * the reserve; a migration does not. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -26,36 +25,47 @@ static char *join(const char *folder, const char *name)
   return path;
 }
 
-static int lock_folder(struct mo_store *store, struct mo_message *message)
-{
-  char *path = join(store->path, "lock");
-  struct stat status;
-  int error = MO_OK;
-  if (path == NULL)
-    return MO_ERR_NO_MEMORY;
-  if (stat(store->path, &status) != 0 || !S_ISDIR(status.st_mode)) {
-    free(path);
-    return mo_fail(message, MO_ERR_NOT_FOUND,
-                   "the state folder %s does not exist or is not a folder", store->path);
-  }
-  store->lock_fd = open(path, O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-  if (store->lock_fd < 0)
-    error = mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO,
-                    "cannot write to the state folder %s: %s", store->path, strerrordesc_np(errno));
-  else if (flock(store->lock_fd, LOCK_EX | LOCK_NB) != 0)
-    error = mo_fail(message, MO_ERR_BUSY, "another process uses the state folder %s", store->path);
-  free(path);
-  return error;
-}
-
-/* A folder of files; what an interrupted write left there is removed. */
 static int prepare_folder(struct mo_store *store, const char *path, struct mo_message *message)
 {
   int error = mo_folder_make(store, store->path, path);
+  return error == MO_OK
+             ? MO_OK
+             : mo_fail(message, error, "cannot create %s: %s", path, strerrordesc_np(errno));
+}
+
+static off_t size_of(const struct mo_store *store, const char *ending)
+{
+  char path[PATH_MAX];
+  struct stat status;
+  snprintf(path, sizeof(path), "%s%s", store->database_path, ending);
+  return lstat(path, &status) == 0 ? status.st_size : 0;
+}
+
+static int refuse_without_database(const struct mo_store *store, struct mo_message *message)
+{
+  const bool has_files = store->orphans.n > 0;
+  return mo_fail(message, MO_ERR_CONFLICT,
+                 "the state folder has lost its database: morphod.db is missing or empty beside "
+                 "data files, such as"
+                 " %.48s: mount or restore it, or move them away to start with an empty one: %s",
+                 has_files ? store->orphans.first : "morphod.db-wal", store->path);
+}
+
+/* Checks that no database is missing, before anything is made or removed. A first start that was
+ * killed has left no other files: the database is made before them. SQLite writes the log after the
+ * database's first page, and deletes a log without a database. */
+static int look_for_database(struct mo_store *store, struct mo_message *message)
+{
+  const bool is_there = size_of(store, "") > 1;
+  int error = mo_files_sort_out(store, NULL, is_there);
   if (error != MO_OK)
-    return mo_fail(message, error, "cannot create %s: %s", path, strerrordesc_np(errno));
-  if (mo_folder_clean(store, path, NULL, NULL) != MO_OK)
-    return mo_fail(message, MO_ERR_IO, "cannot read %s: %s", path, strerrordesc_np(errno));
+    return mo_fail(message, error, "cannot read what is in %s: %s", store->path,
+                   mo_error_text(error));
+  if (!is_there && (store->orphans.n > 0 || size_of(store, "-wal") > 0))
+    return refuse_without_database(store, message);
+  if (!is_there && store->must_exist)
+    return mo_fail(message, MO_ERR_NOT_FOUND, "there is no database in the state folder %s",
+                   store->path);
   return MO_OK;
 }
 
@@ -100,19 +110,6 @@ static int run_check(struct mo_connection *connection, const char *sql, struct m
   return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
 }
 
-/* The structure of the database, and that no value is of another type than its column. Rows whose
- * values have a wrong length can be told apart from all others when they are read, and cost nobody
- * the rest. */
-static int check_structure(struct mo_connection *writer, struct mo_message *message)
-{
-  int error = mo_sql_exec(writer, "PRAGMA ignore_check_constraints=ON");
-  int restored;
-  if (error == MO_OK)
-    error = run_check(writer, "PRAGMA quick_check(1)", message);
-  restored = mo_sql_exec(writer, "PRAGMA ignore_check_constraints=OFF");
-  return error != MO_OK ? error : restored;
-}
-
 static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)
 {
   char sql[64];
@@ -123,8 +120,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
       mo_fail(message, error, "migration %s failed: %s", migration_files[i].name,
               sqlite3_errmsg(writer->db));
   }
-  /* In the same transaction: a kill between this commit and the first opening's must leave a
-   * database that opens. */
+  /* In the same transaction, so that the database opens after a kill between this commit and the
+   * first opening's. */
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
@@ -142,8 +139,8 @@ static int migrate(struct mo_connection *writer, int64_t from, struct mo_message
   return error;
 }
 
-/* SQLite answers with the mode that it keeps when it cannot use a log: without shared memory, say.
- */
+/* Turns the write-ahead log on. If SQLite cannot use it (for example without shared memory), it
+ * replies with the mode that it keeps. */
 static int use_log(const struct mo_store *store, struct mo_connection *writer,
                    struct mo_message *message)
 {
@@ -172,7 +169,8 @@ struct header {
   int64_t application, version, tables;
 };
 
-/* The first that reads the database, for which the log's index is made anew. */
+/* Opens the writer and reads the database's header. This is the first read, which rebuilds the
+ * log's index. */
 static int read_header(struct mo_store *store, struct header *header)
 {
   struct mo_connection *writer = &store->writer;
@@ -190,12 +188,14 @@ static int read_header(struct mo_store *store, struct header *header)
 
 static int count_opening(struct mo_connection *writer)
 {
-  int error = mo_sql_exec(writer, "BEGIN IMMEDIATE;"
-                                  "INSERT INTO meta(key,value) VALUES('epoch',1)"
-                                  " ON CONFLICT(key) DO UPDATE SET value=value+1;"
-                                  "INSERT INTO meta(key,value) VALUES('clean',0)"
-                                  " ON CONFLICT(key) DO UPDATE SET value=0;"
-                                  "COMMIT");
+  int error = mo_sql_exec(
+      writer, "BEGIN IMMEDIATE;"
+              "INSERT INTO meta(key,value) VALUES('epoch',1)"
+              " ON CONFLICT(key) DO UPDATE SET value=value+1;"
+              "INSERT INTO meta(key,value) VALUES('clean',0)"
+              " ON CONFLICT(key) DO UPDATE SET value=0;"
+              "INSERT INTO meta(key,value) VALUES('id',random()) ON CONFLICT(key) DO NOTHING;"
+              "COMMIT");
   if (error != MO_OK && !sqlite3_get_autocommit(writer->db))
     (void)mo_sql_exec(writer, "ROLLBACK");
   return error;
@@ -217,6 +217,8 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
                    mo_error_text(error));
   if (header.application != MO_APPLICATION_ID && (header.application != 0 || header.tables != 0))
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
+  if (header.version == 0 && header.tables == 0 && store->orphans.n > 0)
+    return refuse_without_database(store, message);
   if (header.version > migration_count || header.version < 0)
     return mo_fail(
         message, MO_ERR_UNSUPPORTED,
@@ -226,7 +228,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   if (error == MO_OK && header.version > 0) {
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
     if (error == MO_OK && !clean)
-      error = check_structure(writer, message);
+      error = run_check(writer, "PRAGMA quick_check(1)", message);
     if (error == MO_ERR_NOT_FOUND)
       error =
           mo_fail(message, MO_ERR_CORRUPT, "%s lacks its own description", store->database_path);
@@ -242,6 +244,8 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   }
   if (error == MO_OK)
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='epoch'", &store->epoch);
+  if (error == MO_OK)
+    error = get_pragma(writer, "SELECT value FROM meta WHERE key='id'", &store->id);
   if (error != MO_OK && message != NULL && message->text[0] == '\0')
     mo_fail(message, error, "cannot prepare %s: %s", store->database_path, mo_error_text(error));
   return error;
@@ -273,7 +277,7 @@ struct mo_connection *mo_reader_acquire(struct mo_store *store)
 
 void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 {
-  /* A statement left in the middle of its rows would hold back the checkpoints. */
+  /* A statement that was not reset would hold back checkpoints. */
   for (unsigned i = 0; i < connection->n_cached; i++)
     (void)sqlite3_reset(connection->cache[i].statement);
   if (!sqlite3_get_autocommit(connection->db))
@@ -293,6 +297,8 @@ static void free_store(struct mo_store *store)
   mo_connection_close(&store->writer);
   if (store->lock_fd >= 0)
     close(store->lock_fd);
+  if (store->folder_fd >= 0)
+    close(store->folder_fd);
   pthread_mutex_destroy(&store->readers_mutex);
   pthread_cond_destroy(&store->reader_free);
   pthread_mutex_destroy(&store->runner_mutex);
@@ -300,6 +306,7 @@ static void free_store(struct mo_store *store)
   pthread_cond_destroy(&store->work);
   pthread_mutex_destroy(&store->listeners_mutex);
   pthread_mutex_destroy(&store->checkpoints_mutex);
+  pthread_rwlock_destroy(&store->controllers_lock);
   free(store->events);
   free(store->readers);
   free(store->path);
@@ -312,13 +319,15 @@ static void free_store(struct mo_store *store)
   free(store);
 }
 
-static struct mo_store *create_store(const struct mo_store_config *config)
+/* `path`: without links; the store takes ownership. */
+static struct mo_store *create_store(const struct mo_store_config *config, char *path)
 {
   struct mo_store *store = calloc(1, sizeof(*store));
   pthread_condattr_t monotonic;
   if (store == NULL)
     return NULL;
-  store->lock_fd = -1;
+  store->folder_fd = store->lock_fd = -1;
+  mo_mapping_init();
   store->files = config->files != NULL ? config->files : mo_file_operations_system();
   store->n_readers = config->n_readers > 0 ? config->n_readers : 4;
   store->events_kept = config->events_kept > 0 ? config->events_kept : 100000;
@@ -327,6 +336,7 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   store->checkpoint_frames = config->checkpoint_frames > 0 && config->checkpoint_frames <= 1000000
                                  ? (int)config->checkpoint_frames
                                  : MO_CHECKPOINT_FRAMES;
+  store->must_exist = config->must_exist;
   store->fatal = config->fatal;
   store->fatal_context = config->fatal_context;
   pthread_mutex_init(&store->readers_mutex, NULL);
@@ -335,19 +345,20 @@ static struct mo_store *create_store(const struct mo_store_config *config)
   pthread_mutex_init(&store->mutex, NULL);
   pthread_mutex_init(&store->listeners_mutex, NULL);
   pthread_mutex_init(&store->checkpoints_mutex, NULL);
+  pthread_rwlock_init(&store->controllers_lock, NULL);
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_cond_init(&store->work, &monotonic);
   pthread_condattr_destroy(&monotonic);
-  store->path = strdup(config->path);
-  store->database_path = join(config->path, "morphod.db");
-  store->controllers_path = join(config->path, "controllers");
-  store->trainings_path = join(config->path, "trainings");
-  store->campaigns_path = join(config->path, "campaigns");
-  store->reserve_path = join(config->path, "reserve");
+  store->path = path;
+  store->database_path = join(path, "morphod.db");
+  store->controllers_path = join(path, "controllers");
+  store->trainings_path = join(path, "trainings");
+  store->campaigns_path = join(path, "campaigns");
+  store->reserve_path = join(path, "reserve");
   store->vfs = config->vfs != NULL ? strdup(config->vfs) : NULL;
   store->readers = calloc(store->n_readers, sizeof(*store->readers));
-  if (store->path == NULL || store->database_path == NULL || store->controllers_path == NULL ||
+  if (store->database_path == NULL || store->controllers_path == NULL ||
       store->trainings_path == NULL || store->campaigns_path == NULL ||
       store->reserve_path == NULL || store->readers == NULL ||
       (config->vfs != NULL && store->vfs == NULL)) {
@@ -361,15 +372,24 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
                   struct mo_message *message)
 {
   struct mo_store *store;
-  int error;
+  char *path = NULL;
+  int error, fd;
   if (config->path == NULL || config->path[0] == '\0')
     return mo_fail(message, MO_ERR_INVALID, "a state folder must be named");
   if (message != NULL)
     message->text[0] = '\0';
-  store = create_store(config);
-  if (store == NULL)
+  fd = mo_state_folder_open(config->path, &path, message);
+  if (fd < 0)
+    return fd;
+  store = create_store(config, path);
+  if (store == NULL) {
+    close(fd);
     return mo_fail(message, MO_ERR_NO_MEMORY, "out of memory");
-  error = lock_folder(store, message);
+  }
+  store->folder_fd = fd;
+  error = mo_state_folder_lock(fd, config->path, &store->lock_fd, message);
+  if (error == MO_OK)
+    error = look_for_database(store, message);
   if (error == MO_OK)
     error = prepare_folder(store, store->controllers_path, message);
   if (error == MO_OK)
@@ -379,9 +399,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
   if (error == MO_OK)
     error = prepare_database(store, message);
   if (error == MO_OK)
-    error = mo_trainings_clean(store);
-  if (error == MO_OK)
-    error = mo_campaigns_clean(store);
+    error = mo_files_sort_out(store, &store->writer, true);
   if (error == MO_OK)
     error = open_readers(store);
   if (error == MO_OK) {
@@ -389,7 +407,7 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
     error = mo_writer_start(store);
   }
   if (error == MO_OK) {
-    error = mo_put_paper_test_right(store);
+    error = mo_make_paper_test(store);
     if (error != MO_OK)
       mo_writer_stop(store);
   }
@@ -404,22 +422,17 @@ int mo_store_open(const struct mo_store_config *config, struct mo_store **ret,
   return MO_OK;
 }
 
-const char *mo_store_repairs(const struct mo_store *store)
-{
-  return store->repairs;
-}
-
 void mo_store_close(struct mo_store *store)
 {
   if (store == NULL)
     return;
   mo_writer_stop(store);
   if (atomic_load(&store->is_fatal)) {
-    /* Recovery is the next opening's: it reads what the disk has kept, not what this process
-     * believes that it has. */
+    /* Leave recovery to the next opening, which reads what the disk has kept, not what this process
+     * believes. */
     (void)sqlite3_db_config(store->writer.db, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, NULL);
   } else {
-    /* Readers first, so that the last checkpoint can empty the log. */
+    /* Close readers first, so that the last checkpoint can empty the log. */
     for (uint32_t i = 0; i < store->n_readers; i++)
       mo_connection_close(&store->readers[i]);
     mo_connection_close(&store->runner);
@@ -433,6 +446,11 @@ void mo_store_close(struct mo_store *store)
 int64_t mo_store_epoch(const struct mo_store *store)
 {
   return store->epoch;
+}
+
+uint64_t mo_store_id(const struct mo_store *store)
+{
+  return (uint64_t)store->id;
 }
 
 static int check_connection(struct mo_connection *connection, struct mo_message *message)
@@ -464,7 +482,7 @@ int mo_store_check(struct mo_store *store, struct mo_message *message)
   return error;
 }
 
-/* Copies into `copy` and checks what was written. */
+/* Copies the database into `copy` and checks the copy. */
 static int copy_database(struct mo_store *store, const char *copy, struct mo_message *message)
 {
   struct mo_connection source;
@@ -511,7 +529,7 @@ int mo_store_backup(struct mo_store *store, const char *path, struct mo_message 
     return MO_ERR_NO_MEMORY;
   }
   snprintf(copy, size, "%s.partial", path);
-  (void)files->unlink(files->context, copy); /* of an interrupted backup */
+  (void)files->unlink(files->context, copy); /* left by an interrupted backup */
   error = copy_database(store, copy, message);
   if (error == MO_OK)
     error = mo_path_sync(store, copy, false);

@@ -1,4 +1,4 @@
-/* records.c: names of states and kinds, and the ends of what the store hands out. */
+/* records.c: names of states and kinds, and the functions that free what the store returns. */
 #include "store/runner.h"
 
 #include <stdlib.h>

@@ -1,7 +1,7 @@
-/* records.h: what the store hands out: jobs, designs, controllers, events.
+/* records.h: what the store returns: jobs, designs, controllers, events.
  *
- * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Texts are UTF-8, always
- * terminated. The service works in the default workspace, so a genotype is MO_DEFAULT_WORDS words.
+ * Times are microseconds since 1970-01-01 UTC; 0 means "not yet". Strings are UTF-8 and always
+ * terminated. The service works in the default workspace, so a genotype has MO_DEFAULT_WORDS words.
  */
 #ifndef MORPHO_STORE_RECORDS_H
 #define MORPHO_STORE_RECORDS_H
@@ -21,10 +21,9 @@
 #define MO_DESIGNS_MAX           10000 /* of one evaluation */
 #define MO_ENVIRONMENTS_MAX      64    /* of one evaluation */
 #define MO_LABEL_BYTES_MAX       800   /* 200 characters of UTF-8 */
-#define MO_NAME_BYTES_MAX        64    /* of a controller's name or a set of environments */
+#define MO_NAME_BYTES_MAX        64    /* of the name of a controller or a set of environments */
 #define MO_IDEMPOTENCY_BYTES_MAX 255
 #define MO_PAGE_MAX              1000 /* rows of one page of any list */
-#define MO_DAMAGE_BYTES          160  /* of the words about a row that cannot be read */
 #define MO_WEIGHT_MIN            1e-3 /* of a job */
 #define MO_WEIGHT_MAX            1e3
 
@@ -52,56 +51,45 @@ static inline bool mo_job_state_is_final(enum mo_job_state state)
   return state >= MO_JOB_SUCCEEDED;
 }
 
-/* A job and, for an evaluation, all of it but its results; for a training or a campaign what a list
- * shows (the rest: store/trainings.h, store/campaigns.h). Owns nothing: copy freely. */
+/* A job. An evaluation is complete but for its results; a training or a campaign has what lists
+ * show (the rest: store/trainings.h, store/campaigns.h). Owns nothing, so it may be copied. */
 struct mo_job {
   int64_t id;      /* ≥ 1 */
   int64_t version; /* grows with every change of the row: the ETag */
   enum mo_job_kind kind;
   enum mo_job_state state;
   enum mo_urgency priority;
-  double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its part of the cores beside other batch work */
-  enum mo_back_end back_end;          /* chosen at submission, for good */
+  double weight; /* MO_WEIGHT_MIN … MO_WEIGHT_MAX: its share of the cores among batch jobs */
+  enum mo_back_end back_end;          /* chosen at submission; never changes */
   char label[MO_LABEL_BYTES_MAX + 1]; /* "" when none was given */
   bool has_label;
   int64_t created_us, started_us, finished_us;
   uint32_t attempts; /* crashes and runner errors so far */
-  int error;         /* MO_OK or a code; set when failed, or by the last unsuccessful attempt;
-                        MO_ERR_DEVICE: paused for want of a device */
+  int error; /* MO_OK or a code; set when the job failed, or by the last unsuccessful attempt;
+                MO_ERR_DEVICE: paused for lack of a device */
   char error_text[256];
-  /* Evaluation. Of a training: the controller that it starts from ("" and zeros: random weights),
-   * sensor, physics, n_designs. Of a campaign: controller likewise, environments, sensor, physics,
-   * n_designs: its population. */
-  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as asked for at submission; "" if asked by hash */
+  /* For an evaluation all of these. For a training: the controller that it starts from ("" and
+   * zeros: random weights), sensor, physics, n_designs. For a campaign: likewise the controller,
+   * and environments, sensor, physics; n_designs is the population. */
+  char controller_name[MO_NAME_BYTES_MAX + 8]; /* as requested at submission; "": by hash */
   struct mo_sha256 controller_sha256;
   enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX +
-                       1]; /* "paper-test", or "" for environments of the request's own */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "paper-test", or "": listed in the request */
   uint32_t n_environments, n_designs;
   struct mo_physics physics;
   enum mo_precision precision;
   bool verify, record_com, record_masses;
   uint32_t record_stride;
-  uint64_t rollouts_total, rollouts_done, rollouts_cached,
-      rollouts_diverged; /* done includes cached; 0 in a
-                            training */
-  /* Training. Campaign: generations, and those that are committed; generation 0 is not counted. */
+  /* 0 in a training; done includes cached. */
+  uint64_t rollouts_total, rollouts_done, rollouts_cached, rollouts_diverged;
+  /* Training: steps. Campaign: generations, without generation 0; done: committed. */
   uint32_t steps_total, steps_done;
-  /* "", or what of its rows cannot be read, by table and column: then nothing counts but id, kind
-   * (of no known one: MO_JOB_KINDS), and this. */
-  char damage[MO_DAMAGE_BYTES];
-};
-
-/* A number in a row of a curve that no reply can say. */
-struct mo_row_damage {
-  const char *column; /* with its table; NULL: all is well */
-  double value;       /* NaN: none */
 };
 
 struct mo_event {
   int64_t sequence; /* ≥ 1, grows by commit order, never reused */
   int64_t time_us;
-  int64_t job;    /* 0: not about a job */
+  int64_t job;    /* 0: about no job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
                      "job.resumed", "job.requeued", "job.finished",  "training.progress",
                      "training.validation", "training.checkpoint", "training.code_changed",
@@ -109,21 +97,17 @@ struct mo_event {
                      "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
                      "controller.removed" */
   char data[512]; /* a JSON object */
-  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the sequence
-                                   can. "": all is well */
 };
 
 struct mo_controller_record {
   char name[MO_NAME_BYTES_MAX + 1]; /* "" when looked up by hash */
-  int64_t version;                  /* of the name: grows when it is re-pointed */
+  int64_t version;                  /* of the name: grows when the name gets other content */
   struct mo_sha256 sha256;          /* of the file's bytes */
   uint64_t size;                    /* bytes */
   enum mo_sensor sensor;
   struct mo_workspace workspace;
   uint64_t n_parameters;
-  int64_t stored_us; /* when this name got this content (by hash: when the content came) */
-  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row. "": all is
-                                   well */
+  int64_t stored_us; /* when this name got this content (by hash: when the content was stored) */
 };
 
 /* One page row of designs. */
@@ -131,26 +115,24 @@ struct mo_design_row {
   int64_t row;         /* cursor of sort=id */
   struct mo_bits form; /* canonical */
   int64_t first_seen_us;
-  struct mo_bits genotype; /* sort=score: the oriented, placed genotype that has the score */
+  struct mo_bits genotype; /* sort=score: the scored genotype, oriented and placed */
   double score; /* sort=score: mean loss; +infinity when a rollout diverged. NaN otherwise */
-  int64_t genotype_row;         /* sort=score: with score, the cursor */
-  char damage[MO_DAMAGE_BYTES]; /* what of it cannot be read, by table, column and row; the cursor
-                                   can. "": all is well */
+  int64_t genotype_row; /* sort=score: with score, the cursor */
 };
 
-/* Scores of one oriented genotype under one setting: of a whole named set, or of one environment
- * that is in none. */
+/* The score of one oriented genotype under one setting: over a whole named set, or in one
+ * environment that belongs to no set. */
 struct mo_design_score {
   struct mo_sha256 controller_sha256, physics_sha256;
   enum mo_precision precision;
   enum mo_sensor sensor;
-  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "" : one environment, named by its hash */
+  char environment_set[MO_NAME_BYTES_MAX + 1]; /* "": one environment, named by its hash */
   struct mo_sha256 environment_sha256;         /* when environment_set is "" */
   double score; /* mean; +infinity when a rollout diverged; NaN when the set is incomplete */
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
-  int64_t computed_us; /* of the newest rollout */
+  int64_t computed_us; /* when the newest rollout was computed */
   char fingerprint[128];
 };
 
@@ -164,24 +146,24 @@ struct mo_design {
   struct mo_bits form; /* canonical */
   int64_t first_seen_us;
   uint32_t n_orientations;
-  struct mo_design_orientation *orientations; /* (n_orientations) in order of first sight */
+  struct mo_design_orientation *orientations; /* (n_orientations) the first seen first */
   bool truncated; /* more than 1000 rollouts are stored; the first 1000 are reported */
 };
 void mo_design_free(struct mo_design *design); /* NULL-safe */
 
-/* Rows are designs in the order of the request, columns its environments. */
+/* The results of an evaluation. Rows are designs, columns are environments, both in the order of
+ * the request. */
 struct mo_evaluation_results {
   uint32_t n_designs, n_environments;
   struct mo_bits *forms;     /* (n_designs) canonical */
   struct mo_bits *genotypes; /* (n_designs) placed, as evaluated */
   double *scores;            /* (n_designs) mean loss; +infinity when a rollout diverged */
-  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not there (never in a
-                     succeeded job) */
+  double *losses; /* (n_designs, n_environments); +infinity: diverged; NaN: not computed yet (never
+                     in a succeeded job) */
   int32_t *diverged_steps; /* (n_designs, n_environments); 0: did not diverge */
-  /* Verify jobs only, else NULL: `losses` are those recomputed by this job, these are the store's.
-   */
-  double *stored_losses; /* (n_designs, n_environments); NaN: nothing was stored before this job */
-  uint8_t *agrees; /* (n_designs): 1 when every bit that was stored equals the recomputed one */
+  /* Verify jobs only, else NULL: `losses` were recomputed by this job; these were stored before. */
+  double *stored_losses; /* (n_designs, n_environments); NaN: none was stored */
+  uint8_t *agrees; /* (n_designs): 1: every stored loss equals the recomputed one, bit for bit */
 };
 void mo_evaluation_results_free(struct mo_evaluation_results *results); /* NULL-safe */
 

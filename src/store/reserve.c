@@ -1,15 +1,17 @@
-/* reserve.c: a little room that is set aside, so that people can still pause, cancel and delete
- * when the disk is full.
+/* reserve.c: disk space that is set aside, so that clients can still pause, cancel and delete when
+ * the disk is full.
  *
- * A file of 4 MiB holds the room: a change of a job's state takes some 20 KiB of the log. An urgent
- * operation that finds none gives a slice of the file back and is run again. From then on the store
- * is short of room: only urgent operations may change anything, no file is written, and the log is
- * not copied into the database, for jobs try their writes again every second, and each of these
- * would take what was given back. That ends when the file is whole again, which comes before all
- * that waits for room, and is not forgotten over a restart: an opening that finds no room to make
- * the file whole begins short of it. What an opening writes itself gets its room in small pieces,
- * and never the last slice, which is for people, however often the process ends and starts. On file
- * systems that compress or share blocks it may hold less than its size. */
+ * The reserve is a file of 4 MiB; a change of a job's state takes some 20 KiB of the log. An urgent
+ * operation that fails for lack of space frees a slice of the file and runs again. From then on the
+ * store is short of space: only urgent operations may change anything, no file is written, and the
+ * log is not copied into the database. Otherwise the jobs, which retry their writes every second,
+ * would take the slice.
+ *
+ * That ends when the file is whole again, which has priority over all that waits for space. A
+ * restart does not end it: an opening that cannot make the file whole starts short of space. An
+ * opening frees small pieces for its own writes. It never frees the last slice, which is for
+ * clients, however often the process restarts. On file systems that compress or share blocks the
+ * file may hold less than its size. */
 #include <errno.h>
 #include <fcntl.h>
 #include <sys/stat.h>
@@ -17,17 +19,19 @@
 
 #include "store/internal.h"
 
+#include "base/clock.h"
+
 #define RESERVE_BYTES ((off_t)4 << 20)
 #define SLICE_BYTES   ((off_t)256 << 10)
 #define PIECE_BYTES   ((off_t)8 << 10) /* a page with its header, on two blocks of a disk */
 #define PIECES_MAX    128              /* 1 MiB in one opening */
 #define EVERY_US      INT64_C(5000000)
-#define SHORT_US      INT64_C(100000) /* while others wait for it */
+#define SHORT_US      INT64_C(100000) /* while writes wait for it */
 
 static int open_reserve(const struct mo_store *store, int flags, off_t *size)
 {
   struct stat status;
-  int fd = open(store->reserve_path, O_WRONLY | O_CLOEXEC | flags, 0600);
+  int fd = open(store->reserve_path, O_WRONLY | O_CLOEXEC | O_NOFOLLOW | flags, 0600);
   if (fd < 0)
     return -1;
   if (fstat(fd, &status) != 0) {
@@ -38,7 +42,7 @@ static int open_reserve(const struct mo_store *store, int flags, off_t *size)
   return fd;
 }
 
-/* 0 or what posix_fallocate() and open() say. */
+/* Makes the file whole. Returns 0 or the errno of posix_fallocate() or open(). */
 static int make_whole(const struct mo_store *store)
 {
   off_t size = 0;
@@ -47,8 +51,8 @@ static int make_whole(const struct mo_store *store)
   if (fd < 0)
     return errno;
   error = posix_fallocate(
-      fd, 0, RESERVE_BYTES); /* whatever its size: in a copy of the folder it may be holes */
-  if (error != 0 || size > RESERVE_BYTES) /* what a failure has taken is not set aside */
+      fd, 0, RESERVE_BYTES); /* also at full size: in a copy of the folder it may be holes */
+  if (error != 0 || size > RESERVE_BYTES) /* give back what a failed call took */
     (void)ftruncate(fd, error != 0 ? size : RESERVE_BYTES);
   close(fd);
   return error;
@@ -57,7 +61,7 @@ static int make_whole(const struct mo_store *store)
 void mo_reserve_make(struct mo_store *store)
 {
   const bool is_short = atomic_load(&store->is_short);
-  int64_t now = mo_monotonic_us();
+  int64_t now = mo_clock_us();
   int error;
   if (store->reserve_whole ||
       (store->reserve_us != 0 && now - store->reserve_us < (is_short ? SHORT_US : EVERY_US)))
@@ -65,7 +69,8 @@ void mo_reserve_make(struct mo_store *store)
   store->reserve_us = now;
   error = make_whole(store);
   store->reserve_whole = error == 0;
-  if (error == 0 || error == EFBIG) { /* a limit on files does not pass as want of room does */
+  if (error == 0 ||
+      error == EFBIG) { /* a limit on file sizes does not pass, as lack of space does */
     atomic_store(&store->is_short, false);
   } else if (error == ENOSPC || error == EDQUOT) {
     atomic_store(&store->is_short, true);

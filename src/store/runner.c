@@ -1,10 +1,11 @@
-/* runner.c: what the scheduler reads, and the changes of state that people and restarts ask for. */
+/* runner.c: reads of the scheduler, and changes of state that clients and restarts request. */
 #include "store/runner.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "store/internal.h"
 
 /* ---- changes ---- */
@@ -32,15 +33,14 @@ int mo_job_state_get(struct mo_connection *connection, int64_t id, enum mo_job_s
   found = sqlite3_column_int64(statement, 0);
   found_kind = sqlite3_column_int64(statement, 1);
   (void)sqlite3_reset(statement);
-  *kind = found_kind >= 0 && found_kind < MO_JOB_KINDS ? (enum mo_job_kind)found_kind
-                                                       : (enum mo_job_kind)MO_JOB_KINDS;
-  if (found < 0 || found >= MO_JOB_STATES)
+  if (found < 0 || found >= MO_JOB_STATES || found_kind < 0 || found_kind >= MO_JOB_KINDS)
     return MO_ERR_CORRUPT;
+  *kind = (enum mo_job_kind)found_kind;
   *state = (enum mo_job_state)found;
   return MO_OK;
 }
 
-/* Whether a change finds nothing to do; MO_ERR_CONFLICT: it is not possible. */
+/* Checks whether a change is a no-op (*is_idle) or impossible (MO_ERR_CONFLICT). */
 static int check_change(const struct change_arguments *call, enum mo_job_kind kind, bool *is_idle)
 {
   const bool is_retry = call->change == MO_CHANGE_RETRY;
@@ -75,8 +75,6 @@ static int change_job(struct mo_store *store, void *arguments)
   int error = mo_job_state_get(writer, call->id, &call->before, &kind);
   if (error == MO_OK)
     error = check_change(call, kind, &is_idle);
-  else if (error == MO_ERR_CORRUPT && call->change == MO_CHANGE_CANCEL)
-    error = MO_OK; /* over, whatever it was */
   if (error != MO_OK || is_idle)
     return error;
   statement = mo_sql(writer, call->change == MO_CHANGE_RETRY ? retry_sql : sql, &error);
@@ -84,19 +82,15 @@ static int change_job(struct mo_store *store, void *arguments)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, target);
-  sqlite3_bind_int64(statement, 3, target == MO_JOB_CANCELLED ? mo_store_now_us() : 0);
-  if (call->change !=
-      MO_CHANGE_RETRY) /* that no device was there is said while the job waits for one */
+  sqlite3_bind_int64(statement, 3, target == MO_JOB_CANCELLED ? mo_clock_wall_us() : 0);
+  if (call->change != MO_CHANGE_RETRY) /* a change clears MO_ERR_DEVICE, which is shown only while
+                                          the job waits for a device */
     sqlite3_bind_int64(statement, 4, MO_ERR_DEVICE);
   error = mo_sql_run(writer, statement);
   if (error != MO_OK)
     return error;
-  if ((int)kind == MO_JOB_KINDS) /* it cannot be read */
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"state\":\"%s\"}", (long long)call->id,
-             mo_job_state_name(target));
-  else
-    snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}",
-             (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(target));
+  snprintf(data, sizeof(data), "{\"id\":\"%lld\",\"kind\":\"%s\",\"state\":\"%s\"}",
+           (long long)call->id, mo_job_kind_name(kind), mo_job_state_name(target));
   return mo_writer_event(store, call->id, types[call->change], data);
 }
 
@@ -104,7 +98,7 @@ int mo_store_change_job(struct mo_store *store, int64_t id, enum mo_job_change c
                         enum mo_job_state *before)
 {
   struct change_arguments call = {.id = id, .change = change};
-  /* To set jobs going again helps nobody on a full disk, and could be asked for without end. */
+  /* Resuming and retrying do not help on a full disk, and clients could repeat them without end. */
   const bool is_urgent = change == MO_CHANGE_CANCEL || change == MO_CHANGE_PAUSE;
   int error =
       is_urgent ? mo_write_urgent(store, change_job, &call) : mo_write(store, change_job, &call);
@@ -160,8 +154,8 @@ struct requeue_arguments {
   const char *text;
 };
 
-/* A job that brings the process down with its first block is still queued in the database: its
- * start was not written. */
+/* Queues running jobs again, and counts the crash. A job that crashes the process in its first
+ * block is still queued in the database, because its start was not written. */
 static int requeue(struct mo_store *store, void *arguments)
 {
   static const char crash_sql[] =
@@ -184,7 +178,7 @@ static int requeue(struct mo_store *store, void *arguments)
     sqlite3_bind_int64(statement, 2, MO_ERR_CANCELLED);
     sqlite3_bind_text(statement, 3, call->text, -1, SQLITE_STATIC);
     sqlite3_bind_int64(statement, 4, call->max_attempts);
-    sqlite3_bind_int64(statement, 5, mo_store_now_us());
+    sqlite3_bind_int64(statement, 5, mo_clock_wall_us());
     error = mo_sql_run(writer, statement);
     (void)sqlite3_clear_bindings(statement);
     if (error == MO_OK && sqlite3_changes(writer->db) > 0 &&
@@ -203,6 +197,30 @@ int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attem
 {
   struct requeue_arguments call = {crashed, max_attempts, text};
   return mo_write_opening(store, requeue, &call);
+}
+
+int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,
+                     uint32_t *n)
+{
+  static const char sql[] =
+      "SELECT count(*),count(idle),coalesce(max(idle),0) FROM (SELECT iif("
+      "EXISTS(SELECT 1 FROM training_checkpoints WHERE job=j.id AND stored_us>?1) OR "
+      "EXISTS(SELECT 1 FROM campaign_generations WHERE job=j.id AND stored_us>?1),NULL,j.id) idle"
+      " FROM jobs j WHERE j.state=1 AND j.kind<>0)";
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
+  if (statement != NULL) {
+    sqlite3_bind_int64(statement, 1, since_us);
+    const int step = mo_sql_step(reader, statement);
+    error = step < 0 ? step : MO_OK;
+    *n = step > 0 ? (uint32_t)sqlite3_column_int64(statement, 0) : 0;
+    *n_idle = step > 0 ? (uint32_t)sqlite3_column_int64(statement, 1) : 0;
+    *id = step > 0 ? sqlite3_column_int64(statement, 2) : 0;
+    (void)sqlite3_reset(statement);
+  }
+  mo_reader_release(store, reader);
+  return error;
 }
 
 struct fingerprint_arguments {
@@ -366,7 +384,7 @@ static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_wo
   return error == MO_OK && n != work->n_designs ? MO_ERR_CORRUPT : error;
 }
 
-/* Which rollouts a verify or recording job has behind it. */
+/* Marks the rollouts that earlier attempts of a verify or recording job have finished. */
 static int load_finished(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
   static const char verify_sql[] =

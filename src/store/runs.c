@@ -1,11 +1,13 @@
-/* runs.c: what trainings and campaigns have in common as jobs that a thread of their own runs:
- * queue, start, fence, end of an attempt.
+/* runs.c: what trainings and campaigns share as jobs that run on a thread of their own: queue,
+ * start, fence, end of an attempt.
  *
  * Writes are fenced by the epoch: the job must have been started under this opening of the store
- * and must not be over. */
+ * and must not be final. */
 #include <stdio.h>
 
 #include "store/internal.h"
+
+#include "base/clock.h"
 
 int mo_run_changed(struct mo_connection *writer, sqlite3_stmt *statement)
 {
@@ -68,7 +70,7 @@ static int start(struct mo_store *store, void *arguments)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_store_now_us());
+  sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
   sqlite3_bind_int64(statement, 4, call->kind);
   error = mo_run_changed(&store->writer, statement);
   return error == MO_OK
@@ -124,7 +126,7 @@ static int park(struct mo_store *store, void *arguments)
     sqlite3_bind_text(statement, 5, call->text, -1, SQLITE_STATIC);
   }
   if (call->error != MO_OK && !halts) {
-    sqlite3_bind_int64(statement, 3, mo_store_now_us());
+    sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
     sqlite3_bind_int64(statement, 6, call->max_attempts);
   }
   error = mo_sql_run(writer, statement);

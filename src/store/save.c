@@ -1,16 +1,17 @@
-/* save.c: what the scheduler writes: losses, trajectories, and the steps of jobs, all in one
- * transaction.
+/* save.c: what the scheduler writes, in one transaction: losses, trajectories, steps of jobs.
  *
  * Updates of a job are fenced: they apply only to a job that runs under this opening of the store
- * (its epoch), so that a job which a person has cancelled or paused meanwhile keeps that state.
- * Scores are kept all the same: they are true; so are the counts of a job that is not over, or its
- * blocks that land after a pause would look like somebody else's work. */
+ * (its epoch). So a job that a client has cancelled or paused meanwhile keeps that state. Scores
+ * are stored in any case, because they are true. So are the counts of a job that is not final;
+ * otherwise blocks that finish after a pause would seem to be another job's work. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"
+
+#include "base/clock.h"
 
 static int read_stored(struct mo_connection *writer, const struct mo_saved_score *score,
                        uint8_t stored[8], bool *known)
@@ -69,7 +70,7 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
 static const char score_sql[] =
     "INSERT OR IGNORE INTO scores(genotype,controller,physics,environment,loss,"
     "diverged_step,fingerprint,computed_us) VALUES(?,?,?,?,?,?,?,?)";
-/* Eight rows in one go take two thirds of the time. */
+/* Inserting eight rows at once takes two thirds of the time. */
 enum { TOGETHER = 8, COLUMNS = 8 };
 #define ROW "(?,?,?,?,?,?,?,?)"
 static const char scores_sql[] =
@@ -77,7 +78,7 @@ static const char scores_sql[] =
     "diverged_step,fingerprint,computed_us) VALUES" ROW "," ROW "," ROW "," ROW "," ROW "," ROW
     "," ROW "," ROW;
 
-/* TOGETHER of them, or one. */
+/* Inserts TOGETHER scores, or one. */
 static int insert_scores(struct mo_connection *writer, const struct mo_saved_score *scores, int n,
                          int64_t now_us, uint32_t *n_new)
 {
@@ -105,7 +106,8 @@ static int insert_scores(struct mo_connection *writer, const struct mo_saved_sco
   return error;
 }
 
-/* One that is checked against what is stored goes alone, in its turn. */
+/* Returns how many scores to insert next. A score that a verify job compares with the stored one is
+ * inserted alone, in its turn. */
 static size_t run_of_scores(const struct mo_saved_score *scores, size_t n)
 {
   size_t i = 0;
@@ -196,8 +198,8 @@ int mo_set_score_insert_mean(struct mo_connection *writer, const struct mo_saved
   return error;
 }
 
-/* The mean over a named set, from the stored bits, in the set's order. Incomplete: nothing is
- * written. */
+/* Stores the mean over a named set, computed from the stored bits in the set's order. Writes
+ * nothing while the set is incomplete. */
 int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_design *design)
 {
   static const char known_sql[] = "SELECT 1 FROM set_scores WHERE controller=?1 AND physics=?2 AND "
@@ -217,7 +219,7 @@ int mo_set_score_insert(struct mo_connection *writer, const struct mo_saved_desi
   bind_design(statement, design);
   error = mo_sql_integer(writer, statement, &n);
   if (error != MO_ERR_NOT_FOUND)
-    return error; /* there already, or an error */
+    return error; /* it is stored already, or an error */
   n = 0;
   error = MO_OK;
   statement = mo_sql(writer, losses_sql, &error);
@@ -313,7 +315,7 @@ static int announce(struct mo_store *store, const struct mo_job_update *update)
   return mo_writer_event(store, update->job, type, data);
 }
 
-/* The step came too late. */
+/* Stores only the counts of a step that came after the job left its state. */
 static int apply_late_counts(struct mo_connection *writer, const struct mo_job_update *update)
 {
   static const char sql[] = "UPDATE jobs SET " MO_NEXT_VERSION " WHERE id=?1 AND state IN (0,2)";
@@ -343,9 +345,9 @@ static int apply_update(struct mo_store *store, struct mo_job_update *update)
   sqlite3_bind_int64(statement, 2, store->epoch);
   if (update->step == MO_STEP_START)
     sqlite3_bind_int64(statement, 3,
-                       update->started_us != 0 ? update->started_us : mo_store_now_us());
+                       update->started_us != 0 ? update->started_us : mo_clock_wall_us());
   if (update->step == MO_STEP_SUCCEED || update->step == MO_STEP_RETRY)
-    sqlite3_bind_int64(statement, 3, mo_store_now_us());
+    sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
   if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT) {
     sqlite3_bind_int64(statement, 4, update->error);
     sqlite3_bind_text(statement, 5, update->error_text, -1, SQLITE_STATIC);
@@ -371,7 +373,7 @@ static int save(struct mo_store *store, void *arguments)
   struct mo_save *call = arguments;
   struct mo_connection *writer = &store->writer;
   uint32_t n_new = 0;
-  int error = mo_scores_insert(writer, call->scores, call->n_scores, mo_store_now_us(), &n_new);
+  int error = mo_scores_insert(writer, call->scores, call->n_scores, mo_clock_wall_us(), &n_new);
   for (size_t i = 0; i < call->n_trajectories && error == MO_OK; i++)
     error = save_trajectory(writer, &call->trajectories[i]);
   for (size_t i = 0; i < call->n_designs && error == MO_OK; i++)

@@ -1,12 +1,17 @@
 /* sql.c: a thin layer over SQLite: cached statements, error codes, checked columns.
  *
- * Statements are written beside their use as string literals and found again by address, so that
- * each is prepared once per connection. */
+ * Statements are string literals beside their use. The cache finds them by address, so that each is
+ * prepared once per connection. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "store/internal.h"
+
+void mo_store_limit_memory(uint64_t bytes)
+{
+  (void)sqlite3_soft_heap_limit64(bytes < INT64_MAX ? (sqlite3_int64)bytes : INT64_MAX);
+}
 
 int mo_sql_error(sqlite3 *db, int code)
 {
@@ -27,15 +32,21 @@ int mo_sql_error(sqlite3 *db, int code)
   case SQLITE_IOERR:
     if (code == SQLITE_IOERR_NOMEM)
       return MO_ERR_NO_MEMORY;
-    if (code == SQLITE_IOERR_SHMSIZE) /* of the log's index, of which nothing has to last; errno has
-                                         changed since */
+    if (code == SQLITE_IOERR_SHMSIZE) /* the log's index, which need not last, could not grow; errno
+                                         has changed since */
       return MO_ERR_NO_SPACE;
+    if (code == SQLITE_IOERR_SHMMAP)
+      return mo_mapping_error();
     system_error = db != NULL ? sqlite3_system_errno(db) : 0;
     /* A failed fsync is never "no space": what the kernel dropped is unknown. */
     if (code != SQLITE_IOERR_FSYNC && code != SQLITE_IOERR_DIR_FSYNC &&
         (system_error == ENOSPC || system_error == EDQUOT || system_error == EFBIG))
       return MO_ERR_NO_SPACE;
     return MO_ERR_IO;
+  case SQLITE_CANTOPEN:
+    system_error = db != NULL ? sqlite3_system_errno(db) : 0;
+    return system_error == EMFILE || system_error == ENFILE ? MO_ERR_NO_MEMORY
+                                                            : MO_ERR_IO; /* as for other files */
   default: return MO_ERR_IO;
   }
 }
@@ -61,6 +72,8 @@ int mo_connection_open(const struct mo_store *store, bool writable,
   int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) |
               SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE;
   int result, error;
+  if (store->path != NULL) /* not for the copy of a backup, whose path the caller chooses */
+    flags |= SQLITE_OPEN_NOFOLLOW;
   memset(connection, 0, sizeof(*connection));
   result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
   if (result == SQLITE_OK) {
@@ -102,8 +115,7 @@ sqlite3_stmt *mo_sql(struct mo_connection *connection, const char *sql, int *err
   }
   result = sqlite3_prepare_v3(connection->db, sql, -1, SQLITE_PREPARE_PERSISTENT, &statement, NULL);
   if (result != SQLITE_OK) {
-    /* A statement that does not fit the schema means that the schema is not what its version says.
-     */
+    /* If a statement does not fit the schema, the schema is not that of its version. */
     *error =
         (result & 0xff) == SQLITE_ERROR ? MO_ERR_CORRUPT : mo_sql_error(connection->db, result);
     return NULL;

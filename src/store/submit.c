@@ -1,12 +1,14 @@
-/* submit.c: accepting an evaluation: everything that it needs later, in one transaction. */
+/* submit.c: accepts an evaluation: stores all that it needs later, in one transaction. */
 #include <stdio.h>
 #include <string.h>
 
 #include "store/internal.h"
 
-/* ---- rows by content: found, or made ---- */
+#include "base/clock.h"
 
-/* The row of a table whose rows are named by the hash of their bytes; made if there is none. */
+/* ---- rows by content: found or inserted ---- */
+
+/* Finds or inserts the row of a table whose rows are identified by the hash of their bytes. */
 static int content_row(struct mo_connection *writer, const char *find_sql, const char *insert_sql,
                        const uint8_t *bytes, int size, int64_t *row)
 {
@@ -198,7 +200,7 @@ int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_
   return fits ? MO_OK : MO_ERR_UNSUPPORTED;
 }
 
-/* Resolves what is named, and makes rows of what is given. */
+/* Finds the rows of what a submission names, and inserts those of what it lists. */
 static int resolve(struct mo_connection *writer, const struct mo_submission *submission,
                    struct setting *setting)
 {
@@ -216,7 +218,7 @@ static int resolve(struct mo_connection *writer, const struct mo_submission *sub
   if (error == MO_OK && submission->environment_set != NULL) {
     error = mo_environment_set_find(writer, submission->environment_set, &setting->set, &n);
     if (error == MO_OK &&
-        (setting->set == 0 /* which says that there is none */ || n < 1 || n > MO_ENVIRONMENTS_MAX))
+        (setting->set == 0 /* 0 means that there is no set */ || n < 1 || n > MO_ENVIRONMENTS_MAX))
       error = MO_ERR_CORRUPT;
     setting->n_environments = (uint32_t)n;
   }
@@ -355,7 +357,7 @@ static int submit(struct mo_store *store, void *arguments)
   const struct mo_submission *submission = call->submission;
   struct mo_connection *writer = &store->writer;
   struct setting setting;
-  int64_t now_us = mo_store_now_us();
+  int64_t now_us = mo_clock_wall_us();
   char data[160];
   int error;
   call->replayed = false;

@@ -1,19 +1,20 @@
 /* training_checkpoints.c: checkpoints of trainings: a row and a file each.
  *
- * A file is there before its row, and goes after it. Whatever comes between leaves files without
- * rows, which the next opening removes. One lock is held from the write of a file to the end of
- * those that it replaces, and from the end of a row to that of its file: else a file written anew
- * under an old step would be removed for the one before it. */
+ * A file is written before its row and deleted after it. A crash in between leaves a file without a
+ * row, which the next opening removes. One lock is held from the write of a file to the deletion of
+ * those that it replaces, and from the deletion of a row to that of its file. Otherwise a new file
+ * of an old step could be deleted in place of the old one. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "store/internal.h"
 #include "store/trainings.h"
 
 #define DROPPED_MAX 128
 
-/* "trainings/<job>" or "trainings/<job>/<step>.checkpoint" (malloc). */
+/* Returns "trainings/<job>" (step < 0) or "trainings/<job>/<step>.checkpoint" (malloc). */
 static char *path_of(const struct mo_store *store, int64_t id, int64_t step)
 {
   size_t size = strlen(store->trainings_path) + 64;
@@ -33,7 +34,7 @@ static void remove_file(const struct mo_store *store, int64_t id, int64_t step)
   char *path = path_of(store, id, step);
   if (path != NULL)
     (void)store->files->unlink(store->files->context,
-                               path); /* one that stays is removed at the next start */
+                               path); /* if this fails, the next start removes it */
   free(path);
 }
 
@@ -46,8 +47,8 @@ struct checkpoint_arguments {
   size_t n_dropped;
 };
 
-/* The rows after this step, which it makes false (they were damaged, or the run that wrote them is
- * not this one), and those that are too many. */
+/* Deletes the rows of later steps, which this step makes false (they were damaged, or another run
+ * wrote them), and those beyond the number to keep. */
 static int drop_rows(struct mo_connection *writer, struct checkpoint_arguments *call)
 {
   static const char list_sql[] =
@@ -79,9 +80,9 @@ static int drop_rows(struct mo_connection *writer, struct checkpoint_arguments *
   return error;
 }
 
-/* A checkpoint beyond all before it is progress: what went wrong on the way there is forgiven. An
- * error that comes back at the same step lets none be written, and still ends the training at the
- * third. */
+/* Resets the attempts when a checkpoint goes beyond all earlier ones, because that is progress. An
+ * error that recurs at the same step prevents that, so the third attempt still ends the training.
+ */
 static int forgive(struct mo_connection *writer, int64_t id, uint32_t step)
 {
   static const char sql[] =
@@ -115,7 +116,7 @@ static int checkpoint(struct mo_store *store, void *arguments)
   sqlite3_bind_int64(statement, 2, call->step);
   mo_bind_hash(statement, 3, &call->sha256);
   sqlite3_bind_int64(statement, 4, (sqlite3_int64)call->size);
-  sqlite3_bind_int64(statement, 5, mo_store_now_us());
+  sqlite3_bind_int64(statement, 5, mo_clock_wall_us());
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   if (error == MO_OK)
@@ -128,7 +129,7 @@ static int checkpoint(struct mo_store *store, void *arguments)
   return mo_writer_event(store, call->id, "training.checkpoint", data);
 }
 
-/* Hash and size of a checkpoint; step 0: the newest, whose step is filled in. */
+/* Finds the hash and size of a checkpoint; step 0: the newest, whose step is filled in. */
 static int find_checkpoint(struct mo_store *store, int64_t id,
                            struct mo_training_checkpoint_row *row)
 {
@@ -163,10 +164,10 @@ static int write_checkpoint(struct mo_store *store, const char *folder, const ch
     error = mo_file_write(store, folder, path, bytes, (size_t)call->size);
   if (error == MO_OK)
     error = mo_write(store, checkpoint, call);
-  /* After an I/O error nobody knows whether the row is there. */
+  /* After an I/O error it is unknown whether the row exists, so the file stays. */
   if (error != MO_OK && error != MO_ERR_IO && !is_known) {
     (void)store->files->unlink(store->files->context, path);
-    (void)store->files->rmdir(store->files->context, folder); /* when it was made for this one */
+    (void)store->files->rmdir(store->files->context, folder); /* if it was made for this one */
   }
   for (size_t i = 0; i < call->n_dropped && error == MO_OK; i++)
     remove_file(store, call->id, call->dropped[i]);
@@ -202,7 +203,7 @@ int mo_store_training_checkpoint(struct mo_store *store, int64_t id, uint32_t st
   return error;
 }
 
-/* The bytes that a row speaks of. MO_ERR_CORRUPT: the file is not there, or it is another. */
+/* Reads the bytes that a row refers to. MO_ERR_CORRUPT: the file is missing, or is another one. */
 static int read_checkpoint(const struct mo_store *store, int64_t id,
                            const struct mo_training_checkpoint_row *row, uint8_t **ret)
 {
@@ -223,7 +224,8 @@ int mo_store_training_checkpoint_bytes(struct mo_store *store, int64_t id, uint3
     error = read_checkpoint(store, id, &row, &bytes);
     if (error != MO_ERR_CORRUPT)
       break;
-    /* Damaged, unless newer ones have made it go meanwhile: its row goes before its file. */
+    /* The file is damaged, unless newer checkpoints have replaced it meanwhile: then its row went
+     * first. */
     again = (struct mo_training_checkpoint_row){.step = step};
     error = find_checkpoint(store, id, &again);
     if (error == MO_OK && again.step == row.step && mo_sha256_equal(&again.sha256, &row.sha256))
@@ -245,7 +247,7 @@ struct removal_arguments {
   struct mo_checkpoints_removed removed;
 };
 
-/* Which of its rows are meant. MO_ERR_CONFLICT: the training goes on from one of them. */
+/* Selects the rows to remove. MO_ERR_CONFLICT: the training resumes from one of them. */
 static int choose(struct mo_connection *writer, struct removal_arguments *call, bool has_ended)
 {
   static const char sql[] =
@@ -319,40 +321,10 @@ int mo_store_training_checkpoints_remove(struct mo_store *store, int64_t id, uin
   for (size_t i = 0; i < call.removed.n && error == MO_OK; i++)
     remove_file(store, id, call.removed.steps[i]);
   if (error == MO_OK)
-    (void)store->files->rmdir(store->files->context, folder); /* when nothing is left */
+    (void)store->files->rmdir(store->files->context, folder); /* if it is empty */
   pthread_mutex_unlock(&store->checkpoints_mutex);
   free(folder);
   if (error == MO_OK)
     *removed = call.removed;
   return error;
-}
-
-/* ---- files without rows ---- */
-
-static bool has_row(void *context, const char *name)
-{
-  static const char sql[] = "SELECT 1 FROM training_checkpoints WHERE job=?1 AND step=?2";
-  struct mo_cleaning *cleaning = context;
-  sqlite3_stmt *statement;
-  int64_t found;
-  int error = MO_OK;
-  char *end;
-  long long step = strtoll(name, &end, 10);
-  if (end == name || strcmp(end, ".checkpoint") != 0)
-    return true; /* not ours */
-  statement = mo_sql(cleaning->connection, sql, &error);
-  if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, cleaning->job);
-    sqlite3_bind_int64(statement, 2, step);
-    error = mo_sql_integer(cleaning->connection, statement, &found);
-  }
-  if (error != MO_OK && error != MO_ERR_NOT_FOUND)
-    cleaning->error = error;
-  return error != MO_ERR_NOT_FOUND;
-}
-
-int mo_trainings_clean(struct mo_store *store)
-{
-  struct mo_cleaning cleaning = {.connection = &store->writer};
-  return mo_job_folders_clean(store, store->trainings_path, has_row, &cleaning);
 }

@@ -1,9 +1,9 @@
 /* training_code.c: which code computed the steps of a training.
  *
- * One row for each change: from this step on, this fingerprint. A run names its code before its
- * first step, from where it stands; what was noted from there on is of steps that it computes anew.
- * So the rows below a step are always those of the weights at that step, whatever was killed, and a
- * run that computes no step leaves no row. */
+ * There is one row for each change: from this step on, this fingerprint. Before its first step, a
+ * run stores its code under the step at which it starts, and deletes the rows from there on, whose
+ * steps it computes again. So after any crash the rows below a step describe the weights at that
+ * step, and a run that computes no step leaves no row. */
 #include <stdio.h>
 #include <string.h>
 
@@ -98,7 +98,7 @@ static int note(struct mo_store *store, void *arguments)
     return MO_OK;
   if (n < MO_LINEAGE_MAX)
     error = insert(writer, call->id, call->step, call->fingerprint);
-  else if (strcmp(before, VARIOUS) != 0) /* no room to tell them apart */
+  else if (strcmp(before, VARIOUS) != 0) /* no room for another entry */
     error = insert(writer, call->id, call->lineage->codes[n - 1].from_step, VARIOUS);
   if (error == MO_OK)
     error = mo_training_code_load(writer, call->id, call->lineage);

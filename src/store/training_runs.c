@@ -1,18 +1,19 @@
-/* training_runs.c: what the runner of a training writes: its steps and its end; its checkpoints are
- * in training_checkpoints.c.
+/* training_runs.c: what the runner of a training writes: its steps and its end. Checkpoints are in
+ * training_checkpoints.c.
  *
  * Writes are fenced by the epoch: the training must have been started under this opening of the
- * store and must not be over. One that was paused, or resumed at once, takes rows and checkpoints
- * still: its thread saves what it has applied. */
+ * store and must not be final. A training that was paused, or paused and resumed at once, still
+ * takes rows and checkpoints, because its thread saves the steps that it has applied. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/clock.h"
 #include "store/internal.h"
 #include "store/trainings.h"
 
-/* A JSON number, null when it is not finite. */
+/* Formats a JSON number; null if it is not finite. */
 static const char *number(double value, char text[32])
 {
   snprintf(text, 32, isfinite(value) ? "%.17g" : "null", value);
@@ -156,7 +157,7 @@ static int finish(struct mo_store *store, void *arguments)
     return error;
   sqlite3_bind_int64(statement, 1, call->id);
   sqlite3_bind_int64(statement, 2, store->epoch);
-  sqlite3_bind_int64(statement, 3, mo_store_now_us());
+  sqlite3_bind_int64(statement, 3, mo_clock_wall_us());
   error = mo_run_changed(writer, statement);
   if (error == MO_OK)
     error = mo_controller_put_row(store, &call->put);
@@ -181,6 +182,6 @@ int mo_store_training_finish(struct mo_store *store, int64_t id, const char *nam
   int error = mo_controller_put_begin(store, name, bytes, size, controller, &call.put);
   if (error == MO_OK)
     error = mo_write(store, finish, &call);
-  mo_controller_put_end(&call.put);
+  mo_controller_put_end(store, &call.put);
   return error;
 }

@@ -1,14 +1,14 @@
-/* trainings.c: trainings as they are asked for and read: settings, curve, checkpoints, the designs
- * of populations. */
+/* trainings.c: submits and reads trainings: settings, curve, checkpoints, the designs of
+ * populations. */
 #include "store/trainings.h"
 
-#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
+#include "base/clock.h"
 #include "store/campaigns.h"
 #include "store/internal.h"
 
@@ -63,7 +63,7 @@ static int submit(struct mo_store *store, void *arguments)
   const struct mo_training_submission *submission = call->submission;
   struct mo_training_settings settings = submission->record.settings;
   struct mo_connection *writer = &store->writer;
-  int64_t parent = 0, now_us = mo_store_now_us();
+  int64_t parent = 0, now_us = mo_clock_wall_us();
   char data[160];
   int error = MO_OK;
   call->replayed = false;
@@ -119,39 +119,12 @@ static double column_number(sqlite3_stmt *row, int column)
   return sqlite3_column_type(row, column) == SQLITE_NULL ? NAN : sqlite3_column_double(row, column);
 }
 
-struct number_range {
-  int column;
-  const char *name;
-  double least, most;
-};
-
-/* Notes the first that no reply can say. */
-static void check_numbers(sqlite3_stmt *row, const struct number_range *ranges, size_t n,
-                          struct mo_row_damage *damage)
-{
-  for (size_t i = 0; i < n; i++) {
-    const double value = column_number(row, ranges[i].column);
-    if (!(value >= ranges[i].least && value <= ranges[i].most)) {
-      *damage = (struct mo_row_damage){ranges[i].name, value};
-      return;
-    }
-  }
-}
-
 #define STEP_COLUMNS                                                                               \
   "step,mean_loss,rate,gradient_norm,clipped_share,clipped_robots_share,diverged,zeroed,skipped,"  \
   "bounded,seconds"
 
 static int step_from_row(sqlite3_stmt *row, void *any)
 {
-  static const struct number_range ranges[] = {{0, "training_steps.step", 1, UINT32_MAX},
-                                               {2, "training_steps.rate", 0, DBL_MAX},
-                                               {4, "training_steps.clipped_share", 0, 1},
-                                               {5, "training_steps.clipped_robots_share", 0, 1},
-                                               {6, "training_steps.diverged", 0, UINT32_MAX},
-                                               {7, "training_steps.zeroed", 0, UINT32_MAX},
-                                               {9, "training_steps.bounded", 0, UINT32_MAX},
-                                               {10, "training_steps.seconds", 0, DBL_MAX}};
   struct mo_training_step_row *step = any;
   *step =
       (struct mo_training_step_row){.report = {.step = (uint32_t)sqlite3_column_int64(row, 0),
@@ -165,7 +138,6 @@ static int step_from_row(sqlite3_stmt *row, void *any)
                                                .skipped = sqlite3_column_int(row, 8) != 0,
                                                .bounded = (uint32_t)sqlite3_column_int64(row, 9)},
                                     .seconds = column_number(row, 10)};
-  check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &step->damage);
   return MO_OK;
 }
 
@@ -173,9 +145,6 @@ static int step_from_row(sqlite3_stmt *row, void *any)
 
 static int validation_from_row(sqlite3_stmt *row, void *any)
 {
-  static const struct number_range ranges[] = {{0, "training_validations.step", 0, UINT32_MAX},
-                                               {1, "training_validations.rollouts", 0, UINT32_MAX},
-                                               {2, "training_validations.diverged", 0, UINT32_MAX}};
   struct mo_training_validation_row *validation = any;
   *validation =
       (struct mo_training_validation_row){.step = (uint32_t)sqlite3_column_int64(row, 0),
@@ -183,22 +152,7 @@ static int validation_from_row(sqlite3_stmt *row, void *any)
                                           .diverged = (uint32_t)sqlite3_column_int64(row, 2),
                                           .mean_score = column_number(row, 3),
                                           .standard_error = column_number(row, 4)};
-  check_numbers(row, ranges, sizeof(ranges) / sizeof(ranges[0]), &validation->damage);
   return MO_OK;
-}
-
-/* What is not in the columns of every job. */
-static int check_row(sqlite3_stmt *row, struct mo_job *job)
-{
-  static const struct mo_column_range ranges[] = {
-      {MO_JOB_N_COLUMNS + 1, "trainings.population", 0, MO_ID_MAX},
-      {MO_JOB_N_COLUMNS + 2, "trainings.validate_every_steps", 0, MO_TRAINING_STEPS_MAX},
-      {MO_JOB_N_COLUMNS + 3, "trainings.checkpoint_every_steps", 0, MO_TRAINING_STEPS_MAX},
-      {MO_JOB_N_COLUMNS + 4, "trainings.checkpoint_every_s", 0, MO_CHECKPOINT_SECONDS_MAX},
-      {MO_JOB_N_COLUMNS + 5, "trainings.checkpoints_kept", 1, MO_CHECKPOINTS_KEPT_MAX}};
-  int error = mo_job_name(job, row, MO_JOB_N_COLUMNS, "trainings.name");
-  return error == MO_OK ? mo_job_ranges(job, row, ranges, sizeof(ranges) / sizeof(ranges[0]))
-                        : error;
 }
 
 static int load_head(struct mo_connection *reader, int64_t id, struct mo_training_status *status)
@@ -222,8 +176,6 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
   if (error == MO_OK) /* they can be decoded: that was tried */
     error = mo_decode_training(sqlite3_column_blob(row, 26), (size_t)sqlite3_column_bytes(row, 26),
                                &record->settings);
-  if (error == MO_OK)
-    error = check_row(row, &status->job);
   mo_column_text(row, 24, record->parent_name, sizeof(record->parent_name));
   record->n_designs = status->job.n_designs;
   status->step = status->job.steps_done;
@@ -236,14 +188,15 @@ static int load_head(struct mo_connection *reader, int64_t id, struct mo_trainin
   status->has_result = sqlite3_column_type(row, MO_JOB_N_COLUMNS + 6) != SQLITE_NULL;
   if (error == MO_OK && status->has_result &&
       mo_column_hash(row, MO_JOB_N_COLUMNS + 6, &status->result_sha256) != MO_OK)
-    error = mo_job_damaged(&status->job, "controllers.sha256 of its result is no hash");
+    error = MO_ERR_CORRUPT;
   record->has_parent = sqlite3_column_int(row, MO_JOB_N_COLUMNS + 7) != 0;
   record->parent_sha256 = status->job.controller_sha256;
   (void)sqlite3_reset(row);
   return error;
 }
 
-/* 1: a row; 0: none; negative: an error. The statement is left on its row. */
+/* Steps to the first row of a query by job. Returns 1: a row, on which the statement stays; 0:
+ * none; negative: an error. */
 static int first_row(struct mo_connection *reader, const char *sql, int64_t id, sqlite3_stmt **row)
 {
   int error = MO_OK;
@@ -298,8 +251,6 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
   mo_reader_release(store, reader);
   if (error == MO_OK)
     *status = found;
-  else if (error == MO_ERR_CORRUPT)
-    memcpy(status->job.damage, found.job.damage, sizeof(status->job.damage));
   return error;
 }
 
@@ -308,14 +259,13 @@ int mo_store_training(struct mo_store *store, int64_t id, struct mo_training_sta
 int64_t mo_store_trainings(struct mo_store *store, const struct mo_job_query *query,
                            struct mo_training_status *statuses, size_t limit)
 {
-  static const char shown_sql[] =
-      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1 "
-      "AND " MO_JOB_SHOWN_IN("?2", "?5") " ORDER BY t.job DESC LIMIT ?3";
-  static const char sql[] =
-      "SELECT t.job FROM trainings t JOIN jobs j ON j.id=t.job AND j.kind=1 WHERE t.job<?1"
-      " AND (?2<0 OR j.state=?2) ORDER BY t.job DESC LIMIT ?3";
-  return mo_read_jobs(store, mo_job_query_waits(query) ? shown_sql : sql, query, 0, limit,
-                      load_status, statuses, sizeof(*statuses));
+  static const char *const all_sql[] =
+      MO_PAGES("SELECT j.id FROM jobs j CROSS JOIN trainings t ON t.job=j.id", "j.kind=1");
+  static const char *const label_sql[] = MO_PAGES(
+      "SELECT j.id FROM jobs j CROSS JOIN trainings t ON t.job=j.id", "j.label=?6 AND j.kind=1");
+  const char *const *sql = query->label != NULL ? label_sql : all_sql;
+  return mo_read_jobs(store, sql[mo_job_page(query)], query, 0, limit, load_status, statuses,
+                      sizeof(*statuses));
 }
 
 int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t after, uint32_t stride,
@@ -323,9 +273,9 @@ int64_t mo_store_training_steps(struct mo_store *store, int64_t id, uint32_t aft
 {
   static const char all_sql[] =
       "SELECT " STEP_COLUMNS " FROM training_steps WHERE job=?1 AND step>?2"
-      " AND step<=4294967295 AND ?3<=1 ORDER BY step LIMIT ?4";
-  /* Each multiple is looked up: reading what lies between takes a third of a second in a million
-   * rows. */
+      " AND ?3<=1 ORDER BY step LIMIT ?4";
+  /* Looks up each multiple: in a million rows, reading all rows between takes a third of a second.
+   */
   static const char some_sql[] =
       "WITH RECURSIVE wanted(at) AS (SELECT (?2/?3+1)*?3 UNION ALL SELECT at+?3 FROM wanted"
       " WHERE at+?3<=(SELECT max(step) FROM training_steps WHERE job=?1) LIMIT ?4)"
@@ -341,7 +291,7 @@ int64_t mo_store_training_validations(struct mo_store *store, int64_t id, int64_
 {
   static const char sql[] =
       "SELECT " VALIDATION_COLUMNS " FROM training_validations WHERE job=?1 AND step>?2"
-      " AND step<=4294967295 ORDER BY step LIMIT ?3";
+      " ORDER BY step LIMIT ?3";
   const int64_t values[] = {id, after};
   return mo_read_rows(store, sql, values, 2, limit, validation_from_row, rows, sizeof(*rows));
 }
@@ -416,7 +366,8 @@ struct ranked {
   struct mo_bits genotype;
 };
 
-/* By score, then by bits: equal genotypes have equal scores and become neighbours. */
+/* Compares by score, then by bits, so that equal genotypes, which have equal scores, become
+ * neighbors. */
 static int compare_ranked(const void *a, const void *b)
 {
   const struct ranked *first = a, *second = b;
@@ -428,7 +379,7 @@ static int compare_ranked(const void *a, const void *b)
   return 0;
 }
 
-/* The newest population of a campaign: best first already, each form once. */
+/* Reads the newest population of a campaign, which is sorted and has each form once. */
 static int population_of_campaign(struct mo_store *store, int64_t id, uint32_t best,
                                   struct mo_bits **ret, uint32_t *ret_n)
 {

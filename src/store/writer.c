@@ -1,20 +1,23 @@
 /* writer.c: the one thread that changes the database.
  *
- * Operations wait in a list. The writer takes all of them, runs each in a savepoint of one
- * transaction, commits once, and then releases the callers: under load one fsync serves many. An
- * operation that fails rolls back alone. When SQLite gives up the whole transaction (disk full, out
- * of memory), or the commit itself fails for want of room, each operation is run again in a
- * transaction of its own, so that one that is too large does not take others with it; one that
- * people need on a full disk gets the room that is set aside (reserve.c). An I/O error that is not
- * want of space is fatal at once: after a failed fsync nobody knows what the disk holds, and a
- * second one may succeed without having written, so nothing is tried again: the process must end
- * and recover from the log. */
+ * Operations wait in a list. The writer takes a batch, runs each operation in a savepoint of one
+ * transaction, commits once, and then releases the callers, so that under load one fsync serves
+ * many. A failed operation rolls back only itself. When SQLite rolls back the whole transaction
+ * (disk full, out of memory), or the commit fails for lack of space, each operation runs again in
+ * its own transaction, so that one that is too large does not fail the others. An urgent one may
+ * use the reserve (reserve.c).
+ *
+ * Any other I/O error is fatal at once. After a failed fsync the content of the disk is unknown,
+ * and a second fsync may succeed without having written. So nothing is tried again: the process
+ * must end and recover from the log. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
 #include "store/internal.h"
+
+#include "base/clock.h"
 
 #define BATCH_MAX       256
 #define PRUNE_EVERY     1000 /* events */
@@ -24,20 +27,6 @@
 #define RESTART_US      INT64_C(5000000)
 #define RESTART_WAIT_MS 250
 #define SLICES_MAX      4
-
-int64_t mo_monotonic_us(void)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-}
-
-int64_t mo_store_now_us(void)
-{
-  struct timespec now;
-  clock_gettime(CLOCK_REALTIME, &now);
-  return (int64_t)now.tv_sec * 1000000 + now.tv_nsec / 1000;
-}
 
 int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data)
 {
@@ -58,10 +47,9 @@ int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const
   memset(event, 0, sizeof(*event));
   if (strlen(type) >= sizeof(event->type) || strlen(data) >= sizeof(event->data))
     return MO_ERR_LIMIT;
-  strcpy(event->type,
-         type); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy): length checked above */
-  strcpy(event->data, data); /* NOLINT(clang-analyzer-security.insecureAPI.strcpy) */
-  event->time_us = mo_store_now_us();
+  memcpy(event->type, type, strlen(type) + 1);
+  memcpy(event->data, data, strlen(data) + 1);
+  event->time_us = mo_clock_wall_us();
   event->job = job;
   statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
@@ -90,7 +78,7 @@ static void declare_fatal(struct mo_store *store)
   mo_store_declare_fatal(store, sqlite3_errmsg(store->writer.db));
 }
 
-/* Prepared when the writer starts: ending a transaction must not take memory that is not there. */
+/* Prepared when the writer starts, because ending a transaction must not depend on free memory. */
 static const char begin_sql[] = "BEGIN IMMEDIATE";
 static const char commit_sql[] = "COMMIT";
 static const char rollback_sql[] = "ROLLBACK";
@@ -116,8 +104,8 @@ static int prepare_transactions(struct mo_store *store)
   return MO_OK;
 }
 
-/* While the store is short of room an operation that is not urgent may find that there is nothing
- * to do, no more. To be rolled back. */
+/* Runs an operation in the open transaction. While the store is short of space, an operation that
+ * is not urgent succeeds only if it changes nothing. On an error the caller rolls back. */
 static int run_operation(struct mo_store *store, struct mo_operation *operation)
 {
   const sqlite3_int64 before = sqlite3_total_changes64(store->writer.db);
@@ -128,8 +116,8 @@ static int run_operation(struct mo_store *store, struct mo_operation *operation)
              : error;
 }
 
-/* Runs one operation in the open transaction. An error: the transaction is gone, or to be given up.
- */
+/* Runs one operation in the open transaction. After an error the transaction is gone or must be
+ * rolled back. */
 static int run_in_savepoint(struct mo_store *store, struct mo_operation *operation)
 {
   struct mo_connection *writer = &store->writer;
@@ -137,7 +125,7 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
   operation->first_event = store->n_events;
   error = run_sql(store, savepoint_sql);
   if (error != MO_OK)
-    return error; /* there is none to go back to */
+    return error; /* there is no savepoint to roll back to */
   operation->status = run_operation(store, operation);
   if (sqlite3_get_autocommit(writer->db) || operation->status == MO_ERR_IO)
     return operation->status != MO_OK ? operation->status : MO_ERR_IO;
@@ -150,11 +138,11 @@ static int run_in_savepoint(struct mo_store *store, struct mo_operation *operati
 
 static int commit(struct mo_store *store)
 {
-  int64_t start = mo_monotonic_us();
+  int64_t start = mo_clock_us();
   int error = run_sql(store, commit_sql);
   if (error == MO_OK) {
     atomic_fetch_add(&store->commits, 1);
-    atomic_fetch_add(&store->commit_ns, (uint64_t)(mo_monotonic_us() - start) * 1000);
+    atomic_fetch_add(&store->commit_ns, (uint64_t)(mo_clock_us() - start) * 1000);
   }
   return error;
 }
@@ -212,7 +200,7 @@ static void release(struct mo_store *store, struct mo_operation *operation)
   pthread_mutex_unlock(&store->mutex);
 }
 
-/* All operations in one transaction. */
+/* Runs all operations in one transaction. */
 static int run_together(struct mo_store *store, struct mo_operation *first)
 {
   int error = atomic_load(&store->is_fatal) ? MO_ERR_IO : run_sql(store, begin_sql);
@@ -223,7 +211,7 @@ static int run_together(struct mo_store *store, struct mo_operation *first)
   return error == MO_OK ? commit(store) : error;
 }
 
-/* One operation, all of it or nothing. */
+/* Runs one operation in its own transaction. */
 static void finish_alone(struct mo_store *store, struct mo_operation *operation)
 {
   operation->status = run_alone(store, operation);
@@ -234,8 +222,8 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
   tell(store);
 }
 
-/* With the room that is set aside, slice by slice: others may take some of it before they see that
- * it is not theirs. */
+/* Runs an urgent operation again with space from the reserve, slice by slice: others may take some
+ * of it before the store refuses their writes. */
 static void finish_urgent(struct mo_store *store, struct mo_operation *operation)
 {
   if (operation->is_opening)
@@ -247,9 +235,9 @@ static void finish_urgent(struct mo_store *store, struct mo_operation *operation
       finish_alone(store, operation);
 }
 
-/* One alone needs no savepoint: a large one would copy every page that it changes. While the store
- * is short of room each runs alone: a commit also writes the pages that an operation before it had
- * changed and then rolled back. */
+/* Runs a batch. A single operation needs no savepoint, which would copy every page that a large one
+ * changes. While the store is short of space each operation runs alone, because a commit also
+ * writes pages that a rolled-back operation had changed. */
 static void run_batch(struct mo_store *store, struct mo_operation *first)
 {
   struct mo_operation *operation, *next;
@@ -262,7 +250,7 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   if (!each_alone)
     error = run_together(store, first);
   if (error == MO_ERR_IO)
-    declare_fatal(store); /* run_alone() runs nothing any more */
+    declare_fatal(store); /* run_alone() refuses all from now on */
   if (error != MO_OK)
     abandon(store);
   if (each_alone || error != MO_OK)
@@ -277,8 +265,8 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   }
 }
 
-/* Deletes what is past its time, a bounded number of rows at once. Failures wait for the next
- * round. */
+/* Deletes old events and idempotency keys, a bounded number of rows at once. After a failure the
+ * next round tries again. */
 static void prune(struct mo_store *store)
 {
   static const char events_sql[] =
@@ -290,7 +278,7 @@ static void prune(struct mo_store *store)
   struct mo_connection *writer = &store->writer;
   sqlite3_stmt *statement;
   int error = MO_OK;
-  store->last_prune_us = mo_monotonic_us();
+  store->last_prune_us = mo_clock_us();
   store->events_since_prune = 0;
   if (run_sql(store, begin_sql) != MO_OK) {
     abandon(store);
@@ -301,11 +289,11 @@ static void prune(struct mo_store *store)
     sqlite3_bind_int64(statement, 1, (sqlite3_int64)store->events_kept);
     error = mo_sql_run(writer, statement);
     if (sqlite3_changes(writer->db) > 0)
-      store->events_since_prune = PRUNE_EVERY; /* there may be more: again soon */
+      store->events_since_prune = PRUNE_EVERY; /* there may be more: prune again soon */
   }
   statement = error == MO_OK ? mo_sql(writer, keys_sql, &error) : NULL;
   if (statement != NULL) {
-    sqlite3_bind_int64(statement, 1, mo_store_now_us() - store->idempotency_keep_us);
+    sqlite3_bind_int64(statement, 1, mo_clock_wall_us() - store->idempotency_keep_us);
     error = mo_sql_run(writer, statement);
   }
   if (error == MO_OK)
@@ -318,10 +306,10 @@ static void prune(struct mo_store *store)
   }
 }
 
-/* Whoever looks whether there is room again must not have to wait for somebody to write. */
+/* Probes for free space periodically, so that /readyz recovers without a client's write. */
 static void probe_space(struct mo_store *store)
 {
-  int64_t now = mo_monotonic_us();
+  int64_t now = mo_clock_us();
   int error;
   if (!atomic_load(&store->no_space) || atomic_load(&store->is_short) ||
       now - store->last_probe_us < SPACE_PROBE_US)
@@ -337,13 +325,13 @@ static void probe_space(struct mo_store *store)
     abandon(store);
 }
 
-/* Copies the log into the database. A log starts anew only when nobody reads it, and readers that
- * overlap may prevent that for ever: one that has grown long is worth a short wait for those that
- * read now, while new ones read the database. */
+/* Copies the log into the database. The log restarts only when no connection reads it, and
+ * overlapping readers can prevent that forever. So when it is long, this waits briefly for the
+ * current readers; new readers use the database. */
 static void checkpoint(struct mo_store *store)
 {
   sqlite3 *db = store->writer.db;
-  int64_t now = mo_monotonic_us();
+  int64_t now = mo_clock_us();
   int mode = SQLITE_CHECKPOINT_PASSIVE;
   int result;
   if (store->wal_frames >= MO_WAL_LONG * store->checkpoint_frames &&
@@ -356,7 +344,7 @@ static void checkpoint(struct mo_store *store)
   if (result != SQLITE_OK && mo_sql_error(db, result) == MO_ERR_IO)
     declare_fatal(store);
   sqlite3_busy_timeout(db, MO_BUSY_MS);
-  store->wal_frames = 0; /* counted anew by the hook at the next commit */
+  store->wal_frames = 0; /* the hook counts again at the next commit */
 }
 
 static void maintain(struct mo_store *store)
@@ -373,7 +361,7 @@ static void maintain(struct mo_store *store)
   probe_space(store);
   if (!atomic_load(&store->is_short)) {
     if (store->events_since_prune >= PRUNE_EVERY ||
-        mo_monotonic_us() - store->last_prune_us >= PRUNE_EVERY_US)
+        mo_clock_us() - store->last_prune_us >= PRUNE_EVERY_US)
       prune(store);
     if (store->wal_frames >= store->checkpoint_frames)
       checkpoint(store);
@@ -393,8 +381,8 @@ static int count_frames(void *context, sqlite3 *db, const char *name, int frames
   return SQLITE_OK;
 }
 
-/* Waits for operations, at most a second, and takes up to BATCH_MAX of them. NULL with *closing:
- * the end. */
+/* Waits for operations, at most a second, and takes up to BATCH_MAX of them. Returns NULL with
+ * *closing set when the store closes. */
 static struct mo_operation *take(struct mo_store *store, bool *closing)
 {
   struct mo_operation *first, *last;
@@ -430,7 +418,7 @@ static void *write_loop(void *context)
     if (first != NULL)
       run_batch(store, first);
     maintain(store);
-    atomic_store(&store->heartbeat_us, mo_monotonic_us());
+    atomic_store(&store->heartbeat_us, mo_clock_us());
   }
   return NULL;
 }
@@ -441,9 +429,9 @@ int mo_writer_start(struct mo_store *store)
   if (error != MO_OK)
     return error;
   sqlite3_wal_hook(store->writer.db, count_frames, store);
-  store->last_prune_us = mo_monotonic_us();
+  store->last_prune_us = mo_clock_us();
   store->last_restart_us = store->last_prune_us - RESTART_US;
-  atomic_store(&store->heartbeat_us, mo_monotonic_us());
+  atomic_store(&store->heartbeat_us, mo_clock_us());
   if (pthread_create(&store->thread, NULL, write_loop, store) != 0)
     return MO_ERR_NO_MEMORY;
   store->thread_started = true;

@@ -3,8 +3,8 @@
  * Every number comes from Philox streams and exact algebra (no sine, cosine or logarithm of the C
  * library), so that one name gives the same environment, bit for bit, on every machine.
  *
- * Training environment (seed, step, index): the stream LIGHT gives first σ, then points of the
- * square around the ring until one lies in it; the stream TERRAIN gives the heights. Held out: the
+ * Training environment (seed, step, index): the stream LIGHT gives σ, then points of the square
+ * around the ring until one lies in the ring; the stream TERRAIN gives the heights. Held out: the
  * same, step 0, from the streams HELD_OUT_LIGHT and HELD_OUT_TERRAIN.
  *
  * Paper test set: key MO_PAPER_TEST_SEED, purpose TEST_SET, step 0. Index 0 shuffles the five σ for

@@ -1,4 +1,5 @@
-"""The contract (schema/openapi.yaml) as a checker: every reply that a test receives goes through Contract.check."""
+"""The contract (schema/openapi.yaml) as a checker: every reply that a test receives goes through
+Contract.check."""
 
 import json
 import os
@@ -8,7 +9,9 @@ import re
 import jsonschema
 import yaml
 
-SOURCE = pathlib.Path(os.environ.get("MORPHO_SOURCE_DIR", pathlib.Path(__file__).resolve().parents[2]))
+SOURCE = pathlib.Path(
+    os.environ.get("MORPHO_SOURCE_DIR",
+                   pathlib.Path(__file__).resolve().parents[2]))
 COMMON_PROBLEMS = {404, 405, 417, 431, 501}  # of paths and methods that the contract does not list
 
 
@@ -19,7 +22,8 @@ class Contract:
         self.resolver = jsonschema.RefResolver("", self.document)
         self.templates = []
         for path, item in self.document["paths"].items():
-            pattern = re.sub(r"\\\{[a-z]+\\\}", "[^/]+", re.escape(path).replace("\\{", "\\{").replace("\\}", "\\}"))
+            pattern = re.sub(r"\\\{[a-z]+\\\}", "[^/]+",
+                             re.escape(path).replace("\\{", "\\{").replace("\\}", "\\}"))
             self.templates.append((re.compile(pattern + r"\Z"), path, item))
         self.validators = {}
         self.seen = set()
@@ -48,14 +52,17 @@ class Contract:
         path = path.split("?")[0]
         template, item = self.find(path)
         operation = item.get("get" if method == "HEAD" else method.lower()) if item else None
-        assert re.fullmatch("[0-9a-f]{16}", headers.get("X-Request-Id", "")), f"{where}: no X-Request-Id"
-        assert headers.get("X-Content-Type-Options") == "nosniff" or headers.get("Connection") == "close", where
+        assert re.fullmatch("[0-9a-f]{16}", headers.get("X-Request-Id",
+                                                        "")), f"{where}: no X-Request-Id"
+        assert headers.get("X-Content-Type-Options") == "nosniff" or headers.get(
+            "Connection") == "close", where
         if status in (429, 503, 507):
             assert headers.get("Retry-After", "").isdigit(), f"{where}: no Retry-After"
         if status == 405:
             assert headers.get("Allow"), f"{where}: no Allow"
         if status == 401:
-            assert headers.get("WWW-Authenticate", "").startswith("Bearer"), f"{where}: no WWW-Authenticate"
+            assert headers.get("WWW-Authenticate",
+                               "").startswith("Bearer"), f"{where}: no WWW-Authenticate"
         if status >= 400:
             self.check_problem(where, status, headers, body, method)
         if operation is None:
@@ -80,7 +87,8 @@ class Contract:
         self.check_body(where, response.get("content", {}), headers, body, method)
 
     def check_problem(self, where, status, headers, body, method):
-        assert headers.get("Content-Type") == "application/problem+json", f"{where}: not a problem document"
+        assert headers.get(
+            "Content-Type") == "application/problem+json", f"{where}: not a problem document"
         if method == "HEAD":
             return
         problem = json.loads(body)
@@ -98,7 +106,8 @@ class Contract:
             assert body == b"", where
             return
         if media.endswith("json"):
-            self.validate(content[media].get("schema", {}), json.loads(body, parse_constant=refuse), where)
+            self.validate(content[media].get("schema", {}), json.loads(body, parse_constant=refuse),
+                          where)
 
 
 def refuse(name):

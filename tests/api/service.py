@@ -43,25 +43,45 @@ class UnixConnection(http.client.HTTPConnection):
 
 
 class Service:
-    """Starts the daemon on a free port (or as `listen` says) with its state in a temporary folder."""
-
-    def __init__(self, *flags, listen=("127.0.0.1:0",), state=None, token=None, wait=True, environment=None):
+    """Starts the daemon on a free port (or as `listen` says) with its state in a temporary folder.
+    """
+    def __init__(self,
+                 *flags,
+                 listen=("127.0.0.1:0", ),
+                 state=None,
+                 token=None,
+                 wait=True,
+                 environment=None,
+                 stderr=None,
+                 user=None):
         self.folder = tempfile.TemporaryDirectory(prefix="morphod-test-")
         base = pathlib.Path(self.folder.name)
         self.state = pathlib.Path(state) if state else base / "state"
-        self.state.mkdir(exist_ok=True)
+        self.state.mkdir(mode=0o700, exist_ok=True)
         self.token = token
         self.log = open(base / "log", "w+b")
         port_file = base / "addresses"
         command = [BINARY, f"--state-dir={self.state}", f"--port-file={port_file}", "--workers=1"]
         command += [f"--listen={address}" for address in listen]
         command += [f"--default-controller={BOOTSTRAP}", *flags]
-        if not any(flag.startswith("--devices") for flag in flags):  # tests are of processors but where they say otherwise
+        if not any(flag.startswith("--devices")
+                   for flag in flags):  # tests are of processors but where they say otherwise
             command.append("--devices=none")
-        environment = {**{key: value for key, value in os.environ.items() if not key.startswith("MORPHOD")}, **(environment or {})}
-        self.process = subprocess.Popen(command, stdout=self.log, stderr=self.log, env=environment)
+        environment = {
+            **{key: value
+               for key, value in os.environ.items() if not key.startswith("MORPHOD")},
+            **(environment or {})
+        }
+        if user is not None:
+            os.chown(base, user, user)
+            command = ["setpriv", f"--reuid={user}", f"--regid={user}", "--clear-groups", *command]
+        self.process = subprocess.Popen(command,
+                                        stdout=self.log,
+                                        stderr=stderr or self.log,
+                                        env=environment)
         deadline = time.monotonic() + 30
-        while wait and not (port_file.exists() and port_file.read_text().count("\n") >= len(listen)):
+        while wait and not (port_file.exists() and
+                            port_file.read_text().count("\n") >= len(listen)):
             if self.process.poll() is not None or time.monotonic() > deadline:
                 self.stop()
                 raise RuntimeError("morphod did not start:\n" + self.log_text())
@@ -70,14 +90,19 @@ class Service:
         tcp = [address for address in self.addresses if address.startswith("http://")]
         if tcp:
             self.host, port = tcp[0][len("http://"):].rsplit(":", 1)
-            self.port = int(port)
-        self.unix = next((address[len("unix:"):] for address in self.addresses if address.startswith("unix:")), None)
+            self.host, self.port = self.host.strip("[]"), int(port)
+        self.unix = next((address[len("unix:"):]
+                          for address in self.addresses if address.startswith("unix:")), None)
         while wait and tcp and self.request("GET", "/readyz").status != 200:
             time.sleep(0.02)
 
     def log_text(self):
+        """The log, once no more comes: a thread of its own writes it."""
         self.log.flush()
-        return pathlib.Path(self.log.name).read_text(errors="replace")
+        text = None
+        while text != (text := pathlib.Path(self.log.name).read_text(errors="replace")):
+            time.sleep(0.05)
+        return text
 
     def stop(self, number=signal.SIGTERM):
         if self.process.poll() is None:
@@ -96,7 +121,14 @@ class Service:
             return UnixConnection(self.unix, timeout)
         return http.client.HTTPConnection(self.host, self.port, timeout=timeout)
 
-    def request(self, method, path, value=None, body=None, headers=None, connection=None, unix=False):
+    def request(self,
+                method,
+                path,
+                value=None,
+                body=None,
+                headers=None,
+                connection=None,
+                unix=False):
         """Sends `value` as JSON, or `body` as it is; checks the reply against the contract."""
         headers = dict(headers or {})
         if value is not None:
@@ -124,7 +156,8 @@ class Service:
         return self.request("POST", "/v1/evaluations", value, headers=fields)
 
     def raw(self, data, timeout=10, finish=False):
-        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes, ended)."""
+        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes, ended).
+        """
         with socket.create_connection((self.host, self.port), timeout=timeout) as sock:
             received, ended = b"", False
             try:
@@ -168,10 +201,13 @@ def await_end(service, path, seconds=60):
 
 
 def tiny_controller(service):
-    """Stores a controller of 1 × 1 × 1 voxels, made here, as "tiny"."""
-    shapes = {"net.0.weight": [256, 13], "net.0.bias": [256], "net.1.weight": [256], "net.1.bias": [256], "net.3.weight": [256, 256],
-              "net.3.bias": [256], "net.4.weight": [256], "net.4.bias": [256], "net.6.weight": [256, 256], "net.6.bias": [256],
-              "net.7.weight": [256], "net.7.bias": [256], "net.9.weight": [24, 256], "net.9.bias": [24]}
+    """Stores a controller of 1 × 1 × 1 voxels, made here, as "tiny"; returns the file."""
+    shapes = {
+        "net.0.weight": [256, 13], "net.0.bias": [256], "net.1.weight": [256], "net.1.bias": [256],
+        "net.3.weight": [256, 256], "net.3.bias": [256], "net.4.weight": [256], "net.4.bias": [256],
+        "net.6.weight": [256, 256], "net.6.bias": [256], "net.7.weight": [256], "net.7.bias": [256],
+        "net.9.weight": [24, 256], "net.9.bias": [24]
+    }
     header, at = {"__metadata__": {"workspace": "1x1x1"}}, 0
     for name, shape in shapes.items():
         size = 4
@@ -180,13 +216,18 @@ def tiny_controller(service):
         header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [at, at + size]}
         at += size
     text = json.dumps(header).encode()
-    put = service.request("PUT", "/v1/controllers/tiny", body=struct.pack("<Q", len(text)) + text + bytes(at),
+    body = struct.pack("<Q", len(text)) + text + bytes(at)
+    put = service.request("PUT",
+                          "/v1/controllers/tiny",
+                          body=body,
                           headers={"Content-Type": "application/octet-stream"})
     assert put.status in (200, 201), put.body
+    return body
 
 
 def split_replies(received):
-    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those with Content-Length."""
+    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those with
+    Content-Length."""
     replies = []
     while received:
         head, separator, rest = received.partition(b"\r\n\r\n")

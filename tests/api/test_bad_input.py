@@ -1,4 +1,5 @@
-"""Evaluations that cannot be: each with its status and, where there is a place, its JSON pointer."""
+"""Evaluations that cannot be: each with its status and, where there is a place, its JSON pointer.
+"""
 
 import json
 
@@ -19,7 +20,10 @@ def with_field(name, value):
 
 
 def with_environment(**fields):
-    return {"designs": [DESIGN], "environments": [{"light_xy_m": LIGHT, "terrain_heights_m": FLAT}, fields]}
+    return {
+        "designs": [DESIGN], "environments": [{"light_xy_m": LIGHT, "terrain_heights_m": FLAT},
+                                              fields]
+    }
 
 
 INVALID = {
@@ -69,27 +73,47 @@ INVALID = {
     "unknown environments": (with_field("environments", "moon"), "/environments"),
     "environments empty": (with_field("environments", []), "/environments"),
     "environments a number": (with_field("environments", 5), "/environments"),
-    "65 environments": (with_field("environments", [{"light_xy_m": LIGHT, "terrain_heights_m": FLAT}] * 65), "/environments"),
+    "65 environments": (with_field("environments",
+                                   [{"light_xy_m": LIGHT, "terrain_heights_m": FLAT}] * 65),
+                        "/environments"),
     "environment a string": (with_field("environments", ["paper-test"]), "/environments/0"),
-    "63 heights": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT[1:]), "/environments/1/terrain_heights_m"),
-    "65 heights": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT + [0]), "/environments/1/terrain_heights_m"),
-    "height too high": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT[:63] + [101]), "/environments/1/terrain_heights_m/63"),
-    "height null": (with_environment(light_xy_m=LIGHT, terrain_heights_m=[None] + FLAT[1:]), "/environments/1/terrain_heights_m/0"),
-    "light of one": (with_environment(light_xy_m=[1], terrain_heights_m=FLAT), "/environments/1/light_xy_m"),
-    "light far away": (with_environment(light_xy_m=[1, 1001], terrain_heights_m=FLAT), "/environments/1/light_xy_m/1"),
+    "63 heights": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT[1:]),
+                   "/environments/1/terrain_heights_m"),
+    "65 heights": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT + [0]),
+                   "/environments/1/terrain_heights_m"),
+    "height too high": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT[:63] + [101]),
+                        "/environments/1/terrain_heights_m/63"),
+    "height null": (with_environment(light_xy_m=LIGHT, terrain_heights_m=[None] + FLAT[1:]),
+                    "/environments/1/terrain_heights_m/0"),
+    "light of one": (with_environment(light_xy_m=[1],
+                                      terrain_heights_m=FLAT), "/environments/1/light_xy_m"),
+    "light far away": (with_environment(light_xy_m=[1, 1001],
+                                        terrain_heights_m=FLAT), "/environments/1/light_xy_m/1"),
     "no light": (with_environment(terrain_heights_m=FLAT), "/environments/1"),
     "no terrain": (with_environment(light_xy_m=LIGHT), "/environments/1"),
-    "two terrains": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT, terrain_sigma_m=0.1, seed=1), "/environments/1"),
+    "two terrains": (with_environment(light_xy_m=LIGHT,
+                                      terrain_heights_m=FLAT,
+                                      terrain_sigma_m=0.1,
+                                      seed=1), "/environments/1"),
     "no seed": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1), "/environments/1"),
-    "negative sigma": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=-0.1, seed=1), "/environments/1/terrain_sigma_m"),
-    "negative seed": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1, seed=-1), "/environments/1/seed"),
-    "seed beyond 2^53": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1, seed=2**53), "/environments/1/seed"),
-    "unknown field of an environment": (with_environment(light_xy_m=LIGHT, terrain_heights_m=FLAT, wind=1), "/environments/1/wind"),
+    "negative sigma": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=-0.1,
+                                        seed=1), "/environments/1/terrain_sigma_m"),
+    "negative seed": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1,
+                                       seed=-1), "/environments/1/seed"),
+    "seed with a fraction": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1,
+                                              seed=1.5), "/environments/1/seed"),
+    "seed beyond 2^53": (with_environment(light_xy_m=LIGHT, terrain_sigma_m=0.1,
+                                          seed=2**53), "/environments/1/seed"),
+    "unknown field of an environment": (with_environment(light_xy_m=LIGHT,
+                                                         terrain_heights_m=FLAT,
+                                                         wind=1), "/environments/1/wind"),
     "record a string": (with_field("record", "com"), "/record"),
     "record something": (with_field("record", ["com", "pose"]), "/record/1"),
     "record twice": (with_field("record", ["com", "com"]), "/record/1"),
-    "record too much": ({"designs": [{"cells": [[x, y, z] for x in range(6) for y in range(6) for z in range(4)]}] * 500, "record": ["masses"],
-                         "record_stride": 1}, "/record"),
+    "record too much": ({
+        "designs": [{"cells": [[x, y, z] for x in range(6) for y in range(6)
+                               for z in range(4)]}] * 500, "record": ["masses"], "record_stride": 1
+    }, "/record"),
     "stride zero": (with_field("record_stride", 0), "/record_stride"),
     "stride beyond the end": (with_field("record_stride", 1001), "/record_stride"),
     "time step zero": (with_field("physics", {"dt_s": 0}), "/physics/dt_s"),
@@ -118,12 +142,16 @@ def test_invalid(service, name):
 
 # Numbers that JSON can write and float64 cannot hold.
 HUGE = {
-    "height": ('{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,1],"terrain_heights_m":[1e400%s]}]}' % (",0" * 63),
-               "/environments/0/terrain_heights_m/0"),
-    "light": ('{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,-1e400],"terrain_sigma_m":0,"seed":1}]}', "/environments/0/light_xy_m/1"),
+    "height": (
+        '{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,1],"terrain_heights_m":[1e400%s]}]}'
+        % (",0" * 63), "/environments/0/terrain_heights_m/0"),
+    "light": (
+        '{"designs":[{"cells":[[0,0,0]]}],"environments":[{"light_xy_m":[1,-1e400],"terrain_sigma_m":0,"seed":1}]}',
+        "/environments/0/light_xy_m/1"),
     "cell": ('{"designs":[{"cells":[[1e400,0,0]]}]}', "/designs/0/cells/0/0"),
     "physics": ('{"designs":[{"cells":[[0,0,0]]}],"physics":{"dt_s":1e400}}', "/physics/dt_s"),
-    "integer": ('{"designs":[{"cells":[[0,0,0]]}],"record_stride":99999999999999999999}', "/record_stride"),
+    "integer": ('{"designs":[{"cells":[[0,0,0]]}],"record_stride":99999999999999999999}',
+                "/record_stride"),
 }
 
 
@@ -171,7 +199,24 @@ def test_malformed(service, name):
     reply = service.request("POST", "/v1/evaluations", body=MALFORMED[name])
     assert reply.status == 400, reply.body
     value = reply.json()
-    assert value["type"] == "/problems/malformed-json" and len(value["errors"]) == 1 and "line " in value["errors"][0]["detail"]
+    assert value["type"] == "/problems/malformed-json" and len(
+        value["errors"]) == 1 and "line " in value["errors"][0]["detail"]
+
+
+def test_escaped_keys(service):
+    body = b'{"\\u0064esigns":[{"c\\u0065lls":[[0,0,0]]}],"ph\\u0079sics":{"n_steps":20,"\\u0069mpact":"exact"}}'
+    reply = service.request("POST", "/v1/evaluations", body=body)
+    assert reply.status == 202 and reply.json()["physics"]["impact"] == "exact", reply.body
+
+
+def test_a_seed_that_only_rounds_to_a_whole_number(service):
+    """A float64 has no digits for the fraction; the text has."""
+    place = b'{"light_xy_m":[1,1],"terrain_sigma_m":0.1,"seed":9007199254740990.6}'
+    reply = service.request("POST",
+                            "/v1/evaluations",
+                            body=b'{"designs":[{"cells":[[0,0,0]]}],"environments":[' + place +
+                            b"]}")
+    assert reply.status == 422 and reply.pointers() == ["/environments/0/seed"]
 
 
 def test_place_of_a_syntax_error(service):
@@ -180,9 +225,14 @@ def test_place_of_a_syntax_error(service):
 
 
 def test_many_faults_at_once(service):
-    reply = service.request("POST", "/v1/evaluations", {"designs": [{"cells": [[9, 0, 0]]} for _ in range(100)]})
-    assert reply.status == 422 and reply.pointers() == [f"/designs/{i}/cells/0/0" for i in range(32)]
-    reply = service.request("POST", "/v1/evaluations", {"designs": [DESIGN, {"voxels": "x"}], "controller": 5, "label": 7, "z": None})
+    reply = service.request("POST", "/v1/evaluations",
+                            {"designs": [{"cells": [[9, 0, 0]]} for _ in range(100)]})
+    assert reply.status == 422 and reply.pointers() == [
+        f"/designs/{i}/cells/0/0" for i in range(32)
+    ]
+    reply = service.request(
+        "POST", "/v1/evaluations",
+        {"designs": [DESIGN, {"voxels": "x"}], "controller": 5, "label": 7, "z": None})
     assert reply.pointers() == ["/designs/1/voxels", "/controller", "/label", "/z"]
 
 
@@ -191,10 +241,13 @@ def test_10001_designs(service):
     assert reply.status == 422 and reply.pointers() == ["/designs"]
 
 
-@pytest.mark.parametrize("headers, status", [({"Content-Type": "text/plain"}, 415), ({"Content-Type": "application/xml"}, 415),
-                                             ({"Content-Type": "application/json; charset=latin-1"}, 415), ({"Content-Type": "nonsense"}, 415),
-                                             ({"Content-Encoding": "gzip"}, 415), ({"Content-Type": "application/json; charset=UTF-8"}, 422),
-                                             ({"Accept": "text/html"}, 406)])
+@pytest.mark.parametrize("headers, status",
+                         [({"Content-Type": "text/plain"}, 415),
+                          ({"Content-Type": "application/xml"}, 415),
+                          ({"Content-Type": "application/json; charset=latin-1"}, 415),
+                          ({"Content-Type": "nonsense"}, 415), ({"Content-Encoding": "gzip"}, 415),
+                          ({"Content-Type": "application/json; charset=UTF-8"}, 422),
+                          ({"Accept": "text/html"}, 406)])
 def test_media_types(service, headers, status):
     assert service.request("POST", "/v1/evaluations", body="{}", headers=headers).status == status
 
@@ -205,7 +258,11 @@ def test_body_too_large(start):
     assert running.request("POST", "/v1/evaluations", body=big).status == 413
     chunks = (big[i:i + 5000].encode() for i in range(0, len(big), 5000))
     connection = running.connection()
-    assert running.request("POST", "/v1/evaluations", body=chunks, connection=connection, headers={"Content-Type": "application/json"}).status == 413
+    assert running.request("POST",
+                           "/v1/evaluations",
+                           body=chunks,
+                           connection=connection,
+                           headers={"Content-Type": "application/json"}).status == 413
     connection.close()
     huge = b"x" * (3 << 20)
     assert running.request("POST", "/v1/evaluations", body=huge).status == 413

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import struct
+import urllib.parse
 
 import pytest
 
@@ -28,16 +29,24 @@ def test_round_trip(service):
     put = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers=FILE)
     digest = hashlib.sha256(BYTES).hexdigest()
     assert put.status == 201 and put.headers["Location"] == "/v1/controllers/round-trip"
-    assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912 and put.json()["workspace"] == [6, 6, 4]
+    assert put.json()["sha256"] == digest and put.json()["parameters"] == 620912 and put.json(
+    )["workspace"] == [6, 6, 4]
     got = service.request("GET", "/v1/controllers/round-trip")
     assert got.body == BYTES and got.headers["Content-Type"] == "application/octet-stream"
-    assert service.request("GET", "/v1/controllers/round-trip", headers={"If-None-Match": got.headers["ETag"]}).status == 304
-    by_hash = service.request("GET", f"/v1/controllers/sha256:{digest}", headers={"Accept": "application/json"}).json()
+    assert service.request("GET",
+                           "/v1/controllers/round-trip",
+                           headers={"If-None-Match": got.headers["ETag"]}).status == 304
+    by_hash = service.request("GET",
+                              f"/v1/controllers/sha256:{digest}",
+                              headers={"Accept": "application/json"}).json()
     assert by_hash["name"] is None and by_hash["sha256"] == digest
     assert service.request("GET", f"/v1/controllers/sha256:{digest.upper()}").body == BYTES
     upper = {"designs": [DESIGN], "physics": SHORT, "controller": "sha256:" + digest.upper()}
     assert service.evaluate(upper).json()["controller"]["sha256"] == digest
-    again = service.request("PUT", "/v1/controllers/round-trip", body=BYTES, headers={"Content-Type": "application/vnd.safetensors"})
+    again = service.request("PUT",
+                            "/v1/controllers/round-trip",
+                            body=BYTES,
+                            headers={"Content-Type": "application/vnd.safetensors"})
     assert again.status == 200
     assert service.request("DELETE", "/v1/controllers/round-trip").status == 204
     assert service.request("GET", "/v1/controllers/round-trip").status == 404
@@ -55,9 +64,12 @@ def test_repointing_changes_what_is_computed(service):
     assert service.request("PUT", "/v1/controllers/moving", body=other, headers=FILE).status == 200
     second = service.evaluate(request).json()
     assert first["controller"]["name"] == second["controller"]["name"] == "moving"
-    assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(other).hexdigest()
-    by_hash = service.evaluate(dict(request, controller="sha256:" + first["controller"]["sha256"])).json()
-    assert by_hash["results"] == first["results"] and by_hash["rollouts_cached"] == 10 and by_hash["controller"]["name"] is None
+    assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(
+        other).hexdigest()
+    by_hash = service.evaluate(dict(request,
+                                    controller="sha256:" + first["controller"]["sha256"])).json()
+    assert by_hash["results"] == first["results"] and by_hash["rollouts_cached"] == 10 and by_hash[
+        "controller"]["name"] is None
 
 
 def test_list(service):
@@ -65,13 +77,16 @@ def test_list(service):
         service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE)
     names, cursor = [], ""
     while cursor is not None:
-        page = service.request("GET", "/v1/controllers?limit=2" + (f"&cursor={cursor}" if cursor else "")).json()
+        page = service.request("GET", "/v1/controllers?limit=2" +
+                               (f"&cursor={cursor}" if cursor else "")).json()
         names += [item["name"] for item in page["items"]]
         cursor = page["next_cursor"]
-    assert names == sorted(names) and {"default", "bootstrap", "list-a", "list-b", "list-c"} <= set(names)
+    assert names == sorted(names) and {"default", "bootstrap", "list-a", "list-b", "list-c"
+                                       } <= set(names)
 
 
-@pytest.mark.parametrize("name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
+@pytest.mark.parametrize(
+    "name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
 def test_names(service, name):
     assert service.request("PUT", f"/v1/controllers/{name}", body=BYTES, headers=FILE).status == 422
 
@@ -84,7 +99,8 @@ def test_damaged_file_is_named_and_healed(start):
     got = service.request("GET", "/v1/controllers/default")
     assert got.status == 500 and digest in got.json()["detail"] and "PUT" in got.json()["detail"]
     job = service.evaluate(request).json()
-    assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job["error"]["detail"]
+    assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job[
+        "error"]["detail"]
     assert f"{digest}.safetensors" in service.log_text()
     assert service.request("PUT", "/v1/controllers/default", body=BYTES, headers=FILE).status == 200
     assert service.request("GET", "/v1/controllers/default").body == BYTES
@@ -109,9 +125,12 @@ HOSTILE = {
     "header not UTF-8": pack(b'{"\xff":1}'),
     "deep header": pack(b"[" * 100000),
     "no tensors": pack({}),
-    "tensor missing": pack({name: value for name, value in HEADER.items() if name != SECOND}),
+    "tensor missing": pack({name: value
+                            for name, value in HEADER.items() if name != SECOND}),
     "tensor too many": pack({**HEADER, "net.99.weight": HEADER[SECOND]}),
-    "repeated tensor": pack(json.dumps(HEADER).encode()[:-1] + b',"net.0.bias":' + json.dumps(HEADER[SECOND]).encode() + b"}"),
+    "repeated tensor": pack(
+        json.dumps(HEADER).encode()[:-1] + b',"net.0.bias":' + json.dumps(HEADER[SECOND]).encode() +
+        b"}"),
     "wrong type": changed(SECOND, dtype="F16"),
     "wrong shape": changed(FIRST, shape=[1, 2]),
     "turned shape": changed(FIRST, shape=HEADER[FIRST]["shape"][::-1]),
@@ -122,10 +141,13 @@ HOSTILE = {
     "offsets reversed": changed(SECOND, data_offsets=HEADER[SECOND]["data_offsets"][::-1]),
     "offsets of text": changed(SECOND, data_offsets=["0", "4"]),
     "offsets negative": changed(SECOND, data_offsets=[-4, 1020]),
-    "unknown sensor": pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "sensor": "nose"}}),
+    "unknown sensor": pack(
+        {**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "sensor": "nose"}}),
     "metadata not text": pack({**HEADER, "__metadata__": {"a": 1}}),
-    "workspace that does not fit": pack({**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "workspace": "9x9x9"}}),
-    "not a number inside": pack(HEADER, struct.pack("<f", float("nan")) + DATA[4:]),
+    "workspace that does not fit": pack(
+        {**HEADER, "__metadata__": {**HEADER.get("__metadata__", {}), "workspace": "9x9x9"}}),
+    "not a number inside": pack(HEADER,
+                                struct.pack("<f", float("nan")) + DATA[4:]),
     "infinity inside": pack(HEADER, DATA[:-4] + struct.pack("<f", float("inf"))),
     "JSON": b'{"designs":[]}',
     "zeros": bytes(100000),
@@ -142,14 +164,26 @@ def test_hostile(service, name):
 
 def test_upload_limits(start):
     running = start("--max-controller=3M")
-    assert running.request("PUT", "/v1/controllers/big", body=bytes(4 << 20), headers=FILE).status == 413
+    assert running.request("PUT", "/v1/controllers/big", body=bytes(4 << 20),
+                           headers=FILE).status == 413
     assert running.request("PUT", "/v1/controllers/fits", body=BYTES, headers=FILE).status == 201
-    assert running.request("PUT", "/v1/controllers/x", body=BYTES, headers={"Content-Type": "application/json"}).status == 415
+    assert running.request("PUT",
+                           "/v1/controllers/x",
+                           body=BYTES,
+                           headers={"Content-Type": "application/json"}).status == 415
 
 
-@pytest.mark.parametrize("file, names", [("slow-gait.safetensors", ["default", "slow-gait"]), ("Not a Name.safetensors", ["default"])])
+@pytest.mark.parametrize("file, names", [("slow-gait.safetensors", ["default", "slow-gait"]),
+                                         ("Not a Name.safetensors", ["default"])])
 def test_name_of_the_first(start, tmp_path, file, names):
     (tmp_path / file).write_bytes(BYTES)
     service = start(f"--default-controller={tmp_path / file}")
     items = service.request("GET", "/v1/controllers").json()["items"]
-    assert [item["name"] for item in items] == names and len({item["sha256"] for item in items}) == 1
+    assert [item["name"] for item in items] == names and len({item["sha256"]
+                                                              for item in items}) == 1
+
+
+@pytest.mark.parametrize("cursor", ["~", "~1", "{}", "", "UPPER", "a" * 65])
+def test_cursors_that_no_page_gave(service, cursor):
+    reply = service.request("GET", f"/v1/controllers?cursor={urllib.parse.quote(cursor)}")
+    assert reply.status == 400, reply.body

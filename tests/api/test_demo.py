@@ -1,4 +1,5 @@
-"""tools/demo, in a repository of its own that shares data, tools and programs with this one: it tells which controller it scores with."""
+"""tools/demo, in a repository of its own that shares data, tools and programs with this one: it
+tells which controller it scores with."""
 
 import hashlib
 import os
@@ -21,12 +22,17 @@ def demo(tmp_path):
     for folder in ("build/src/daemon", "build/clients/morphoctl"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "build/build.ninja").write_text("build all: phony\n")
-    for name, target in (("tools", module.SOURCE / "tools"), ("data", module.SOURCE / "data"), ("build/src/daemon/morphod", module.BINARY),
-                         ("build/clients/morphoctl/morphoctl", MORPHOCTL)):
+    for name, target in (("tools", module.SOURCE / "tools"), ("data", module.SOURCE / "data"),
+                         ("build/src/daemon/morphod",
+                          module.BINARY), ("build/clients/morphoctl/morphoctl", MORPHOCTL)):
         (tmp_path / name).symlink_to(os.path.abspath(target))
 
     def run(*options):
-        done = subprocess.run(["bash", tmp_path / "tools/demo", "--no-install", *options], capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(["bash", tmp_path / "tools/demo", "--no-install", *options],
+                              capture_output=True,
+                              text=True,
+                              timeout=120,
+                              check=False)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout.splitlines()
 
@@ -35,32 +41,47 @@ def demo(tmp_path):
 
 
 def short(demo):
-    """Without random designs and campaign: what is told of the controller, which is before the scores."""
+    """Without random designs and campaign: what is told of the controller, which is before the scores.
+    """
     lines = demo("--random", "0", "--generations", "0")
     place = next(i for i, line in enumerate(lines) if line.startswith("Controller: "))
-    assert any("crawler" in line for line in lines[place + 1:]) and not any("crawler" in line for line in lines[:place])
+    assert any("crawler" in line
+               for line in lines[place + 1:]) and not any("crawler" in line
+                                                          for line in lines[:place])
     address = next(line.split()[3] for line in lines if line.startswith("The daemon serves "))
     return lines[place:place + 2], address
 
 
 def test_shipped_default(demo):
     told, _ = short(demo)
-    assert told[0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
+    assert told[
+        0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
     assert "shipped" not in told[1]
 
 
 def test_state_of_an_older_program(demo, start, tmp_path):
-    """What the folder has as default stays and is named; the line that is told makes the shipped one the default."""
+    """What the folder has as default stays and is named; the line that is told makes the shipped one
+    the default."""
     (tmp_path / ".morphod").mkdir()
     older = start(state=tmp_path / ".morphod" / "state")
     assert older.stop() == 0
     told, address = short(demo)
-    assert told[0] == f"Controller: bootstrap, sha256 {hash_of(OLD)[:16]}…, the default of this daemon."
+    assert told[
+        0] == f"Controller: bootstrap, sha256 {hash_of(OLD)[:16]}…, the default of this daemon."
     words, command = told[1].split(" by: ")
     assert words == "It is not the shipped one, phototaxis, which becomes the default"
-    subprocess.run(["bash", "-c", command], cwd=tmp_path, check=True, timeout=60, capture_output=True)
+    subprocess.run(["bash", "-c", command],
+                   cwd=tmp_path,
+                   check=True,
+                   timeout=60,
+                   capture_output=True)
     told, _ = short(demo)
-    assert told[0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
+    assert told[
+        0] == f"Controller: phototaxis, sha256 {hash_of(SHIPPED)[:16]}…, the default of this daemon."
     assert "shipped" not in told[1]
-    names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address], check=True, capture_output=True, text=True, timeout=60).stdout
+    names = subprocess.run([MORPHOCTL, "controller", "list", "--server", address],
+                           check=True,
+                           capture_output=True,
+                           text=True,
+                           timeout=60).stdout
     assert hash_of(OLD) in names

@@ -1,4 +1,5 @@
-"""The event stream: order, resumption, filters, heartbeats, limits, slow readers, the end of the service."""
+"""The event stream: order, resumption, filters, heartbeats, limits, slow readers, the end of the
+service."""
 
 import json
 import re
@@ -13,10 +14,10 @@ from service import CONTRACT, DESIGN, SHORT
 
 class Stream:
     """A reader of /v1/events on a socket of its own."""
-
     def __init__(self, service, query="", headers="", timeout=20):
         self.sock = socket.create_connection((service.host, service.port), timeout=timeout)
-        self.sock.sendall(f"GET /v1/events{query} HTTP/1.0\r\nHost: localhost\r\n{headers}\r\n".encode())
+        self.sock.sendall(
+            f"GET /v1/events{query} HTTP/1.0\r\nHost: localhost\r\n{headers}\r\n".encode())
         self.file = self.sock.makefile("rb")
         self.status = int(self.file.readline().split(b" ")[1])
         self.headers = {}
@@ -40,7 +41,8 @@ class Stream:
         for event in self:
             if "data" in event:
                 if event["event"] != "reset":
-                    CONTRACT.validate({"$ref": "#/components/schemas/Event"}, json.loads(event["data"]), "event")
+                    CONTRACT.validate({"$ref": "#/components/schemas/Event"},
+                                      json.loads(event["data"]), "event")
                     assert json.loads(event["data"])["id"] == event["id"]
                 found.append(event)
                 if len(found) == n:
@@ -67,7 +69,8 @@ def test_a_job_in_order(service):
             events.append(event)
             if event["event"] == "job.finished":
                 break
-    assert [event["event"] for event in events if event["event"] != "job.progress"] == ["job.created", "job.started", "job.finished"]
+    assert [event["event"] for event in events
+            if event["event"] != "job.progress"] == ["job.created", "job.started", "job.finished"]
     numbers = [int(event["id"]) for event in events]
     assert numbers == sorted(numbers)
     stored = [event["id"] for event in page(service, f"&job={job}&limit=1000")["items"]]
@@ -84,9 +87,11 @@ def test_resumption_loses_nothing(service):
         if not part["items"]:
             break
         after = part["next_after"]
-    assert whole == [event["id"] for event in page(service, "&after=0&limit=1000")["items"]][:len(whole)]
+    assert whole == [event["id"]
+                     for event in page(service, "&after=0&limit=1000")["items"]][:len(whole)]
     middle = len(whole) // 2
-    for query, headers in ((f"?after={whole[middle]}", ""), ("?after=0", f"Last-Event-ID: {whole[middle]}\r\n")):
+    for query, headers in ((f"?after={whole[middle]}", ""),
+                           ("?after=0", f"Last-Event-ID: {whole[middle]}\r\n")):
         stream = Stream(service, query, headers)
         rest = stream.events(len(whole) - middle - 1)
         assert [event["id"] for event in rest] == whole[middle + 1:]
@@ -94,7 +99,8 @@ def test_resumption_loses_nothing(service):
 
 
 def test_filter(service):
-    stream_job = service.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 62}}).json()["id"]
+    stream_job = service.request("POST", "/v1/evaluations",
+                                 {"designs": [DESIGN], "physics": {"n_steps": 62}}).json()["id"]
     service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 63}})
     service.request("GET", f"/v1/jobs/{stream_job}", headers={"Prefer": "wait=20"})
     stream = Stream(service, f"?after=0&job={stream_job}")
@@ -111,12 +117,14 @@ def test_filter(service):
 def test_reset(service):
     stream = Stream(service, "?after=999999999")
     event = stream.events(1)[0]
-    assert event["event"] == "reset" and int(event["id"]) == int(json.loads(event["data"])["newest"])
+    assert event["event"] == "reset" and int(event["id"]) == int(
+        json.loads(event["data"])["newest"])
     job = service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 64}}).json()["id"]
     assert json.loads(stream.events(1)[0]["data"])["job"] == job
     stream.close()
     beyond = page(service, "&after=999999999999999999")
-    assert beyond["reset"] is True and beyond["items"] == [] and int(beyond["next_after"]) >= int(event["id"])
+    assert beyond["reset"] is True and beyond["items"] == [] and int(beyond["next_after"]) >= int(
+        event["id"])
 
 
 def test_bad_place(service):
@@ -128,7 +136,11 @@ def test_bad_place(service):
 def test_many_streams_see_the_same(service):
     streams = [Stream(service) for _ in range(40)]
     time.sleep(0.3)
-    jobs = [service.request("POST", "/v1/evaluations", {"designs": [DESIGN], "physics": {"n_steps": 70 + i}}).json()["id"] for i in range(5)]
+    jobs = [
+        service.request("POST", "/v1/evaluations",
+                        {"designs": [DESIGN], "physics": {"n_steps": 70 + i}}).json()["id"]
+        for i in range(5)
+    ]
     for job in jobs:
         service.request("GET", f"/v1/jobs/{job}", headers={"Prefer": "wait=20"})
     newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]
@@ -192,13 +204,17 @@ def test_streams_end_with_the_service(start):
 
 
 def test_slow_reader_gets_everything_later(service):
-    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the service do not notice."""
+    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the service
+    do not notice."""
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     sock.connect((service.host, service.port))
     sock.sendall(b"GET /v1/events?after=0 HTTP/1.0\r\nHost: localhost\r\n\r\n")
     for i in range(60):
-        service.request("PUT", f"/v1/controllers/slow-{i % 3}", body=b"", headers={"Content-Type": "application/octet-stream"})
+        service.request("PUT",
+                        f"/v1/controllers/slow-{i % 3}",
+                        body=b"",
+                        headers={"Content-Type": "application/octet-stream"})
         assert service.request("GET", "/healthz").status == 200
     service.evaluate({"designs": [DESIGN], "physics": {"n_steps": 65}})
     newest = page(service, "&after=0&limit=1000")["items"][-1]["id"]

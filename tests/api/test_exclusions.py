@@ -1,4 +1,5 @@
-"""Campaigns whose controller says what it was pretrained on: how the bodies of it that are left out are told of."""
+"""Campaigns whose controller says what it was pretrained on: how the bodies of it that are left out
+are told of."""
 
 import json
 import struct
@@ -7,7 +8,10 @@ import time
 from service import BOOTSTRAP, awaited
 
 HERE = [{"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 7}]
-SMALL = {"mode": "zero-shot", "population": 8, "generations": 1, "environments": HERE, "physics": {"n_steps": 30}}
+SMALL = {
+    "mode": "zero-shot", "population": 8, "generations": 1, "environments": HERE,
+    "physics": {"n_steps": 30}
+}
 
 
 def put(service, name, **said):
@@ -17,14 +21,19 @@ def put(service, name, **said):
     header = json.loads(file[8:8 + size])
     header["__metadata__"].update({f"morphod.{key}": value for key, value in said.items()})
     text = json.dumps(header).encode()
-    reply = service.request("PUT", f"/v1/controllers/{name}", body=struct.pack("<Q", len(text)) + text + file[8 + size:],
+    reply = service.request("PUT",
+                            f"/v1/controllers/{name}",
+                            body=struct.pack("<Q", len(text)) + text + file[8 + size:],
                             headers={"Content-Type": "application/octet-stream"})
     assert reply.status == 201, reply.body
     return reply.json()["sha256"]
 
 
 def pretrained(steps, seed="31"):
-    return {"kind": "pretrain", "parent": "random", "seed": seed, "step": str(steps), "settings": json.dumps({"batch": 1024}, separators=(",", ":"))}
+    return {
+        "kind": "pretrain", "parent": "random", "seed": seed, "step": str(steps),
+        "settings": json.dumps({"batch": 1024}, separators=(",", ":"))
+    }
 
 
 def submit(service, **fields):
@@ -41,13 +50,19 @@ def test_a_lineage_that_cannot_be_read(start):
     service = start()
     digits = put(service, "odd", **pretrained("many", seed="none"))
     id = submit(service, controller="odd")
-    done = awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["state"] not in ("queued", "running"))
+    done = awaited(service, f"/v1/campaigns/{id}", lambda seen: seen["state"] not in
+                   ("queued", "running"))
     assert done["state"] == "succeeded" and done["progress"]["generation"] == 1
-    events = service.request("GET", f"/v1/events?format=json&job={id}&after=0&limit=100").json()["items"]
+    events = service.request("GET",
+                             f"/v1/events?format=json&job={id}&after=0&limit=100").json()["items"]
     told = [event["data"] for event in events if event["type"] == "campaign.lineage_unreadable"]
-    assert [(data["id"], data["controller"], data["field"]) for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
-    lines = [line for line in service.log_text().splitlines() if "campaign.lineage_unreadable" in line]
-    assert len(lines) == 2 and all("warning" in line.lower() and digits in line for line in lines) and "morphod.seed" in lines[0]
+    assert [(data["id"], data["controller"], data["field"])
+            for data in told] == [(id, digits, "morphod.seed"), (id, digits, "morphod.step")]
+    lines = [
+        line for line in service.log_text().splitlines() if "campaign.lineage_unreadable" in line
+    ]
+    assert len(lines) == 2 and all("warning" in line.lower() and digits in line
+                                   for line in lines) and "morphod.seed" in lines[0]
 
 
 def test_a_drawing_is_told_and_handed_over(start):
@@ -55,12 +70,16 @@ def test_a_drawing_is_told_and_handed_over(start):
     total = 1024 * 200000
     put(service, "long", **pretrained(200000))
     first = submit(service, controller="long", workspace=[3, 3, 2])
-    drawn = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["progress"]["seconds_left"] is not None)
+    drawn = awaited(service, f"/v1/campaigns/{first}",
+                    lambda seen: seen["progress"]["seconds_left"] is not None)
     second = submit(service, controller="long", workspace=[3, 3, 2])  # not before: either may begin
-    waits = awaited(service, f"/v1/campaigns/{second}", lambda seen: seen["progress"]["seconds_left"] is not None)
+    waits = awaited(service, f"/v1/campaigns/{second}",
+                    lambda seen: seen["progress"]["seconds_left"] is not None)
     for seen in (drawn, waits):
-        assert seen["state"] == "running" and seen["phase"] == "preparing" and seen["newest"] is None, seen
-        assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen["progress"]["seconds_left"] > 1
+        assert seen["state"] == "running" and seen["phase"] == "preparing" and seen[
+            "newest"] is None, seen
+        assert 0 < seen["progress"]["done"] < seen["progress"]["total"] == total and seen[
+            "progress"]["seconds_left"] > 1
     assert drawn["reason"] is None and f"campaign {first} draws" in waits["reason"]
     job = service.request("GET", f"/v1/jobs/{second}").json()
     assert job["state"] == "running" and job["reason"] == waits["reason"]
@@ -70,7 +89,8 @@ def test_a_drawing_is_told_and_handed_over(start):
     assert draws["phase"] == "preparing" and draws["progress"]["done"] >= waits["progress"]["done"]
     assert service.request("POST", f"/v1/campaigns/{first}/resume").status == 200
     waits = awaited(service, f"/v1/campaigns/{first}", lambda seen: seen["reason"] is not None)
-    assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws["progress"]["done"]
+    assert f"campaign {second} draws" in waits["reason"] and waits["progress"]["done"] >= draws[
+        "progress"]["done"]
     begun = time.monotonic()
     for id in (second, first):
         assert service.request("POST", f"/v1/campaigns/{id}/cancel").status == 200

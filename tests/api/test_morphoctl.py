@@ -1,4 +1,5 @@
-"""morphoctl against the daemon itself. Its behaviour towards servers that break is tested in tests/unit/morphoctl."""
+"""morphoctl against the daemon itself. Its behaviour towards servers that break is tested in
+tests/unit/morphoctl."""
 
 import fcntl
 import hashlib
@@ -16,7 +17,9 @@ import time
 import pytest
 from service import BINARY, BOOTSTRAP, DESIGN, SOURCE
 
-MORPHOCTL = os.environ.get("MORPHOCTL", os.path.join(os.path.dirname(BINARY), "..", "..", "clients", "morphoctl", "morphoctl"))
+MORPHOCTL = os.environ.get(
+    "MORPHOCTL",
+    os.path.join(os.path.dirname(BINARY), "..", "..", "clients", "morphoctl", "morphoctl"))
 SHORT = ["--physics", "n_steps=20"]
 CELLS = json.dumps(DESIGN)
 
@@ -25,9 +28,16 @@ CELLS = json.dumps(DESIGN)
 def ctl(service):
     def run(*arguments, server=None, input_text="", **variables):
         environment = {k: v for k, v in os.environ.items() if not k.startswith("MORPHOD")}
-        environment.update({"MORPHOD_SERVER": server or service.addresses[0], "LC_ALL": "C.UTF-8"}, **variables)
-        done = subprocess.run([MORPHOCTL, *arguments], input=input_text, capture_output=True, text=True, timeout=60, env=environment)
+        environment.update({"MORPHOD_SERVER": server or service.addresses[0], "LC_ALL": "C.UTF-8"},
+                           **variables)
+        done = subprocess.run([MORPHOCTL, *arguments],
+                              input=input_text,
+                              capture_output=True,
+                              text=True,
+                              timeout=60,
+                              env=environment)
         return done.returncode, done.stdout, done.stderr
+
     return run
 
 
@@ -40,11 +50,18 @@ def test_named_designs(ctl):
     assert len(lines) == len(files) + 1
     for path, line in zip(files, lines[1:]):
         name = os.path.basename(path)[:-5]
-        assert re.match(rf"\s*\d+\s+{name}\s+[0-9a-f]{{36}}\s+\d+\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}", line), line
+        assert re.match(
+            rf"\s*\d+\s+{name}\s+[0-9a-f]{{36}}\s+\d+\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}\s+\d+\.\d{{4}}",
+            line), line
 
 
 def test_the_json_is_the_apis(service, ctl):
-    status, out, _ = ctl("eval", *SHORT, "--json", "--label", "from the command line", input_text=CELLS)
+    status, out, _ = ctl("eval",
+                         *SHORT,
+                         "--json",
+                         "--label",
+                         "from the command line",
+                         input_text=CELLS)
     assert status == 0
     evaluation = json.loads(out)
     assert evaluation == service.request("GET", f"/v1/evaluations/{evaluation['id']}").json()
@@ -52,7 +69,11 @@ def test_the_json_is_the_apis(service, ctl):
 
 
 def test_the_same_key_is_the_same_evaluation(ctl):
-    ids = {json.loads(ctl("eval", *SHORT, "--json", "--idempotency-key", "once", input_text=CELLS)[1])["id"] for _ in range(2)}
+    ids = {
+        json.loads(ctl("eval", *SHORT, "--json", "--idempotency-key", "once",
+                       input_text=CELLS)[1])["id"]
+        for _ in range(2)
+    }
     assert len(ids) == 1
     status, _, err = ctl("eval", *SHORT, "--idempotency-key", "once", input_text='[[0,0,0]]')
     assert status == 6 and "key" in err.lower(), err
@@ -83,25 +104,34 @@ def test_designs(ctl):
     identity = json.loads(ctl("eval", *SHORT, "--json", input_text=CELLS)[1])["results"][0]["id"]
     status, out, err = ctl("design", "show", identity)
     assert status == 0 and identity in out and "██" in out and "z = 1" in out, (out, err)
-    drawn = ctl("design", "show", identity, LC_ALL="C")[1].count("##")  # once for each orientation that was scored
+    drawn = ctl("design", "show", identity,
+                LC_ALL="C")[1].count("##")  # once for each orientation that was scored
     assert drawn >= 4 and drawn % 4 == 0
     assert ctl("design", "show", "f" * 36)[0] in (0, 3)
     assert ctl("design", "show", "xyz")[0] == 2
     status, out, _ = ctl("design", "list", "--all")
     assert status == 0 and identity in out
     assert json.loads(ctl("design", "show", identity, "--json")[1])["id"] == identity
-    ctl("eval", input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
+    ctl("eval",
+        input_text=CELLS)  # the paper's test set with the default physics: what is sorted by score
     status, out, _ = ctl("design", "list", "--sort", "score", "--limit", "1")
     assert status == 0 and len(out.splitlines()) == 2
 
 
 def test_jobs(ctl):
-    status, out, _ = ctl("eval", "--no-wait", "--random", "500", "--seed", "5", "--label", "long one")
+    status, out, _ = ctl("eval", "--no-wait", "--random", "500", "--seed", "5", "--label",
+                         "long one")
     job = out.strip()
     assert status == 0 and job.isdigit()
     assert ctl("job", "pause", job)[0] == 0
     assert "paused" in ctl("job", "show", job)[1]
-    assert any(line.split()[0] == job and "paused" in line for line in ctl("job", "list", "--state", "paused")[1].splitlines()[1:])
+    assert any(line.split()[0] == job and "paused" in line
+               for line in ctl("job", "list", "--state", "paused")[1].splitlines()[1:])
+    assert [
+        line.split()[0]
+        for line in ctl("job", "list", "--label", "long one", "--state", "paused")[1].splitlines()
+    ] == ["job", job]
+    assert ctl("job", "list", "-l", "long & two", "--json")[1].startswith('{"items":[],')
     assert ctl("job", "weight", job, "2.5") == (0, f"job {job} has the weight 2.5\n", "")
     assert re.search(r"^weight +2.5$", ctl("job", "show", job)[1], re.M)
     assert ctl("job", "weight", job, "0")[0] == 6 and ctl("job", "weight", job, "2x")[0] == 2
@@ -127,7 +157,8 @@ def test_watch_a_job(ctl):
 
 
 def test_controllers(service, ctl, tmp_path):
-    assert re.search(r"^bootstrap +inverse_sqrt +620,912 +2,484,856 +20\d\d-", ctl("controller", "list")[1], re.M)
+    assert re.search(r"^bootstrap +inverse_sqrt +620,912 +2,484,856 +20\d\d-",
+                     ctl("controller", "list")[1], re.M)
     status, out, err = ctl("controller", "put", "mine", str(BOOTSTRAP))
     assert status == 0 and hashlib.sha256(BOOTSTRAP.read_bytes()).hexdigest() in out, err
     assert "620,912" in ctl("controller", "info", "mine")[1]
@@ -142,7 +173,14 @@ def test_controllers(service, ctl, tmp_path):
 
 
 def test_trajectories(ctl, tmp_path):
-    status, _, err = ctl("eval", *SHORT, "--record", "com,masses", "--record-stride", "5", "--output", str(tmp_path / "out"),
+    status, _, err = ctl("eval",
+                         *SHORT,
+                         "--record",
+                         "com,masses",
+                         "--record-stride",
+                         "5",
+                         "--output",
+                         str(tmp_path / "out"),
                          input_text=CELLS)
     assert status == 0, err
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
@@ -155,8 +193,9 @@ def test_trajectories(ctl, tmp_path):
 
 def test_environments_of_a_file(ctl, tmp_path):
     path = tmp_path / "environments.json"
-    path.write_text(json.dumps([{"light_xy_m": [2.5, 4.5], "terrain_heights_m": [0.05] * 64},
-                                {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}]))
+    path.write_text(
+        json.dumps([{"light_xy_m": [2.5, 4.5], "terrain_heights_m": [0.05] * 64},
+                    {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 0.05, "seed": 3}]))
     status, out, err = ctl("eval", *SHORT, "--json", "--environments", str(path), input_text=CELLS)
     assert status == 0, err
     assert len(json.loads(out)["results"][0]["losses"]) == 2
@@ -168,77 +207,107 @@ def test_status(ctl):
     assert json.loads(ctl("status", "--json")[1])["ready"] is True
 
 
-TINY = ["--steps", "6", "--batch", "4", "--physics", "n_steps=30", "--validate-every", "3", "--validation-designs", "3", "--validation-environments", "2"]
+TINY = [
+    "--steps", "6", "--batch", "4", "--physics", "n_steps=30", "--validate-every", "3",
+    "--validation-designs", "3", "--validation-environments", "2"
+]
 
 
 def test_training_from_start_to_export(service, ctl, tmp_path):
-    status, out, err = ctl("train", "start", "pretrain", "--name", "ctl-walker", "--label", "by hand", "--checkpoint-steps", "2", *TINY, "--watch")
+    status, out, err = ctl("train", "start", "pretrain", "--name", "ctl-walker", "--label",
+                           "by hand", "--checkpoint-steps", "2", *TINY, "--watch")
     assert status == 0, (out, err)
-    assert re.match(r"training \d+ \(pretrain ctl-walker\) is (queued|running), step \d of 6", out), out
+    assert re.match(r"training \d+ \(pretrain ctl-walker\) is (queued|running), step \d of 6",
+                    out), out
     assert re.search(r"^controller ctl-walker: sha256:[0-9a-f]{64}$", out, re.M), out
     job = re.match(r"training (\d+)", out)[1]
     assert ctl("train", "watch", job)[0] == 0
     events = [json.loads(line) for line in ctl("train", "watch", job, "--json")[1].splitlines()]
-    assert events[-1]["type"] == "job.finished" and "training.checkpoint" in {event["type"] for event in events}
+    assert events[-1]["type"] == "job.finished" and "training.checkpoint" in {
+        event["type"]
+        for event in events
+    }
     shown = ctl("train", "show", job)[1]
-    assert re.search(r"^progress +step 6 of 6$", shown, re.M) and re.search(r"^label +by hand$", shown, re.M) and "step 6" in shown.splitlines()[-1]
+    assert re.search(r"^progress +step 6 of 6$", shown, re.M) and re.search(
+        r"^label +by hand$", shown, re.M) and "step 6" in shown.splitlines()[-1]
     assert re.search(r"^code +cpu \S+ float32 gradient-\d+$", shown, re.M), shown
-    assert json.loads(ctl("train", "show", job, "--json")[1]) == service.request("GET", f"/v1/trainings/{job}").json()
-    assert any(line.split()[:4] == [job, "pretrain", "ctl-walker", "succeeded"] for line in ctl("train", "list")[1].splitlines())
-    assert any(line.split()[:3] == [job, "pretrain", "succeeded"] for line in ctl("job", "list")[1].splitlines())
+    assert json.loads(ctl("train", "show", job,
+                          "--json")[1]) == service.request("GET", f"/v1/trainings/{job}").json()
+    assert any(line.split()[:4] == [job, "pretrain", "ctl-walker", "succeeded"]
+               for line in ctl("train", "list")[1].splitlines())
+    assert any(line.split()[:3] == [job, "pretrain", "succeeded"]
+               for line in ctl("job", "list")[1].splitlines())
     files = [str(tmp_path / name) for name in ("end", "middle", "curve.csv", "validations.csv")]
-    status, _, err = ctl("train", "export", job, "--output", files[0], "--curve", files[2], "--validations", files[3])
+    status, _, err = ctl("train", "export", job, "--output", files[0], "--curve", files[2],
+                         "--validations", files[3])
     assert status == 0, err
     assert ctl("train", "export", job, "--step", "4", "--output", files[1])[0] == 0
     assert ctl("train", "export", job, "--step", "5")[0] == 3
     end, middle = [open(path, "rb").read() for path in files[:2]]
     assert hashlib.sha256(end).hexdigest() in out and middle != end
     lines = (tmp_path / "curve.csv").read_text().splitlines()
-    assert lines[0].startswith("step,mean_loss,rate") and [line.split(",")[0] for line in lines[1:]] == list("123456")
-    assert [line.split(",")[0] for line in (tmp_path / "validations.csv").read_text().splitlines()[1:]] == ["0", "3", "6"]
-    assert ctl("train", "prune", job, "--step", "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
+    assert lines[0].startswith("step,mean_loss,rate") and [
+        line.split(",")[0] for line in lines[1:]
+    ] == list("123456")
+    assert [
+        line.split(",")[0] for line in (tmp_path / "validations.csv").read_text().splitlines()[1:]
+    ] == ["0", "3", "6"]
+    assert ctl("train", "prune", job, "--step",
+               "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
     assert ctl("train", "prune", job, "--step", "4")[0] == 3 and ctl("train", "prune", "x")[0] == 2
     status, out, _ = ctl("train", "prune", job, "--json")
     assert status == 0 and json.loads(out)["removed"] == [6, 2], out
     assert ctl("train", "prune", job)[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
-    status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6", "--environments", "2", "--physics", "n_steps=50")
+    status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6",
+                           "--environments", "2", "--physics", "n_steps=50")
     assert status == 0 and "Student t, 6 pairs" in out, (out, err)
 
 
 def test_presets_of_trainings(ctl):
     for more, schedule in ((), 61), (("--schedule", "restarts", "--cycle-growth", "3"), 10):
-        status, out, err = ctl("train", "start", "pretrain", "--preset", "phototaxis", "--beta2", "0.99", *more, *TINY, "--json")
+        status, out, err = ctl("train", "start", "pretrain", "--preset", "phototaxis", "--beta2",
+                               "0.99", *more, *TINY, "--json")
         assert status == 0, err
         settings = json.loads(out)["settings"]
-        assert settings["steps"] == 6 and settings["adam"] == {"beta1": 0.8, "beta2": 0.99, "epsilon": 1e-8} and settings["adjoint_rule"] == "restart"
-        assert settings["schedule"]["cycle_steps"] == schedule and settings["schedule"]["cycle_growth"] == (3 if more else 22)
+        assert settings["steps"] == 6 and settings["adam"] == {
+            "beta1": 0.8, "beta2": 0.99, "epsilon": 1e-8
+        } and settings["adjoint_rule"] == "restart"
+        assert settings["schedule"]["cycle_steps"] == schedule and settings["schedule"][
+            "cycle_growth"] == (3 if more else 22)
         assert ctl("train", "cancel", json.loads(out)["id"])[0] == 0
     status, _, err = ctl("train", "start", "pretrain", "--preset", "demo", *TINY)
     assert status == 6 and '/preset: "workstation", "phototaxis" or "paper" is expected' in err, err
-    status, _, err = ctl("train", "start", "finetune", "--random", "1", "--preset", "phototaxis", *TINY)
+    status, _, err = ctl("train", "start", "finetune", "--random", "1", "--preset", "phototaxis",
+                         *TINY)
     assert status == 6 and "/preset: " in err, err
     status, out, _ = ctl("train", "start", "--help")
     assert status == 0 and "--preset workstation|phototaxis|paper" in out, out
 
 
 def test_finetuning(ctl):
-    status, out, err = ctl("train", "start", "finetune", "--random", "3", "--name", "ctl-tuned", *TINY, "--json")
+    status, out, err = ctl("train", "start", "finetune", "--random", "3", "--name", "ctl-tuned",
+                           *TINY, "--json")
     assert status == 0, err
     value = json.loads(out)
     assert value["settings"]["n_designs"] == 3 and value["parent"]["name"] == "default"
     assert ctl("train", "watch", value["id"])[0] == 0
     evaluation = json.loads(ctl("eval", *SHORT, "--random", "5", "--json")[1])
-    status, out, err = ctl("train", "start", "finetune", "--population", evaluation["id"], "--best", "2", *TINY)
-    assert status == 0 and json.loads(ctl("train", "show", out.strip(), "--json")[1])["settings"]["n_designs"] == 2, err
-    status, _, err = ctl("train", "start", "finetune", "--random", "3", "--controller", "nobody", "--batch", "0")
+    status, out, err = ctl("train", "start", "finetune", "--population", evaluation["id"], "--best",
+                           "2", *TINY)
+    assert status == 0 and json.loads(ctl("train", "show", out.strip(),
+                                          "--json")[1])["settings"]["n_designs"] == 2, err
+    status, _, err = ctl("train", "start", "finetune", "--random", "3", "--controller", "nobody",
+                         "--batch", "0")
     assert status == 6 and "/controller: " in err and "/batch: " in err, err
 
 
 def test_training_pause_resume_cancel(ctl):
-    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--validate-every", "0")[1].strip()
+    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics",
+              "n_steps=20", "--validate-every", "0")[1].strip()
     assert ctl("train", "pause", job) == (0, f"job {job} is paused\n", "")
     assert re.search(r"^state +paused$", ctl("train", "show", job)[1], re.M)
-    assert any(line.split()[0] == job for line in ctl("train", "list", "--state", "paused")[1].splitlines())
+    assert any(line.split()[0] == job
+               for line in ctl("train", "list", "--state", "paused")[1].splitlines())
     assert ctl("train", "resume", job)[0] == 0
     assert ctl("train", "cancel", job)[0] == 0
     assert ctl("train", "watch", job)[0] == 3
@@ -246,14 +315,19 @@ def test_training_pause_resume_cancel(ctl):
 
 
 def watch_on_a_terminal(service, command, job, until_seen, farewell):
-    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed, without the escapes."""
+    """What 24 lines of 80 columns show until all of `until_seen` came and Ctrl-C was pressed, without
+    the escapes."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job], stdin=slave, stdout=slave, stderr=slave,
+    watch = subprocess.Popen([MORPHOCTL, "--server", service.addresses[0], command, "watch", job],
+                             stdin=slave,
+                             stdout=slave,
+                             stderr=slave,
                              env={**os.environ, "TERM": "xterm", "LC_ALL": "C.UTF-8"})
     os.close(slave)
     seen, until = b"", time.monotonic() + 60
-    while not all(text in re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace")) for text in until_seen):
+    while not all(text in re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", seen.decode(errors="replace"))
+                  for text in until_seen):
         assert time.monotonic() < until and watch.poll() is None, seen
         if select.select([master], [], [], 0.1)[0]:
             seen += os.read(master, 65536)
@@ -274,10 +348,13 @@ def watch_on_a_terminal(service, command, job, until_seen, farewell):
 
 def test_watching_a_training_on_a_terminal(service, ctl):
     """The live view fits 80 columns with all its numbers; Ctrl-C leaves the training alone."""
-    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics", "n_steps=20", "--checkpoint-steps", "50",
-              "--validation-designs", "2")[1].strip()
-    view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"), "The training goes on.")
-    assert re.search(r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of step \d+", view), view
+    job = ctl("train", "start", "pretrain", "--steps", "100000", "--batch", "2", "--physics",
+              "n_steps=20", "--checkpoint-steps", "50", "--validation-designs", "2")[1].strip()
+    view = watch_on_a_terminal(service, "train", job, ("checkpoint of step", " left"),
+                               "The training goes on.")
+    assert re.search(
+        r"step [\d,]+ of 100,000  [\d.e+]+ bodies/s  (\d+ d )?\d+:\d\d(:\d\d)? left  checkpoint of step \d+",
+        view), view
     assert service.request("GET", f"/v1/trainings/{job}").json()["state"] == "running"
     assert ctl("train", "cancel", job)[0] == 0
 
@@ -286,39 +363,74 @@ SMALL = ["--preset", "demo", "--population", "6", "--physics", "n_steps=20"]
 
 
 def test_campaign_from_start_to_export(service, ctl, tmp_path):
-    status, out, err = ctl("campaign", "start", "zero-shot", *SMALL, "-n", "3", "--label", "by hand", "--selection", "tournament",
-                           "--tournament-size", "2", "--workspace", "5,5,3", "--watch", "-", input_text=CELLS)
+    status, out, err = ctl("campaign",
+                           "start",
+                           "zero-shot",
+                           *SMALL,
+                           "-n",
+                           "3",
+                           "--label",
+                           "by hand",
+                           "--selection",
+                           "tournament",
+                           "--tournament-size",
+                           "2",
+                           "--workspace",
+                           "5,5,3",
+                           "--watch",
+                           "-",
+                           input_text=CELLS)
     assert status == 0, err
-    assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2", "3"], out
+    assert re.findall(r"generation (\d) of 3  mean \d\.\d{4}  best ", out) == ["0", "1", "2",
+                                                                               "3"], out
     campaign = re.match(r"campaign (\d+) is accepted: zero-shot, 6 designs, 3 generations", err)[1]
     told = service.request("GET", f"/v1/campaigns/{campaign}").json()
     assert told["label"] == "by hand" and told["settings"]["workspace"] == [5, 5, 3]
-    assert told["settings"]["selection"] == {"kind": "tournament", "size": 2} and told["settings"]["initial"] != "random"
+    assert told["settings"]["selection"] == {"kind": "tournament", "size": 2
+                                             } and told["settings"]["initial"] != "random"
     assert json.loads(ctl("campaign", "show", campaign, "--json")[1]) == told
     shown = ctl("campaign", "show", campaign)[1]
     assert re.search(r"^progress +generation 3 of 3, 24 designs born$", shown, re.M), shown
-    assert re.search(r"^mean score +\d\.\d{4}  \S{4}$", shown, re.M) and re.search(r"^ +3 +\d\.\d{4}", shown, re.M), shown
-    assert any(line.split()[:4] == [campaign, "zero-shot", "succeeded", "6"] for line in ctl("campaign", "list")[1].splitlines())
-    assert any(line.split()[:7] == [campaign, "zero-shot", "succeeded", "batch", "6", "3", "generations"] for line in ctl("job", "list")[1].splitlines())
-    events = [json.loads(line) for line in ctl("campaign", "watch", campaign, "--json")[1].splitlines()]
-    assert [e["data"]["generation"] for e in events if e["type"] == "campaign.generation"] == [0, 1, 2, 3]
+    assert re.search(r"^mean score +\d\.\d{4}  \S{4}$", shown, re.M) and re.search(
+        r"^ +3 +\d\.\d{4}", shown, re.M), shown
+    assert any(line.split()[:4] == [campaign, "zero-shot", "succeeded", "6"]
+               for line in ctl("campaign", "list")[1].splitlines())
+    assert any(
+        line.split()[:7] == [campaign, "zero-shot", "succeeded", "batch", "6", "3", "generations"]
+        for line in ctl("job", "list")[1].splitlines())
+    events = [
+        json.loads(line) for line in ctl("campaign", "watch", campaign, "--json")[1].splitlines()
+    ]
+    assert [e["data"]["generation"] for e in events
+            if e["type"] == "campaign.generation"] == [0, 1, 2, 3]
     champions = ctl("campaign", "champions", campaign, "-n", "3", "-o", str(tmp_path / "paths"))
     assert champions[0] == 0 and len(champions[1].splitlines()) == 4, champions
     assert len(list((tmp_path / "paths").glob("design-*-com.npy"))) == 30
-    files = {what: str(tmp_path / what) for what in ("curve", "population", "phylogeny", "newick", "learning", "replicates")}
-    status, _, err = ctl("campaign", "export", campaign, *(part for what, path in files.items() for part in (f"--{what}", path)))
+    files = {
+        what: str(tmp_path / what)
+        for what in ("curve", "population", "phylogeny", "newick", "learning", "replicates")
+    }
+    status, _, err = ctl("campaign", "export", campaign,
+                         *(part for what, path in files.items() for part in (f"--{what}", path)))
     assert status == 0, err
     rows = {what: open(path, encoding="utf-8").read().splitlines() for what, path in files.items()}
-    assert len(rows["curve"]) == 5 and len(rows["population"]) == 6 and len(rows["phylogeny"]) == 25 and len(rows["learning"]) == 1
-    assert rows["phylogeny"][0].startswith("id,ancestor_list,origin_time,destruction_time") and rows["newick"][0].endswith(";")
+    assert len(rows["curve"]) == 5 and len(rows["population"]) == 6 and len(
+        rows["phylogeny"]) == 25 and len(rows["learning"]) == 1
+    assert rows["phylogeny"][0].startswith(
+        "id,ancestor_list,origin_time,destruction_time") and rows["newick"][0].endswith(";")
     scores = ctl("eval", *SHORT, "--json", files["population"])
-    assert [r["score"] for r in json.loads(scores[1])["results"]] == sorted(r["score"] for r in json.loads(scores[1])["results"])
-    assert ctl("campaign", "extend", campaign, "2") == (0, f"campaign {campaign} is queued, to generation 5\n", "")
+    assert [r["score"] for r in json.loads(scores[1])["results"]
+            ] == sorted(r["score"] for r in json.loads(scores[1])["results"])
+    assert ctl("campaign", "extend", campaign,
+               "2") == (0, f"campaign {campaign} is queued, to generation 5\n", "")
     assert ctl("campaign", "watch", campaign)[0] == 0
     lines = ctl("campaign", "watch", campaign)[1].splitlines()
-    assert len(lines) == 6 and all(re.match(rf" {{21}}generation {i} of 5  mean ", line) for i, line in enumerate(lines)), "long ago: without a time"
+    assert len(lines) == 6 and all(
+        re.match(rf" {{21}}generation {i} of 5  mean ", line)
+        for i, line in enumerate(lines)), "long ago: without a time"
     assert ctl("campaign", "export", campaign, "--curve", "-")[1].splitlines()[:5] == rows["curve"]
-    status, out, err = ctl("train", "start", "finetune", "--population", campaign, "--best", "3", *TINY)
+    status, out, err = ctl("train", "start", "finetune", "--population", campaign, "--best", "3",
+                           *TINY)
     assert status == 0, err
     shown = ctl("train", "show", out.strip())[1]
     assert re.search(rf"^designs +3 of campaign {campaign}$", shown, re.M), shown
@@ -326,46 +438,76 @@ def test_campaign_from_start_to_export(service, ctl, tmp_path):
 
 def test_campaigns_that_learn_and_replicates(service, ctl):
     learn = ["--child-steps", "1", "--parent-steps", "1", "--batch", "3"]
-    status, out, err = ctl("campaign", "start", "simultaneous", *SMALL, "-n", "1", *learn, "--schedule", "constant", "--peak", "0.001",
-                           "--sensor", "inverse_square", "--replicates", "2", "--seed", "7", "--name", "ctl-evolved")
+    status, out, err = ctl("campaign", "start", "simultaneous", *SMALL, "-n", "1", *learn,
+                           "--schedule", "constant", "--peak", "0.001", "--sensor",
+                           "inverse_square", "--replicates", "2", "--seed", "7", "--name",
+                           "ctl-evolved")
     assert status == 0, err
     ids = out.split()
     assert len(ids) == 2 and int(ids[1]) == int(ids[0]) + 1
     assert all(ctl("campaign", "watch", i)[0] == 0 for i in ids)
+    listed = json.loads(
+        ctl("campaign", "list", "--group", ids[0], "--state", "succeeded", "--json")[1])["items"]
+    assert [item["id"]
+            for item in listed] == ids[::-1] and ctl("campaign", "list", "--group", "x")[0] == 2
     shown = ctl("campaign", "show", ids[1])[1]
-    assert re.search(rf"^replicate +2 of 2 of campaign {ids[0]}$", shown, re.M) and re.search(r"^population +6 designs, seed 8$", shown, re.M), shown
-    assert re.search(r"^controller +random weights, sensor inverse_square$", shown, re.M) and re.search(r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
+    assert re.search(rf"^replicate +2 of 2 of campaign {ids[0]}$", shown, re.M) and re.search(
+        r"^population +6 designs, seed 8$", shown, re.M), shown
+    assert re.search(
+        r"^controller +random weights, sensor inverse_square$", shown, re.M) and re.search(
+            r"^learning +1 \+ 1 steps a generation, constant", shown, re.M), shown
     assert len(ctl("campaign", "export", ids[0], "--learning", "-")[1].splitlines()) == 1 + 1 + 2
     assert ctl("campaign", "export", ids[0], "--replicates", "-")[1].count("\n") == 3
-    assert ctl("campaign", "prune", ids[1], ids[1])[1] == f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\ncampaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n"
-    assert json.loads(ctl("campaign", "prune", ids[1], "--json")[1]) == {"removed": [], "bytes": 0} and ctl("campaign", "prune", "999999")[0] == 3
+    assert ctl(
+        "campaign", "prune", ids[1], ids[1]
+    )[1] == f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\ncampaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n"
+    assert json.loads(ctl("campaign", "prune", ids[1],
+                          "--json")[1]) == {"removed": [], "bytes": 0} and ctl(
+                              "campaign", "prune", "999999")[0] == 3
     assert "was deleted" in ctl("campaign", "extend", ids[1], "1")[2]
-    job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0], "--quiet")[1].strip()
+    job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0],
+              "--quiet")[1].strip()
     assert ctl("campaign", "watch", job)[0] == 0
-    assert service.request("GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {"campaign": ids[0]}
+    assert service.request(
+        "GET", f"/v1/campaigns/{job}").json()["settings"]["initial"] == {"campaign": ids[0]}
 
 
 def test_wrong_campaigns(ctl):
-    for arguments, words in ((["start", "sideways"], "zero-shot"), (["start", "zero-shot", "--population", "1"], "population"),
-                             (["start", "zero-shot", "--child-steps", "3"], "learning"), (["start", "zero-shot", "--controller", "random"], "controller")):
+    for arguments, words in ((["start", "sideways"], "zero-shot"),
+                             (["start", "zero-shot", "--population", "1"], "population"),
+                             (["start", "zero-shot", "--child-steps",
+                               "3"], "learning"), (["start", "zero-shot", "--controller",
+                                                    "random"], "controller")):
         status, _, err = ctl("campaign", *arguments)
         assert status == 6 and words in err, (arguments, err)
-    for arguments, words in ((["start", "zero-shot", "--layers", "3"], "--selection age-layered"), (["start", "zero-shot", "--workspace", "6,6"], "X,Y,Z"),
-                             (["start", "zero-shot", "--from", "0"], "id of a job"), (["extend", "1", "none"], "further generations"),
-                             (["export", "1"], "what is to be exported"), (["champions", "1", "-o", "x", "--generation", "0"], "newest")):
+    for arguments, words in ((["start", "zero-shot", "--layers", "3"], "--selection age-layered"),
+                             (["start", "zero-shot", "--workspace",
+                               "6,6"], "X,Y,Z"), (["start", "zero-shot", "--from",
+                                                   "0"], "id of a job"),
+                             (["extend", "1",
+                               "none"], "further generations"), (["export",
+                                                                  "1"], "what is to be exported"),
+                             (["champions", "1", "-o", "x", "--generation", "0"], "newest")):
         status, _, err = ctl("campaign", *arguments)
         assert status == 2 and words in err, (arguments, err)
-    assert ctl("campaign", "show", "999999")[0] == 3 and ctl("campaign", "extend", "999999", "1")[0] == 3
+    assert ctl("campaign", "show", "999999")[0] == 3 and ctl("campaign", "extend", "999999",
+                                                             "1")[0] == 3
 
 
 def test_watching_a_campaign_on_a_terminal(service, ctl):
     """The live view fits 80 columns and 24 lines; Ctrl-C leaves the campaign alone."""
     job = ctl("campaign", "start", "zero-shot", *SMALL, "-n", "100000", "-q")[1].strip()
-    view = watch_on_a_terminal(service, "campaign", job, ("voxels", "Ctrl-C leaves", " left", "running  generation "), "The campaign goes on.")
-    assert re.search(r"zero-shot  running  generation [\d,]+ of 100,000   campaign", view) and re.search(r"diversity +0\.\d{4}  ", view), view
+    view = watch_on_a_terminal(service, "campaign", job,
+                               ("voxels", "Ctrl-C leaves", " left", "running  generation "),
+                               "The campaign goes on.")
+    assert re.search(r"zero-shot  running  generation [\d,]+ of 100,000   campaign",
+                     view) and re.search(r"diversity +0\.\d{4}  ", view), view
     assert service.request("GET", f"/v1/campaigns/{job}").json()["state"] == "running"
-    assert ctl("campaign", "pause", job)[0] == 0 and re.search(r"^state +paused$", ctl("campaign", "show", job)[1], re.M)
-    assert ctl("campaign", "resume", job)[0] == 0 and ctl("campaign", "cancel", job)[0] == 0 and ctl("campaign", "watch", job)[0] == 3
+    assert ctl("campaign", "pause", job)[0] == 0 and re.search(r"^state +paused$",
+                                                               ctl("campaign", "show", job)[1],
+                                                               re.M)
+    assert ctl("campaign", "resume", job)[0] == 0 and ctl(
+        "campaign", "cancel", job)[0] == 0 and ctl("campaign", "watch", job)[0] == 3
 
 
 def test_help_of_a_command(ctl):
@@ -383,7 +525,9 @@ def test_unix_socket_and_token(start, ctl, tmp_path):
     tokens.write_text("a-token-of-some-length\n")
     tokens.chmod(0o600)
     path = tmp_path / "s"
-    service = start(f"--token-file={tokens}", "--token-on-loopback=yes", listen=("127.0.0.1:0", f"unix:{path}"),
+    service = start(f"--token-file={tokens}",
+                    "--token-on-loopback=yes",
+                    listen=("127.0.0.1:0", f"unix:{path}"),
                     token="a-token-of-some-length")
     tcp = next(a for a in service.addresses if a.startswith("http"))
     assert ctl("job", "list", server=tcp)[0] == 5

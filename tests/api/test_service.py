@@ -1,4 +1,5 @@
-"""Health, metrics, the contract itself, tokens, Host and Origin, the unix socket, methods and headers that every path shares."""
+"""Health, metrics, the contract itself, tokens, Host and Origin, the unix socket, methods and
+headers that every path shares."""
 
 import json
 import os
@@ -12,7 +13,7 @@ import time
 
 import pytest
 
-from service import BINARY, CONTRACT, Service
+from service import BINARY, CONTRACT, DESIGN, SHORT, Service
 
 TOKEN = "a-token-of-more-than-16-characters"
 
@@ -27,7 +28,9 @@ def test_index_and_contract(service):
     assert b"openapi.json" in service.request("GET", "/").body
     reply = service.request("GET", "/openapi.json")
     assert reply.json() == json.loads(json.dumps(CONTRACT.document))
-    again = service.request("GET", "/openapi.json", headers={"If-None-Match": reply.headers["ETag"]})
+    again = service.request("GET",
+                            "/openapi.json",
+                            headers={"If-None-Match": reply.headers["ETag"]})
     assert again.status == 304 and again.body == b""
     assert again.headers["Content-Length"] == str(len(reply.body)), "the length is that of the 200"
 
@@ -47,7 +50,8 @@ def test_contract_lists_every_operation(service):
 
 
 def test_head(service):
-    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers", "/v1/controllers/default", "/v1/events"):
+    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers", "/v1/controllers/default",
+                 "/v1/events"):
         reply = service.request("HEAD", path)
         assert reply.status == 200 and reply.body == b""
         if path == "/v1/controllers/default":
@@ -55,18 +59,23 @@ def test_head(service):
 
 
 def test_not_found(service):
-    for path in ("/nothing", "/v1", "/v2/jobs", "/v1/jobs/0", "/v1/jobs/x", "/v1/jobs/99999999", "/v1/evaluations/01", "/v1/jobs/1e3",
-                 "/v1/designs/" + "0" * 36, "/v1/designs/xyz", "/v1/controllers/nobody", "/v1/controllers/sha256:" + "0" * 64,
-                 "/v1/controllers/UPPER", "/v1/evaluations/99999999/trajectories/0", "/v1/jobs/" + "9" * 40):
+    for path in ("/nothing", "/v1", "/v2/jobs", "/v1/jobs/0", "/v1/jobs/x", "/v1/jobs/99999999",
+                 "/v1/evaluations/01", "/v1/jobs/1e3", "/v1/designs/" + "0" * 36, "/v1/designs/xyz",
+                 "/v1/controllers/nobody", "/v1/controllers/sha256:" + "0" * 64,
+                 "/v1/controllers/UPPER", "/v1/evaluations/99999999/trajectories/0",
+                 "/v1/jobs/" + "9" * 40):
         assert service.request("GET", path).status == 404, path
 
 
-@pytest.mark.parametrize("query", ["/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001", "/v1/jobs?limit=ten",
-                                   "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?colour=red", "/v1/jobs?state=%zz",
-                                   "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age", "/v1/designs?controller=default",
-                                   "/v1/designs?sort=score&cursor=7", "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
-                                   "/v1/events?format=json&after=-1", "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
-                                   "/healthz?x=1", "/v1/workers?full=1"])
+@pytest.mark.parametrize("query", [
+    "/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001",
+    "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?colour=red",
+    "/v1/jobs?state=%zz", "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age",
+    "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
+    "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
+    "/v1/events?format=json&after=-1", "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
+    "/healthz?x=1", "/v1/workers?full=1"
+])
 def test_bad_parameters(service, query):
     reply = service.request("GET", query)
     assert reply.status == 400
@@ -75,9 +84,12 @@ def test_bad_parameters(service, query):
 
 def test_accept(service):
     assert service.request("GET", "/v1/jobs", headers={"Accept": "text/html"}).status == 406
-    assert service.request("GET", "/v1/jobs", headers={"Accept": "text/html, */*;q=0.1"}).status == 200
-    assert service.request("GET", "/v1/events", headers={"Accept": "application/json"}).status == 406
-    assert service.request("GET", "/v1/controllers/default", headers={"Accept": "image/png"}).status == 406
+    assert service.request("GET", "/v1/jobs",
+                           headers={"Accept": "text/html, */*;q=0.1"}).status == 200
+    assert service.request("GET", "/v1/events",
+                           headers={"Accept": "application/json"}).status == 406
+    assert service.request("GET", "/v1/controllers/default",
+                           headers={"Accept": "image/png"}).status == 406
 
 
 def metrics(service):
@@ -96,7 +108,8 @@ def metrics(service):
             name = match.group(1)
             family = re.sub("_(bucket|sum|count)$", "", name) if name not in kinds else name
             assert family in kinds and family in helped, line
-            assert name.startswith("morphod_") and (kinds[family] != "counter" or name.endswith("_total")), line
+            assert name.startswith("morphod_") and (kinds[family] != "counter" or
+                                                    name.endswith("_total")), line
             assert (name, match.group(2)) not in values, line
             values[name, match.group(2)] = float(match.group(4))
     return values, kinds
@@ -114,7 +127,8 @@ def test_metrics(service):
             assert after[name, labels] >= value, name
     assert not any("123456789" in str(labels) for _, labels in after)
     buckets = [value for (name, _), value in after.items() if name.endswith("seconds_bucket")]
-    assert buckets == sorted(buckets) and buckets[-1] == after["morphod_http_request_duration_seconds_count", None]
+    assert buckets == sorted(buckets) and buckets[-1] == after[
+        "morphod_http_request_duration_seconds_count", None]
 
 
 def test_workers(service):
@@ -122,8 +136,10 @@ def test_workers(service):
     assert reply["n_workers"] == 1 and "float32" in reply["fingerprints"]["float32"]
 
 
-@pytest.mark.parametrize("host, status", [("localhost", 200), ("LocalHost:9", 200), ("[::1]:80", 200), ("10.1.2.3", 200), ("robots.example", 403),
-                                          ("localhost.robots.example", 403), ("127.0.0.1.nip.io", 403), ("", 403)])
+@pytest.mark.parametrize("host, status",
+                         [("localhost", 200), ("LocalHost:9", 200), ("[::1]:80", 200),
+                          ("10.1.2.3", 200), ("robots.example", 403),
+                          ("localhost.robots.example", 403), ("127.0.0.1.nip.io", 403), ("", 403)])
 def test_host(service, host, status):
     assert service.request("GET", "/healthz", headers={"Host": host}).status == status
 
@@ -131,14 +147,18 @@ def test_host(service, host, status):
 def test_origin(service):
     own = f"http://{service.host}:{service.port}"
     assert service.request("GET", "/v1/jobs", headers={"Origin": own}).status == 200
-    for origin in ("http://robots.example", "null", f"http://localhost:{service.port}", f"http://{service.host}:1"):
+    for origin in ("http://robots.example", "null", f"http://localhost:{service.port}",
+                   f"http://{service.host}:1"):
         assert service.request("GET", "/v1/jobs", headers={"Origin": origin}).status == 403, origin
 
 
 def test_allowed_hosts(start):
     running = start("--allowed-hosts=lab.example")
     assert running.request("GET", "/healthz", headers={"Host": "lab.example:8765"}).status == 200
-    assert running.request("GET", "/healthz", headers={"Host": "localhost", "Origin": "https://lab.example"}).status == 200
+    assert running.request("GET",
+                           "/healthz",
+                           headers={"Host": "localhost",
+                                    "Origin": "https://lab.example"}).status == 200
     assert running.request("GET", "/healthz", headers={"Host": "other.example"}).status == 403
 
 
@@ -151,23 +171,25 @@ def token_file(tmp_path, *tokens):
 
 def test_token_is_needed_beyond_loopback(start, tmp_path):
     with pytest.raises(RuntimeError):
-        start(listen=("0.0.0.0:0",))
+        start(listen=("0.0.0.0:0", ))
     path = token_file(tmp_path, TOKEN)
-    running = start(f"--token-file={path}", listen=("0.0.0.0:0",), token=TOKEN)
+    running = start(f"--token-file={path}", listen=("0.0.0.0:0", ), token=TOKEN)
     running.host = "127.0.0.1"
     assert running.request("GET", "/v1/jobs").status == 200
     running.token = None
     for path_ in ("/v1/jobs", "/metrics", "/v1/events", "/nothing"):
         assert running.request("GET", path_).status == 401, path_
-    for authorization in ("Bearer x", "Bearer " + TOKEN + "x", "Bearer " + TOKEN[:-1], "Basic " + TOKEN, TOKEN, ""):
-        assert running.request("GET", "/v1/jobs", headers={"Authorization": authorization}).status == 401, authorization
+    for authorization in ("Bearer x", "Bearer " + TOKEN + "x", "Bearer " + TOKEN[:-1],
+                          "Basic " + TOKEN, TOKEN, ""):
+        assert running.request("GET", "/v1/jobs", headers={"Authorization": authorization
+                                                           }).status == 401, authorization
     for path_ in ("/healthz", "/readyz", "/openapi.json", "/"):
         assert running.request("GET", path_).status == 200, path_
 
 
 def test_tokens_are_replaced_at_run_time(start, tmp_path):
     path = token_file(tmp_path, TOKEN)
-    running = start(f"--token-file={path}", listen=("0.0.0.0:0",), token=TOKEN)
+    running = start(f"--token-file={path}", listen=("0.0.0.0:0", ), token=TOKEN)
     running.host = "127.0.0.1"
     new = "another-token-of-more-than-16-characters"
     path.write_text(new + "\n")
@@ -185,26 +207,102 @@ def test_unix_socket(start, tmp_path):
     running = start(listen=("127.0.0.1:0", f"unix:{path}"))
     assert stat.S_ISSOCK(os.stat(path).st_mode)
     assert running.request("GET", "/v1/jobs", unix=True).status == 200
-    assert running.request("GET", "/v1/jobs", unix=True, headers={"Host": "whatever.example"}).status == 200
     if os.geteuid() == 0:  # another user is refused
-        script = ("import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
-                  "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); print(s.recv(4096).decode())")
+        script = (
+            "import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
+            "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); print(s.recv(4096).decode())"
+        )
         for folder in (tmp_path, *tmp_path.parents[:3]):
             if str(folder).startswith("/tmp/"):
                 folder.chmod(0o755)
-        done = subprocess.run(["/usr/bin/python3", "-c", script, str(path)], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["/usr/bin/python3", "-c", script, str(path)],
+            capture_output=True,
+            text=True,
+            check=False)
         assert done.stdout.startswith("HTTP/1.1 403 "), (done.stdout, done.stderr)
         assert "application/problem+json" in done.stdout
+
+
+def raw_unix(path, lines):
+    """The status of a request of these header lines, sent over the unix socket."""
+    with socket.socket(socket.AF_UNIX) as sock:
+        sock.settimeout(10)
+        sock.connect(str(path))
+        sock.sendall("\r\n".join([*lines, "Connection: close", "", ""]).encode())
+        return int(sock.makefile("rb").read().split(b" ")[1])
+
+
+def test_host_on_the_unix_socket(start, tmp_path):
+    path = tmp_path / "socket"
+    running = start("--allowed-hosts=lab.example", listen=("127.0.0.1:0", f"unix:{path}"))
+    assert raw_unix(path, ["GET /v1/jobs HTTP/1.0"]) == 200
+    for host in ("", "localhost", "localhost:8765", "127.0.0.1:8765", "127.8.9.1", "[::1]",
+                 "lab.example:80"):
+        assert raw_unix(path, ["GET /v1/jobs HTTP/1.1", f"Host: {host}"]) == 200, host
+    for host in ("evil.example:8765", "evil.example", "10.0.0.7", "[fe80::1]",
+                 "localhost.evil.example"):
+        assert raw_unix(path, ["GET /v1/jobs HTTP/1.1", f"Host: {host}"]) == 403, host
+    assert raw_unix(path, ["GET http://evil.example/v1/jobs HTTP/1.1", "Host: localhost"]) == 403
+    evaluation = {"designs": [DESIGN], "physics": SHORT}
+    page = {"Host": "evil.example:8765", "Origin": "http://evil.example:8765"}
+    assert running.request("POST", "/v1/evaluations", evaluation, headers=page,
+                           unix=True).status == 403
+    for origin, status in (("http://localhost:8765", 200), ("http://evil.example:8765", 403),
+                           ("null", 403)):
+        assert raw_unix(path,
+                        ["GET /v1/jobs HTTP/1.1", "Host: localhost:8765", f"Origin: {origin}"
+                         ]) == status, origin
+    assert raw_unix(path, ["GET /v1/jobs HTTP/1.1", "Host:", "Origin: http://evil.example"]) == 403
+    done = subprocess.run([
+        "curl", "-sS", "--unix-socket",
+        str(path), "-o", os.devnull, "-w", "%{http_code}", "http://localhost/v1/jobs"
+    ],
+                          capture_output=True,
+                          text=True,
+                          check=True)
+    assert done.stdout == "200"
+
+
+@pytest.mark.parametrize("unix", [False, True])
+def test_pages_of_other_sites(start, tmp_path, unix):
+    running = start("--allowed-hosts=lab.example",
+                    listen=("127.0.0.1:0", f"unix:{tmp_path / 'socket'}"))
+    host = {"Host": "lab.example"}
+    for site, status in (("cross-site", 403), ("same-site", 403), ("Cross-Site", 403),
+                         ("same-origin", 200), ("none", 200)):
+        assert running.request("GET",
+                               "/v1/jobs",
+                               headers={**host, "Sec-Fetch-Site": site},
+                               unix=unix).status == status, site
+        assert running.request("GET",
+                               "/healthz",
+                               headers={**host, "Sec-Fetch-Site": site},
+                               unix=unix).status == 200, site
+    reply = running.request("DELETE",
+                            "/v1/jobs/1",
+                            headers={**host, "Sec-Fetch-Site": "cross-site"},
+                            unix=unix)
+    assert reply.status == 403 and reply.json()["errors"][0]["header"] == "Sec-Fetch-Site"
 
 
 def test_connections_are_limited(start):
     running = start("--max-connections=8")
     time.sleep(0.5)  # those that asked whether it is ready are gone
-    held = [socket.create_connection((running.host, running.port)) for _ in range(8)]
-    time.sleep(0.3)
-    received, ended = running.raw(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
-    assert received.startswith(b"HTTP/1.1 503 ") and b"Retry-After: 1" in received and ended, received
-    CONTRACT.validate({"$ref": "#/components/schemas/Problem"}, json.loads(received.split(b"\r\n\r\n")[1]), "503")
+    held = []
+    for _ in range(7):  # event streams do not give way
+        held.append(socket.create_connection((running.host, running.port)))
+        held[-1].sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert held[-1].recv(12) == b"HTTP/1.1 200"
+    held.append(socket.create_connection((running.host, running.port)))
+    # A request that has just begun to come gives way only where its client has most connections.
+    held[-1].sendall(b"GET /healthz HTTP/1.1\r\n")
+    time.sleep(0.1)
+    received, ended = running.raw(b"GET /v1/jobs HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert received.startswith(
+        b"HTTP/1.1 503 ") and b"Retry-After: 1" in received and ended, received
+    CONTRACT.validate({"$ref": "#/components/schemas/Problem"},
+                      json.loads(received.split(b"\r\n\r\n")[1]), "503")
     for sock in held:
         sock.close()
     deadline = time.monotonic() + 5
@@ -218,9 +316,12 @@ def test_connections_are_limited(start):
 def test_slow_clients_are_cut_off(start):
     """A byte now and then keeps no connection: the limits count from the beginning."""
     running = start("--header-timeout=1s", "--body-timeout=2s", "--idle-timeout=2s")
-    beginnings = {"header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1), "line": (b"GET /heal", 1),
-                  "body": (b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{", 2),
-                  "idle": (b"", 1)}
+    beginnings = {
+        "header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1),
+        "line": (b"GET /heal", 1), "body": (
+            b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{",
+            2), "idle": (b"", 1)
+    }
     ended = {}
 
     def drip(name, beginning):
@@ -241,7 +342,10 @@ def test_slow_clients_are_cut_off(start):
                 pass
             ended[name] = time.monotonic() - begun
 
-    threads = [threading.Thread(target=drip, args=(name, beginning)) for name, (beginning, _) in beginnings.items()]
+    threads = [
+        threading.Thread(target=drip, args=(name, beginning))
+        for name, (beginning, _) in beginnings.items()
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -1,4 +1,5 @@
-"""Settings far outside of what the physics is made for: no number that is not finite gets into a reply, the database or a controller; what diverged is told."""
+"""Settings far outside of what the physics is made for: no number that is not finite gets into a
+reply, the database or a controller; what diverged is told."""
 
 import json
 import math
@@ -10,11 +11,17 @@ from service import BOOTSTRAP, DESIGN
 
 BLOCK = {"voxels": "1" * 144}
 DESIGNS = [DESIGN, BLOCK, {"cells": [[x, 2, 0] for x in range(6)]}]
-WORLDS = [{"light_xy_m": [2.5, 2.5], "terrain_sigma_m": 0.05, "seed": 1},  # the block's centre of mass: the loss itself has a pole there
-          {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
-          {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}]
-PHYSICS = {"as it is": {}, "stiffness x4": {"stiffness_n_per_m": 60000}, "dt 5 ms": {"dt_s": 0.005}, "drop from 10 m": {"drop_height_m": 10},
-           "everything": {"stiffness_n_per_m": 60000, "dt_s": 0.005, "drop_height_m": 10}}
+WORLDS = [
+    {"light_xy_m": [2.5, 2.5], "terrain_sigma_m": 0.05,
+     "seed": 1},  # the block's centre of mass: the loss itself has a pole there
+    {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
+    {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}
+]
+PHYSICS = {
+    "as it is": {}, "stiffness x4": {"stiffness_n_per_m": 60000}, "dt 5 ms": {"dt_s": 0.005},
+    "drop from 10 m": {"drop_height_m": 10},
+    "everything": {"stiffness_n_per_m": 60000, "dt_s": 0.005, "drop_height_m": 10}
+}
 STEPS, BATCH = 2, 6
 
 
@@ -35,33 +42,46 @@ def plain_json(text):
 
 def learn(service, controller, physics):
     """A short finetuning; its rows of the curve."""
-    request = {"kind": "finetune", "controller": controller, "designs": DESIGNS, "steps": STEPS, "batch": BATCH, "physics": physics,
-               "schedule": {"kind": "constant", "peak": 0.01}, "validation": {"every_steps": 1, "environments": 2},
-               "checkpoint": {"every_steps": 1, "every_s": 0, "keep": 2}}
+    request = {
+        "kind": "finetune", "controller": controller, "designs": DESIGNS, "steps": STEPS,
+        "batch": BATCH, "physics": physics, "schedule": {"kind": "constant", "peak": 0.01},
+        "validation": {"every_steps": 1, "environments": 2},
+        "checkpoint": {"every_steps": 1, "every_s": 0, "keep": 2}
+    }
     training = service.request("POST", "/v1/trainings", request).json()
     while training["state"] not in ("succeeded", "failed"):
-        training = plain_json(service.request("GET", f"/v1/trainings/{training['id']}", headers={"Prefer": "wait=10"}).body)
+        training = plain_json(
+            service.request("GET", f"/v1/trainings/{training['id']}",
+                            headers={"Prefer": "wait=10"}).body)
     assert training["state"] == "succeeded", training
     result = service.request("GET", training["links"]["controller"]).body
     assert all_finite(parts(result)[1])
     # A checkpoint with a moment that is not finite would not be read.
-    assert all_finite(parts(service.request("GET", training["links"]["controller"] + f"?step={STEPS - 1}").body)[1])
+    assert all_finite(
+        parts(service.request("GET",
+                              training["links"]["controller"] + f"?step={STEPS - 1}").body)[1])
     rows = plain_json(service.request("GET", training["links"]["steps"]).body)["items"]
     assert [row["step"] for row in rows] == list(range(1, STEPS + 1))
     for row in rows:
         assert (row["mean_loss"] is None) == (row["diverged"] == BATCH), row
         assert row["skipped"] or row["diverged"] + row["zeroed"] < BATCH, row
     if all(row["skipped"] for row in rows):
-        start = service.request("GET", f"/v1/controllers/{controller}", headers={"Accept": "application/octet-stream"}).body
+        start = service.request("GET",
+                                f"/v1/controllers/{controller}",
+                                headers={"Accept": "application/octet-stream"}).body
         assert parts(result)[1] == parts(start)[1]  # nothing was learned
     for row in plain_json(service.request("GET", training["links"]["validations"]).body)["items"]:
-        assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row["rollouts"], row
+        assert row["diverged"] > 0 if row["mean_score"] is None else row["diverged"] < row[
+            "rollouts"], row
     return rows
 
 
 def score(service, controller, physics):
     """Numbers of rollouts that diverged and that did not."""
-    evaluation = plain_json(service.evaluate({"designs": DESIGNS, "environments": WORLDS, "controller": controller, "physics": physics}).body)
+    evaluation = plain_json(
+        service.evaluate({
+            "designs": DESIGNS, "environments": WORLDS, "controller": controller, "physics": physics
+        }).body)
     assert evaluation["state"] == "succeeded", evaluation
     diverged = 0
     for result in evaluation["results"]:
@@ -69,7 +89,8 @@ def score(service, controller, physics):
         assert all(1 <= step <= physics["n_steps"] for step in told.values()), result
         assert (result["score"] is None) == (result["diverged"] != []), result
         assert result["score"] is None or math.isfinite(result["score"]), result
-        assert [loss is None for loss in result["losses"]] == [k in told for k in range(len(WORLDS))], result
+        assert [loss is None
+                for loss in result["losses"]] == [k in told for k in range(len(WORLDS))], result
         diverged += len(result["diverged"])
     return diverged, len(DESIGNS) * len(WORLDS) - diverged
 
@@ -78,17 +99,22 @@ def check_stored(path):
     """Every number of the database, when the daemon has ended."""
     database = sqlite3.connect(f"file:{path}?mode=ro", uri=True)
     checked = 0
-    for (table,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite%'").fetchall():
+    for (table, ) in database.execute(
+            "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite%'"
+    ).fetchall():
         for _, column, kind, *_ in database.execute(f"PRAGMA table_info({table})").fetchall():
             if kind == "REAL":
-                values = [value for (value,) in database.execute(f"SELECT {column} FROM {table} WHERE {column} IS NOT NULL")]
+                values = [
+                    value for (value, ) in database.execute(
+                        f"SELECT {column} FROM {table} WHERE {column} IS NOT NULL")
+                ]
                 assert all_finite(values), (table, column)
                 checked += len(values)
     for loss, step in database.execute("SELECT loss, diverged_step FROM scores"):
         value = struct.unpack("<d", loss)[0]
         assert value == math.inf if step > 0 else math.isfinite(value), (value, step)
         checked += 1
-    for (data,) in database.execute("SELECT data FROM events"):
+    for (data, ) in database.execute("SELECT data FROM events"):
         plain_json(data)
     database.close()
     return checked
@@ -97,7 +123,10 @@ def check_stored(path):
 def test_nothing_but_numbers(start, tmp_path):
     service = start(state=tmp_path)
     header, weights = parts(BOOTSTRAP.read_bytes())
-    put = service.request("PUT", "/v1/controllers/loud", body=header + struct.pack(f"<{len(weights)}f", *(100 * w for w in weights)),
+    put = service.request("PUT",
+                          "/v1/controllers/loud",
+                          body=header + struct.pack(f"<{len(weights)}f", *(100 * w
+                                                                           for w in weights)),
                           headers={"Content-Type": "application/octet-stream"})
     assert put.status == 201, put.body
     told = {}
@@ -105,7 +134,8 @@ def test_nothing_but_numbers(start, tmp_path):
         for name, changes in PHYSICS.items():
             physics = {"n_steps": 100, **changes}
             rows = learn(service, controller, physics)
-            told[controller, name] = (*score(service, controller, physics), sum(row["diverged"] for row in rows))
+            told[controller, name] = (*score(service, controller, physics),
+                                      sum(row["diverged"] for row in rows))
     print(told)
     assert service.stop() == 0
     # Both sides of the border were met: what diverges is told as such, and the rest has its scores.

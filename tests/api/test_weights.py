@@ -7,12 +7,19 @@ from service import awaited
 
 DESIGNS = [{"cells": [[x, y, 0] for x in range(n) for y in range(6)]} for n in (2, 3, 4)]
 LONG = {"designs": DESIGNS, "physics": {"n_steps": 1000000}, "priority": "batch"}
-TRAINING = {"kind": "finetune", "designs": DESIGNS, "steps": 1000, "batch": 8, "physics": {"n_steps": 200}, "validation": {"every_steps": 0}}
+TRAINING = {
+    "kind": "finetune", "designs": DESIGNS, "steps": 1000, "batch": 8, "physics": {"n_steps": 200},
+    "validation": {"every_steps": 0}
+}
 
 
 def worker_seconds(service):
     text = service.request("GET", "/metrics").body.decode()
-    return {kind: float(value) for kind, value in re.findall(r'^morphod_job_worker_seconds_total\{kind="(\w+)"\} (\S+)$', text, re.M)}
+    return {
+        kind: float(value)
+        for kind, value in re.findall(r'^morphod_job_worker_seconds_total\{kind="(\w+)"\} (\S+)$',
+                                      text, re.M)
+    }
 
 
 def test_taken_shown_and_changed(service):
@@ -26,10 +33,15 @@ def test_taken_shown_and_changed(service):
     after = service.request("GET", path, headers={"If-None-Match": before.headers["ETag"]})
     assert after.status == 200 and after.json()["weight"] == 0.001
     assert service.request("POST", path + "/weight", {"weight": 1000}).json()["weight"] == 1000
-    weights = {job["id"]: job["weight"] for job in service.request("GET", "/v1/jobs?limit=10").json()["items"]}
+    weights = {
+        job["id"]: job["weight"]
+        for job in service.request("GET", "/v1/jobs?limit=10").json()["items"]
+    }
     assert weights[heavy["id"]] == 1000 and weights[plain["id"]] == 1
-    events = service.request("GET", f"/v1/events?format=json&job={heavy['id']}&after=0&limit=1000").json()["items"]
-    assert [event["data"]["weight"] for event in events if event["type"] == "job.weight"] == [0.001, 1000]
+    events = service.request(
+        "GET", f"/v1/events?format=json&job={heavy['id']}&after=0&limit=1000").json()["items"]
+    assert [event["data"]["weight"] for event in events
+            if event["type"] == "job.weight"] == [0.001, 1000]
     for job in (plain, heavy):
         assert service.request("DELETE", f"/v1/jobs/{job['id']}").status == 200
     assert service.request("POST", path + "/weight", {"weight": 2}).status == 409
@@ -41,7 +53,8 @@ def test_of_a_training(service):
     training = service.request("POST", "/v1/trainings", {**TRAINING, "weight": 3}).json()
     assert training["weight"] == 3
     path = f"/v1/jobs/{training['id']}"
-    awaited(service, f"/v1/trainings/{training['id']}", lambda state: state["progress"]["step"] >= 2)
+    awaited(service, f"/v1/trainings/{training['id']}",
+            lambda state: state["progress"]["step"] >= 2)
     running = service.request("GET", f"/v1/trainings/{training['id']}").json()
     assert running["progress"]["busy_s"] > 0
     assert service.request("POST", path + "/weight", {"weight": 0.5}).json()["weight"] == 0.5
@@ -52,13 +65,17 @@ def test_of_a_training(service):
     assert set(seconds) == {"evaluation", "training", "campaign"} and seconds["training"] > 0
 
 
-WRONG = {"zero": 0, "negative": -1, "too small": 0.0009, "too large": 1000.1, "huge": 1e300, "a word": "2", "null": None}
+WRONG = {
+    "zero": 0, "negative": -1, "too small": 0.0009, "too large": 1000.1, "huge": 1e300,
+    "a word": "2", "null": None
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_weights(service, name):
     job = service.request("POST", "/v1/evaluations", LONG).json()
-    for path, body in ((f"/v1/jobs/{job['id']}/weight", {}), ("/v1/evaluations", LONG), ("/v1/trainings", TRAINING)):
+    for path, body in ((f"/v1/jobs/{job['id']}/weight", {}), ("/v1/evaluations", LONG),
+                       ("/v1/trainings", TRAINING)):
         reply = service.request("POST", path, {**body, "weight": WRONG[name]})
         assert reply.status == 422 and reply.pointers() == ["/weight"], reply.body
     assert service.request("DELETE", f"/v1/jobs/{job['id']}").json()["weight"] == 1
@@ -72,5 +89,9 @@ def test_wrong_bodies(service):
     assert service.request("POST", path, body="2", headers=json).status == 422
     assert service.request("POST", path, {}).pointers() == [""]
     assert service.request("POST", path, {"weight": 1, "factor": 2}).pointers() == ["/factor"]
-    assert service.request("POST", path, body="weight=2", headers={"Content-Type": "application/x-www-form-urlencoded"}).status == 415
+    assert service.request("POST",
+                           path,
+                           body="weight=2",
+                           headers={"Content-Type": "application/x-www-form-urlencoded"
+                                    }).status == 415
     assert service.request("PUT", path, {"weight": 1}).status == 405

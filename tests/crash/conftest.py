@@ -1,4 +1,5 @@
-"""Options and fixtures of the crash tests. Seeds are printed, so that a failure can be repeated: --seed N."""
+"""Options and fixtures of the crash tests. Seeds are printed, so that a failure can be repeated:
+--seed N."""
 import os
 import shutil
 import subprocess
@@ -15,7 +16,10 @@ from daemon import MORPHOD, Daemon  # noqa: E402
 
 def pytest_addoption(parser):
     parser.addoption("--soak", action="store_true", help="200 kills instead of 20")
-    parser.addoption("--seed", type=int, default=None, help="seed of the random moments (default: the time)")
+    parser.addoption("--seed",
+                     type=int,
+                     default=None,
+                     help="seed of the random moments (default: the time)")
 
 
 @pytest.fixture(scope="session")
@@ -55,13 +59,13 @@ def daemon(folder):
         one.close()
 
 
-def mounted(folder, size):
-    """A mounted file system of `size`, or a skip with the reason."""
+def mounted(folder, *arguments):
+    """A mounted file system, or a skip with the reason."""
     path = f"{folder}/small"
     os.mkdir(path)
     if os.geteuid() != 0:
         pytest.skip("mounting a small file system needs root")
-    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size},mode=700", "tmpfs", path], capture_output=True, text=True)
+    mount = subprocess.run(["mount", *arguments, path], capture_output=True, text=True)
     if mount.returncode != 0:
         pytest.skip(f"mount is not allowed here: {mount.stderr.strip()}")
     yield path
@@ -70,10 +74,22 @@ def mounted(folder, size):
 
 @pytest.fixture
 def small_disk(folder):
-    yield from mounted(folder, "24m")
+    yield from mounted(folder, "-t", "tmpfs", "-o", "size=24m,mode=700", "tmpfs")
 
 
 @pytest.fixture
 def training_disk(folder):
     """Room for a few checkpoints of 12.4 MB."""
-    yield from mounted(folder, "64m")
+    yield from mounted(folder, "-t", "tmpfs", "-o", "size=64m,mode=700", "tmpfs")
+
+
+@pytest.fixture
+def small_blocks(folder):
+    """An ext4 whose blocks are smaller than a page of memory."""
+    image = f"{folder}/image"
+    with open(image, "wb") as file:
+        file.truncate(32 << 20)
+    if shutil.which("mkfs.ext4") is None:
+        pytest.skip("there is no mkfs.ext4")
+    subprocess.run(["mkfs.ext4", "-q", "-b", "1024", "-m", "0", image], check=True)
+    yield from mounted(folder, "-o", "loop", image)

@@ -1,4 +1,5 @@
-"""A morphod of one's own: started on a free port in a folder of its own, asked over HTTP, stopped or killed."""
+"""A morphod of one's own: started on a free port in a folder of its own, asked over HTTP, stopped
+or killed."""
 import os
 import pathlib
 import random
@@ -23,11 +24,13 @@ def grow(generator):
     size = generator.randint(1, 40)
     while len(cells) < size:
         x, y, z = generator.choice(sorted(cells))
-        dx, dy, dz = generator.choice(((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)))
+        dx, dy, dz = generator.choice(
+            ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)))
         cell = (x + dx, y + dy, z + dz)
         if 0 <= cell[0] < 6 and 0 <= cell[1] < 6 and 0 <= cell[2] < 4:
             cells.add(cell)
-    return "".join("1" if (x, y, z) in cells else "0" for x in range(6) for y in range(6) for z in range(4))
+    return "".join("1" if (x, y, z) in cells else "0" for x in range(6) for y in range(6)
+                   for z in range(4))
 
 
 def bodies(seed, n):
@@ -48,8 +51,10 @@ class Daemon:
 
     def command(self, *more):
         flags = [f"--{k.replace('_', '-')}={v}" for k, v in self.settings.items()]
-        return [str(MORPHOD), f"--state-dir={self.state}", "--listen=127.0.0.1:0", f"--port-file={self.port_file}",
-                f"--default-controller={CONTROLLER}", *flags, *more]
+        return [
+            str(MORPHOD), f"--state-dir={self.state}", "--listen=127.0.0.1:0",
+            f"--port-file={self.port_file}", f"--default-controller={CONTROLLER}", *flags, *more
+        ]
 
     def spawn(self):
         """Starts the process without waiting for it."""
@@ -75,10 +80,12 @@ class Daemon:
         return self
 
     def tail(self, n=30):
-        return "\n".join(self.log.read_text(errors="replace").splitlines()[-n:]) if self.log.exists() else ""
+        return "\n".join(self.log.read_text(
+            errors="replace").splitlines()[-n:]) if self.log.exists() else ""
 
     def kill(self):
-        """kill -9: what a crash of the machine's power does to the process, minus the disk's cache."""
+        """kill -9: what a crash of the machine's power does to the process, minus the disk's cache.
+        """
         self.process.send_signal(signal.SIGKILL)
         self.process.wait()
 
@@ -90,7 +97,8 @@ class Daemon:
             status = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self.kill()
-            raise RuntimeError(f"morphod did not stop within {timeout_s} s:\n{self.tail()}") from None
+            raise RuntimeError(
+                f"morphod did not stop within {timeout_s} s:\n{self.tail()}") from None
         return status, time.monotonic() - begin
 
     def close(self):
@@ -119,7 +127,10 @@ class Daemon:
             headers["Idempotency-Key"] = key
         if wait_s:
             headers["Prefer"] = f"wait={wait_s}"
-        return self.session.post(self.address + "/v1/evaluations", json=request, headers=headers, timeout=timeout_s)
+        return self.session.post(self.address + "/v1/evaluations",
+                                 json=request,
+                                 headers=headers,
+                                 timeout=timeout_s)
 
     def submit(self, request, **options):
         reply = self.post(request, **options)
@@ -134,7 +145,8 @@ class Daemon:
             assert reply.status_code == 200, reply.text
             if reply.json()["state"] in ("succeeded", "failed", "cancelled"):
                 return self.get(f"/v1/evaluations/{job}").json()
-            assert time.monotonic() < until, f"job {job} is not done after {timeout_s} s: {reply.text}\n{self.tail()}"
+            assert time.monotonic(
+            ) < until, f"job {job} is not done after {timeout_s} s: {reply.text}\n{self.tail()}"
 
     def score(self, request, timeout_s=120):
         evaluation = self.finish(self.submit(request), timeout_s)
@@ -169,15 +181,19 @@ def stored_scores(state):
 def check_database(state):
     """What must hold of every database that no process uses."""
     database = open_database(state)
-    assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+    assert database.execute("PRAGMA integrity_check").fetchall() == [("ok", )]
     assert database.execute("PRAGMA foreign_key_check").fetchall() == []
-    for table, key in (("designs", "form"), ("genotypes", "bits"), ("environments", "sha256"), ("controllers", "sha256")):
-        total, distinct = database.execute(f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
+    for table, key in (("designs", "form"), ("genotypes", "bits"), ("environments", "sha256"),
+                       ("controllers", "sha256")):
+        total, distinct = database.execute(
+            f"SELECT count(*), count(DISTINCT {key}) FROM {table}").fetchone()
         assert total == distinct, f"{table}: {total - distinct} rows are there twice"
-    total, keys = database.execute("SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, environment)) "
-                                   "FROM scores").fetchone()
+    total, keys = database.execute(
+        "SELECT count(*), count(DISTINCT printf('%d %d %d %d', genotype, controller, physics, environment)) "
+        "FROM scores").fetchone()
     assert total == keys
-    for (row,) in database.execute("SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND e.done <> "
-                                   "e.n_designs * e.n_environments"):
+    for (row, ) in database.execute(
+            "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND e.done <> "
+            "e.n_designs * e.n_environments"):
         raise AssertionError(f"job {row} has succeeded without all its rollouts")
     database.close()

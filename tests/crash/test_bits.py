@@ -1,4 +1,5 @@
-"""The same bits for any number of workers, alone or among others, in any order, before and after a restart."""
+"""The same bits for any number of workers, alone or among others, in any order, before and after a
+restart."""
 import random
 
 from daemon import bodies, check_database, stored_scores
@@ -12,7 +13,10 @@ def few(seed):
 
 
 def by_voxels(evaluation):
-    return {result["genotype"]: (result["score"], result["losses"], result["diverged"]) for result in evaluation["results"]}
+    return {
+        result["genotype"]: (result["score"], result["losses"], result["diverged"])
+        for result in evaluation["results"]
+    }
 
 
 def test_number_of_workers(daemon, seed):
@@ -22,7 +26,8 @@ def test_number_of_workers(daemon, seed):
         for precision in ("float32", "float64"):
             one = daemon(f"{workers} {precision}", workers=workers)
             with one:
-                runs[workers, precision] = by_voxels(one.score({"designs": few(seed), "physics": PHYSICS, "precision": precision}))
+                runs[workers, precision] = by_voxels(
+                    one.score({"designs": few(seed), "physics": PHYSICS, "precision": precision}))
                 assert one.stop()[0] == 0
             runs[workers, precision, "stored"] = stored_scores(one.state)
     for precision in ("float32", "float64"):

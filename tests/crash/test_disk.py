@@ -1,4 +1,5 @@
-"""A disk that is full, a folder that cannot be written: clear refusals, nothing broken, and on it goes when there is room."""
+"""A disk that is full, a folder that cannot be written: clear refusals, nothing broken, and on it
+goes when there is room."""
 import os
 import pathlib
 import shutil
@@ -45,9 +46,11 @@ def test_full_disk(one, small_disk, seed):
     refusals = 0
     accepted = []
     for k in range(8):
-        reply = one.post({"designs": bodies(seed + 100 + k, 200), "physics": PHYSICS}, key=f"full {k}")
+        reply = one.post({"designs": bodies(seed + 100 + k, 200), "physics": PHYSICS},
+                         key=f"full {k}")
         if reply.status_code in (200, 202):
-            accepted.append(reply.json()["id"])  # the write-ahead log had a few pages of its own left
+            accepted.append(
+                reply.json()["id"])  # the write-ahead log had a few pages of its own left
             continue
         assert reply.status_code in (503, 507), reply.text
         assert reply.headers["Content-Type"].startswith("application/problem+json")
@@ -98,7 +101,8 @@ def test_full_disk_while_it_computes(one, small_disk, seed):
 
 
 def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
-    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the room that is set aside comes back first."""
+    """Whatever waits for room, and however often it tries, people can pause, cancel and read; the room
+    that is set aside comes back first."""
     reserve = one.state / "reserve"
 
     def held():
@@ -129,15 +133,19 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     one.start()
     jobs = []
     for k in range(3):
-        reply = one.session.post(one.address + "/v1/campaigns", json={
-            "mode": "zero-shot", "population": 64, "generations": 100000, "seed": seed + k, "physics": {"n_steps": 30},
-            "exclude_pretraining": False})
+        reply = one.session.post(one.address + "/v1/campaigns",
+                                 json={
+                                     "mode": "zero-shot", "population": 64, "generations": 100000,
+                                     "seed": seed + k, "physics": {"n_steps": 30},
+                                     "exclude_pretraining": False
+                                 })
         assert reply.status_code == 202, reply.text
         jobs.append(reply.json()["id"])
     until(lambda: all(generation(job) >= 2 for job in jobs), "nothing runs")
     whole = held()
     filler = fill(small_disk)
-    until(lambda: all(reason and "no space" in reason for _, reason in map(state, jobs)), "no campaign waits")
+    until(lambda: all(reason and "no space" in reason for _, reason in map(state, jobs)),
+          "no campaign waits")
     first, second, third = jobs
     for k in range(30):  # the log may have a few pages of its own left
         ask("pause", first, 200, 202)
@@ -153,7 +161,8 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     assert ask("resume", third, 200, 202, 507) == 507, "what is set aside is not for that"
     ask("cancel", third, 200, 202)
     ask("pause", first, 200, 202)
-    assert one.get("/v1/jobs").status_code == 200 and one.get(f"/v1/campaigns/{first}/population").status_code == 200
+    assert one.get("/v1/jobs").status_code == 200 and one.get(
+        f"/v1/campaigns/{first}/population").status_code == 200
     assert 0 < held() < whole
     filler.unlink()
     until(lambda: held() == whole and one.get("/readyz").status_code == 200, "no room is seen")
@@ -166,7 +175,8 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
 
 
 def test_killed_on_a_full_disk(one, small_disk, seed):
-    """The way out outlives the process: killed on a full disk it starts again, short of room as it was; without the reserve it says what to do."""
+    """The way out outlives the process: killed on a full disk it starts again, short of room as it was;
+    without the reserve it says what to do."""
     reserve = one.state / "reserve"
 
     def cancel(job):
@@ -178,7 +188,10 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
 
     one.start()
     before = one.score({"designs": bodies(seed, 5), "physics": PHYSICS})
-    jobs = [one.submit({"designs": bodies(seed + 1 + k, 200), "physics": {"n_steps": 20000}}) for k in range(4)]
+    jobs = [
+        one.submit({"designs": bodies(seed + 1 + k, 200), "physics": {"n_steps": 20000}})
+        for k in range(4)
+    ]
     whole = reserve.stat().st_size
     filler = fill(small_disk)
     for _ in range(200):  # the log may have a few pages of its own left
@@ -240,22 +253,60 @@ def test_start_on_a_full_disk(one, small_disk, seed):
     check_database(one.state)
 
 
+def test_start_on_a_full_disk_of_small_blocks(small_blocks):
+    """However little room is left: the start succeeds or is refused, and is never killed while it
+    writes to what it has mapped."""
+    folder = pathlib.Path(small_blocks)
+    one = Daemon(folder / "d", workers=1)
+    one.log = folder.parent / "log"
+    one.port_file = folder.parent / "address"
+    with one:
+        pass  # killed: the next start makes the index of the log anew
+    statuses = []
+    for free in range(0, 80, 4):
+        for name in ("reserve", "morphod.db-shm"):  # made anew
+            (one.state / name).unlink(missing_ok=True)
+        filler = fill(folder)
+        with open(filler, "r+b") as file:
+            os.fsync(file.fileno())
+            file.truncate(filler.stat().st_size - free * 1024)
+            os.fsync(file.fileno())
+        one.spawn()
+        while one.process.poll() is None and not one.port_file.exists():
+            time.sleep(0.01)
+        statuses.append(one.process.poll())
+        one.close()
+    assert set(statuses) <= {None, 74}, f"{statuses}\n{one.tail()}"
+    assert statuses[0] == 74 and statuses[-1] is None
+    filler.unlink()
+    with one:
+        assert one.stop()[0] == 0
+    check_database(one.state)
+
+
 def run_check(*flags, user=None):
     command = [str(MORPHOD), "--check-config", *flags]
     if user is not None:
         command = ["setpriv", f"--reuid={user}", "--regid=65534", "--clear-groups", *command]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30,
-                          env={k: v for k, v in os.environ.items() if not k.startswith("MORPHOD_")})
+    return subprocess.run(command,
+                          capture_output=True,
+                          text=True,
+                          timeout=30,
+                          env={k: v
+                               for k, v in os.environ.items() if not k.startswith("MORPHOD_")})
 
 
 def test_unwritable_state_folder(folder):
     if os.geteuid() == 0 and shutil.which("setpriv") is None:
-        pytest.skip("as root everything can be written, and there is no setpriv to become somebody else")
+        pytest.skip(
+            "as root everything can be written, and there is no setpriv to become somebody else")
     user = 65534 if os.geteuid() == 0 else None
     os.chmod(folder, 0o755)
     state = pathlib.Path(folder) / "state"
     state.mkdir()
     state.chmod(0o555)
+    if user is not None:
+        os.chown(state, user, user)
     check = run_check(f"--state-dir={state}", user=user)
     assert check.returncode == 78 and "cannot be written" in check.stderr, check.stderr
     command = [str(MORPHOD), f"--state-dir={state}", "--listen=127.0.0.1:0"]
@@ -271,7 +322,10 @@ def test_state_folder_is_a_file(folder):
     file = pathlib.Path(folder) / "file"
     file.write_text("x")
     assert run_check(f"--state-dir={file}").returncode == 78
-    run = subprocess.run([str(MORPHOD), f"--state-dir={file}", "--listen=127.0.0.1:0"], capture_output=True, text=True, timeout=30)
+    run = subprocess.run([str(MORPHOD), f"--state-dir={file}", "--listen=127.0.0.1:0"],
+                         capture_output=True,
+                         text=True,
+                         timeout=30)
     assert run.returncode == 74, run.stderr
     assert file.read_text() == "x"
 
@@ -288,4 +342,3 @@ def test_newer_database_is_refused(daemon):
     one.spawn()
     assert one.process.wait(20) == 78
     assert "newer" in one.tail(), one.tail()
-

@@ -1,4 +1,5 @@
-"""kill -9 at random moments: nothing that was acknowledged is lost, nothing is there twice, every bit is as without a crash."""
+"""kill -9 at random moments: nothing that was acknowledged is lost, nothing is there twice, every
+bit is as without a crash."""
 import pathlib
 import random
 import time
@@ -14,7 +15,9 @@ ROUND = N_BATCHES * N_DESIGNS * N_ENVIRONMENTS  # rollouts of the work that come
 
 
 def batches(seed):
-    return [{"designs": bodies(seed * 10 + k, N_DESIGNS), "physics": PHYSICS, "label": f"batch {k}"} for k in range(N_BATCHES)]
+    return [{
+        "designs": bodies(seed * 10 + k, N_DESIGNS), "physics": PHYSICS, "label": f"batch {k}"
+    } for k in range(N_BATCHES)]
 
 
 def run_to_end(daemon, requests_and_keys):
@@ -23,11 +26,13 @@ def run_to_end(daemon, requests_and_keys):
 
 
 def await_work(daemon, least):
-    """The running evaluations, when so many rollouts were computed in this life, or when nothing is left to compute."""
+    """The running evaluations, when so many rollouts were computed in this life, or when nothing is
+    left to compute."""
     until = time.monotonic() + 600
     while True:
         enough = daemon.counted("morphod_rollouts_total") >= least
-        running, queued = (daemon.get(f"/v1/jobs?state={state}").json()["items"] for state in ("running", "queued"))
+        running, queued = (daemon.get(f"/v1/jobs?state={state}").json()["items"]
+                           for state in ("running", "queued"))
         if enough or not running + queued:
             return running
         assert time.monotonic() < until, daemon.tail()
@@ -44,7 +49,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
         assert quiet.stop()[0] == 0
     undisturbed = stored_scores(quiet.state)
 
-    # Four lives compute about one round, so that kills hit every part of it: just submitted, computing, the end.
+    # Four lives compute about one round, so that kills hit every part of it: just submitted,
+    # computing, the end.
     victim = daemon("victim")
     acknowledged = {}  # key: (request, job id)
     kills_while_busy = 0
@@ -52,17 +58,23 @@ def test_kill_at_random_moments(daemon, soak, seed):
     for kill in range(n_kills):
         victim.start()
         try:
-            # Every few kills new work, with environments of its own so that nothing is in the store yet.
+            # Every few kills new work, with environments of its own so that nothing is in the store
+            # yet.
             if kill % 4 == 0:
                 round_of += 1
                 for k, request in enumerate(batches(seed)):
                     light = [2.5 + 0.01 * round_of, 4.0]
-                    own = {**request, "environments": [{"light_xy_m": light, "terrain_sigma_m": 0.05, "seed": n} for n in range(N_ENVIRONMENTS)]}
+                    own = {
+                        **request, "environments": [{
+                            "light_xy_m": light, "terrain_sigma_m": 0.05, "seed": n
+                        } for n in range(N_ENVIRONMENTS)]
+                    }
                     key = f"round {round_of} batch {k}"
                     reply = victim.post(own, key=key)
                     assert reply.status_code == 202, reply.text
                     acknowledged[key] = (own, reply.json()["id"])
-            # A request whose reply may be cut off: acknowledged or not, repeating it with its key must be safe.
+            # A request whose reply may be cut off: acknowledged or not, repeating it with its key
+            # must be safe.
             key = f"cut {kill}"
             own = {"designs": bodies(seed + kill, 3), "physics": PHYSICS}
             acknowledged.setdefault(key, (own, None))
@@ -94,7 +106,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
     disturbed = run_to_end(victim, [(request, None) for request in batches(seed)])
     assert victim.stop()[0] == 0
 
-    # The same work as in the undisturbed run, after all those kills: the replies and the stored bits are the same.
+    # The same work as in the undisturbed run, after all those kills: the replies and the stored
+    # bits are the same.
     for a, b in zip(expected, disturbed):
         assert a["results"] == b["results"]
     check_database(victim.state)
@@ -117,7 +130,9 @@ def test_kill_at_random_moments(daemon, soak, seed):
 
 def calls(daemon):
     """Reads and writes of files since the process was made."""
-    counts = dict(line.split(": ") for line in pathlib.Path(f"/proc/{daemon.process.pid}/io").read_text().splitlines())
+    counts = dict(
+        line.split(": ")
+        for line in pathlib.Path(f"/proc/{daemon.process.pid}/io").read_text().splitlines())
     return int(counts["syscr"]) + int(counts["syscw"])
 
 
@@ -147,7 +162,8 @@ def test_kill_at_the_start(daemon, soak, seed):
             one.score({"designs": bodies(seed, 2), "physics": PHYSICS})
             assert one.stop()[0] == 0
         check_database(one.state)
-    print(f"{needed} calls to start; {kills} kills, {kills_before_serving} of them before it served")
+    print(
+        f"{needed} calls to start; {kills} kills, {kills_before_serving} of them before it served")
     assert 2 * kills_before_serving >= kills
 
 

@@ -10,7 +10,8 @@
  * to be opened MORPHO_FAKE_HASTE         a gradient whose robots were not laid out ahead is invalid
  *   MORPHO_FAKE_FAULT         laying out robots is a fault of memory
  *   MORPHO_FAKE_MEET          layouts are made so many at a time: one that waits 20 s for the
- * others fails MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
+ * others fails MORPHO_FAKE_OLDER         this device has compute capability 8.0, the others
+ * have 9.0 MORPHO_FAKE_ABI, MORPHO_FAKE_CODE    what it says of itself */
 #include "compute/device.h"
 
 #include <pthread.h>
@@ -105,11 +106,12 @@ static void fake_close(struct mo_device *device)
 
 static int fake_info(struct mo_device *device, struct mo_device_info *info)
 {
-  *info = (struct mo_device_info){.name = "Fake device",
-                                  .memory_bytes = UINT64_C(8) << 30,
-                                  .free_bytes = UINT64_C(6) << 30,
-                                  .multiprocessors = 4,
-                                  .capability = 90};
+  *info = (struct mo_device_info){
+      .name = "Fake device",
+      .memory_bytes = UINT64_C(8) << 30,
+      .free_bytes = UINT64_C(6) << 30,
+      .multiprocessors = 4,
+      .capability = number("MORPHO_FAKE_OLDER", NO_LIMIT) == device->index ? 80 : 90};
   snprintf(info->id, sizeof(info->id), "FAKE-%u", (unsigned)device->index);
   return MO_OK;
 }

@@ -1,7 +1,9 @@
 #!/usr/bin/python3
-"""Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries that it is given.
+"""Enforces the order of the rooms: a room includes only itself, rooms above it, and the libraries
+that it is given.
 
-Prints TAP: one line per room, then the rules that hold for all library code. `--self-test` shows that each rule can fail."""
+Prints TAP: one line per room, then the rules that hold for all library code. `--self-test` shows
+that each rule can fail."""
 import re
 import sys
 import tempfile
@@ -22,18 +24,22 @@ ROOMS = {
     "http": ["microhttpd.h", "jansson.h"],
     "daemon": ["systemd/"],
 }
-LIBRARY = list(ROOMS)[: list(ROOMS).index("store")]  # libmorpho: no output, no exit
+LIBRARY = list(ROOMS)[:list(ROOMS).index("store")]  # libmorpho: no output, no exit
 FOREIGN = ["jansson.h", "cblas.h", "sqlite3.h", "nettle/", "microhttpd.h", "systemd/", "curl/"]
-PUBLIC = {"error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
-          "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout", "compute.h": "compute",
-          "learning.h": "learning", "evolution.h": "evolution"}
+PUBLIC = {
+    "error.h": "base", "random.h": "base", "morphospace.h": "morphospace", "world.h": "world",
+    "controller.h": "controller", "rollout.h": "rollout", "gradient.h": "rollout",
+    "compute.h": "compute", "learning.h": "learning", "evolution.h": "evolution"
+}
 INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.M)
-SPEAKS = re.compile(r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
+SPEAKS = re.compile(
+    r"(?<![\w.>])(?:exit|_exit|abort|printf|puts|perror|syslog)\s*\(|\b(?:stdout|stderr)\b")
 COMMENT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\\n])*"', re.S)
 
 
 def code_files(folder):
-    return sorted(p for p in folder.rglob("*") if p.suffix in (".c", ".h", ".inc", ".cu", ".cuh")) if folder.is_dir() else []
+    return sorted(p for p in folder.rglob("*")
+                  if p.suffix in (".c", ".h", ".inc", ".cu", ".cuh")) if folder.is_dir() else []
 
 
 def room_of(include, path, top):
@@ -52,8 +58,10 @@ def faults_of(room, top):
     order = list(ROOMS)
     faults = []
     files = code_files(top / "src" / room)
-    files += [top / "include/morpho" / name for name, owner in PUBLIC.items()
-              if owner == room and (top / "include/morpho" / name).exists()]
+    files += [
+        top / "include/morpho" / name for name, owner in PUBLIC.items()
+        if owner == room and (top / "include/morpho" / name).exists()
+    ]
     for path in files:
         text = path.read_text()
         name = path.relative_to(top)
@@ -65,15 +73,20 @@ def faults_of(room, top):
             if other is not None and other not in order:
                 faults.append(f"{name} includes {include}: {other}")
             elif other is not None and order.index(other) > order.index(room):
-                faults.append(f"{name} includes {include}, of room {other}, which comes after {room}")
+                faults.append(
+                    f"{name} includes {include}, of room {other}, which comes after {room}")
             for foreign in FOREIGN:
                 if include.startswith(foreign) and foreign not in ROOMS[room]:
                     faults.append(f"{name} includes {include}, which room {room} may not use")
         if room in LIBRARY:
-            bare = COMMENT.sub(lambda m: " " * len(m.group()) if "\n" not in m.group() else "\n" * m.group().count("\n"), text)
+            bare = COMMENT.sub(
+                lambda m: " " * len(m.group())
+                if "\n" not in m.group() else "\n" * m.group().count("\n"), text)
             for number, line in enumerate(bare.splitlines(), 1):
                 if SPEAKS.search(line):
-                    faults.append(f"{name}:{number}: a library neither prints nor ends the process: {line.strip()}")
+                    faults.append(
+                        f"{name}:{number}: a library neither prints nor ends the process: {line.strip()}"
+                    )
     return faults
 
 
@@ -82,17 +95,23 @@ def client_faults(top):
     for path in code_files(top / "clients"):
         for include in INCLUDE.findall(path.read_text()):
             if include.split("/")[0] in ROOMS or include.startswith("morpho/"):
-                faults.append(f"{path.relative_to(top)} includes {include}: clients use the HTTP API alone")
+                faults.append(
+                    f"{path.relative_to(top)} includes {include}: clients use the HTTP API alone")
     return faults
 
 
 def report(top):
-    results = [(f"room {room}", faults_of(room, top)) for room in ROOMS if (top / "src" / room).is_dir()]
+    results = [(f"room {room}", faults_of(room, top)) for room in ROOMS
+               if (top / "src" / room).is_dir()]
     known = set(ROOMS)
-    strangers = [f"src/{p.name} is not a room of tests/lint/rooms.py" for p in (top / "src").iterdir()
-                 if p.is_dir() and p.name not in known]
-    unlisted = [f"include/morpho/{p.name} belongs to no room" for p in (top / "include/morpho").glob("*.h")
-                if p.name not in PUBLIC]
+    strangers = [
+        f"src/{p.name} is not a room of tests/lint/rooms.py" for p in (top / "src").iterdir()
+        if p.is_dir() and p.name not in known
+    ]
+    unlisted = [
+        f"include/morpho/{p.name} belongs to no room" for p in (top / "include/morpho").glob("*.h")
+        if p.name not in PUBLIC
+    ]
     results.append(("every folder of src is a room", strangers + unlisted))
     results.append(("clients use the HTTP API alone", client_faults(top)))
     return results
@@ -125,7 +144,9 @@ def self_test():
 
 def main():
     top = Path(__file__).resolve().parents[2]
-    results = report(top) + [("each rule can fail", [f"not noticed: {rule}" for rule in self_test()])]
+    results = report(top) + [
+        ("each rule can fail", [f"not noticed: {rule}" for rule in self_test()])
+    ]
     print(f"1..{len(results)}")
     for number, (name, faults) in enumerate(results, 1):
         for fault in faults:

@@ -134,6 +134,44 @@ static void passes_over_what_cannot_be_opened(void)
   mo_compute_free(compute);
 }
 
+/* Bits of different capabilities never get one fingerprint: the first device's capability counts,
+ * others are left out. */
+static void uses_one_capability(void)
+{
+  static const struct {
+    const char *older, *scores, *gradients;
+    uint32_t n, indices[3];
+  } cases[] = {{"7", "fake float32 score-1 sm90", "fake float32 gradient-1 sm90", 3, {0, 1, 2}},
+               {"1", "fake float32 score-1 sm90", "fake float32 gradient-1 sm90", 2, {0, 2}},
+               {"0", "fake float32 score-1 sm80", "fake float32 gradient-1 sm80", 1, {0}}};
+  static const uint32_t both[] = {0, 1}, backwards[] = {1, 0};
+  const struct mo_compute_config config = {.n_workers = 1, .isa = mo_isa_best()};
+  const struct mo_devices_config devices = {.module = FAKE_DEVICE, .lost = note_loss};
+  REQUIRE(setup());
+  set("MORPHO_FAKE_DEVICES", "3");
+  for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+    struct mo_compute *compute = NULL;
+    struct mo_device_status status;
+    set("MORPHO_FAKE_OLDER", cases[i].older);
+    atomic_store(&n_lost, 0);
+    REQUIRE(mo_compute_create_cpu(&config, &compute) == MO_OK);
+    CHECK_INT(mo_compute_add_devices(compute, &devices, NULL), MO_OK);
+    CHECK_INT(mo_compute_devices(compute), cases[i].n);
+    CHECK_INT(atomic_load(&n_lost), 3 - cases[i].n);
+    CHECK_TEXT(mo_compute_device_fingerprint(compute), cases[i].scores);
+    CHECK_TEXT(mo_compute_device_gradient_fingerprint(compute), cases[i].gradients);
+    for (uint32_t d = 0; d < cases[i].n; d++) {
+      CHECK_INT(mo_compute_device(compute, d, &status), MO_OK);
+      CHECK_INT(status.index, cases[i].indices[d]);
+    }
+    mo_compute_free(compute);
+  }
+  expect_refusal(FAKE_DEVICE, both, 2, MO_ERR_DEVICE,
+                 "device 1 cannot be used: its compute capability is 9.0, that of");
+  expect_refusal(FAKE_DEVICE, backwards, 2, MO_ERR_DEVICE,
+                 "device 0 cannot be used: its compute capability is 8.0");
+}
+
 /* ---- scores ---- */
 
 static void scores_do_not_depend_on_the_number(void)
@@ -143,8 +181,8 @@ static void scores_do_not_depend_on_the_number(void)
   for (size_t i = 0; i < 3; i++) {
     struct mo_compute *compute = open_devices(numbers[i]);
     uint64_t rollouts = 0;
-    CHECK_TEXT(mo_compute_device_fingerprint(compute), "fake float32 score-1");
-    CHECK_TEXT(mo_compute_device_gradient_fingerprint(compute), "fake float32 gradient-1");
+    CHECK_TEXT(mo_compute_device_fingerprint(compute), "fake float32 score-1 sm90");
+    CHECK_TEXT(mo_compute_device_gradient_fingerprint(compute), "fake float32 gradient-1 sm90");
     CHECK_INT(score(compute, NULL), MO_OK);
     expect_scores(MO_ON_DEVICE);
     CHECK_INT(score(compute, NULL), MO_OK); /* another controller at the same place */
@@ -500,6 +538,7 @@ static const struct check_case cases[] = {
     {"workers say what is expected", prepare},
     {"a module that cannot be used is refused in words", says_what_cannot_be_loaded},
     {"a device that cannot be opened is passed over", passes_over_what_cannot_be_opened},
+    {"devices of one capability are used", uses_one_capability},
     {"scores do not depend on the number of devices", scores_do_not_depend_on_the_number},
     {"scores do not depend on want of memory", scores_do_not_depend_on_memory},
     {"workers compute what devices do not support", workers_do_the_rest},

@@ -21,7 +21,7 @@ static struct mo_robot robots[ROBOTS];
 static int setup(void)
 {
   static const char *const names[] = {"DEVICES", "ROWS", "SHARDS", "SPRINGS", "DELAY_MS", "LOSE",
-                                      "SHUT",    "FULL", "ABI",    "HASTE",   "MEET"};
+                                      "SHUT",    "FULL", "ABI",    "HASTE",   "MEET",     "OLDER"};
   struct mo_body_stream *stream = NULL;
   for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
     char name[64];

@@ -61,8 +61,10 @@ static double now_s(void)
 }
 
 /* Stands in front of the real one: fails the block that begins with a certain robot, counts those
- * that are inside. */
+ * that are inside, or makes gradients up. */
 static struct {
+  const struct mo_environment
+      *made_up;                  /* of the robots with made-up gradients; NULL: there are none */
   const struct mo_body *fail_at; /* NULL: none fails */
   int status;
   atomic_int begun, inside, most_inside;
@@ -84,6 +86,18 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              struct mo_gradient_profile *profile, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts);
 
+/* Numbers of very different sizes, so that nearly every order of additions has its own bits. */
+static void make_up(uint64_t robot, float *gradient)
+{
+  uint64_t state = robot;
+  for (size_t i = 0; i < controller->n_parameters; i++) {
+    state = state * UINT64_C(6364136223846793005) + UINT64_C(1442695040888963407);
+    const uint32_t exponent = 90 + (uint32_t)(state >> 20) % 64;
+    const uint32_t bits = ((uint32_t)(state >> 32) & 0x807fffff) | exponent << 23;
+    memcpy(&gradient[i], &bits, sizeof(bits));
+  }
+}
+
 int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                              const struct mo_robot *list, uint32_t n,
                              const struct mo_physics *physics,
@@ -92,6 +106,11 @@ int __wrap_mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_
                              struct mo_gradient_profile *profile, struct mo_outcome *results,
                              float *gradient, struct mo_gradient_counts *counts)
 {
+  if (plan.made_up != NULL) {
+    memset(results, 0, n * sizeof(*results));
+    make_up((uint64_t)(list[0].environment - plan.made_up), gradient);
+    return MO_OK;
+  }
   atomic_fetch_add(&plan.begun, 1);
   const int inside = atomic_fetch_add(&plan.inside, 1) + 1;
   int most = atomic_load(&plan.most_inside);
@@ -178,6 +197,73 @@ static void same_bits_for_any_workers(void)
   for (size_t i = 0; i < controller->n_parameters; i++)
     largest = fmax(largest, fabs(d_parameters[0][i]));
   CHECK(largest > 0);
+}
+
+enum { SHARD = 1024, MANY = 2 * SHARD + 100 }; /* a last shard, and in it a last block, of fewer */
+
+/* Adds made-up blocks in order within shards, and the shards in order; and all blocks in one row.
+ */
+static void add_plainly(const struct mo_robot *list, uint32_t n_robots, double *by_shards,
+                        double *in_one_row)
+{
+  static uint32_t order[MANY];
+  const size_t n = controller->n_parameters;
+  float *block = malloc(n * sizeof(float));
+  double *shard = malloc(n * sizeof(double));
+  CHECK_INT(mo_gradient_arrange(list, n_robots, order), MO_OK);
+  memset(by_shards, 0, n * sizeof(double));
+  memset(in_one_row, 0, n * sizeof(double));
+  for (uint32_t first = 0; first < n_robots && block != NULL && shard != NULL; first += SHARD) {
+    memset(shard, 0, n * sizeof(double));
+    for (uint32_t at = first; at < first + SHARD && at < n_robots; at += MO_GRADIENT_ROBOTS) {
+      make_up(order[at], block);
+      for (size_t i = 0; i < n; i++) {
+        shard[i] += (double)block[i];
+        in_one_row[i] += (double)block[i];
+      }
+    }
+    for (size_t i = 0; i < n; i++)
+      by_shards[i] += shard[i];
+  }
+  free(shard);
+  free(block);
+}
+
+/* Blocks of 32 robots are added in order within shards of 1024, and these in order. */
+static void shards_are_added_in_order(void)
+{
+  REQUIRE(setup());
+  static const uint32_t sizes[] = {MANY, SHARD + 1, SHARD}, workers[] = {1, 3};
+  static struct mo_environment many_environments[MANY];
+  static struct mo_robot many[MANY];
+  static struct mo_outcome many_outcomes[MANY];
+  const size_t bytes = controller->n_parameters * sizeof(double);
+  double *in_one_row = malloc(bytes);
+  REQUIRE(in_one_row != NULL);
+  for (uint32_t i = 0; i < MANY; i++) {
+    many_environments[i] = environments[i % ROBOTS];
+    many[i] = (struct mo_robot){bodies[i % ROBOTS], &many_environments[i]};
+  }
+  plan.made_up = many_environments;
+  for (int w = 0; w < 2; w++) {
+    struct mo_compute *compute = make_compute(workers[w]);
+    struct mo_gradient_state *state = NULL;
+    REQUIRE(compute != NULL && mo_gradient_state_create(compute, &state) == MO_OK);
+    for (size_t size = 0; size < sizeof(sizes) / sizeof(sizes[0]); size++) {
+      struct mo_gradient_batch batch = make_batch(sizes[size], 1, 0);
+      batch.robots = many;
+      batch.outcomes = many_outcomes;
+      CHECK_INT(mo_compute_gradient(state, &batch), MO_OK);
+      add_plainly(many, sizes[size], d_parameters[1], in_one_row);
+      CHECK(memcmp(batch.d_parameters, d_parameters[1], bytes) == 0);
+      /* With one shard, and one block more, there is but one order. */
+      CHECK((memcmp(in_one_row, d_parameters[1], bytes) == 0) == (sizes[size] < MANY));
+    }
+    mo_gradient_state_free(state);
+    mo_compute_free(compute);
+  }
+  plan.made_up = NULL;
+  free(in_one_row);
 }
 
 /* The batch's gradient is the mean of its robots' gradients, each robot's outcome is its own. */
@@ -583,6 +669,7 @@ __attribute__((unused)) static void memory_is_bounded(void)
 
 static const struct check_case cases[] = {
     {"the same bits for any workers", same_bits_for_any_workers},
+    {"shards are added in order", shards_are_added_in_order},
     {"urgent blocks overtake", urgent_blocks_overtake},
     {"urgent gradients go first", urgent_gradients_go_first},
     {"cancelled calls come back", cancelled_calls_come_back},

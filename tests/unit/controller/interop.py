@@ -1,8 +1,11 @@
 #!/usr/bin/env python3
-"""Controllers between this project and the `safetensors` package of the PyTorch world, in both directions.
+"""Controllers between this project and the `safetensors` package of the PyTorch world, in both
+directions.
 
-    interop.py PROGRAM        PROGRAM reads its first argument as a controller and writes it to its second (round-trip.c).
-    interop.py --header FILE  writes the header that the package gives a 1x1x1 controller: the fixture of safetensors.c.
+    interop.py PROGRAM        PROGRAM reads its first argument as a controller and writes it to its
+    second (round-trip.c).
+    interop.py --header FILE  writes the header that the package gives a 1x1x1 controller: the
+    fixture of safetensors.c.
 
 Skipped (status 77) where the package is not installed; the fixture covers reading its files there.
 """
@@ -29,13 +32,16 @@ def make(nx, ny, nz):
     edges = nx * (ny + 1) * (nz + 1) + (nx + 1) * ny * (nz + 1) + (nx + 1) * (ny + 1) * nz
     faces = nx * ny * (nz + 1) + nx * (ny + 1) * nz + (nx + 1) * ny * nz
     springs = edges + 2 * faces
-    shapes = {"net.0.weight": (HIDDEN, masses + 5), "net.9.weight": (springs, HIDDEN), "net.9.bias": (springs,)}
+    shapes = {
+        "net.0.weight": (HIDDEN, masses + 5), "net.9.weight": (springs, HIDDEN),
+        "net.9.bias": (springs, )
+    }
     for layer in (3, 6):
         shapes[f"net.{layer}.weight"] = (HIDDEN, HIDDEN)
     for layer in (0, 1, 3, 4, 6, 7):
-        shapes[f"net.{layer}.bias"] = (HIDDEN,)
+        shapes[f"net.{layer}.bias"] = (HIDDEN, )
     for layer in (1, 4, 7):
-        shapes[f"net.{layer}.weight"] = (HIDDEN,)
+        shapes[f"net.{layer}.weight"] = (HIDDEN, )
     rng = np.random.default_rng(1)
     tensors = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     metadata = {
@@ -56,7 +62,8 @@ def load(path):
 def check(program, size):
     tensors, metadata = make(*size)
     with tempfile.TemporaryDirectory() as folder:
-        theirs, ours = os.path.join(folder, "theirs.safetensors"), os.path.join(folder, "ours.safetensors")
+        theirs, ours = os.path.join(folder,
+                                    "theirs.safetensors"), os.path.join(folder, "ours.safetensors")
         save_file(tensors, theirs, metadata=metadata)
         subprocess.run([program, theirs, ours], check=True)
         back, back_metadata = load(ours)

@@ -1,4 +1,5 @@
-"""morphod's command line as a process: help, --check-config, --print-config, exit statuses. Speaks TAP.
+"""morphod's command line as a process: help, --check-config, --print-config, exit statuses. Speaks
+TAP.
 
 Usage: check_config.py MORPHOD CONTROLLER"""
 import os
@@ -21,7 +22,11 @@ def run(*arguments, file=None, **variables):
     if file is not None:
         path.write_text(file)
         arguments = (*arguments, f"--config={path}")
-    done = subprocess.run([MORPHOD, *arguments], capture_output=True, text=True, timeout=30, env=environment)
+    done = subprocess.run([MORPHOD, *arguments],
+                          capture_output=True,
+                          text=True,
+                          timeout=30,
+                          env=environment)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -130,7 +135,10 @@ def test_command_line_mistakes():
 
 
 def test_print_config_reads_back():
-    status, out, _ = run("--print-config", "--workers=3", file="max_body = 5M\n", MORPHOD_ISA="avx2")
+    status, out, _ = run("--print-config",
+                         "--workers=3",
+                         file="max_body = 5M\n",
+                         MORPHOD_ISA="avx2")
     assert status == 0
     assert re.search(r"^workers = 3 +# flag$", out, re.M), out
     assert re.search(r"^max_body = 5M +# file$", out, re.M), out
@@ -143,15 +151,18 @@ def test_print_config_reads_back():
 
 def test_no_start_with_faults():
     says(run("--listen=0.0.0.0:0"), 78, "needs a token_file")
-    says(run(f"--state-dir={folder}/s", "--listen=127.0.0.1:0", "--default-controller=/nonexistent"), 78, "default_controller")
+    says(
+        run(f"--state-dir={folder}/s", "--listen=127.0.0.1:0", "--default-controller=/nonexistent"),
+        78, "default_controller")
     assert not os.path.exists(f"{folder}/s")
 
 
 def test_address_in_use():
     import socket
     with socket.create_server(("127.0.0.1", 0)) as server:
-        says(run(f"--state-dir={folder}/s", f"--listen=127.0.0.1:{server.getsockname()[1]}", f"--default-controller={CONTROLLER}"), 69,
-             "127.0.0.1")
+        says(
+            run(f"--state-dir={folder}/s", f"--listen=127.0.0.1:{server.getsockname()[1]}",
+                f"--default-controller={CONTROLLER}"), 69, "127.0.0.1")
 
 
 tests = [(name, value) for name, value in sorted(globals().items()) if name.startswith("test_")]

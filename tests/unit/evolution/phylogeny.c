@@ -128,9 +128,9 @@ static void recurse(struct text *text, const uint8_t *kept, uint32_t number)
     append_text(text, ")");
   const uint32_t parent = descents[number].parents[0];
   if (parent == MO_NO_PARENT)
-    snprintf(label, sizeof(label), "%u", number);
+    snprintf(label, sizeof(label), "n%u", number);
   else
-    snprintf(label, sizeof(label), "%u:%u", number, born[number] - born[parent]);
+    snprintf(label, sizeof(label), "n%u:%u", number, born[number] - born[parent]);
   append_text(text, label);
 }
 
@@ -170,9 +170,9 @@ static void newick_by_hand(void)
   static const uint8_t keep[] = {0, 0, 0, 0, 1};
   struct text all = {0}, one = {0}, none = {0};
   CHECK_INT(mo_newick(few, when, NULL, 5, append, &all), MO_OK);
-  CHECK_TEXT(all.bytes, "((4:3)2:1,3:1)0;\n1;\n");
+  CHECK_TEXT(all.bytes, "((n4:3)n2:1,n3:1)n0;\nn1;\n");
   CHECK_INT(mo_newick(few, when, keep, 5, append, &one), MO_OK);
-  CHECK_TEXT(one.bytes, "((4:3)2:1)0;\n");
+  CHECK_TEXT(one.bytes, "((n4:3)n2:1)n0;\n");
   CHECK_INT(mo_newick(few, when, NULL, 0, append, &none), MO_OK);
   CHECK(none.bytes == NULL);
   free(all.bytes);
@@ -206,7 +206,7 @@ static void depth(void)
     }
     CHECK_INT(open, star ? 1 : n - 1);
     CHECK_INT(labels, n - 1);
-    CHECK_TEXT(text.bytes + text.length - 4, star ? ")0;\n" : ")0;\n");
+    CHECK_TEXT(text.bytes + text.length - 5, ")n0;\n");
     memset(marks, 0, n);
     mo_ancestors(chain, n, n - 1, marks);
     uint32_t above = 0, below = 0;

@@ -47,10 +47,10 @@ static void presets(void)
       CHECK(s.selection.kind == MO_SELECT_TRUNCATION && s.exclude_pretraining && s.batch == 0);
       CHECK(s.workspace.nx == 6 && s.workspace.ny == 6 && s.workspace.nz == 4);
       CHECK(s.parent_steps == (m == 0 ? 0 : m == 1 ? 30 : 1) && s.child_steps == s.parent_steps);
-      CHECK(s.beta1 == 0.9 && s.beta2 == 0.999 && s.norm_limit == 1.0 &&
-            s.adjoint_bound == MO_ADJOINT_BOUND);
-      CHECK_INT(s.adjoint_rule, MO_ADJOINT_CLIP);
-      CHECK(s.restart_weight == MO_RESTART_WEIGHT);
+      CHECK(s.learning.beta1 == 0.9 && s.learning.beta2 == 0.999 && s.learning.norm_limit == 1.0 &&
+            s.learning.adjoint_bound == MO_ADJOINT_BOUND);
+      CHECK_INT(s.learning.adjoint_rule, MO_ADJOINT_CLIP);
+      CHECK(s.learning.restart_weight == MO_RESTART_WEIGHT);
     }
 }
 
@@ -91,42 +91,48 @@ static void refused(void)
     int code;
     const char *says;
   } cases[] = {
-      {MO_ZERO_SHOT, MODE, 3, MO_ERR_INVALID, "mode is 3; it must be 0 (zero-shot)"},
-      {MO_ZERO_SHOT, KIND, 4, MO_ERR_INVALID, "selection is 4; it must be 0 (truncation)"},
-      {MO_ZERO_SHOT, NX, 7, MO_ERR_RANGE, "workspace is 7x6x4 voxels; it must be 1x1x1 to 6x6x4"},
-      {MO_ZERO_SHOT, NX, 0, MO_ERR_RANGE, "workspace is 0x6x4"},
-      {MO_ZERO_SHOT, NZ, 5, MO_ERR_RANGE, "workspace is 6x6x5"},
+      {MO_ZERO_SHOT, MODE, 3, MO_ERR_INVALID,
+       "mode must be 0 (zero-shot), 1 (few-shot) or 2 (simultaneous), got 3"},
+      {MO_ZERO_SHOT, KIND, 4, MO_ERR_INVALID,
+       "kind must be \"truncation\", \"tournament\", \"novelty\" or \"age-layered\", got number 4"},
+      {MO_ZERO_SHOT, NX, 7, MO_ERR_RANGE, "workspace must be 1x1x1 to 6x6x4 voxels, got 7x6x4"},
+      {MO_ZERO_SHOT, NX, 0, MO_ERR_RANGE, "workspace must be 1x1x1 to 6x6x4 voxels, got 0x6x4"},
+      {MO_ZERO_SHOT, NZ, 5, MO_ERR_RANGE, "workspace must be 1x1x1 to 6x6x4 voxels, got 6x6x5"},
       {MO_ZERO_SHOT, NZ, 1, MO_OK, ""},
-      {MO_ZERO_SHOT, POPULATION, 0, MO_ERR_RANGE, "population is 0; it must be 2 to 65536"},
-      {MO_ZERO_SHOT, POPULATION, 1, MO_ERR_RANGE, "population is 1; it must be 2 to 65536"},
+      {MO_ZERO_SHOT, POPULATION, 0, MO_ERR_RANGE,
+       "population must be at least 2 and at most 65536, got 0"},
+      {MO_ZERO_SHOT, POPULATION, 1, MO_ERR_RANGE,
+       "population must be at least 2 and at most 65536, got 1"},
       {MO_ZERO_SHOT, POPULATION, 1e8, MO_ERR_RANGE,
-       "population is 100000000; it must be 2 to 65536"},
+       "population must be at least 2 and at most 65536, got 100000000"},
       {MO_ZERO_SHOT, POPULATION, 65536, MO_OK, ""},
       {MO_FEW_SHOT, POPULATION, 10001, MO_ERR_RANGE,
        "population is 10001; it must be at most 10000 in a campaign that"},
       {MO_SIMULTANEOUS, POPULATION, 10000, MO_OK, ""},
       {MO_ZERO_SHOT, GENERATIONS, 100001, MO_ERR_RANGE,
-       "generations is 100001; it must be 0 to 100000"},
+       "generations must be at least 0 and at most 100000, got 100001"},
       {MO_ZERO_SHOT, GENERATIONS, 0, MO_OK, ""},
       {MO_ZERO_SHOT, GENERATIONS, 32768, MO_ERR_RANGE,
        "population × (generations + 1) is 268443648"},
       {MO_ZERO_SHOT, GENERATIONS, 32767, MO_OK, ""},
-      {MO_ZERO_SHOT, SHARE, 1.5, MO_ERR_RANGE,
-       "mutation_share is 1.5; it must be at least 0 and at most 1"},
-      {MO_ZERO_SHOT, SHARE, NAN, MO_ERR_INVALID, "mutation_share is not finite"},
+      {MO_ZERO_SHOT, SHARE, 1.5, MO_ERR_RANGE, "share must be at least 0 and at most 1, got 1.5"},
+      {MO_ZERO_SHOT, SHARE, NAN, MO_ERR_INVALID,
+       "mutation.share must be at least 0 and at most 1, got a number that is not finite"},
       {MO_ZERO_SHOT, SHARE, 1, MO_OK, ""},
       {MO_ZERO_SHOT, RATE, 0.51, MO_ERR_RANGE,
-       "mutation_rate is 0.51; it must be at least 0 and at most 0.5"},
-      {MO_ZERO_SHOT, RATE, -0.1, MO_ERR_RANGE, "mutation_rate is -0.1"},
-      {MO_ZERO_SHOT, GROWTH, 0.9, MO_ERR_RANGE,
-       "mutation_growth is 0.9; it must be at least 1 and at most 2"},
+       "rate must be above 0 and at most 0.5, or null, got 0.51"},
+      {MO_ZERO_SHOT, RATE, -0.1, MO_ERR_RANGE,
+       "rate must be above 0 and at most 0.5, or null, got -0.1"},
+      {MO_ZERO_SHOT, GROWTH, 0.9, MO_ERR_RANGE, "growth must be at least 1 and at most 2, got 0.9"},
       {MO_ZERO_SHOT, GROWTH, 1, MO_OK, ""},
-      {MO_ZERO_SHOT, SIZE, 1, MO_ERR_RANGE, "tournament_size is 1; it must be 2 to 64"},
-      {MO_ZERO_SHOT, WEIGHT, -1, MO_ERR_RANGE, "novelty_weight is -1"},
-      {MO_ZERO_SHOT, LAYERS, 17, MO_ERR_RANGE, "layers is 17; it must be 2 to 16"},
-      {MO_ZERO_SHOT, GAP, 0, MO_ERR_RANGE, "age_gap is 0; it must be 1 to 1000"},
-      {MO_ZERO_SHOT, COLLAPSE, 2, MO_ERR_RANGE, "collapse_share is 2"},
-      {MO_FEW_SHOT, STEPS, 10001, MO_ERR_RANGE, "parent_steps is 10001; it must be 0 to 10000"},
+      {MO_ZERO_SHOT, SIZE, 1, MO_ERR_RANGE, "size must be at least 2 and at most 64, got 1"},
+      {MO_ZERO_SHOT, WEIGHT, -1, MO_ERR_RANGE, "weight must be at least 0 and at most 1, got -1"},
+      {MO_ZERO_SHOT, LAYERS, 17, MO_ERR_RANGE, "layers must be at least 2 and at most 16, got 17"},
+      {MO_ZERO_SHOT, GAP, 0, MO_ERR_RANGE, "age_gap must be at least 1 and at most 1000, got 0"},
+      {MO_ZERO_SHOT, COLLAPSE, 2, MO_ERR_RANGE,
+       "collapse_share must be at least 0 and at most 1, got 2"},
+      {MO_FEW_SHOT, STEPS, 10001, MO_ERR_RANGE,
+       "parent_steps must be at least 0 and at most 10000, got 10001"},
       {MO_FEW_SHOT, STEPS, 10000, MO_OK, ""},
       {MO_FEW_SHOT, NO_STEPS, 0, MO_ERR_RANGE, "parent_steps and child_steps are both 0"},
       {MO_SIMULTANEOUS, STEPS, 9999, MO_ERR_RANGE,
@@ -135,28 +141,33 @@ static void refused(void)
       {MO_ZERO_SHOT, BETA, 2, MO_OK, ""},
       {MO_ZERO_SHOT, PEAK, -1, MO_OK, ""},
       {MO_FEW_SHOT, BATCH, 65537, MO_ERR_RANGE,
-       "batch is 65537; it must be 1 to 65536, or 0 for the population"},
-      {MO_FEW_SHOT, BETA, 1, MO_ERR_RANGE, "beta1 is 1; it must be at least 0 and below 1"},
-      {MO_FEW_SHOT, EPSILON, 0, MO_ERR_RANGE, "epsilon is 0; it must be above 0"},
-      {MO_FEW_SHOT, NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
-      {MO_FEW_SHOT, BOUND, -1, MO_ERR_RANGE, "adjoint_bound is -1"},
+       "batch must be at least 1 and at most 65536, or null, got 65537"},
+      {MO_FEW_SHOT, BETA, 1, MO_ERR_RANGE, "beta1 must be at least 0 and below 1, got 1"},
+      {MO_FEW_SHOT, EPSILON, 0, MO_ERR_RANGE, "epsilon must be above 0 and at most 1, got 0"},
+      {MO_FEW_SHOT, NORM, INFINITY, MO_ERR_INVALID,
+       "gradient_norm_limit must be at least 0 and at most 1e+06, got a number that is not finite"},
+      {MO_FEW_SHOT, BOUND, -1, MO_ERR_RANGE,
+       "adjoint_bound must be at least 0 and at most 1e+06, got -1"},
       {MO_FEW_SHOT, BOUND, 0, MO_OK, ""},
       {MO_FEW_SHOT, RULE, 2, MO_ERR_INVALID,
-       "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
+       "adjoint_rule must be \"clip\" or \"restart\", got number 2"},
       {MO_FEW_SHOT, RULE, MO_ADJOINT_RESTART, MO_OK, ""},
       {MO_ZERO_SHOT, RULE, 2, MO_OK, ""},
       {MO_FEW_SHOT, RESTART_WEIGHT, -1, MO_ERR_RANGE,
-       "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+       "restart_weight must be at least 0 and at most 1e+06, got -1"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 1000000.0000001, MO_ERR_RANGE,
-       "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
-      {MO_FEW_SHOT, RESTART_WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
-      {MO_SIMULTANEOUS, RESTART_WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
+       "restart_weight must be at least 0 and at most 1e+06, got 1000000.0000001"},
+      {MO_FEW_SHOT, RESTART_WEIGHT, 1e7, MO_ERR_RANGE,
+       "restart_weight must be at least 0 and at most 1e+06, got 1e+07"},
+      {MO_SIMULTANEOUS, RESTART_WEIGHT, NAN, MO_ERR_INVALID,
+       "restart_weight must be at least 0 and at most 1e+06, got a number that is not finite"},
       {MO_FEW_SHOT, RESTART_WEIGHT, 0, MO_OK, ""},
       {MO_FEW_SHOT, RESTART_WEIGHT, MO_RESTART_WEIGHT_MAX, MO_OK, ""},
       {MO_ZERO_SHOT, RESTART_WEIGHT, -1, MO_OK, ""},
-      {MO_SIMULTANEOUS, SENSOR, 2, MO_ERR_INVALID, "sensor is 2"},
-      {MO_SIMULTANEOUS, PEAK, -1, MO_ERR_RANGE, "peak is -1"},
-      {MO_ZERO_SHOT, DT, 1, MO_ERR_RANGE, "dt_s is 1"},
+      {MO_SIMULTANEOUS, SENSOR, 2, MO_ERR_INVALID,
+       "sensor must be \"inverse_sqrt\" or \"inverse_square\", got number 2"},
+      {MO_SIMULTANEOUS, PEAK, -1, MO_ERR_RANGE, "peak must be above 0 and at most 1, got -1"},
+      {MO_ZERO_SHOT, DT, 1, MO_ERR_RANGE, "dt_s must be at least 1e-07 and at most 0.1, got 1"},
   };
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
     struct mo_campaign_settings s = mo_campaign_preset(cases[i].mode, MO_PRESET_PAPER);
@@ -180,14 +191,14 @@ static void refused(void)
     case STEPS: s.parent_steps = (uint32_t)value; break;
     case NO_STEPS: s.parent_steps = s.child_steps = 0; break;
     case BATCH: s.batch = (uint32_t)value; break;
-    case BETA: s.beta1 = value; break;
-    case EPSILON: s.epsilon = value; break;
-    case NORM: s.norm_limit = value; break;
-    case BOUND: s.adjoint_bound = value; break;
-    case RULE: s.adjoint_rule = (enum mo_adjoint_rule)value; break;
-    case RESTART_WEIGHT: s.restart_weight = value; break;
+    case BETA: s.learning.beta1 = value; break;
+    case EPSILON: s.learning.epsilon = value; break;
+    case NORM: s.learning.norm_limit = value; break;
+    case BOUND: s.learning.adjoint_bound = value; break;
+    case RULE: s.learning.adjoint_rule = (enum mo_adjoint_rule)value; break;
+    case RESTART_WEIGHT: s.learning.restart_weight = value; break;
     case SENSOR: s.sensor = (enum mo_sensor)value; break;
-    case PEAK: s.schedule.peak = value; break;
+    case PEAK: s.learning.schedule.peak = value; break;
     case DT: s.physics.dt_s = value; break;
     }
     CHECK_INT(mo_campaign_settings_check(&s, &message), cases[i].code);
@@ -201,7 +212,7 @@ static void refused(void)
 
 static double rate(const struct mo_training_settings *training, uint32_t step)
 {
-  return mo_schedule_rate(&training->schedule, step, training->n_steps);
+  return mo_schedule_rate(&training->learning.schedule, step, training->n_steps);
 }
 
 /* The paper: 60 steps of a cycle of 100 from 3.5e-4, which ends at about 1.5e-4; a fresh start,
@@ -230,12 +241,12 @@ static void few_shot(void)
   CHECK(mo_campaign_training(&s, 3).seed != seeds[3]);
   s.batch = 100;
   s.child_steps = 5;
-  CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_CLIP);
-  CHECK(mo_campaign_training(&s, 1).restart_weight == MO_RESTART_WEIGHT);
-  s.adjoint_rule = MO_ADJOINT_RESTART;
-  s.restart_weight = 0.5;
-  CHECK_INT(mo_campaign_training(&s, 1).adjoint_rule, MO_ADJOINT_RESTART);
-  CHECK(mo_campaign_training(&s, 1).restart_weight == 0.5);
+  CHECK_INT(mo_campaign_training(&s, 1).learning.adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(mo_campaign_training(&s, 1).learning.restart_weight == MO_RESTART_WEIGHT);
+  s.learning.adjoint_rule = MO_ADJOINT_RESTART;
+  s.learning.restart_weight = 0.5;
+  CHECK_INT(mo_campaign_training(&s, 1).learning.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(mo_campaign_training(&s, 1).learning.restart_weight == 0.5);
   CHECK(mo_campaign_training(&s, 1).batch == 100 && mo_campaign_training(&s, 1).n_steps == 35);
 }
 

@@ -146,8 +146,8 @@ static void ended(void)
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")),
              "clip");
   CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 3);
-  status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
-  status.record.settings.restart_weight = 0.5;
+  status.record.settings.learning.adjoint_rule = MO_ADJOINT_RESTART;
+  status.record.settings.learning.restart_weight = 0.5;
   write(false);
   CHECK_TEXT(json_string_value(json_object_get(at("settings", "learning"), "adjoint_rule")),
              "restart");
@@ -183,7 +183,7 @@ static void designs(void)
   CHECK(json_is_null(at(NULL, "score")) && json_integer_value(at(NULL, "died")) == 4);
   CHECK_INT(json_array_size(at(NULL, "parents")), 1);
   mo_campaign_csv_design(&text, &row, 4);
-  CHECK(strncmp(text.data, "5,\"[3]\",2,4,mutation,,80000", 27) == 0);
+  CHECK(strncmp(text.data, "5,\"[3]\",2,4,mutation,,d80000", 28) == 0);
   mo_text_free(&text);
   mo_campaign_csv_design(&text, &row, 3); /* at the end of generation 3 it lived */
   CHECK(strncmp(text.data, "5,\"[3]\",2,inf,mutation,,", 24) == 0);

@@ -5,9 +5,9 @@
 #include <math.h>
 #include <time.h>
 
-#include "http/fault.h"
 #include "http/field.h"
 #include "http/guard.h"
+#include "http/problem.h"
 #include "http/route.h"
 
 static void percent(void)
@@ -109,6 +109,14 @@ static void keys(void)
   longest[255] = 'k';
   longest[256] = '\0';
   CHECK(!mo_idempotency_key(longest, key));
+}
+
+static void ids(void)
+{
+  int64_t id = 0;
+  CHECK(mo_id("1", &id) && mo_id("999999999999999999", &id) && id == INT64_C(999999999999999999));
+  CHECK(!mo_id("", &id) && !mo_id("0", &id) && !mo_id("01", &id) && !mo_id("-1", &id) &&
+        !mo_id("1000000000000000000", &id));
 }
 
 static void routes(void)
@@ -247,10 +255,23 @@ static void hosts(void)
                {"user@localhost", false},
                {"127.0.0.1.nip.io", false}};
   for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
-    CHECK(mo_guard_host(tries[i].host, strlen(tries[i].host), &names) == tries[i].good);
-    if (mo_guard_host(tries[i].host, strlen(tries[i].host), &names) != tries[i].good)
+    CHECK(mo_guard_host(tries[i].host, strlen(tries[i].host), false, &names) == tries[i].good);
+    if (mo_guard_host(tries[i].host, strlen(tries[i].host), false, &names) != tries[i].good)
       printf("# %s\n", tries[i].host);
   }
+  static const struct {
+    const char *host;
+    bool good;
+  } locals[] = {{"localhost", true}, {"127.0.0.1:8765", true}, {"127.1.2.3", true},
+                {"[::1]", true},     {"robots.example", true}, {"[::1]:8765", true},
+                {"10.0.0.7", false}, {"[fe80::1]", false},     {"evil.example:8765", false}};
+  for (size_t i = 0; i < sizeof(locals) / sizeof(locals[0]); i++)
+    CHECK(mo_guard_host(locals[i].host, strlen(locals[i].host), true, &names) == locals[i].good);
+  CHECK(mo_guard_fetch_site(NULL));
+  CHECK(mo_guard_fetch_site("same-origin"));
+  CHECK(mo_guard_fetch_site("none"));
+  CHECK(!mo_guard_fetch_site("Cross-Site"));
+  CHECK(!mo_guard_fetch_site("same-site"));
   CHECK(mo_guard_origin("http://127.0.0.1:8765", "127.0.0.1:8765", &names));
   CHECK(mo_guard_origin("http://localhost", "localhost:80", &names));
   CHECK(mo_guard_origin("https://robots.example", "127.0.0.1:8765", &names));
@@ -337,6 +358,16 @@ static void texts(void)
   text.size = 0;
   mo_text_json_number(&text, 0.1);
   CHECK_TEXT(text.data, "0.1");
+  /* Whole numbers look as printf writes them. */
+  static const double whole[] = {
+      0, -0.0, 7, -40, 123456, 999999999999999, -999999999999999, 1e14, 1e15, 0x1p53, 1e300};
+  for (size_t i = 0; i < sizeof(whole) / sizeof(whole[0]); i++) {
+    char expected[64];
+    snprintf(expected, sizeof(expected), whole[i] == 0x1p53 ? "%.16g" : "%.15g", whole[i]);
+    text.size = 0;
+    mo_text_json_number(&text, whole[i]);
+    CHECK_TEXT(text.data, expected);
+  }
   text.size = 0;
   mo_text_json_time(&text, INT64_C(1763724844123456));
   CHECK_TEXT(text.data, "\"2025-11-21T11:34:04.123Z\"");
@@ -395,13 +426,21 @@ static void floats(void)
 }
 
 static const struct check_case cases[] = {
-    {"percent escapes", percent}, {"queries and numbers", queries},
-    {"Prefer", prefer},           {"Accept", accept},
-    {"entity tags", etags},       {"content types", content_types},
-    {"idempotency keys", keys},   {"routes", routes},
-    {"framing", framing},         {"request targets", targets},
-    {"Host and Origin", hosts},   {"tokens", tokens},
-    {"problems", problems},       {"texts", texts},
+    {"percent escapes", percent},
+    {"queries and numbers", queries},
+    {"Prefer", prefer},
+    {"Accept", accept},
+    {"entity tags", etags},
+    {"content types", content_types},
+    {"idempotency keys", keys},
+    {"ids", ids},
+    {"routes", routes},
+    {"framing", framing},
+    {"request targets", targets},
+    {"Host and Origin", hosts},
+    {"tokens", tokens},
+    {"problems", problems},
+    {"texts", texts},
     {"floats", floats},
 };
 CHECK_MAIN(cases)

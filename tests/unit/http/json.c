@@ -4,7 +4,7 @@
 
 #include <jansson.h>
 
-#include "http/json.h"
+#include "base/json.h"
 #include <morpho/random.h>
 
 static struct mo_json json;
@@ -208,6 +208,25 @@ static void numbers(void)
   CHECK(read_integer("9007199254740991", 0, INT64_MAX, &n) && n == INT64_C(9007199254740991));
   CHECK(!read_integer("21", 0, 20, &n) && !faults.malformed);
   CHECK(!read_integer("1.5", 0, 20, &n) && !faults.malformed);
+  /* By what is written, not by the float64 next to it. */
+  static const char *const fractions[] = {"9007199254740991.4",
+                                          "1.00000000000000000001",
+                                          "1e-400",
+                                          "5e-1",
+                                          "-0.1",
+                                          "100000000000000000000000001e-26",
+                                          "12e-99999999999999999999"};
+  for (size_t i = 0; i < sizeof(fractions) / sizeof(fractions[0]); i++)
+    CHECK(!read_integer(fractions[i], -20, INT64_MAX, &n) && !faults.malformed && faults.n == 1);
+  CHECK(read_integer("900719925474099100e-2", 0, INT64_MAX, &n) && n == INT64_C(9007199254740991));
+  CHECK(read_integer("9007199254740993.0", 0, INT64_MAX, &n) && n == INT64_C(9007199254740993));
+  CHECK(read_integer("0.00120e5", 0, INT64_MAX, &n) && n == 120);
+  CHECK(read_integer("10203000000000000000000e-20", 0, INT64_MAX, &n) == false);
+  CHECK(read_integer("1020300000000000000000000e-20", 0, INT64_MAX, &n) && n == 10203);
+  CHECK(read_integer("-0.0e99999999999999999999", -1, 1, &n) && n == 0);
+  CHECK(read_integer("999999999999999999", 0, INT64_MAX, &n) && n == INT64_C(999999999999999999));
+  CHECK(!read_integer("1e18", 0, INT64_MAX, &n) &&
+        !read_integer("1e99999999999999999999", 0, INT64_MAX, &n));
   CHECK(!read_integer("1e400", 0, 20, &n) && !faults.malformed && faults.n == 1);
   CHECK(!read_integer("99999999999999999999", 0, INT64_MAX, &n) && !faults.malformed);
   CHECK(!read_integer("true", 0, 20, &n) && !faults.malformed);
@@ -224,6 +243,30 @@ static void numbers(void)
   REQUIRE(mo_json_item(&json) && mo_json_number(&json, &x));
   CHECK(x == 0);
   CHECK_TEXT(faults.items[0].where, "/0");
+}
+
+/* A key that is spelt with escapes is that key, and stays it while an array of plain keys is read.
+ */
+static void escaped_keys(void)
+{
+  static const char text[] = "{\"\\u0064esigns\":[{\"cells\":1}],\"la\\u0062el\":2,"
+                             "\"\\ud83d\\ude00\\/\":3,\"p\":{\"\\u0071\":4}}";
+  struct mo_json_slice key;
+  int64_t n;
+  faults = (struct mo_faults){0};
+  mo_json_start(&json, text, strlen(text), &faults);
+  REQUIRE(mo_json_object(&json) && mo_json_member(&json, &key) && mo_json_is(key, "designs"));
+  REQUIRE(mo_json_array(&json) && mo_json_item(&json) && mo_json_object(&json) &&
+          mo_json_member(&json, &key));
+  CHECK(mo_json_is(key, "cells") && mo_json_integer(&json, 0, 9, &n));
+  CHECK(!mo_json_member(&json, &key) && !mo_json_item(&json));
+  REQUIRE(mo_json_member(&json, &key) && mo_json_is(key, "label") &&
+          mo_json_integer(&json, 0, 9, &n));
+  REQUIRE(mo_json_member(&json, &key) && mo_json_is(key, "😀/") && mo_json_integer(&json, 0, 9, &n));
+  REQUIRE(mo_json_member(&json, &key) && mo_json_is(key, "p") && mo_json_object(&json));
+  REQUIRE(mo_json_member(&json, &key) && mo_json_is(key, "q") && !mo_json_integer(&json, 0, 3, &n));
+  CHECK_TEXT(faults.items[0].where, "/p/q");
+  CHECK(!mo_json_member(&json, &key) && !mo_json_member(&json, &key) && mo_json_finish(&json));
 }
 
 static void strings(void)
@@ -319,6 +362,7 @@ static const struct check_case cases[] = {
     {"bounds depth and keys", depth},
     {"knows the place of every fault", places},
     {"reads numbers", numbers},
+    {"resolves escapes in keys", escaped_keys},
     {"reads strings", strings},
     {"stops at many faults", many_faults},
     {"agrees with jansson", agrees_with_jansson},

@@ -113,8 +113,8 @@ static void ended(void)
 {
   begin(MO_JOB_FAILED);
   status.record.settings = mo_training_defaults(MO_TRAINING_FINETUNE);
-  status.record.settings.adjoint_rule = MO_ADJOINT_RESTART;
-  status.record.settings.restart_weight = 0.5;
+  status.record.settings.learning.adjoint_rule = MO_ADJOINT_RESTART;
+  status.record.settings.learning.restart_weight = 0.5;
   status.record.has_parent = true;
   status.record.n_designs = 3;
   status.record.population = 5;

@@ -24,11 +24,11 @@ static void defaults(void)
   const struct mo_training_request *r = &parsed.request;
   const struct mo_training_settings *s = &r->record.settings;
   CHECK(s->kind == MO_TRAINING_PRETRAIN && s->n_steps == 1400 && s->batch == 256 && s->seed == 1);
-  CHECK(s->beta1 == 0.9 && s->beta2 == 0.999 && s->epsilon == 1e-8 && s->norm_limit == 1 &&
-        s->adjoint_bound == 2);
-  CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
-  CHECK(s->restart_weight == 3);
-  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->sensor == MO_SENSOR_INVERSE_SQRT &&
+  CHECK(s->learning.beta1 == 0.9 && s->learning.beta2 == 0.999 && s->learning.epsilon == 1e-8 &&
+        s->learning.norm_limit == 1 && s->learning.adjoint_bound == 2);
+  CHECK_INT(s->learning.adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(s->learning.restart_weight == 3);
+  CHECK(s->learning.schedule.kind == MO_SCHEDULE_COSINE && s->sensor == MO_SENSOR_INVERSE_SQRT &&
         s->physics.n_steps == 1000);
   CHECK(s->held_out_designs == 64 && s->held_out_environments == 8 &&
         r->record.validate_every_steps == 50);
@@ -40,7 +40,7 @@ static void defaults(void)
   /* The kind decides, wherever it stands. */
   REQUIRE(parse("{" DESIGNS ",\"seed\":7,\"kind\":\"finetune\"}") == MO_OK);
   CHECK(s->kind == MO_TRAINING_FINETUNE && s->n_steps == 60 && s->seed == 7 &&
-        s->schedule.cycle_steps == 100);
+        s->learning.schedule.cycle_steps == 100);
   CHECK_TEXT(r->parent, "default");
   CHECK(r->record.n_designs == 1 && r->genotypes != NULL);
   REQUIRE(parse("{\"kind\":\"pretrain\",\"controller\":null,\"sensor\":\"inverse_square\"}") ==
@@ -72,14 +72,16 @@ static void everything(void)
   CHECK_TEXT(r->label, "x");
   CHECK(r->population == 12 && r->population_best == 64 && r->record.n_designs == 0);
   CHECK(s->n_steps == 30 && s->batch == 65536 && s->seed == UINT64_C(9007199254740991));
-  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 0.01 &&
-        s->schedule.floor == 1e-6);
-  CHECK(s->schedule.decay == 0.5 && s->schedule.cycle_steps == 5 && s->schedule.cycle_growth == 3);
-  CHECK(s->schedule.warmup_steps == 2 && s->beta1 == 0 && s->beta2 == 0.5 && s->epsilon == 1e-6);
-  CHECK_INT(s->adjoint_rule, MO_ADJOINT_RESTART);
-  CHECK(s->restart_weight == 0);
-  CHECK(s->norm_limit == 0 && s->adjoint_bound == 8 && s->physics.n_steps == 200 &&
-        s->physics.bisections == 8);
+  CHECK(s->learning.schedule.kind == MO_SCHEDULE_RESTARTS && s->learning.schedule.peak == 0.01 &&
+        s->learning.schedule.floor == 1e-6);
+  CHECK(s->learning.schedule.decay == 0.5 && s->learning.schedule.cycle_steps == 5 &&
+        s->learning.schedule.cycle_growth == 3);
+  CHECK(s->learning.schedule.warmup_steps == 2 && s->learning.beta1 == 0 &&
+        s->learning.beta2 == 0.5 && s->learning.epsilon == 1e-6);
+  CHECK_INT(s->learning.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(s->learning.restart_weight == 0);
+  CHECK(s->learning.norm_limit == 0 && s->learning.adjoint_bound == 8 &&
+        s->physics.n_steps == 200 && s->physics.bisections == 8);
   CHECK(r->record.validate_every_steps == 0 && s->held_out_designs == 3 &&
         s->held_out_environments == 4);
   CHECK(r->record.checkpoint_every_steps == 5 && r->record.checkpoint_every_s == 0 &&
@@ -92,44 +94,46 @@ static void presets(void)
   const struct mo_training_request *r = &parsed.request;
   const struct mo_training_settings *s = &r->record.settings;
   REQUIRE(parse(TRAIN "\"preset\":\"phototaxis\"}") == MO_OK);
-  CHECK(s->n_steps == 1400 && s->batch == 8192 && s->seed == 1 && s->beta1 == 0.8 &&
-        s->adjoint_bound == 8);
-  CHECK(s->schedule.kind == MO_SCHEDULE_RESTARTS && s->schedule.peak == 2e-3 &&
-        s->schedule.floor == 1e-5);
-  CHECK(s->schedule.decay == 0.75 && s->schedule.cycle_steps == 61 &&
-        s->schedule.cycle_growth == 22);
-  CHECK(s->schedule.warmup_steps == 5 && s->adjoint_rule == MO_ADJOINT_RESTART &&
-        s->restart_weight == 3);
+  CHECK(s->n_steps == 1400 && s->batch == 8192 && s->seed == 1 && s->learning.beta1 == 0.8 &&
+        s->learning.adjoint_bound == 8);
+  CHECK(s->learning.schedule.kind == MO_SCHEDULE_RESTARTS && s->learning.schedule.peak == 2e-3 &&
+        s->learning.schedule.floor == 1e-5);
+  CHECK(s->learning.schedule.decay == 0.75 && s->learning.schedule.cycle_steps == 61 &&
+        s->learning.schedule.cycle_growth == 22);
+  CHECK(s->learning.schedule.warmup_steps == 5 && s->learning.adjoint_rule == MO_ADJOINT_RESTART &&
+        s->learning.restart_weight == 3);
   CHECK(r->record.validate_every_steps == 50 && r->record.checkpoint_every_s == 60);
   REQUIRE(parse("{\"preset\":\"paper\",\"kind\":\"pretrain\"}") == MO_OK);
-  CHECK(s->batch == 8192 && s->schedule.peak == 1e-3 && s->schedule.decay == 0.7 &&
-        s->adjoint_bound == 0);
+  CHECK(s->batch == 8192 && s->learning.schedule.peak == 1e-3 &&
+        s->learning.schedule.decay == 0.7 && s->learning.adjoint_bound == 0);
   REQUIRE(parse(TUNE "\"preset\":\"paper\"}") == MO_OK);
-  CHECK(s->n_steps == 60 && s->batch == 8192 && s->schedule.peak == 3.5e-4 &&
-        s->adjoint_bound == 0);
+  CHECK(s->n_steps == 60 && s->batch == 8192 && s->learning.schedule.peak == 3.5e-4 &&
+        s->learning.adjoint_bound == 0);
   REQUIRE(parse(TUNE "\"preset\":\"workstation\"}") == MO_OK);
-  CHECK(s->n_steps == 60 && s->batch == 256 && s->schedule.peak == 3e-4 && s->adjoint_bound == 2);
+  CHECK(s->n_steps == 60 && s->batch == 256 && s->learning.schedule.peak == 3e-4 &&
+        s->learning.adjoint_bound == 2);
   /* A word spelt with escapes is that word in both passes. */
   REQUIRE(parse(TRAIN "\"preset\":\"\\u0070aper\"}") == MO_OK);
-  CHECK(s->batch == 8192 && s->beta1 == 0.9);
+  CHECK(s->batch == 8192 && s->learning.beta1 == 0.9);
   /* Given before the preset or behind it, what is named counts; of adam field by field, of the
    * schedule as a whole. */
   REQUIRE(parse("{\"steps\":10,\"adam\":{\"beta2\":0.99},\"kind\":\"pretrain\",\"restart_weight\":"
                 "1,\"preset\":"
                 "\"phototaxis\",\"batch\":7,\"adjoint_bound\":4,\"schedule\":{\"kind\":"
                 "\"restarts\",\"peak\":0.003}}") == MO_OK);
-  CHECK(s->n_steps == 10 && s->batch == 7 && s->beta1 == 0.8 && s->beta2 == 0.99 &&
-        s->adjoint_bound == 4);
-  CHECK(s->adjoint_rule == MO_ADJOINT_RESTART && s->restart_weight == 1);
-  CHECK(s->schedule.peak == 0.003 && s->schedule.decay == 0.7 && s->schedule.cycle_steps == 10);
-  CHECK(s->schedule.cycle_growth == 2 && s->schedule.warmup_steps == 0);
+  CHECK(s->n_steps == 10 && s->batch == 7 && s->learning.beta1 == 0.8 &&
+        s->learning.beta2 == 0.99 && s->learning.adjoint_bound == 4);
+  CHECK(s->learning.adjoint_rule == MO_ADJOINT_RESTART && s->learning.restart_weight == 1);
+  CHECK(s->learning.schedule.peak == 0.003 && s->learning.schedule.decay == 0.7 &&
+        s->learning.schedule.cycle_steps == 10);
+  CHECK(s->learning.schedule.cycle_growth == 2 && s->learning.schedule.warmup_steps == 0);
   REQUIRE(
       parse(TRAIN
             "\"preset\":\"phototaxis\",\"schedule\":\"one-cosine\",\"adjoint_rule\":\"clip\"}") ==
       MO_OK);
-  CHECK(s->schedule.kind == MO_SCHEDULE_COSINE && s->schedule.warmup_steps == 10 &&
-        s->batch == 8192);
-  CHECK_INT(s->adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(s->learning.schedule.kind == MO_SCHEDULE_COSINE &&
+        s->learning.schedule.warmup_steps == 10 && s->batch == 8192);
+  CHECK_INT(s->learning.adjoint_rule, MO_ADJOINT_CLIP);
   /* An unknown one is refused with all names that there are. */
   CHECK_INT(parse(TRAIN "\"preset\":\"laptop\"}"), MO_ERR_INVALID);
   REQUIRE(faults.n == 1);
@@ -141,7 +145,7 @@ static void presets(void)
 
 static void schedules(void)
 {
-  const struct mo_schedule *schedule = &parsed.request.record.settings.schedule;
+  const struct mo_schedule *schedule = &parsed.request.record.settings.learning.schedule;
   REQUIRE(parse(TRAIN "\"schedule\":\"paper-simultaneous\"}") == MO_OK);
   CHECK(schedule->kind == MO_SCHEDULE_RESTARTS && schedule->decay == 0.65);
   REQUIRE(parse(TRAIN "\"schedule\":\"paper-finetune\"}") == MO_OK);
@@ -301,17 +305,17 @@ static void digits(void)
     const char *text, *says;
   } tries[] = {
       {TRAIN "\"restart_weight\":1000000.0000001}",
-       "1000000.0000001 is given; a number from 0 to 1e+06 is expected"},
+       "must be at least 0 and at most 1e+06, got 1000000.0000001"},
       {TRAIN "\"weight\":1000.0000000001}",
        "1000.0000000001 is given; a number from 0.001 to 1000 is expected"},
       {TRAIN "\"gradient_norm_limit\":1000000.0000001}",
-       "1000000.0000001 is given; a number above 0, at most 1e+06"},
+       "must be at least 0 and at most 1e+06, got 1000000.0000001"},
       {TRAIN "\"adam\":{\"epsilon\":1.0000000001}}",
-       "1.0000000001 is given; a number above 0, at most 1, is expected"},
+       "must be above 0 and at most 1, got 1.0000000001"},
       {TRAIN "\"schedule\":{\"kind\":\"cosine\",\"peak\":0.5,\"floor\":0.5000000001}}",
-       "0.5000000001 is given; at most the peak, which is 0.5, is expected"},
+       "must be at most the peak, which is 0.5, got 0.5000000001"},
       {TRAIN "\"physics\":{\"dt_s\":0.1000000001}}",
-       "dt_s is 0.1000000001; it must be at least 1e-07 and at most 0.1"},
+       "must be at least 1e-07 and at most 0.1, got 0.1000000001"},
   };
   for (size_t i = 0; i < sizeof(tries) / sizeof(tries[0]); i++) {
     CHECK_INT(parse(tries[i].text), MO_ERR_INVALID);

@@ -132,14 +132,12 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   /* More than can be drawn again. */
   REQUIRE(put_family(&service, "1000000000") == MO_OK);
   request.record.settings.exclude_pretraining = true;
-  ids[0] = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 120000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
+  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK(strstr(service.fixture.message.text, "exclude_pretraining false") != NULL);
   REQUIRE(put_line(&service) == MO_OK);
   request.controller = "line";
-  ids[0] = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, ids[0], 20000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "exclude_pretraining false") != NULL);
+  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT); /* before anything is stored or drawn */
+  CHECK(strstr(service.fixture.message.text, "exclude_pretraining false") != NULL);
   mo_form_set_free(excluded);
   free(without);
   service_end(&service);
@@ -246,7 +244,6 @@ __attribute__((unused)) static void tells_of_long_lineages(void)
   char digits[MO_SHA256_DIGITS + 1];
   struct service service;
   struct origin origin;
-  struct mo_job job;
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
   request.controller = "long";
@@ -263,9 +260,8 @@ __attribute__((unused)) static void tells_of_long_lineages(void)
   }
   short_one.step = "1";
   REQUIRE(put_long(&service, 17, &short_one, &short_one, digits) == MO_OK);
-  id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 20000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "16 pretrainings") != NULL);
+  CHECK_INT(submit(&service, &request), MO_ERR_LIMIT);
+  CHECK(strstr(service.fixture.message.text, "16 pretrainings") != NULL);
   service_end(&service);
 }
 

@@ -97,9 +97,9 @@ static void check_mode(struct alone *alone, enum mo_campaign_mode mode, uint32_t
   settings->physics.n_steps = STEPS;
   if (mode != MO_ZERO_SHOT)
     settings->parent_steps = settings->child_steps = 1;
-  settings->adjoint_bound = BOUND;
-  settings->adjoint_rule = MO_ADJOINT_RESTART;
-  settings->restart_weight = RESTART_WEIGHT;
+  settings->learning.adjoint_bound = BOUND;
+  settings->learning.adjoint_rule = MO_ADJOINT_RESTART;
+  settings->learning.restart_weight = RESTART_WEIGHT;
   snprintf(request.record.environment_set, sizeof(request.record.environment_set), "paper-test");
   mo_environment_paper_test(paper);
   REQUIRE(fixture_start(&fixture) == 0);

@@ -173,8 +173,8 @@ __attribute__((unused)) static void does_not_extend_one_cosine(void)
   struct service service;
   struct origin origin;
   int64_t id;
-  request.record.settings.schedule = mo_schedule_one_cosine();
-  request.record.settings.schedule.warmup_steps = 2;
+  request.record.settings.learning.schedule = mo_schedule_one_cosine();
+  request.record.settings.learning.schedule.warmup_steps = 2;
   request.record.settings.generations = 2;
   origin = origin_of(&request);
   REQUIRE(start(&service, 1) == MO_OK);

@@ -52,13 +52,13 @@ __attribute__((unused)) static void tries_three_times(void)
   REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.fail_word = word_of(&origin);
   fake_plan.fail_times = 1;
-  fake_plan.fail_status = MO_ERR_NO_MEMORY;
+  fake_plan.fail_status = MO_ERR_IO;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
   CHECK_INT(status_of(&service, id).job.attempts,
             0); /* one, forgiven by the generation that came after it */
   CHECK_INT(warnings, 1);
-  CHECK(strstr(warned, "out of memory") != NULL);
+  CHECK(strstr(warned, "input or output failed") != NULL);
   request.record.settings.seed = 9;
   origin = origin_of(&request);
   fake_plan.fail_word = word_of(&origin);
@@ -67,8 +67,8 @@ __attribute__((unused)) static void tries_three_times(void)
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
-  CHECK_INT(job.error, MO_ERR_NO_MEMORY);
-  CHECK(strstr(job.error_text, "the runner of rollouts reported: out of memory") != NULL);
+  CHECK_INT(job.error, MO_ERR_IO);
+  CHECK(strstr(job.error_text, "the runner of rollouts reported: input or output failed") != NULL);
   CHECK_INT(status_of(&service, id).generation, 0);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(settled(&service).jobs_failed, 1);
@@ -91,18 +91,39 @@ __attribute__((unused)) static void tries_three_times_to_learn(void)
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.gradient_fails = 1;
-  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
+  fake_plan.gradient_status = MO_ERR_IO;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
-  CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_NO_MEMORY);
+  CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_IO);
   fake_plan.gradient_status = 0;
   fake_plan.poison = true;
   id = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
+  service_end(&service);
+}
+
+/* The bodies that a campaign scores do not fit in memory for a while: it waits, and ends as if
+ * nothing had been. */
+__attribute__((unused)) static void waits_for_memory(void)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct origin origin = origin_of(&request);
+  struct service service;
+  int64_t id;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.fail_word = word_of(&origin);
+  fake_plan.fail_times = 5;
+  fake_plan.fail_status = MO_ERR_NO_MEMORY;
+  id = submit(&service, &request);
+  CHECK(ends_as_plain(&service, id, &origin));
+  CHECK(fake_plan.fail_times <= 0);
+  CHECK_INT(status_of(&service, id).job.attempts, 0);
+  CHECK_INT(warnings, 1);
+  CHECK(strstr(warned, "no memory") != NULL);
   service_end(&service);
 }
 
@@ -263,7 +284,7 @@ __attribute__((unused)) static void refuses(void)
   for (uint64_t n = 0; n <= 100000000; n += n < 2 ? 1 : 99999998) {
     bad.record.settings.population = (uint32_t)n;
     if (n != 2)
-      CHECK_INT(refuse(&service, &bad, "population is", NULL), MO_ERR_RANGE);
+      CHECK_INT(refuse(&service, &bad, "population must be at least 2", NULL), MO_ERR_RANGE);
   }
   bad = good;
   bad.controller = "nobody";
@@ -345,6 +366,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"exhausts small spaces", exhausts_small_spaces},
     {"tries three times", tries_three_times},
+    {"waits for memory", waits_for_memory},
     {"tries three times to learn", tries_three_times_to_learn},
     {"tells of damaged checkpoints", tells_of_damaged_checkpoints},
     {"needs its controller", needs_its_controller},

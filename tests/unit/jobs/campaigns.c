@@ -300,6 +300,30 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
   service_end(&service);
 }
 
+/* What it shows to work on is never a generation behind its last, also while the end is saved. */
+__attribute__((unused)) static void shows_no_generation_behind_its_last(void)
+{
+  struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
+  struct service service;
+  struct mo_campaign_live live;
+  uint32_t most = 0;
+  bool behind = false;
+  REQUIRE(start(&service, 1) == MO_OK);
+  for (request.record.settings.seed = 1; request.record.settings.seed <= 8;
+       request.record.settings.seed++) {
+    const int64_t id = submit(&service, &request);
+    while (!mo_job_state_is_final(status_of(&service, id).job.state))
+      for (int i = 0; i < 1000; i++) {
+        live = live_of(&service, id);
+        most = live.generation > most ? live.generation : most;
+        behind |= live.phase == MO_CAMPAIGN_SAVE && live.generation > GENERATIONS;
+      }
+  }
+  CHECK_INT(most, GENERATIONS);
+  CHECK(!behind);
+  service_end(&service);
+}
+
 static const struct check_case cases[] = {
     {"evolves in every mode", evolves_in_every_mode},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
@@ -307,6 +331,7 @@ static const struct check_case cases[] = {
     {"begins with what is given", begins_with_what_is_given},
     {"tells of its generations", tells_of_its_generations},
     {"shows its champions", shows_its_champions},
+    {"shows no generation behind its last", shows_no_generation_behind_its_last},
     {"gives its population to a training", gives_its_population_to_a_training},
 #endif
 };

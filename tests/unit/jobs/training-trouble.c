@@ -74,6 +74,87 @@ static void waits_for_room(void)
   service_end(&service);
 }
 
+/* Want of memory is no fault of a training: it waits, as often as it takes, can be paused and
+ * cancelled meanwhile, and loses nothing. */
+static void waits_for_memory(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_sha256 expected = undisturbed();
+  struct mo_training_live live;
+  struct mo_job job;
+  double begin;
+  int64_t id, waiting[MO_WAITING_MAX] = {0};
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_fails = 1000;
+  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
+  id = submit(&service, &request);
+  for (int fails = 1000; fails > 995;
+       fails = fake_plan.gradient_fails) { /* more often than there are attempts */
+    REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+    usleep(10000);
+  }
+  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK(strstr(live.reason, "no memory") != NULL && strstr(live.reason, "by itself") != NULL);
+  CHECK_INT(mo_jobs_waiting(service.jobs, waiting), 1);
+  CHECK_INT(waiting[0], id);
+  CHECK_INT(warnings, 1);
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
+  fake_plan.gradient_fails = 0;
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 0);
+  CHECK(has_result(&service, id, &expected));
+  fake_plan.gradient_fails = 1000;
+  id = submit(&service, &request);
+  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  begin = now_s();
+  CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
+  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(now_s() - begin < 5);
+  /* Stopped: the next start goes on. */
+  id = submit(&service, &request);
+  REQUIRE(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
+  service_close(&service);
+  fake_plan.gradient_fails = 0;
+  REQUIRE(service_open(&service) == MO_OK);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 0);
+  CHECK(has_result(&service, id, &expected));
+  service_end(&service);
+}
+
+static void waits_for_descriptors(void)
+{
+  struct service service;
+  struct mo_training_request request = pretraining("");
+  struct mo_sha256 expected = undisturbed();
+  struct mo_training_live live;
+  struct rlimit before, none;
+  struct mo_job job;
+  int64_t id;
+  REQUIRE(start(&service, 1) == MO_OK);
+  fake_plan.gradient_delay_us = 20000;
+  id = submit(&service, &request);
+  REQUIRE(await_step(&service, id, 1));
+  REQUIRE(getrlimit(RLIMIT_NOFILE, &before) == 0);
+  none = before;
+  none.rlim_cur = 3;
+  REQUIRE(setrlimit(RLIMIT_NOFILE, &none) == 0);
+  CHECK(await_phase(&service, id, MO_TRAINING_WAIT, &live));
+  CHECK(strstr(live.reason, "file descriptor") != NULL && strstr(live.reason, "by itself") != NULL);
+  usleep(500000); /* it has tried again */
+  CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
+  REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);
+  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  CHECK_INT(job.attempts, 0);
+  CHECK(has_result(&service, id, &expected));
+  service_end(&service);
+}
+
 __attribute__((unused)) static void tries_three_times(void)
 {
   struct service service;
@@ -83,7 +164,7 @@ __attribute__((unused)) static void tries_three_times(void)
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.gradient_fails = 1;
-  fake_plan.gradient_status = MO_ERR_NO_MEMORY;
+  fake_plan.gradient_status = MO_ERR_IO;
   id = submit(&service, &request);
   REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
@@ -94,8 +175,8 @@ __attribute__((unused)) static void tries_three_times(void)
   REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
-  CHECK_INT(job.error, MO_ERR_NO_MEMORY);
-  CHECK(strstr(job.error_text, "out of memory") != NULL);
+  CHECK_INT(job.error, MO_ERR_IO);
+  CHECK(strstr(job.error_text, "input or output failed") != NULL);
   CHECK_INT(warnings, 4);
   CHECK_INT(settled(&service).jobs_failed, 1);
   service_end(&service);
@@ -214,6 +295,8 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
 
 static const struct check_case cases[] = {
     {"waits for room", waits_for_room},
+    {"waits for memory", waits_for_memory},
+    {"waits for descriptors", waits_for_descriptors},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"tries three times", tries_three_times},
     {"passes over damaged checkpoints", passes_over_damaged_checkpoints},

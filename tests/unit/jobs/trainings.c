@@ -253,7 +253,7 @@ __attribute__((unused)) static void refuses(void)
   bad.record.settings.n_steps = 1000000000;
   CHECK_INT(submit(&service, &bad), MO_ERR_RANGE);
   bad = pretraining("");
-  bad.record.settings.schedule.peak = -1;
+  bad.record.settings.learning.schedule.peak = -1;
   CHECK(submit(&service, &bad) < 0);
   bad = pretraining("No Name");
   CHECK_INT(submit(&service, &bad), MO_ERR_INVALID);

@@ -69,7 +69,7 @@ static void against_plain(void)
     CHECK_NEAR(report.gradient_norm, norm, 1e-12 * norm);
     CHECK_INT(report.step, step + 1);
     CHECK(!report.skipped && report.bounded == 0);
-    CHECK(report.rate == mo_schedule_rate(&settings.schedule, step, settings.n_steps));
+    CHECK(report.rate == mo_schedule_rate(&settings.learning.schedule, step, settings.n_steps));
   }
   for (size_t i = 0; i < plain.n; i++) {
     worst = fmax(worst, fabs(controller->parameters[i] - plain.w[i]));
@@ -106,7 +106,7 @@ static void clip(void)
 {
   for (int limited = 0; limited < 2; limited++) {
     struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
-    settings.norm_limit = limited ? 1.0 : 0.0;
+    settings.learning.norm_limit = limited ? 1.0 : 0.0;
     struct mo_training *training = NULL;
     struct made_up made_up;
     REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
@@ -165,7 +165,7 @@ static void free_state(struct state *s)
 static void skipped(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_PRETRAIN);
-  settings.norm_limit = 0.0; /* else the clip saves the huge ones */
+  settings.learning.norm_limit = 0.0; /* else the clip saves the huge ones */
   struct mo_training *training = NULL;
   struct made_up made_up;
   REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &training, NULL) == MO_OK);
@@ -237,12 +237,12 @@ static void reported(void)
 static void bounded(void)
 {
   struct mo_training_settings settings = small_settings(MO_TRAINING_FINETUNE);
-  settings.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
-                                           .peak = 1,
-                                           .floor = 1,
-                                           .decay = 1,
-                                           .cycle_steps = 1,
-                                           .cycle_growth = 1};
+  settings.learning.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
+                                                    .peak = 1,
+                                                    .floor = 1,
+                                                    .decay = 1,
+                                                    .cycle_steps = 1,
+                                                    .cycle_growth = 1};
   struct mo_training *training = finetuning(&settings, 3, 1.0F);
   REQUIRE(training != NULL);
   struct made_up made_up;
@@ -275,7 +275,7 @@ static void weights_times_100(void)
   settings.physics.n_steps = 60;
   settings.n_steps = 2;
   settings.batch = 2;
-  settings.adjoint_bound = 0.0;
+  settings.learning.adjoint_bound = 0.0;
   struct mo_training *training = finetuning(&settings, 2, 100.0F);
   REQUIRE(training != NULL);
   struct made_up made_up;

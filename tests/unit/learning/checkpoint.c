@@ -103,22 +103,23 @@ static void resume(void)
 /* Every setting survives. */
 static void settings_kept(void)
 {
-  struct mo_training_settings s = {.kind = MO_TRAINING_PRETRAIN,
-                                   .seed = UINT64_MAX - 5,
-                                   .n_steps = 101,
-                                   .batch = 7,
-                                   .schedule = {MO_SCHEDULE_RESTARTS, 0.01, 0.002, 0.6, 11, 3, 4},
-                                   .beta1 = 0.85,
-                                   .beta2 = 0.99,
-                                   .epsilon = 1e-7,
-                                   .norm_limit = 2.5,
-                                   .adjoint_bound = 3.5,
-                                   .adjoint_rule = MO_ADJOINT_RESTART,
-                                   .restart_weight = 2.25,
-                                   .physics = mo_default_physics(),
-                                   .sensor = MO_SENSOR_INVERSE_SQUARE,
-                                   .held_out_designs = 12,
-                                   .held_out_environments = 13};
+  struct mo_training_settings s = {
+      .kind = MO_TRAINING_PRETRAIN,
+      .seed = UINT64_MAX - 5,
+      .n_steps = 101,
+      .batch = 7,
+      .learning.schedule = {MO_SCHEDULE_RESTARTS, 0.01, 0.002, 0.6, 11, 3, 4},
+      .learning.beta1 = 0.85,
+      .learning.beta2 = 0.99,
+      .learning.epsilon = 1e-7,
+      .learning.norm_limit = 2.5,
+      .learning.adjoint_bound = 3.5,
+      .learning.adjoint_rule = MO_ADJOINT_RESTART,
+      .learning.restart_weight = 2.25,
+      .physics = mo_default_physics(),
+      .sensor = MO_SENSOR_INVERSE_SQUARE,
+      .held_out_designs = 12,
+      .held_out_environments = 13};
   s.physics.dt_s = 0.003, s.physics.n_steps = 77, s.physics.stiffness_n_per_m = 1e4,
   s.physics.mass_kg = 1.25;
   s.physics.drag_per_s = 14, s.physics.gravity_m_per_s2 = 9, s.physics.actuation = 0.15,
@@ -134,15 +135,18 @@ static void settings_kept(void)
   REQUIRE(training != NULL);
   const struct mo_training_settings *k = mo_training_settings_of(training);
   CHECK(k->kind == s.kind && k->seed == s.seed && k->n_steps == s.n_steps && k->batch == s.batch);
-  CHECK(k->schedule.kind == s.schedule.kind && k->schedule.peak == s.schedule.peak);
-  CHECK(k->schedule.floor == s.schedule.floor && k->schedule.decay == s.schedule.decay);
-  CHECK(k->schedule.cycle_steps == 11 && k->schedule.cycle_growth == 3 &&
-        k->schedule.warmup_steps == 4);
-  CHECK(k->beta1 == s.beta1 && k->beta2 == s.beta2 && k->epsilon == s.epsilon);
-  CHECK(k->norm_limit == s.norm_limit && k->adjoint_bound == s.adjoint_bound &&
-        k->sensor == s.sensor);
-  CHECK_INT(k->adjoint_rule, MO_ADJOINT_RESTART);
-  CHECK(k->restart_weight == 2.25);
+  CHECK(k->learning.schedule.kind == s.learning.schedule.kind &&
+        k->learning.schedule.peak == s.learning.schedule.peak);
+  CHECK(k->learning.schedule.floor == s.learning.schedule.floor &&
+        k->learning.schedule.decay == s.learning.schedule.decay);
+  CHECK(k->learning.schedule.cycle_steps == 11 && k->learning.schedule.cycle_growth == 3 &&
+        k->learning.schedule.warmup_steps == 4);
+  CHECK(k->learning.beta1 == s.learning.beta1 && k->learning.beta2 == s.learning.beta2 &&
+        k->learning.epsilon == s.learning.epsilon);
+  CHECK(k->learning.norm_limit == s.learning.norm_limit &&
+        k->learning.adjoint_bound == s.learning.adjoint_bound && k->sensor == s.sensor);
+  CHECK_INT(k->learning.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(k->learning.restart_weight == 2.25);
   CHECK(k->held_out_designs == 12 && k->held_out_environments == 13);
   const struct mo_physics *p = &k->physics, *q = &s.physics;
   CHECK(p->dt_s == q->dt_s && p->n_steps == q->n_steps &&
@@ -188,8 +192,8 @@ static void first_version(void)
     as_version_1(&old);
     struct mo_training *read = decoded(&old);
     REQUIRE(read != NULL);
-    CHECK_INT(mo_training_settings_of(read)->adjoint_rule, MO_ADJOINT_CLIP);
-    CHECK(mo_training_settings_of(read)->restart_weight == MO_RESTART_WEIGHT);
+    CHECK_INT(mo_training_settings_of(read)->learning.adjoint_rule, MO_ADJOINT_CLIP);
+    CHECK(mo_training_settings_of(read)->learning.restart_weight == MO_RESTART_WEIGHT);
     struct blob again = encoded(read);
     CHECK(same(&now, &again));
     CHECK(advance_one(training, &made_up) == MO_OK && advance_one(read, &made_up) == MO_OK);
@@ -275,13 +279,29 @@ static void wrong_contents(void)
     const void *value;
     const char *says;
   } cases[] = {
-      {12, 4, &kind, "kind of training is 2"},
-      {24, 4, &zero, "steps: 0"},
-      {28, 4, &most, "batch: 4294967295"},
-      {36, 8, &nan, "peak is not finite"},
-      {RULE, 4, &kind, "adjoint_rule is 2"},
-      {WEIGHT, 8, &minus, "restart_weight is -1"},
-      {WEIGHT, 8, &nan, "restart_weight is not finite"},
+      {12, 4, &kind,
+       "the checkpoint's settings are not acceptable: kind of training must be 0 (pretrain) or 1 "
+       "(finetune), got 2"},
+      {24, 4, &zero,
+       "the checkpoint's settings are not acceptable: steps must be at least 1 and at most "
+       "1000000, got 0"},
+      {28, 4, &most,
+       "the checkpoint's settings are not acceptable: batch must be at least 1 and at most 65536, "
+       "got 4294967295"},
+      {36, 8, &nan,
+       "the checkpoint's settings are not acceptable: schedule.peak must be above 0 and at most 1, "
+       "got a number that "
+       "is not finite"},
+      {RULE, 4, &kind,
+       "the checkpoint's settings are not acceptable: adjoint_rule must be \"clip\" or "
+       "\"restart\", got number 2"},
+      {WEIGHT, 8, &minus,
+       "the checkpoint's settings are not acceptable: restart_weight must be at least 0 and at "
+       "most 1e+06, got -1"},
+      {WEIGHT, 8, &nan,
+       "the checkpoint's settings are not acceptable: restart_weight must be at least 0 and at "
+       "most 1e+06, got a "
+       "number that is not finite"},
       {STEP, 4, &many, "more steps than its training"},
       {SKIPPED, 4, &many, "more steps than its training"},
       {DRAWS, 8, &one, "stream of bodies"},

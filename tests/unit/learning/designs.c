@@ -13,7 +13,7 @@ static struct mo_training *begin(uint32_t n_steps, enum mo_schedule_kind kind)
   struct mo_controller *parent = NULL;
   struct mo_training *training = NULL;
   settings.n_steps = n_steps;
-  settings.schedule =
+  settings.learning.schedule =
       kind == MO_SCHEDULE_COSINE ? mo_schedule_finetune() : mo_schedule_paper_simultaneous();
   if (mo_held_out_designs(3, 3, first) == MO_OK && mo_held_out_designs(4, MANY, second) == MO_OK &&
       mo_controller_create(MO_DEFAULT_WORKSPACE, MO_SENSOR_INVERSE_SQRT, &parent) == MO_OK) {
@@ -186,7 +186,7 @@ static void shorter_and_never(void)
   CHECK_INT(mo_training_set_steps(cosine, 9), MO_OK);
   CHECK_INT(mo_training_set_steps(cosine, 0), MO_ERR_RANGE);
   CHECK_INT(mo_training_settings_of(cosine)->n_steps, 9);
-  settings.schedule = mo_schedule_paper_pretrain();
+  settings.learning.schedule = mo_schedule_paper_pretrain();
   settings.batch = MO_TRAINING_BATCH_MAX;
   REQUIRE(mo_training_create(&settings, NULL, NULL, 0, &pretraining, NULL) == MO_OK);
   CHECK_INT(mo_training_set_steps(pretraining, 4096), MO_OK);

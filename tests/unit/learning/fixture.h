@@ -19,7 +19,7 @@ static inline struct mo_training_settings small_settings(enum mo_training_kind k
   struct mo_training_settings settings = mo_training_defaults(kind);
   settings.n_steps = 9;
   settings.batch = 5;
-  settings.schedule.warmup_steps = 2;
+  settings.learning.schedule.warmup_steps = 2;
   return settings;
 }
 

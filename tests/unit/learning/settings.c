@@ -8,11 +8,12 @@ static void defaults(void)
   CHECK_INT(mo_training_settings_check(&pretrain, NULL), MO_OK);
   CHECK_INT(mo_training_settings_check(&finetune, NULL), MO_OK);
   CHECK(pretrain.n_steps == 1400 && pretrain.batch == 256 && finetune.n_steps == 60);
-  CHECK(pretrain.schedule.kind == MO_SCHEDULE_COSINE && pretrain.adjoint_bound == 2.0 &&
-        pretrain.norm_limit == 1.0);
-  CHECK(pretrain.adjoint_rule == MO_ADJOINT_CLIP && finetune.adjoint_rule == MO_ADJOINT_CLIP);
-  CHECK(pretrain.restart_weight == 3.0 && finetune.restart_weight == 3.0);
-  CHECK(pretrain.beta1 == 0.9 && pretrain.beta2 == 0.999);
+  CHECK(pretrain.learning.schedule.kind == MO_SCHEDULE_COSINE &&
+        pretrain.learning.adjoint_bound == 2.0 && pretrain.learning.norm_limit == 1.0);
+  CHECK(pretrain.learning.adjoint_rule == MO_ADJOINT_CLIP &&
+        finetune.learning.adjoint_rule == MO_ADJOINT_CLIP);
+  CHECK(pretrain.learning.restart_weight == 3.0 && finetune.learning.restart_weight == 3.0);
+  CHECK(pretrain.learning.beta1 == 0.9 && pretrain.learning.beta2 == 0.999);
 }
 
 /* ---- presets ---- */
@@ -33,10 +34,12 @@ static void check_preset(enum mo_training_kind kind, enum mo_learning_preset pre
   CHECK_INT(mo_training_settings_check(&s, NULL), MO_OK);
   CHECK(s.kind == kind && s.seed == 1 && s.n_steps == expected.n_steps &&
         s.batch == expected.batch);
-  check_schedule(&s.schedule, expected.schedule);
-  CHECK(s.beta1 == expected.beta1 && s.beta2 == 0.999 && s.epsilon == 1e-8 && s.norm_limit == 1);
-  CHECK(s.adjoint_bound == expected.adjoint_bound && s.adjoint_rule == expected.adjoint_rule &&
-        s.restart_weight == 3);
+  check_schedule(&s.learning.schedule, expected.learning.schedule);
+  CHECK(s.learning.beta1 == expected.learning.beta1 && s.learning.beta2 == 0.999 &&
+        s.learning.epsilon == 1e-8 && s.learning.norm_limit == 1);
+  CHECK(s.learning.adjoint_bound == expected.learning.adjoint_bound &&
+        s.learning.adjoint_rule == expected.learning.adjoint_rule &&
+        s.learning.restart_weight == 3);
   CHECK(s.physics.n_steps == 1000 && s.physics.dt_s == 0.004 &&
         s.physics.impact == MO_IMPACT_EXACT);
   CHECK(s.sensor == MO_SENSOR_INVERSE_SQRT && s.held_out_designs == 64 &&
@@ -57,39 +60,47 @@ static void presets(void)
   } all[] = {
       {MO_TRAINING_PRETRAIN,
        MO_LEARNING_PRESET_WORKSTATION,
-       {.n_steps = 1400, .batch = 256, .schedule = one_cosine, .beta1 = 0.9, .adjoint_bound = 2}},
+       {.n_steps = 1400,
+        .batch = 256,
+        .learning.schedule = one_cosine,
+        .learning.beta1 = 0.9,
+        .learning.adjoint_bound = 2}},
       {MO_TRAINING_PRETRAIN,
        MO_LEARNING_PRESET_PHOTOTAXIS,
        {.n_steps = 1400,
         .batch = 8192,
-        .schedule = shipped,
-        .beta1 = 0.8,
-        .adjoint_bound = 8,
-        .adjoint_rule = MO_ADJOINT_RESTART}},
+        .learning.schedule = shipped,
+        .learning.beta1 = 0.8,
+        .learning.adjoint_bound = 8,
+        .learning.adjoint_rule = MO_ADJOINT_RESTART}},
       {MO_TRAINING_PRETRAIN,
        MO_LEARNING_PRESET_PAPER,
-       {.n_steps = 1400, .batch = 8192, .schedule = paper, .beta1 = 0.9, .adjoint_bound = 0}},
+       {.n_steps = 1400,
+        .batch = 8192,
+        .learning.schedule = paper,
+        .learning.beta1 = 0.9,
+        .learning.adjoint_bound = 0}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_WORKSTATION,
        {.n_steps = 60,
         .batch = 256,
-        .schedule = finetune_cosine,
-        .beta1 = 0.9,
-        .adjoint_bound = 2}},
+        .learning.schedule = finetune_cosine,
+        .learning.beta1 = 0.9,
+        .learning.adjoint_bound = 2}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_PHOTOTAXIS, /* has none */
        {.n_steps = 60,
         .batch = 256,
-        .schedule = finetune_cosine,
-        .beta1 = 0.9,
-        .adjoint_bound = 2}},
+        .learning.schedule = finetune_cosine,
+        .learning.beta1 = 0.9,
+        .learning.adjoint_bound = 2}},
       {MO_TRAINING_FINETUNE,
        MO_LEARNING_PRESET_PAPER,
        {.n_steps = 60,
         .batch = 8192,
-        .schedule = paper_finetune,
-        .beta1 = 0.9,
-        .adjoint_bound = 0}},
+        .learning.schedule = paper_finetune,
+        .learning.beta1 = 0.9,
+        .learning.adjoint_bound = 0}},
   };
   for (size_t i = 0; i < sizeof(all) / sizeof(all[0]); i++)
     check_preset(all[i].kind, all[i].preset, all[i].expected);
@@ -184,38 +195,42 @@ static void refused_settings(void)
     int code;
     const char *says;
   } cases[] = {
-      {KIND, 2, MO_ERR_INVALID, "kind of training is 2"},
-      {STEPS, 0, MO_ERR_RANGE, "steps: 0; it must be 1 to 1000000"},
-      {STEPS, 1e9, MO_ERR_RANGE, "steps: 1000000000"},
-      {BATCH, 0, MO_ERR_RANGE, "batch: 0; it must be 1 to 65536"},
-      {BATCH, 65537, MO_ERR_RANGE, "batch: 65537"},
+      {KIND, 2, MO_ERR_INVALID, "kind of training must be 0 (pretrain) or 1 (finetune), got 2"},
+      {STEPS, 0, MO_ERR_RANGE, "steps must be at least 1 and at most 1000000, got 0"},
+      {STEPS, 1e9, MO_ERR_RANGE, "steps must be at least 1 and at most 1000000, got 1000000000"},
+      {BATCH, 0, MO_ERR_RANGE, "batch must be at least 1 and at most 65536, got 0"},
+      {BATCH, 65537, MO_ERR_RANGE, "batch must be at least 1 and at most 65536, got 65537"},
       {BATCH, 65536, MO_OK, ""},
-      {BETA1, 1, MO_ERR_RANGE, "beta1 is 1; it must be at least 0 and below 1"},
-      {BETA1, -0.1, MO_ERR_RANGE, "beta1 is -0.1"},
-      {BETA1, NAN, MO_ERR_INVALID, "beta1 is not finite"},
-      {BETA2, 1.5, MO_ERR_RANGE, "beta2 is 1.5"},
-      {EPSILON, 0, MO_ERR_RANGE, "epsilon is 0; it must be above 0"},
-      {NORM, -1, MO_ERR_RANGE, "gradient_norm_limit is -1"},
-      {NORM, INFINITY, MO_ERR_INVALID, "gradient_norm_limit is not finite"},
+      {BETA1, 1, MO_ERR_RANGE, "adam.beta1 must be at least 0 and below 1, got 1"},
+      {BETA1, -0.1, MO_ERR_RANGE, "adam.beta1 must be at least 0 and below 1, got -0.1"},
+      {BETA1, NAN, MO_ERR_INVALID,
+       "adam.beta1 must be at least 0 and below 1, got a number that is not finite"},
+      {BETA2, 1.5, MO_ERR_RANGE, "adam.beta2 must be at least 0 and below 1, got 1.5"},
+      {EPSILON, 0, MO_ERR_RANGE, "adam.epsilon must be above 0 and at most 1, got 0"},
+      {NORM, -1, MO_ERR_RANGE, "gradient_norm_limit must be at least 0 and at most 1e+06, got -1"},
+      {NORM, INFINITY, MO_ERR_INVALID,
+       "gradient_norm_limit must be at least 0 and at most 1e+06, got a number that is not finite"},
       {NORM, 0, MO_OK, ""},
-      {BOUND, -2, MO_ERR_RANGE, "adjoint_bound is -2"},
-      {BOUND, NAN, MO_ERR_INVALID, "adjoint_bound is not finite"},
-      {RULE, 2, MO_ERR_INVALID, "adjoint_rule is 2; it must be 0 (clip) or 1 (restart)"},
-      {RULE, -1, MO_ERR_INVALID, "adjoint_rule is -1"},
+      {BOUND, -2, MO_ERR_RANGE, "adjoint_bound must be at least 0 and at most 1e+06, got -2"},
+      {BOUND, NAN, MO_ERR_INVALID,
+       "adjoint_bound must be at least 0 and at most 1e+06, got a number that is not finite"},
+      {RULE, 2, MO_ERR_INVALID, "adjoint_rule must be \"clip\" or \"restart\", got number 2"},
+      {RULE, -1, MO_ERR_INVALID, "adjoint_rule must be \"clip\" or \"restart\", got number -1"},
       {RULE, MO_ADJOINT_RESTART, MO_OK, ""},
-      {WEIGHT, -1, MO_ERR_RANGE, "restart_weight is -1; it must be at least 0 and at most 1e+06"},
+      {WEIGHT, -1, MO_ERR_RANGE, "restart_weight must be at least 0 and at most 1e+06, got -1"},
       {WEIGHT, 1000000.0000001, MO_ERR_RANGE,
-       "is 1000000.0000001; it must be at least 0 and at most 1e+06"},
-      {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight is 1e+07"},
-      {WEIGHT, NAN, MO_ERR_INVALID, "restart_weight is not finite"},
+       "restart_weight must be at least 0 and at most 1e+06, got 1000000.0000001"},
+      {WEIGHT, 1e7, MO_ERR_RANGE, "restart_weight must be at least 0 and at most 1e+06, got 1e+07"},
+      {WEIGHT, NAN, MO_ERR_INVALID,
+       "restart_weight must be at least 0 and at most 1e+06, got a number that is not finite"},
       {WEIGHT, 0, MO_OK, ""},
       {WEIGHT, MO_RESTART_WEIGHT_MAX, MO_OK, ""},
       {SENSOR, 2, MO_ERR_INVALID, "inverse_sqrt"},
-      {DESIGNS, 10001, MO_ERR_RANGE, "held-out designs: 10001"},
-      {ENVIRONMENTS, 65, MO_ERR_RANGE, "held-out environments: 65"},
+      {DESIGNS, 10001, MO_ERR_RANGE, "held-out designs must be at most 10000, got 10001"},
+      {ENVIRONMENTS, 65, MO_ERR_RANGE, "held-out environments must be at most 64, got 65"},
       {ENVIRONMENTS, 0, MO_OK, ""},
-      {PEAK, -1e-3, MO_ERR_RANGE, "peak is -0.001"},
-      {DT, 1, MO_ERR_RANGE, "dt_s is 1"},
+      {PEAK, -1e-3, MO_ERR_RANGE, "schedule.peak must be above 0 and at most 1, got -0.001"},
+      {DT, 1, MO_ERR_RANGE, "physics.dt_s must be at least 1e-07 and at most 0.1, got 1"},
   };
   for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
     struct mo_training_settings s = mo_training_defaults(MO_TRAINING_PRETRAIN);
@@ -225,17 +240,17 @@ static void refused_settings(void)
     case KIND: s.kind = (enum mo_training_kind)value; break;
     case STEPS: s.n_steps = (uint32_t)value; break;
     case BATCH: s.batch = (uint32_t)value; break;
-    case BETA1: s.beta1 = value; break;
-    case BETA2: s.beta2 = value; break;
-    case EPSILON: s.epsilon = value; break;
-    case NORM: s.norm_limit = value; break;
-    case BOUND: s.adjoint_bound = value; break;
-    case RULE: s.adjoint_rule = (enum mo_adjoint_rule)(int)value; break;
-    case WEIGHT: s.restart_weight = value; break;
+    case BETA1: s.learning.beta1 = value; break;
+    case BETA2: s.learning.beta2 = value; break;
+    case EPSILON: s.learning.epsilon = value; break;
+    case NORM: s.learning.norm_limit = value; break;
+    case BOUND: s.learning.adjoint_bound = value; break;
+    case RULE: s.learning.adjoint_rule = (enum mo_adjoint_rule)(int)value; break;
+    case WEIGHT: s.learning.restart_weight = value; break;
     case SENSOR: s.sensor = (enum mo_sensor)value; break;
     case DESIGNS: s.held_out_designs = (uint32_t)value; break;
     case ENVIRONMENTS: s.held_out_environments = (uint32_t)value; break;
-    case PEAK: s.schedule.peak = value; break;
+    case PEAK: s.learning.schedule.peak = value; break;
     case DT: s.physics.dt_s = value; break;
     }
     expect(mo_training_settings_check(&s, &message), cases[i].code, &message, cases[i].says);

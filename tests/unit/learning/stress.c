@@ -152,13 +152,13 @@ static bool start(const struct stress *s, enum mo_sensor sensor, double bound, u
   struct mo_training_settings settings = mo_training_defaults(MO_TRAINING_FINETUNE);
   settings.batch = ROBOTS;
   settings.held_out_designs = 0;
-  settings.adjoint_bound = bound;
-  settings.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
-                                           .peak = 1e-2,
-                                           .floor = 1e-2,
-                                           .decay = 1,
-                                           .cycle_steps = 1,
-                                           .cycle_growth = 1};
+  settings.learning.adjoint_bound = bound;
+  settings.learning.schedule = (struct mo_schedule){.kind = MO_SCHEDULE_CONSTANT,
+                                                    .peak = 1e-2,
+                                                    .floor = 1e-2,
+                                                    .decay = 1,
+                                                    .cycle_steps = 1,
+                                                    .cycle_growth = 1};
   settings.physics.n_steps = n_steps;
   settings.physics.stiffness_n_per_m *= s->stiffness_factor;
   settings.physics.dt_s = s->reverser ? whole_parts(s->dt_s) : s->dt_s;
@@ -245,9 +245,9 @@ static void one_step(const struct stress *s, struct mo_gradient_state *state,
                                     .robots = run->robots,
                                     .n = ROBOTS,
                                     .physics = settings->physics,
-                                    .adjoint_bound = settings->adjoint_bound,
-                                    .adjoint_rule = settings->adjoint_rule,
-                                    .restart_weight = settings->restart_weight,
+                                    .adjoint_bound = settings->learning.adjoint_bound,
+                                    .adjoint_rule = settings->learning.adjoint_rule,
+                                    .restart_weight = settings->learning.restart_weight,
                                     .d_parameters = run->gradient,
                                     .outcomes = run->outcomes};
   REQUIRE(mo_compute_gradient(state, &batch) == MO_OK);

@@ -28,16 +28,17 @@ static struct mo_training *begin(void)
   settings.n_steps = STEPS;
   settings.batch = BATCH;
   settings.physics.n_steps = 80;
-  settings.schedule = mo_schedule_one_cosine();
-  settings.schedule.warmup_steps = 2;
+  settings.learning.schedule = mo_schedule_one_cosine();
+  settings.learning.schedule.warmup_steps = 2;
   return finetuning(&settings, DESIGNS, 1.0F);
 }
 
 static int learn(struct mo_training *training, struct made_up *made_up, bool save)
 {
   const struct mo_training_settings *settings = mo_training_settings_of(training);
-  const struct mo_gradient_options options = {settings->adjoint_bound, 1.0 / settings->batch,
-                                              settings->adjoint_rule, settings->restart_weight};
+  const struct mo_gradient_options options = {
+      settings->learning.adjoint_bound, 1.0 / settings->batch, settings->learning.adjoint_rule,
+      settings->learning.restart_weight};
   const struct mo_robot *robots;
   int r = mo_training_draw(training, NULL, NULL, &robots);
   memset(made_up->gradient, 0, made_up->n * sizeof(double));

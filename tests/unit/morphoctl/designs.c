@@ -175,6 +175,19 @@ static void ids(void)
   CHECK(voxels[0] == '1' && voxels[1] == '0' && voxels[143] == '1' && voxels[142] == '0');
   CHECK(!id_voxels("80000000000000000000000000000000000", voxels));
   CHECK(!id_voxels("80000000000000000000000000000000000g", voxels));
+  /* As they are in CSV. */
+  CHECK(id_voxels("d800000000000000000000000000000000001", voxels) && voxels[0] == '1' &&
+        voxels[143] == '1');
+  CHECK(id_voxels("d00000000000000000000000000000000001", voxels) &&
+        voxels[1] == '1'); /* here d is a digit */
+  char genotype[VOXELS + 2] = "g";
+  memset(genotype + 1, '0', VOXELS);
+  genotype[VOXELS] = '1';
+  CHECK(is_voxels(genotype, VOXELS + 1) && !is_voxels(genotype, VOXELS) &&
+        !is_voxels(genotype + 1, VOXELS - 1));
+  json_t *body = json_pack("{s:s}", "voxels", genotype);
+  CHECK(design_voxels(body, voxels) && strcmp(voxels, genotype + 1) == 0);
+  json_decref(body);
   json_t *outside = json_loads("{\"cells\": [[0,0,4]]}", 0, NULL);
   CHECK(!design_voxels(outside, voxels));
   json_decref(outside);

@@ -9,7 +9,7 @@
 
 #include <inttypes.h>
 
-#define HASHED_VERSION 3 /* the MO_GRADIENT_VERSION that the hashes belong to */
+#define HASHED_VERSION 4 /* the MO_GRADIENT_VERSION that the hashes belong to */
 
 static const uint64_t gradient_hashes[MO_ISA_COUNT] = {
     UINT64_C(0xcd858264b49d2547), /* x86-64 */

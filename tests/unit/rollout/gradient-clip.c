@@ -292,10 +292,10 @@ static void names_rules(void)
   enum mo_adjoint_rule rule = MO_ADJOINT_CLIP;
   CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_CLIP), "clip") == 0);
   CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_RESTART), "restart") == 0);
-  CHECK(strcmp(mo_adjoint_rule_name((enum mo_adjoint_rule)2), "?") == 0);
+  CHECK(strcmp(mo_adjoint_rule_name((enum mo_adjoint_rule)2), "unknown") == 0);
   CHECK(mo_adjoint_rule_from_name("restart", &rule) == MO_OK && rule == MO_ADJOINT_RESTART);
-  CHECK_INT(mo_adjoint_rule_from_name("Clip", &rule), MO_ERR_INVALID);
-  CHECK_INT(mo_adjoint_rule_from_name("", &rule), MO_ERR_INVALID);
+  CHECK_INT(mo_adjoint_rule_from_name("Clip", &rule), MO_ERR_NOT_FOUND);
+  CHECK_INT(mo_adjoint_rule_from_name("", &rule), MO_ERR_NOT_FOUND);
   CHECK(rule == MO_ADJOINT_RESTART);
   CHECK(mo_adjoint_rule_from_name("clip", &rule) == MO_OK && rule == MO_ADJOINT_CLIP);
 }

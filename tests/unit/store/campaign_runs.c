@@ -494,8 +494,10 @@ static void keeps_checkpoints(void)
   CHECK_INT(files_of(&fixture, id), 4);
   REQUIRE(live_again(&fixture, &made) == MO_OK);
   CHECK_INT(files_of(&fixture, id), 3);
-  CHECK(access(path, F_OK) != 0);
+  CHECK(access(path, F_OK) == 0);
   CHECK(newest_is(&fixture, id, 1, 1, "another one"));
+  CHECK_INT(mo_store_orphans(fixture.store)->n, 1);
+  CHECK(strstr(mo_store_orphans(fixture.store)->first, "/1-x.checkpoint") != NULL);
   /* The checkpoint at the end of the learning is that of the commit, too. */
   CHECK_INT(put_checkpoint(&fixture, id, 1, 5, "after one"), MO_OK);
   CHECK_INT(commit_with(&made, "after one", 5), MO_OK);

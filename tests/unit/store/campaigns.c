@@ -40,25 +40,26 @@ static void encodes_every_setting(void)
   CHECK(back.selection.n_layers == 5 && back.selection.age_gap == 7 && back.exclude_pretraining);
   CHECK(same_bits(back.collapse_share, -0.0) && back.parent_steps == 2 && back.child_steps == 3 &&
         back.batch == 17);
-  CHECK(back.schedule.kind == MO_SCHEDULE_RESTARTS && back.schedule.peak == 1e-3 &&
-        back.schedule.floor == 1e-5);
-  CHECK(back.schedule.decay == 0.65 && back.schedule.cycle_steps == 10 &&
-        back.schedule.cycle_growth == 2);
-  CHECK(back.schedule.warmup_steps == 3 && back.beta1 == 0.9 && back.beta2 == 0.999 &&
-        back.epsilon == 1e-8);
-  CHECK(back.norm_limit == 1 && back.adjoint_bound == 2 && back.sensor == MO_SENSOR_INVERSE_SQUARE);
+  CHECK(back.learning.schedule.kind == MO_SCHEDULE_RESTARTS &&
+        back.learning.schedule.peak == 1e-3 && back.learning.schedule.floor == 1e-5);
+  CHECK(back.learning.schedule.decay == 0.65 && back.learning.schedule.cycle_steps == 10 &&
+        back.learning.schedule.cycle_growth == 2);
+  CHECK(back.learning.schedule.warmup_steps == 3 && back.learning.beta1 == 0.9 &&
+        back.learning.beta2 == 0.999 && back.learning.epsilon == 1e-8);
+  CHECK(back.learning.norm_limit == 1 && back.learning.adjoint_bound == 2 &&
+        back.sensor == MO_SENSOR_INVERSE_SQUARE);
   CHECK(back.physics.n_steps == settings.physics.n_steps && back.physics.bisections == 3);
-  CHECK_INT(back.adjoint_rule, MO_ADJOINT_RESTART);
-  CHECK(back.restart_weight == 2.5);
+  CHECK_INT(back.learning.adjoint_rule, MO_ADJOINT_RESTART);
+  CHECK(back.learning.restart_weight == 2.5);
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 1, &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_campaign(NULL, 0, &back), MO_ERR_CORRUPT);
   bytes[0] = 1; /* the first version ended before the rule: it clipped, with the usual weight */
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes) - 12, &back), MO_OK);
-  CHECK_INT(back.adjoint_rule, MO_ADJOINT_CLIP);
-  CHECK(back.restart_weight == MO_RESTART_WEIGHT);
-  back.adjoint_rule = settings.adjoint_rule;
-  back.restart_weight = settings.restart_weight;
+  CHECK_INT(back.learning.adjoint_rule, MO_ADJOINT_CLIP);
+  CHECK(back.learning.restart_weight == MO_RESTART_WEIGHT);
+  back.learning.adjoint_rule = settings.learning.adjoint_rule;
+  back.learning.restart_weight = settings.learning.restart_weight;
   CHECK(same_settings(&back, &settings));
   bytes[0] = 3;
   CHECK_INT(mo_decode_campaign(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
@@ -459,7 +460,7 @@ static void finishes_and_extends(void)
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 95, NULL, &before), MO_OK);
   /* What depends on the number of generations. */
   submission = campaign_submission(MO_SIMULTANEOUS, 4, 1);
-  submission.record.settings.schedule.kind = MO_SCHEDULE_COSINE;
+  submission.record.settings.learning.schedule.kind = MO_SCHEDULE_COSINE;
   id = campaign_submit(&fixture, &submission);
   CHECK_INT(mo_store_extend_campaign(fixture.store, id, 1, NULL, &before), MO_ERR_UNSUPPORTED);
   submission.record.settings.mode = MO_FEW_SHOT;

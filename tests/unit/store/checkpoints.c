@@ -84,17 +84,25 @@ static void keeps_checkpoints(void)
   CHECK(rows[0].step == 35 && rows[1].step == 30);
   CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
   CHECK_INT(status.checkpoint_step, 35);
-  /* A file that a crash left without its row, an unfinished one, and a folder of nobody. */
+  /* A file that a crash left without its row, an unfinished one, and those of nobody, which stay.
+   */
   snprintf(name, sizeof(name), "%lld/36.checkpoint", (long long)id);
   REQUIRE(put_file(&fixture, name, "36") == 0);
   snprintf(name, sizeof(name), "%lld/.tmp-7", (long long)id);
   REQUIRE(put_file(&fixture, name, "half") == 0);
   snprintf(name, sizeof(name), "%s/trainings/77", fixture.path);
   REQUIRE(mkdir(name, 0700) == 0 && put_file(&fixture, "77/5.checkpoint", "5") == 0);
-  CHECK_INT(files_of(&fixture, id), 4);
+  snprintf(name, sizeof(name), "%lld/036.checkpoint", (long long)id);
+  REQUIRE(put_file(&fixture, name, "not as we write it") == 0);
+  CHECK_INT(files_of(&fixture, id), 5);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
+  CHECK_INT(files_of(&fixture, id), 3);
+  CHECK_INT(files_of(&fixture, 77), 1);
+  CHECK_INT(mo_store_orphans(fixture.store)->n, 2);
+  CHECK_INT(mo_store_orphans(fixture.store)->bytes, 19);
+  CHECK_INT(mo_store_clean(fixture.store, NULL, NULL), MO_OK);
   CHECK_INT(files_of(&fixture, id), 2);
-  CHECK(access(name, F_OK) != 0);
+  CHECK_INT(files_of(&fixture, 77), 0);
   CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 35, &bytes, &size), MO_OK);
   free(bytes);
   /* Of an earlier life of the process: not this one's to write. */

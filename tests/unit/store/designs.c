@@ -290,11 +290,50 @@ static void ranks_a_population(void)
   fixture_end(&fixture);
 }
 
+static void *delete_contents(void *context)
+{
+  struct mo_store *store = context;
+  struct mo_controller_record record;
+  char reference[80], digits[65];
+  for (int n = 0; n < 60;) {
+    if (mo_store_controller(store, "again", &record) != MO_OK)
+      continue;
+    mo_sha256_to_hex(&record.sha256, digits);
+    snprintf(reference, sizeof(reference), "sha256:%s", digits);
+    (void)mo_store_controller_remove(store, "again");
+    n += mo_store_controller_delete(store, reference, NULL) == MO_OK;
+  }
+  return NULL;
+}
+
+/* Content that is stored again while it is deleted: no row speaks of a file that has gone. */
+static void stores_anew_what_is_deleted(void)
+{
+  struct fixture fixture;
+  struct mo_controller_record record;
+  pthread_t thread;
+  REQUIRE(fixture_start(&fixture) == 0);
+  REQUIRE(pthread_create(&thread, NULL, delete_contents, fixture.store) == 0);
+  while (pthread_tryjoin_np(thread, NULL) != 0) {
+    struct mo_controller_record seen;
+    char path[512], digits[65], reference[80];
+    REQUIRE(fixture_controller(fixture.store, "again", 77, &record) == MO_OK);
+    mo_sha256_to_hex(&record.sha256, digits);
+    snprintf(path, sizeof(path), "%s/controllers/%s.safetensors", fixture.path, digits);
+    snprintf(reference, sizeof(reference), "sha256:%s", digits);
+    /* A row that is still there after its file was missed: nobody else makes it anew. */
+    CHECK(access(path, F_OK) == 0 ||
+          mo_store_controller(fixture.store, reference, &seen) == MO_ERR_NOT_FOUND);
+  }
+  fixture_end(&fixture);
+}
+
 static const struct check_case cases[] = {
     {"shares a design between its orientations", shares_designs_between_orientations},
     {"keeps every bit of a loss", keeps_every_bit},
     {"ranks designs by score", ranks_designs},
     {"keeps controllers by content and by name", keeps_controllers},
+    {"stores anew what is deleted", stores_anew_what_is_deleted},
     {"ranks a population", ranks_a_population},
 };
 CHECK_MAIN(cases)

@@ -539,6 +539,7 @@ static void refuses_an_unwritable_folder(void)
   int status = -1;
   REQUIRE(fixture_folder(&fixture) == 0);
   chmod(fixture.path, 0500);
+  CHECK(getuid() != 0 || chown(fixture.path, 65534, 65534) == 0);
   child = fork();
   if (child == 0) {
     struct mo_store *store = NULL;

@@ -21,17 +21,22 @@ static bool same_settings(const struct mo_training_settings *a,
                           const struct mo_training_settings *b)
 {
   return a->kind == b->kind && a->seed == b->seed && a->n_steps == b->n_steps &&
-         a->batch == b->batch && a->schedule.kind == b->schedule.kind &&
-         a->schedule.peak == b->schedule.peak && a->schedule.floor == b->schedule.floor &&
-         a->schedule.decay == b->schedule.decay &&
-         a->schedule.cycle_steps == b->schedule.cycle_steps &&
-         a->schedule.cycle_growth == b->schedule.cycle_growth &&
-         a->schedule.warmup_steps == b->schedule.warmup_steps && a->beta1 == b->beta1 &&
-         a->beta2 == b->beta2 && a->epsilon == b->epsilon && a->norm_limit == b->norm_limit &&
-         a->adjoint_bound == b->adjoint_bound && a->adjoint_rule == b->adjoint_rule &&
-         a->restart_weight == b->restart_weight && a->physics.n_steps == b->physics.n_steps &&
-         a->physics.dt_s == b->physics.dt_s && a->physics.bisections == b->physics.bisections &&
-         a->sensor == b->sensor && a->held_out_designs == b->held_out_designs &&
+         a->batch == b->batch && a->learning.schedule.kind == b->learning.schedule.kind &&
+         a->learning.schedule.peak == b->learning.schedule.peak &&
+         a->learning.schedule.floor == b->learning.schedule.floor &&
+         a->learning.schedule.decay == b->learning.schedule.decay &&
+         a->learning.schedule.cycle_steps == b->learning.schedule.cycle_steps &&
+         a->learning.schedule.cycle_growth == b->learning.schedule.cycle_growth &&
+         a->learning.schedule.warmup_steps == b->learning.schedule.warmup_steps &&
+         a->learning.beta1 == b->learning.beta1 && a->learning.beta2 == b->learning.beta2 &&
+         a->learning.epsilon == b->learning.epsilon &&
+         a->learning.norm_limit == b->learning.norm_limit &&
+         a->learning.adjoint_bound == b->learning.adjoint_bound &&
+         a->learning.adjoint_rule == b->learning.adjoint_rule &&
+         a->learning.restart_weight == b->learning.restart_weight &&
+         a->physics.n_steps == b->physics.n_steps && a->physics.dt_s == b->physics.dt_s &&
+         a->physics.bisections == b->physics.bisections && a->sensor == b->sensor &&
+         a->held_out_designs == b->held_out_designs &&
          a->held_out_environments == b->held_out_environments;
 }
 
@@ -47,8 +52,8 @@ static void reads_the_first_version(void)
   bytes[0] = 1;
   CHECK_INT(mo_decode_training(bytes, sizeof(bytes), &back), MO_ERR_CORRUPT);
   CHECK_INT(mo_decode_training(bytes, sizeof(bytes) - MO_RULE_BYTES, &back), MO_OK);
-  settings.adjoint_rule = MO_ADJOINT_CLIP;
-  settings.restart_weight = MO_RESTART_WEIGHT;
+  settings.learning.adjoint_rule = MO_ADJOINT_CLIP;
+  settings.learning.restart_weight = MO_RESTART_WEIGHT;
   CHECK(same_settings(&back, &settings));
   bytes[0] = 2;
   bytes[sizeof(bytes) - MO_RULE_BYTES] = 2; /* no such rule */

@@ -1,0 +1,191 @@
+#!/usr/bin/python3
+"""Runs campaigns of all three modes through the daemon, and tells and draws how they evolve.
+
+Zero-shot with three seeds, one few-shot and one simultaneous campaign of the same size. The state
+folder is kept: called again, it goes on where it was. Wall time per campaign is the sum of its
+generations' seconds; the campaigns run one after the other."""
+import argparse
+import math
+import re
+import sys
+from pathlib import Path
+
+from own_daemon import ENDED, Daemon, Deadline, cut_off
+from charts import COLOURS, Chart, Panel, Scale
+import records
+
+MODES = ("zero-shot", "few-shot", "simultaneous")
+COLUMNS = ("mode", "seed", "generation", "mean", "best", "median", "diversity", "turnover",
+           "mutants_born", "mutants_survived", "recombinants_born", "recombinants_survived",
+           "voxels", "footprint", "first_loss", "last_loss", "seconds")
+
+
+def rows_of(daemon, campaign):
+    """A flat row per generation. Quantiles of the score are p0 (the best) to p100, sizes have their
+    mean."""
+    for row in daemon.rows(f"/v1/campaigns/{campaign['id']}/generations"):
+        operators, learning, score = row["operators"], row.get("learning") or {}, row["score"]
+        yield {
+            "mode": campaign["mode"], "seed": campaign["settings"]["seed"],
+            "generation": row["generation"], "mean": score["mean"],
+            "best": score["quantiles"]["p0"], "median": score["quantiles"]["p50"],
+            **score["quantiles"], "diverged": score["diverged"], "diversity": row["diversity"],
+            "species": row["species"], "turnover": row["turnover"],
+            "mutants_born": operators["mutation"]["born"],
+            "mutants_survived": operators["mutation"]["survived"],
+            "recombinants_born": operators["crossover"]["born"],
+            "recombinants_survived": operators["crossover"]["survived"],
+            "fallbacks": operators["fallbacks"], **{
+                name: row[name]["mean"]
+                for name in ("voxels", "footprint", "masses", "springs")
+            }, "parents_mean": row["parents_mean"], "children_mean": row["children_mean"],
+            "steps": learning.get("steps"), "first_loss": learning.get("first_loss"),
+            "last_loss": learning.get("last_loss"), "rollouts": row["rollouts"],
+            "cached": row["cached"], "seconds": row["seconds"]
+        }
+
+
+def survival(row, operator):
+    """Share of the children of an operator, "mutants" or "recombinants", that live on."""
+    return row[f"{operator}_survived"] / row[f"{operator}_born"] if row[f"{operator}_born"] else None
+
+
+def follow(daemon, campaign, deadline):
+    """Waits for the end of a campaign, telling how far it is, or for the deadline; returns it as it
+    stands then."""
+    while not deadline.is_over():
+        campaign = daemon.look("campaigns", campaign, deadline.wait_s())
+        if campaign["state"] in ENDED + ("paused", ):
+            break
+        newest, progress = campaign["newest"], campaign["progress"]
+        left = progress["seconds_left"]
+        print(f"{campaign['mode']} seed {campaign['settings']['seed']}: " + (
+            f"generation {newest['generation']} of {progress['generations']}, mean {newest['score']['mean']}, "
+            if newest else "") + f"{campaign['phase']} {progress['done']} of {progress['total']}" +
+              (f", {left:.0f} s left" if left is not None else ""),
+              file=sys.stderr,
+              flush=True)
+    if campaign["state"] in ("failed", "cancelled", "paused"):
+        sys.exit(
+            f"campaign {campaign['id']} {campaign['state']}: {campaign['error'] or campaign['reason']}"
+        )
+    return campaign
+
+
+def run(arguments):
+    deadline, rows = Deadline(), []
+    with Daemon(arguments.build / "src/daemon/morphod", arguments.state,
+                "--max-campaigns=1") as daemon:
+        wanted = [("zero-shot", seed)
+                  for seed in range(1, arguments.seeds + 1)] + [("few-shot", 1),
+                                                                ("simultaneous", 1)]
+        wanted = [(mode, seed) for mode, seed in wanted if mode in arguments.modes]
+        for mode, seed in wanted:
+            body = {
+                "mode": mode, "preset": "demo", "population": arguments.population,
+                "generations": arguments.generations, "seed": seed
+            }
+            key = re.sub(r"\W+", "-",
+                         f"bench-{mode}-{arguments.population}-{arguments.generations}-{seed}")
+            campaign = follow(daemon, daemon.submit("campaigns", body, key), deadline)
+            if campaign["state"] != "succeeded":
+                sys.exit(cut_off())
+            rows += rows_of(daemon, campaign)
+    records.write(arguments.csv, COLUMNS, rows)
+
+
+def curves(rows):
+    """Rows of each campaign, in the order of the modes."""
+    return dict(
+        sorted(records.group(rows, "mode", "seed").items(),
+               key=lambda item: (MODES.index(item[0][0]), item[0][1])))
+
+
+def table(rows, population):
+    """The table of docs/evolution.md."""
+    lines = []
+    for (mode, seed), group in curves(rows).items():
+        first, last = group[0], group[-1]
+        lines.append([
+            f"{mode}, {int(seed)}", f"{first['mean']:.4f}", f"{last['mean']:.4f}",
+            f"{100 * (1 - last['mean'] / first['mean']):.0f} %", f"{first['best']:.4f}",
+            f"{last['best']:.4f}", f"{first['diversity']:.4f}",
+            f"{max(r['diversity'] for r in group):.4f}", f"{last['diversity']:.4f}",
+            f"{sum(r['seconds'] for r in group):.0f} s"
+        ])
+    heads = ("mode, seed", "mean at 0", "at the end", "better by", "best at 0", "at the end",
+             "diversity at 0", "most", "at the end", "wall time")
+    return records.table(
+        heads, lines
+    ) + f"\n\nPopulation {population}, generations 0 to {int(max(row['generation'] for row in rows))}."
+
+
+def draw(rows, path):
+    """Three panels against generations: mean and best score, diversity, share of children that survive.
+    """
+    panels = [("score: mean (line) and best (dashes)", [("mean", ""), ("best", "5 4")]),
+              ("diversity", [("diversity", "")]),
+              ("share of the children that live on: recombinants (line), mutants (dashes)",
+               [("recombinants", ""), ("mutants", "5 4")])]
+    width, height, left, right, top, bottom = 940, 300, 70, 170, 40, 40
+    last = max(row["generation"] for row in rows) or 1
+    chart = Chart(width, height * len(panels))
+
+    def value(row, key):
+        return survival(row, key) if key in ("recombinants", "mutants") else row[key]
+
+    for p, (title, keys) in enumerate(panels):
+        known = [v for row in rows for key, _ in keys if (v := value(row, key)) is not None]
+        high = max(known) * 1.05 or 1
+        scale = Scale(0, high, ticks=[high * i / 4 for i in range(5)])
+        if p == 0 and min(known) > 0:  # scores fall by orders of magnitude
+            scale = Scale(10**math.floor(math.log10(min(known))),
+                          10**math.ceil(math.log10(max(known))),
+                          log=True)
+        generations = Scale(0, last, ticks=range(0, int(last) + 1, max(1, round(last / 6))))
+        panel = Panel(chart, left, p * height + top, width - right, (p + 1) * height - bottom,
+                      generations, scale)
+        panel.title(title)
+        panel.axes()
+        for i, ((mode, seed), group) in enumerate(curves(rows).items()):
+            for key, dash in keys:
+                panel.line([(row["generation"], value(row, key)) for row in group], COLOURS[mode],
+                           dash)
+            if p == 0:
+                chart.text(width - right + 14,
+                           top + 18 * i + 12,
+                           f"{mode}, seed {int(seed)}",
+                           fill=COLOURS[mode])
+    chart.text(left, height * len(panels) - 4, "generation")
+    chart.save(path)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="tools/bench campaigns", description=__doc__)
+    parser.add_argument("--population", type=int, default=64)
+    parser.add_argument("--generations", type=int, default=30)
+    parser.add_argument("--seeds", type=int, default=3, help="zero-shot campaigns (default 3)")
+    parser.add_argument("--modes", nargs="+", choices=MODES, default=MODES)
+    parser.add_argument("--build", type=Path, default=Path("build"))
+    parser.add_argument("--state",
+                        type=Path,
+                        default=Path(".morphod/bench-campaigns"),
+                        help="kept between calls")
+    parser.add_argument("--csv", type=Path, default=Path("campaigns.csv"))
+    parser.add_argument("--svg", type=Path, default=Path("campaigns.svg"))
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="run nothing: only the table and the drawing of what the CSV file holds")
+    arguments = parser.parse_args()
+    if not arguments.report:
+        run(arguments)
+    rows = records.read(arguments.csv, ("mode", ))
+    draw(rows, arguments.svg)
+    print(table(rows, arguments.population))
+    zero = [group for (mode, _), group in curves(rows).items() if mode == "zero-shot"]
+    return 0 if all(group[-1]["mean"] <= 0.75 * group[0]["mean"] for group in zero) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,256 @@
+"""Scores a controller through the daemon on bodies that no pretraining draws, and writes what a
+user must know of it into its page.
+
+Tables by size of the body (environments of the training's distribution), by roughness of the
+terrain and by distance of the light; what is beyond the training's range is marked. A score is
+distance to the light at the end over that at the start, the mean over bodies of their means over
+environments; its 95 % confidence interval comes from drawing the bodies again (bootstrap). Rollouts
+that diverge are left out of the means and counted. The page keeps what stands outside of the
+markers."""
+import argparse
+import json
+import math
+import random
+import re
+import statistics
+import sys
+from pathlib import Path
+
+import own_daemon
+from own_daemon import ENDED, Daemon, Deadline
+import records
+
+CENTRE_M = 2.5
+BINS = ((1, 4), (5, 9), (10, 19), (20, 29), (30, 44), (45, 144))
+SIGMAS_M = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10, 0.15, 0.20)
+DISTANCES_M = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
+TRAINED_SIGMA_M, TRAINED_DISTANCES_M = (0, 0.1), (0.4, 2.0)
+RESAMPLES = 1000
+PAGE = """# {name}.safetensors
+
+What it is for, in a sentence.
+
+<!-- model-card-file: begin -->
+<!-- model-card-file: end -->
+
+## Scores
+<!-- model-card-scores: begin -->
+<!-- model-card-scores: end -->
+
+## Known limits
+"""
+
+
+def environment(distance_m, angle, sigma_m, seed):
+    return {
+        "light_xy_m": [
+            CENTRE_M + distance_m * math.cos(angle), CENTRE_M + distance_m * math.sin(angle)
+        ], "terrain_sigma_m": sigma_m, "seed": seed
+    }
+
+
+def sweeps(count):
+    """Environments by roughness (lights uniform by area in the trained ring) and by distance of the
+    light (roughness spread over the trained range): `count` for each value, the same angles and
+    places for each."""
+    draw = random.Random(1)
+    places = [(draw.random(), draw.random(), draw.random()) for _ in range(count)]
+    near, far = TRAINED_DISTANCES_M
+
+    def ring(share):
+        return math.sqrt(near**2 + share * (far**2 - near**2))
+
+    rough = {
+        sigma: [
+            environment(ring(r), 2 * math.pi * (i + a) / count, sigma, 1000 + i)
+            for i, (r, a, _) in enumerate(places)
+        ]
+        for sigma in SIGMAS_M
+    }
+    light = {
+        distance: [
+            environment(distance, 2 * math.pi * (i + a) / count, s * TRAINED_SIGMA_M[1], 2000 + i)
+            for i, (_, a, s) in enumerate(places)
+        ]
+        for distance in DISTANCES_M
+    }
+    return rough, light
+
+
+def evaluate(daemon, arguments, controller, designs, environments):
+    """Losses: a list for each design, None where it diverged. What the daemon has scored before is not
+    computed again."""
+    body = {
+        "designs": designs, "environments": environments, "controller": controller,
+        "device": arguments.device, "priority": "batch",
+        "physics": {"n_steps": arguments.rollout_steps}
+    }
+    job = daemon.submit("evaluations", body)
+    while job["state"] not in ENDED + ("paused", ):
+        if arguments.deadline.is_over():
+            sys.exit(own_daemon.cut_off())
+        job = daemon.look("evaluations", job, arguments.deadline.wait_s())
+        print(f"{job['rollouts_done']} of {job['rollouts_total']} rollouts",
+              file=sys.stderr,
+              flush=True)
+    if job["state"] != "succeeded":
+        sys.exit(
+            f"evaluation {job['id']} {job['state']}: {job['error'] or 'somebody asked for that'}")
+    return [result["losses"] for result in job["results"]]
+
+
+def interval(values):
+    """Mean and 95 % confidence interval of the mean, by drawing the values again."""
+    draw, n = random.Random(1), len(values)
+    if n < 2:
+        return records.mean(values), None, None
+    means = sorted(sum(draw.choices(values, k=n)) / n for _ in range(RESAMPLES))
+    return sum(values) / n, means[round(0.025 * (RESAMPLES - 1))], means[round(0.975 *
+                                                                               (RESAMPLES - 1))]
+
+
+def line(name, bodies):
+    """bodies: the losses of each. Body means first, so that the interval is over bodies."""
+    means = [mean for losses in bodies if (mean := records.mean(losses)) is not None]
+    rollouts = [loss for losses in bodies for loss in losses]
+    if not means:
+        return [name, str(len(bodies)), "–", "–", "–", "–"]
+    mean, low, high = interval(means)
+    around = "–" if low is None else f"{low:.4f} to {high:.4f}"
+    return [
+        name,
+        str(len(bodies)), f"{mean:.4f}", around, f"{statistics.median(means):.4f}",
+        f"{100 * sum(loss is None for loss in rollouts) / len(rollouts):.2f} %"
+    ]
+
+
+def by_size(designs, losses):
+    for low, high in BINS:
+        chosen = [
+            body for design, body in zip(designs, losses)
+            if low <= design["voxels"].count("1") <= high
+        ]
+        if chosen:
+            yield line(f"{low} to {high} voxels", chosen)
+
+
+def by_value(values, losses, count, unit, trained):
+    for i, value in enumerate(values):
+        beyond = "" if trained[0] <= value <= trained[1] else " (beyond the training)"
+        yield line(f"{value:g} {unit}{beyond}",
+                   [body[i * count:(i + 1) * count] for body in losses])
+
+
+def metadata(controller):
+    """The table of the file and its lineage."""
+    given = dict(controller["metadata"])
+    lines = [["SHA-256", f"`{controller['sha256']}`"],
+             [
+                 "size",
+                 f"{controller['bytes']} bytes, {controller['parameters']} parameters, float32"
+             ], ["workspace", " × ".join(map(str, controller["workspace"])) + " voxels"],
+             ["sensor", f"`{controller['sensor']}`"]]
+    for key in sorted(given):
+        if key in ("morphod.settings", "morphod.code", "sensor", "workspace"):
+            continue
+        lines.append([f"`{key}`", f"`{given[key]}`" if key.startswith("morphod.") else given[key]])
+    for key in ("morphod.settings", "morphod.code"):
+        if key in given:
+            try:
+                value = json.loads(given[key])
+            except ValueError:
+                value = given[key]
+            parts = value.items() if isinstance(
+                value, dict) else enumerate(value) if isinstance(value, list) else [("", value)]
+            lines += [[f"`{key}` {name}".rstrip(), f"`{json.dumps(part)}`"] for name, part in parts]
+    return records.table(("", ""),
+                         [[cell.replace("|", "\\|") for cell in entry] for entry in lines])
+
+
+def card(arguments):
+    """(table of the file, tables of the scores)"""
+    rough, light = sweeps(arguments.environments)
+    head = ("bodies", "mean score", "95 % confidence", "median", "diverged")
+    with Daemon.of(arguments) as daemon:
+        controller = daemon.put_controller(arguments.name, arguments.controller)
+        designs, seeds, left = [], [], arguments.bodies
+        while left > 0:  # a set has 1000 designs at most
+            seeds.append(arguments.seed + len(seeds))
+            held_out = daemon.call(
+                f"/v1/held-out?seed={seeds[-1]}&designs={min(left, 1000)}&environments={2 * arguments.environments}"
+            )
+            environments = held_out["environments"] if len(seeds) == 1 else environments
+            designs += [design for design in held_out["designs"]
+                        if design not in designs]  # small bodies may be in several sets
+            left -= 1000
+        name = "sha256:" + controller["sha256"]
+        usual = evaluate(daemon, arguments, name, designs, environments)
+        paper = evaluate(daemon, arguments, name, designs, "paper-test")
+        by_rough = evaluate(daemon, arguments, name, designs,
+                            [environment for group in rough.values() for environment in group])
+        by_light = evaluate(daemon, arguments, name, designs,
+                            [environment for group in light.values() for environment in group])
+        machine = daemon.machine()
+        description = json.loads(
+            daemon.fetch(f"/v1/controllers/{arguments.name}",
+                         headers={"Accept": "application/json"}))
+    computed = ", ".join(sorted(set(
+        machine["gpus"]))) if machine["gpus"] and arguments.device != "cpu" else "processors"
+    count = arguments.environments
+    parts = [
+        f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining draws (`/v1/held-out`, "
+        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), lives of {arguments.rollout_steps} steps. A score is the distance to the light at the end "
+        "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; its confidence interval comes from drawing the bodies again.",
+        f"**By size of the body**, {len(environments)} environments of the training's distribution:",
+        records.table(("size", ) + head, [line("all", usual), *by_size(designs, usual)]),
+        "**The paper's test set**, ten environments:",
+        records.table(("", ) + head, [line("all", paper)]),
+        f"**By roughness of the terrain** (σ of its heights), {count} lights 0.4 to 2 m away each:",
+        records.table(("σ", ) + head, by_value(SIGMAS_M, by_rough, count, "m", TRAINED_SIGMA_M)),
+        f"**By distance of the light**, {count} environments with σ up to 0.1 m each; the map ends 2.5 m from the start, and its border's heights go on:",
+        records.table(("distance", ) + head,
+                      by_value(DISTANCES_M, by_light, count, "m", TRAINED_DISTANCES_M))
+    ]
+    return metadata(description), "\n\n".join(parts)
+
+
+def main():
+    parser = argparse.ArgumentParser(prog="tools/bench model-card",
+                                     description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--controller", type=Path, required=True, help="safetensors file")
+    parser.add_argument("--name", help="of the controller (default: that of the file)")
+    parser.add_argument("--bodies", type=int, default=1000, help="held-out bodies (default 1000)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=1,
+        help="of the held-out set; each further thousand bodies takes the next (default 1)")
+    parser.add_argument(
+        "--environments",
+        type=int,
+        default=8,
+        help="for each roughness and distance, 1 to 8; twice as many for the sizes (default 8)")
+    parser.add_argument("--rollout-steps",
+                        type=int,
+                        default=1000,
+                        help="steps of a life, for trials (default 1000)")
+    own_daemon.add_limit(parser)
+    own_daemon.add_options(parser, ".morphod/bench-model-card")
+    parser.add_argument("--markdown", type=Path, help="page (default data/controllers/NAME.md)")
+    arguments = parser.parse_args()
+    if not 1 <= arguments.environments <= 8 or not 1 <= arguments.bodies <= 10000:
+        sys.exit("--environments takes 1 to 8, --bodies 1 to 10000")
+    arguments.name = arguments.name or re.sub(r"[^a-z0-9._-]+", "-",
+                                              arguments.controller.stem.lower())[:64].strip("-._")
+    arguments.deadline = Deadline(arguments.limit_s)
+    page = arguments.markdown or own_daemon.SOURCE / "data" / "controllers" / f"{arguments.name}.md"
+    file, scores = card(arguments)
+    records.put_between(page, "model-card-file", file, PAGE.format(name=arguments.name))
+    records.put_between(page, "model-card-scores", scores)
+    print(scores)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,256 @@
+"""A daemon of a benchmark's own: started on a free port, asked over HTTP, stopped in an orderly
+way, its state folder kept.
+
+Also what every benchmark that may be cut off needs: a deadline (--limit-s, SIGTERM, SIGINT, SIGHUP)
+that is looked at between two waits, never inside one, so that a stop always finds the daemon and
+the files whole."""
+import ctypes
+import hashlib
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from datetime import datetime
+from pathlib import Path
+
+import records
+
+SOURCE = Path(__file__).resolve().parents[1]
+SHIPPED = SOURCE / "data" / "controllers" / "phototaxis.safetensors"
+PR_SET_PDEATHSIG = 1
+CUT_OFF = 3  # exit status: time is up, call again
+ENDED = ("succeeded", "failed", "cancelled")
+
+
+def add_options(parser, state):
+    """Where the daemon is and where it keeps its state: the same options for every benchmark."""
+    group = parser.add_argument_group("the daemon")
+    group.add_argument("--build",
+                       type=Path,
+                       default=Path("build"),
+                       help="folder of the build (default build)")
+    group.add_argument("--morphod",
+                       type=Path,
+                       help="the daemon itself (default: that of the build)")
+    group.add_argument(
+        "--module",
+        type=Path,
+        help=
+        "module that computes on GPUs (default: morphod-cuda.so beside the build's daemon, if there)"
+    )
+    group.add_argument("--devices",
+                       default="auto",
+                       help="GPUs, as morphod's --devices (default auto)")
+    group.add_argument("--device",
+                       choices=("auto", "cpu", "cuda"),
+                       default="auto",
+                       help="what computes the jobs (default auto)")
+    group.add_argument("--workers",
+                       type=int,
+                       help="threads of the processors (default: one per processor)")
+    group.add_argument("--state",
+                       type=Path,
+                       default=Path(state),
+                       help=f"folder that is kept between calls (default {state})")
+
+
+def add_limit(parser):
+    parser.add_argument(
+        "--limit-s",
+        type=float,
+        help=
+        "stop the daemon in order after so many seconds and exit with 3; called again, it goes on")
+
+
+def cut_off():
+    print("time is up: the daemon was stopped in order; call again to go on", file=sys.stderr)
+    return CUT_OFF
+
+
+class Deadline:
+    """Says when to stop: after `seconds` (None: never), or when a signal asks for it."""
+    def __init__(self, seconds=None):
+        self.end = math.inf if seconds is None else time.monotonic() + seconds
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            if signal.getsignal(number) != signal.SIG_IGN:  # nohup
+                signal.signal(number, self.stop)
+
+    def stop(self, *_):
+        self.end = -math.inf
+
+    def is_over(self):
+        return time.monotonic() >= self.end
+
+    def wait_s(self, most=5):
+        """Whole seconds that one look may wait."""
+        return math.ceil(min(most, max(1, self.end - time.monotonic())))
+
+
+class Daemon:
+    """A daemon whose state lasts from one call to the next."""
+    def __init__(self, program, state, *flags):
+        state.mkdir(parents=True, exist_ok=True)
+        self.jobs = state / "jobs.json"
+        address = state / "address"
+        address.unlink(missing_ok=True)
+        self.log = open(state / "log", "a", encoding="utf-8")
+        prctl = ctypes.CDLL(None).prctl
+        self.process = subprocess.Popen([
+            program, f"--state-dir={state / 'state'}", "--listen=127.0.0.1:0",
+            f"--port-file={address}", f"--default-controller={SHIPPED}", *flags
+        ],
+                                        stdout=subprocess.DEVNULL,
+                                        stderr=self.log,
+                                        process_group=0,
+                                        preexec_fn=lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+                                        )  # it ends with a benchmark that is killed
+        self.address = None
+        try:
+            self.start(address)
+        except BaseException:
+            self.stop()
+            raise
+
+    def start(self, address):
+        """Waits until it takes work."""
+        for _ in range(600):
+            if address.exists() and address.read_text().strip():
+                self.address = address.read_text().split()[0]
+                if json.loads(self.fetch("/readyz", refused=503)).get("status") == "ready":
+                    return
+            if self.process.poll() is not None:
+                sys.exit(f"morphod did not start: see {self.log.name}")
+            time.sleep(0.1)
+        sys.exit(f"morphod was not ready in a minute: see {self.log.name}")
+
+    @classmethod
+    def of(cls, arguments, *flags):
+        """As the options of add_options say."""
+        program = arguments.morphod or arguments.build / "src/daemon/morphod"
+        module = arguments.module or arguments.build / "src/compute/cuda/morphod-cuda.so"
+        if arguments.module and not module.exists():
+            sys.exit(f"there is no {module}")
+        if not program.exists():
+            sys.exit(f"there is no {program}: build it, or name another with --morphod or --build")
+        given = [f"--devices={arguments.devices}"
+                 ] + ([f"--compute-module={module.resolve()}"] if module.exists() else [])
+        given += [f"--workers={arguments.workers}"] if arguments.workers else []
+        return cls(program.resolve(), arguments.state, *given, *flags)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def fetch(self, path, data=None, headers=None, method=None, refused=None):
+        """The bytes of a reply. A refusal, but one of the status `refused`, ends the program with what the
+        daemon says."""
+        request = urllib.request.Request(self.address + path, data, headers or {}, method=method)
+        try:
+            with urllib.request.urlopen(request, timeout=120) as reply:
+                return reply.read()
+        except urllib.error.HTTPError as error:
+            if error.code == refused:
+                return error.read()
+            sys.exit(
+                f"{request.get_method()} {path}: {error.code} {error.read().decode(errors='replace')}"
+            )
+
+    def call(self, path, body=None, headers=None, method=None):
+        """JSON out, JSON in."""
+        data = None if body is None else json.dumps(body).encode()
+        return json.loads(
+            self.fetch(path, data, {"Content-Type": "application/json", **(headers or {})}, method))
+
+    def job_of(self, kind, body, key):
+        """The job of a key, made if there is none yet. The daemon forgets a key after a day: here it is
+        kept as long as the job."""
+        jobs = json.loads(self.jobs.read_text()) if self.jobs.exists() else {}
+        if key in jobs:
+            job = json.loads(self.fetch(f"/v1/{kind}/{jobs[key]['id']}", refused=404))
+            if job.get("created_at"
+                       ) == jobs[key]["created_at"]:  # else the daemon's own state was deleted
+                return job
+        job = self.call(f"/v1/{kind}", body, {"Idempotency-Key": key})
+        records.replace(
+            self.jobs,
+            json.dumps({**jobs, key: {"id": job["id"], "created_at": job["created_at"]}}, indent=0)
+            + "\n")
+        return job
+
+    def submit(self, kind, body, key=None):
+        """A job that runs alone: whatever else is open is paused until it is asked for again. The same body
+        always gives the same job, which goes on if it was paused or had failed."""
+        key = key or "bench-" + hashlib.sha256(json.dumps([kind, body],
+                                                          sort_keys=True).encode()).hexdigest()[:40]
+        job = self.job_of(kind, body, key)
+        for state in ("running", "queued"):
+            for other in list(self.items(f"/v1/jobs?state={state}")):
+                if other["id"] != job["id"]:
+                    self.fetch(f"/v1/jobs/{other['id']}/pause", method="POST",
+                               refused=409)  # 409: it has just ended
+        if job["state"] in ("paused", "failed"):
+            self.fetch(f"/v1/jobs/{job['id']}/resume", method="POST")
+        return self.call(f"/v1/{kind}/{job['id']}")
+
+    def look(self, kind, job, wait_s):
+        return self.call(f"/v1/{kind}/{job['id']}", headers={"Prefer": f"wait={wait_s}"})
+
+    @staticmethod
+    def elapsed_s(job):
+        """From the first start of a job to its end, stops included."""
+        if job["started_at"] is None or job["finished_at"] is None:
+            return None
+        started, finished = (datetime.fromisoformat(job[key].replace("Z", "+00:00"))
+                             for key in ("started_at", "finished_at"))
+        return (finished - started).total_seconds()
+
+    def rows(self, path, after=None):
+        """All rows of a curve."""
+        while True:
+            page = self.call(f"{path}?limit=1000" + ("" if after is None else f"&after={after}"))
+            yield from page["items"]
+            if not page["more"]:
+                return
+            after = page["next_after"]
+
+    def items(self, path):
+        """All items of a list that is paged by cursor."""
+        cursor = ""
+        while True:
+            page = self.call(f"{path}{'&' if '?' in path else '?'}limit=1000{cursor}")
+            yield from page["items"]
+            if page["next_cursor"] is None:
+                return
+            cursor = "&cursor=" + urllib.parse.quote(page["next_cursor"])
+
+    def put_controller(self, name, file):
+        data = Path(file).read_bytes()
+        return json.loads(
+            self.fetch(f"/v1/controllers/{name}", data,
+                       {"Content-Type": "application/octet-stream"}, "PUT"))
+
+    def machine(self):
+        """What computes: names of the GPUs that work, and the number of threads."""
+        devices = self.call("/v1/devices")["devices"]
+        return {
+            "gpus": [device["name"] for device in devices if device["state"] == "working"],
+            "workers": self.call("/v1/workers")["n_workers"]
+        }
+
+    def stop(self):
+        """SIGTERM: what runs is saved. A daemon that does not end is killed, and goes on from its last
+        checkpoint."""
+        self.process.terminate()
+        try:
+            self.process.wait(120)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.log.close()

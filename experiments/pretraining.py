@@ -1,0 +1,426 @@
+"""Pretrains controllers through the daemon, at the paper's scale by default, and tells and draws
+how they learn.
+
+One call trains one recipe with some seeds, one training after the other. The state folder is kept:
+called again, it goes on where it was, and gives the same numbers. A row of the CSV file is a step
+or a validation; rows of many recipes gather there. A training all of whose rows are in the CSV file
+and whose controller is in the folder is not run again, even without its state."""
+import argparse
+import bisect
+import hashlib
+import sys
+from pathlib import Path
+
+import own_daemon
+from own_daemon import ENDED, Daemon, Deadline
+from charts import GREY, PALETTE, Chart, Panel, Scale, bundle, decades
+import records
+
+TEXTS = ("recipe", "device", "machine", "row")
+COLUMNS = TEXTS + ("seed", "step", "loss", "gradient_norm", "rate", "clipped_share",
+                   "clipped_robots", "zeroed", "diverged", "skipped", "seconds", "standard_error")
+PAPER_LOSS = 0.30
+MARKS = (50, 150, 750, 1050)
+SCHEDULES = {
+    "one-cosine": {"kind": "cosine", "peak": 2e-3, "floor": 1e-5, "warmup_steps": 10},
+    "paper-pretrain": {
+        "kind": "restarts", "peak": 1e-3, "floor": 1e-5, "decay": 0.7, "cycle_steps": 10,
+        "cycle_growth": 2, "warmup_steps": 0
+    }, "constant": {"kind": "constant", "peak": 1e-3, "warmup_steps": 0}
+}
+SCHEDULES["restarts"] = SCHEDULES["paper-pretrain"]
+
+# ---- recipes ----
+
+
+def schedule_of(arguments):
+    schedule = dict(SCHEDULES[arguments.schedule])
+    given = {
+        "peak": arguments.peak, "floor": arguments.floor, "warmup_steps": arguments.warmup,
+        "decay": arguments.decay, "cycle_steps": arguments.cycle, "cycle_growth": arguments.growth
+    }
+    for name, value in given.items():
+        if value is not None:
+            if name not in schedule:
+                sys.exit(f"{name} does not belong to the schedule {arguments.schedule}")
+            schedule[name] = value
+    return schedule
+
+
+def request_of(arguments, seed):
+    body = {
+        "kind": "pretrain", "seed": seed, "steps": arguments.steps, "batch": arguments.batch,
+        "sensor": arguments.sensor, "schedule": schedule_of(arguments),
+        "gradient_norm_limit": arguments.norm_limit,
+        "adam": {"beta1": arguments.beta1, "beta2": arguments.beta2,
+                 "epsilon": arguments.epsilon}, "adjoint_bound": arguments.bound,
+        "adjoint_rule": arguments.rule, "restart_weight": arguments.restart_weight,
+        "physics": {"n_steps": arguments.rollout_steps,
+                    "impact": arguments.impact}, "device": arguments.device, "validation": {
+                        "every_steps": arguments.validation_every,
+                        "designs": arguments.validation_designs,
+                        "environments": arguments.validation_environments
+                    }, "checkpoint": {"keep": 1}
+    }
+    body["name"] = f"pretraining-{hashlib.sha256(recipe_of(body).encode()).hexdigest()[:12]}-{seed}"
+    return body
+
+
+def recipe_of(body):
+    """The recipe as one line without commas: always schedule, bound and size; what else differs from
+    the usual."""
+    schedule = body["schedule"]
+    kind, usual = next((name, s) for name, s in SCHEDULES.items() if s["kind"] == schedule["kind"])
+    words = [{"one-cosine": "one cosine", "paper-pretrain": "restarts"}.get(kind, kind),
+             f"{schedule['peak']:g}"]
+    words[1] += f"..{schedule['floor']:g}" if "floor" in schedule else ""
+    for name, word in (("decay", "decay"), ("cycle_steps", "cycle"), ("cycle_growth", "growth"),
+                       ("warmup_steps", "warm-up")):
+        if name in schedule and schedule[name] != usual.get(name):
+            words.append(f"{word} {schedule[name]:g}")
+    words.append(f"bound {body['adjoint_bound']:g}")
+    if body["adjoint_rule"] != "clip":
+        words.append(f"{body['adjoint_rule']} {body['restart_weight']:g}")
+    adam = body["adam"]
+    for value, usual_value, word in ((body["gradient_norm_limit"], 1, "norm"),
+                                     (adam["beta1"], 0.9, "beta1"), (adam["beta2"], 0.999, "beta2"),
+                                     (adam["epsilon"], 1e-8,
+                                      "epsilon"), (body["physics"]["n_steps"], 1000, "lives of")):
+        if value != usual_value:
+            words.append(f"{word} {value:g}")
+    words += [
+        word for word, usual_word in ((body["physics"]["impact"], "exact"),
+                                      (body["sensor"], "inverse_sqrt")) if word != usual_word
+    ]
+    return " ".join(words) + f" / {body['batch']} x {body['steps']}"
+
+
+def file_of(folder, recipe, seed):
+    slug = "".join(c if c.isalnum() or c in ".-" else "-"
+                   for c in recipe.replace(" / ", "-").replace("..", "-to-"))
+    return folder / f"{slug}-seed-{seed}.safetensors"
+
+
+# ---- running ----
+
+
+def rows_of(daemon, training, recipe):
+    machine = daemon.machine()
+    computed = " + ".join(f"{machine['gpus'].count(gpu)} {gpu}"
+                          for gpu in sorted(set(machine["gpus"])))
+    same = {
+        "recipe": recipe, "device": training["device"],
+        "machine": computed if training["device"] == "cuda" else f"{machine['workers']} threads",
+        "seed": training["settings"]["seed"]
+    }
+    path = f"/v1/trainings/{training['id']}"
+    for row in daemon.rows(f"{path}/steps"):
+        yield {
+            **same, **row, "row": "step", "loss": row["mean_loss"],
+            "clipped_robots": row["clipped_robots_share"], "skipped": int(row["skipped"])
+        }
+    for row in daemon.rows(f"{path}/validations"):
+        yield {
+            **same, "row": "validation", "step": row["step"], "loss": row["mean_score"],
+            "standard_error": row["standard_error"], "diverged": row["diverged"]
+        }
+
+
+def is_done(rows, recipe, seed, device, steps, file):
+    """Whether an earlier call has brought the whole training."""
+    known = {
+        row["step"]
+        for row in rows
+        if (row["recipe"], row["seed"],
+            row["row"]) == (recipe, seed, "step") and device in ("auto", row["device"])
+    }
+    return file.exists() and len(known) >= steps
+
+
+def tell(training, recipe):
+    progress = training["progress"]
+    line = f"{recipe}, seed {training['settings']['seed']}: step {progress['step']} of {progress['steps']}"
+    if training["phase"] == "replaying":
+        line += f", drawing again {progress['replayed']} of {progress['replay_total']} bodies"
+    if progress["mean_loss"] is not None:
+        line += f", loss {progress['mean_loss']:.4f}"
+    if progress["bodies_per_s"]:
+        line += f", {training['settings']['batch'] / progress['bodies_per_s']:.2f} s per step"
+    if progress["seconds_left"] is not None:
+        line += f", {progress['seconds_left']:.0f} s left"
+    print(line, file=sys.stderr, flush=True)
+
+
+def run(arguments):
+    """Whether all trainings have ended. What is known of one that has not is written, too."""
+    deadline = Deadline(arguments.limit_s)
+    known = records.read(arguments.csv, TEXTS)
+    bodies = [request_of(arguments, seed) for seed in arguments.seeds]
+    recipe = recipe_of(bodies[0])
+    wanted = [
+        body for body in bodies
+        if not is_done(known, recipe, body["seed"], arguments.device, arguments.steps,
+                       file_of(arguments.folder, recipe, body["seed"]))
+    ]
+    if not wanted:
+        return True
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    with Daemon.of(arguments, "--max-trainings=1") as daemon:
+        print(f"on {daemon.machine()}", file=sys.stderr)
+        for body in wanted:
+            training = daemon.submit("trainings", body)
+            while not deadline.is_over():
+                training = daemon.look("trainings", training, deadline.wait_s())
+                if training["state"] in ENDED + ("paused", ):
+                    break
+                tell(training, recipe)
+            new = list(rows_of(daemon, training, recipe))
+            if new:
+                key = (recipe, training["device"], training["settings"]["seed"])
+                known = [
+                    row for row in known if (row["recipe"], row["device"], row["seed"]) != key
+                ] + new
+                records.write(arguments.csv, COLUMNS, known)
+            if training["state"] in ("failed", "cancelled", "paused"):
+                sys.exit(
+                    f"training {training['id']} {training['state']}: {training['error'] or training['reason']}"
+                )
+            if training["state"] != "succeeded":
+                return False
+            print(
+                f"{recipe}, seed {body['seed']}: {daemon.elapsed_s(training):.0f} s from start to end, validations and stops included",
+                file=sys.stderr)
+            records.replace(file_of(arguments.folder, recipe, training["settings"]["seed"]),
+                            daemon.fetch(f"/v1/trainings/{training['id']}/controller"))
+            daemon.call(f"/v1/trainings/{training['id']}/checkpoints",
+                        method="DELETE")  # 12 MB that nothing needs any more
+    return True
+
+
+# ---- telling ----
+
+
+def smooth(curve, half):
+    """Mean of the steps within ±half(step) of each, of (step, loss)."""
+    steps, sums = [step for step, _ in curve], [0.0]
+    for _, loss in curve:
+        sums.append(sums[-1] + loss)
+    out = []
+    for step, _ in curve:
+        low, high = bisect.bisect_left(steps, step - half(step)), bisect.bisect_right(
+            steps, step + half(step))
+        out.append((step, (sums[high] - sums[low]) / (high - low)))
+    return out
+
+
+def losses(group):
+    return [(row["step"], row["loss"]) for row in group
+            if row["row"] == "step" and row["loss"] is not None]
+
+
+def seconds_until(group, bound):
+    """Wall time until the mean loss of 20 steps in a row is at most the bound."""
+    last, seconds = [], 0.0
+    for row in group:
+        if row["row"] == "step":
+            seconds += row["seconds"] or 0
+            last = (last + ([row["loss"]] if row["loss"] is not None else []))[-20:]
+            if len(last) == 20 and sum(last) / 20 <= bound:
+                return seconds
+    return None
+
+
+def summary(group):
+    """What the tables say of one training."""
+    curve = losses(group)
+    steps = [row for row in group if row["row"] == "step"]
+    validations = [row for row in group if row["row"] == "validation" and row["loss"] is not None]
+    around = {
+        mark: records.mean([loss for step, loss in curve if mark - 10 < step <= mark + 10])
+        for mark in MARKS if curve and curve[-1][0] >= mark
+    }
+    seconds = sum(row["seconds"] or 0 for row in steps)
+    return {
+        "steps": len(steps), "around": around,
+        "end": records.mean([loss for _, loss in curve[-20:]
+                             ]), "until": seconds_until(group, PAPER_LOSS), "seconds": seconds,
+        "per_step": seconds / len(steps) if steps else None,
+        "held_out": (validations[-1]["loss"],
+                     validations[-1]["standard_error"]) if validations else None,
+        "zeroed": sum(row["zeroed"] or 0 for row in steps), "skipped": sum(row["skipped"] or 0
+                                                                           for row in steps)
+    }
+
+
+def table(rows):
+    def text(value, form):
+        return "–" if value is None else format(value, form)
+
+    lines = []
+    for (recipe, device, seed), group in records.group(rows, "recipe", "device", "seed").items():
+        s = summary(group)
+        held_out = f"{s['held_out'][0]:.4f} ± {1.96 * (s['held_out'][1] or 0):.4f}" if s[
+            "held_out"] else "–"
+        lines.append([f"{recipe} ({device})", f"{int(seed)}", f"{s['steps']}"] +
+                     [text(s["around"].get(mark), ".3f") for mark in MARKS] + [
+                         text(s["end"], ".4f"),
+                         text(s["until"], ".0f"), f"{s['seconds']:.0f}",
+                         text(s["per_step"], ".3f"), held_out
+                     ])
+    heads = ["recipe", "seed", "steps"] + [f"loss at {mark}" for mark in MARKS] + [
+        "end", f"s to {PAPER_LOSS:.2f}", "s", "s per step", "held out"
+    ]
+    return records.table(heads, lines)
+
+
+def draw(rows, path):
+    """Loss of the batch against the logarithm of the step, so that its beginning shows; score of the
+    held-out bodies against the step."""
+    groups = records.group(rows, "recipe", "device")
+    last = max(row["step"] for row in rows)
+    width, left, right, top, high, gap = 940, 70, 20, 46, 380, 70
+    chart = Chart(width, top + 2 * (high + gap) + 20 * len(groups) + 10)
+    known = [row["loss"] for row in rows if row["loss"]]
+    last = max(last, 2)
+    scales = Scale(1, last, log=True), Scale(0, last)
+    scale = Scale(*decades(known + [PAPER_LOSS]), log=True)
+    panels = []
+    for p, title in enumerate(("mean loss of the batch, smoothed: each seed (thin), mean (thick)",
+                               "score of held-out bodies: mean over seeds and range")):
+        panel = Panel(chart, left, top + p * (high + gap), width - right,
+                      top + p * (high + gap) + high, scales[p], scale)
+        panel.title(title)
+        panel.axes("step of learning", "distance to the light, end / start", x_grid=True)
+        panel.line([(scales[p].low, PAPER_LOSS), (last, PAPER_LOSS)], GREY, "2 3")
+        chart.text(*((left + 6, f"{panel.at_y(PAPER_LOSS) - 5:.1f}") if p == 0 else
+                     (width - right - 130, f"{panel.at_y(PAPER_LOSS) + 14:.1f}")),
+                   f"the paper's end, {PAPER_LOSS}",
+                   fill=GREY)
+        panels.append(panel)
+    for i, ((recipe, device), group) in enumerate(groups.items()):
+        colour = PALETTE[i % len(PALETTE)]
+        smoothed = []
+        for trial in records.group(group, "seed").values():
+            curve = smooth(losses(trial), lambda step: min(10, step // 10))
+            kept = [
+                point for j, point in enumerate(curve)
+                if j == len(curve) - 1 or j < 20 or point[0] % max(1, int(point[0] / 60)) == 0
+            ]
+            panels[0].line(kept, colour, style="stroke-width:.8;stroke-opacity:.5")
+            smoothed.append(dict(kept))
+        common = sorted(set.intersection(*map(set, smoothed)))
+        panels[0].line([(step, sum(curve[step] for curve in smoothed) / len(smoothed))
+                        for step in common],
+                       colour,
+                       style="stroke-width:2.4")
+        validations = [{row["step"]: row["loss"]
+                        for row in trial if row["row"] == "validation"}
+                       for trial in records.group(group, "seed").values()]
+        bundle(panels[1], validations, colour, dots=True)
+        y = top + 2 * (high + gap) + 20 * i
+        chart.legend(
+            left, y,
+            [(f"{recipe} ({device}), {len(smoothed)} seed{'s' if len(smoothed) > 1 else ''}",
+              colour, "")])
+    chart.save(path)
+
+
+def options():
+    parser = argparse.ArgumentParser(prog="tools/bench pretraining",
+                                     description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds",
+                        type=lambda text: [int(seed) for seed in text.split(",")],
+                        default=[1, 2, 3],
+                        help="default 1,2,3")
+    parser.add_argument("--steps", type=int, default=1400)
+    parser.add_argument("--batch", type=int, default=8192)
+    parser.add_argument("--schedule",
+                        choices=SCHEDULES,
+                        default="one-cosine",
+                        help="restarts: the same as paper-pretrain")
+    for name, text in (("peak", "largest rate"), ("floor", "smallest rate"),
+                       ("decay", "of the peak from one restart to the next")):
+        parser.add_argument(f"--{name}", type=float, help=text + " (default: the schedule's)")
+    for name, text in (("warmup", "steps"), ("cycle", "steps to the first restart"),
+                       ("growth", "of the cycles")):
+        parser.add_argument(f"--{name}", type=int, help=text + " (default: the schedule's)")
+    parser.add_argument("--bound",
+                        type=float,
+                        default=2.0,
+                        help="of each robot's adjoint; 0: not clipped, as in the paper (default 2)")
+    parser.add_argument("--rule",
+                        choices=("clip", "restart"),
+                        default="clip",
+                        help="above the bound (default clip)")
+    parser.add_argument("--restart-weight",
+                        type=float,
+                        default=3.0,
+                        help="of what begins anew, under restart (default 3)")
+    parser.add_argument("--beta1", type=float, default=0.9, help="of Adam (default 0.9)")
+    parser.add_argument("--beta2", type=float, default=0.999, help="of Adam (default 0.999)")
+    parser.add_argument("--epsilon", type=float, default=1e-8, help="of Adam (default 1e-8)")
+    parser.add_argument("--impact",
+                        default="exact",
+                        help="time of impact: exact, or bisection8 as in the paper (default exact)")
+    parser.add_argument("--norm-limit",
+                        type=float,
+                        default=1.0,
+                        help="of the gradient of a batch; 0: off (default 1)")
+    parser.add_argument("--sensor",
+                        choices=("inverse_sqrt", "inverse_square"),
+                        default="inverse_sqrt")
+    parser.add_argument("--validation-every",
+                        type=int,
+                        default=50,
+                        help="steps (default 50; 0: never)")
+    parser.add_argument("--validation-designs",
+                        type=int,
+                        default=256,
+                        help="held-out bodies (default 256)")
+    parser.add_argument("--validation-environments",
+                        type=int,
+                        default=8,
+                        help="held-out environments of each (default 8)")
+    parser.add_argument("--rollout-steps",
+                        type=int,
+                        default=1000,
+                        help="steps of a life, for trials (default 1000)")
+    own_daemon.add_limit(parser)
+    own_daemon.add_options(parser, ".morphod/bench-pretraining")
+    parser.add_argument("--csv",
+                        type=Path,
+                        default=Path("pretraining.csv"),
+                        help="read at the start, rewritten with what is new")
+    parser.add_argument("--svg", type=Path, default=Path("pretraining.svg"))
+    parser.add_argument("--folder",
+                        type=Path,
+                        default=Path("controllers"),
+                        help="for the final controllers (default controllers)")
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        help="page that gets the table between the markers pretraining: begin and end")
+    parser.add_argument(
+        "--report",
+        action="store_true",
+        help="run nothing: only the table and the drawing of what the CSV file holds")
+    return parser
+
+
+def main():
+    arguments = options().parse_args()
+    if not arguments.report and not run(arguments):
+        return own_daemon.cut_off()
+    rows = records.read(arguments.csv, TEXTS)
+    if not rows:
+        sys.exit(f"there is nothing in {arguments.csv}")
+    draw(rows, arguments.svg)
+    print(table(rows))
+    if arguments.markdown:
+        records.put_between(arguments.markdown, "pretraining", table(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,375 @@
+/* fields.c: see fields.h. */
+#include "base/fields.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/number.h"
+
+static const void *at_const(const void *settings, const struct mo_field *field)
+{
+  return (const char *)settings + field->offset;
+}
+
+/* Finds a row by its name. *offset: of the struct that holds the row, within the struct of
+ * `fields`. */
+static const struct mo_field *find(const struct mo_fields *fields, const char *name, size_t size,
+                                   size_t *offset)
+{
+  for (size_t i = 0; i < fields->n; i++) {
+    const struct mo_field *field = &fields->rows[i];
+    if (field->type == MO_FIELD_INLINE) {
+      size_t below = *offset + field->offset;
+      const struct mo_field *found = find(field->group, name, size, &below);
+      if (found != NULL) {
+        *offset = below;
+        return found;
+      }
+    } else if (strlen(field->name) == size && memcmp(field->name, name, size) == 0) {
+      return field;
+    }
+  }
+  return NULL;
+}
+
+/* ---- bounds ---- */
+
+static bool is_within(const struct mo_field *field, double value)
+{
+  if (!(value >= field->min && value <= field->max))
+    return false;
+  return !((field->flags & MO_FIELD_ABOVE_MIN) && value == field->min) &&
+         !((field->flags & MO_FIELD_BELOW_MAX) && value == field->max);
+}
+
+#define BOUNDS_BYTES 128
+#define PATH_BYTES   64
+
+/* Formats a number for a message; counts are written without an exponent. */
+static const char *number_of(const struct mo_field *field, double value, char text[MO_NUMBER_BYTES])
+{
+  if (field->type != MO_FIELD_COUNT)
+    return mo_number_text(value, text);
+  snprintf(text, MO_NUMBER_BYTES, "%.0f", value);
+  return text;
+}
+
+/* Writes the bounds in words: "must be above 0 and at most 1". */
+static const char *bounds_of(const struct mo_field *field, char text[BOUNDS_BYTES])
+{
+  char min[MO_NUMBER_BYTES], max[MO_NUMBER_BYTES];
+  snprintf(text, BOUNDS_BYTES, "must be %s %s and %s %s%s",
+           field->flags & MO_FIELD_ABOVE_MIN ? "above" : "at least",
+           number_of(field, field->min, min),
+           field->flags & MO_FIELD_BELOW_MAX ? "below" : "at most",
+           number_of(field, field->max, max), field->flags & MO_FIELD_NULL ? ", or null" : "");
+  return text;
+}
+
+/* ---- reading ---- */
+
+static void read_count(struct mo_json *json, const struct mo_field *field, void *value)
+{
+  int64_t number;
+  const int64_t max = field->type == MO_FIELD_SEED ? MO_SEED_MAX : (int64_t)field->max;
+  if (!mo_json_integer(json, (int64_t)field->min, max, &number))
+    return;
+  if (field->type == MO_FIELD_SEED) {
+    uint64_t seed = (uint64_t)number;
+    memcpy(value, &seed, sizeof(seed));
+  } else {
+    uint32_t count = (uint32_t)number;
+    memcpy(value, &count, sizeof(count));
+  }
+}
+
+static void read_number(struct mo_json *json, const struct mo_field *field, void *value)
+{
+  double number;
+  char bounds[BOUNDS_BYTES];
+  if (!mo_json_number(json, &number))
+    return;
+  if (is_within(field, number))
+    memcpy(value, &number, sizeof(number));
+  else
+    mo_json_fault(json, "%s, got %s", bounds_of(field, bounds), MO_NUMBER(number));
+}
+
+static void read_word(struct mo_json *json, const struct mo_field *field, void *value)
+{
+  struct mo_json_slice word;
+  const unsigned depth = json->depth;
+  if (!mo_json_string(json, &word))
+    return;
+  for (int i = 0; field->words[i] != NULL; i++)
+    if (mo_json_is(word, field->words[i])) {
+      memcpy(value, &i, sizeof(i));
+      return;
+    }
+  char list[MO_WORDS_BYTES];
+  mo_json_fault_at(json, depth, "", "must be %s, got \"%.*s\"", mo_words_list(field->words, list),
+                   word.size > 64 ? 64 : (int)word.size, word.bytes);
+}
+
+static bool read_null(struct mo_json *json, const struct mo_field *field, void *value)
+{
+  if (!(field->flags & MO_FIELD_NULL) || field->type == MO_FIELD_WORD ||
+      mo_json_peek(json) != MO_JSON_NULL)
+    return false;
+  memset(value, 0, field->type == MO_FIELD_COUNT ? sizeof(uint32_t) : sizeof(double));
+  mo_json_skip(json);
+  return true;
+}
+
+static void read_value(struct mo_json *json, const struct mo_field *field, void *value)
+{
+  if (read_null(json, field, value))
+    return;
+  switch (field->type) {
+  case MO_FIELD_COUNT:
+  case MO_FIELD_SEED: read_count(json, field, value); break;
+  case MO_FIELD_NUMBER: read_number(json, field, value); break;
+  case MO_FIELD_FLAG: mo_json_bool(json, value); break;
+  case MO_FIELD_WORD: read_word(json, field, value); break;
+  case MO_FIELD_GROUP: mo_fields_read(json, field->group, value); break;
+  case MO_FIELD_OWN: field->own->read(json, value); break;
+  case MO_FIELD_INLINE: break; /* has no value of its own */
+  }
+}
+
+bool mo_fields_read_member(struct mo_json *json, struct mo_json_slice key,
+                           const struct mo_fields *fields, void *settings)
+{
+  size_t offset = 0;
+  const struct mo_field *field = find(fields, key.bytes, key.size, &offset);
+  if (field == NULL)
+    return false;
+  read_value(json, field, (char *)settings + offset + field->offset);
+  return true;
+}
+
+static void add_names(struct mo_text *text, const struct mo_fields *fields)
+{
+  for (size_t i = 0; i < fields->n; i++)
+    if (fields->rows[i].type == MO_FIELD_INLINE)
+      add_names(text, fields->rows[i].group);
+    else
+      mo_text_format(text, "%s%s", text->size > 0 ? ", " : "", fields->rows[i].name);
+}
+
+void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_fields *fields)
+{
+  struct mo_text text = {0};
+  if (known != NULL)
+    mo_text_add(&text, known);
+  if (fields != NULL)
+    add_names(&text, fields);
+  mo_json_fault(json, "unknown field; expected are %s",
+                text.failed || text.size == 0 ? "others" : text.data);
+  mo_text_free(&text);
+  mo_json_skip(json);
+}
+
+void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *settings)
+{
+  struct mo_json_slice key;
+  if (!mo_json_object(json))
+    return;
+  while (mo_json_member(json, &key))
+    if (!mo_fields_read_member(json, key, fields, settings))
+      mo_fields_unknown(json, NULL, fields);
+}
+
+int mo_fields_parse(const char *text, size_t size, const struct mo_fields *fields, void *settings,
+                    struct mo_message *message)
+{
+  struct mo_json *json = malloc(sizeof(*json));
+  struct mo_faults *faults = calloc(1, sizeof(*faults));
+  int error = MO_ERR_NO_MEMORY;
+  if (json != NULL && faults != NULL) {
+    mo_json_start(json, text, size, faults);
+    mo_fields_read(json, fields, settings);
+    const bool whole = mo_json_finish(json);
+    error = whole && faults->n == 0 ? MO_OK : MO_ERR_FORMAT;
+  }
+  if (error == MO_ERR_FORMAT)
+    mo_fail(message, error, "%s: %s", faults->items[0].where, faults->items[0].detail);
+  free(faults);
+  free(json);
+  return error;
+}
+
+/* ---- writing ---- */
+
+static uint64_t count_at(const struct mo_field *field, const void *value)
+{
+  uint32_t count = 0;
+  uint64_t seed = 0;
+  if (field->type == MO_FIELD_SEED)
+    memcpy(&seed, value, sizeof(seed));
+  else
+    memcpy(&count, value, sizeof(count));
+  return field->type == MO_FIELD_SEED ? seed : count;
+}
+
+static double number_at(const void *value)
+{
+  double number;
+  memcpy(&number, value, sizeof(number));
+  return number;
+}
+
+static int word_at(const void *value)
+{
+  int word;
+  memcpy(&word, value, sizeof(word));
+  return word;
+}
+
+static void write_number(struct mo_text *text, double number)
+{
+  mo_text_add(text, isfinite(number) ? MO_NUMBER(number) : "null");
+}
+
+static void write_value(struct mo_text *text, const struct mo_field *field, const void *value)
+{
+  bool flag;
+  switch (field->type) {
+  case MO_FIELD_COUNT:
+  case MO_FIELD_SEED:
+    if ((field->flags & MO_FIELD_NULL) && count_at(field, value) == 0)
+      mo_text_add(text, "null");
+    else
+      mo_text_format(text, "%" PRIu64, count_at(field, value));
+    break;
+  case MO_FIELD_NUMBER:
+    if ((field->flags & MO_FIELD_NULL) && number_at(value) == 0)
+      mo_text_add(text, "null");
+    else
+      write_number(text, number_at(value));
+    break;
+  case MO_FIELD_FLAG:
+    memcpy(&flag, value, sizeof(flag));
+    mo_text_add(text, flag ? "true" : "false");
+    break;
+  case MO_FIELD_WORD:
+    if ((field->flags & MO_FIELD_NULL) && word_at(value) < 0)
+      mo_text_add(text, "null");
+    else
+      mo_text_format(text, "\"%s\"", mo_word(field->words, (unsigned)word_at(value)));
+    break;
+  case MO_FIELD_GROUP: mo_fields_write_object(text, field->group, value); break;
+  case MO_FIELD_OWN: field->own->write(text, value); break;
+  case MO_FIELD_INLINE: mo_fields_write(text, field->group, value); break;
+  }
+}
+
+void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const void *settings)
+{
+  for (size_t i = 0; i < fields->n; i++) {
+    const struct mo_field *field = &fields->rows[i];
+    if (i > 0)
+      mo_text_add(text, ",");
+    if (field->type != MO_FIELD_INLINE)
+      mo_text_format(text, "\"%s\":", field->name);
+    write_value(text, field, at_const(settings, field));
+  }
+}
+
+void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields,
+                            const void *settings)
+{
+  mo_text_add(text, "{");
+  mo_fields_write(text, fields, settings);
+  mo_text_add(text, "}");
+}
+
+/* ---- checking ---- */
+
+static int check_number(const struct mo_field *field, const char *path, double value,
+                        struct mo_message *message)
+{
+  char bounds[BOUNDS_BYTES], number[MO_NUMBER_BYTES];
+  if ((field->flags & MO_FIELD_NULL) && value == 0)
+    return MO_OK;
+  if (!isfinite(value))
+    return mo_fail(message, MO_ERR_INVALID, "%s %s, got a number that is not finite", path,
+                   bounds_of(field, bounds));
+  if (!is_within(field, value))
+    return mo_fail(message, MO_ERR_RANGE, "%s %s, got %s", path, bounds_of(field, bounds),
+                   number_of(field, value, number));
+  return MO_OK;
+}
+
+static int check_word(const struct mo_field *field, const char *path, int value,
+                      struct mo_message *message)
+{
+  char list[MO_WORDS_BYTES];
+  if (value >= 0 && (size_t)value < mo_words_count(field->words))
+    return MO_OK;
+  return mo_fail(message, MO_ERR_INVALID, "%s must be %s, got number %d", path,
+                 mo_words_list(field->words, list), value);
+}
+
+/* Checks the rows. above: the path of the struct with a period after it, or "". */
+static int check(const struct mo_fields *fields, const char *above, const void *settings,
+                 struct mo_message *message)
+{
+  int error = MO_OK;
+  for (size_t i = 0; i < fields->n && error == MO_OK; i++) {
+    const struct mo_field *field = &fields->rows[i];
+    const void *value = at_const(settings, field);
+    char path[PATH_BYTES];
+    snprintf(path, sizeof(path), "%s%s%s", above, field->name != NULL ? field->name : "",
+             field->type == MO_FIELD_GROUP ? "." : "");
+    switch (field->type) {
+    case MO_FIELD_COUNT:
+      error = check_number(field, path, (double)count_at(field, value), message);
+      break;
+    case MO_FIELD_NUMBER: error = check_number(field, path, number_at(value), message); break;
+    case MO_FIELD_WORD: error = check_word(field, path, word_at(value), message); break;
+    case MO_FIELD_INLINE:
+    case MO_FIELD_GROUP: error = check(field->group, path, value, message); break;
+    case MO_FIELD_OWN:
+      if (field->own->check != NULL)
+        error = field->own->check(path, value, message);
+      break;
+    case MO_FIELD_SEED: /* only requests are bounded; the library takes any seed */
+    case MO_FIELD_FLAG: break;
+    }
+  }
+  return error;
+}
+
+int mo_fields_check(const struct mo_fields *fields, const void *settings,
+                    struct mo_message *message)
+{
+  return check(fields, "", settings, message);
+}
+
+int mo_fields_check_below(const struct mo_fields *fields, const char *name, const void *settings,
+                          struct mo_message *message)
+{
+  char above[PATH_BYTES];
+  snprintf(above, sizeof(above), "%s.", name);
+  return check(fields, above, settings, message);
+}
+
+/* ---- paths ---- */
+
+const struct mo_field *mo_fields_find(const struct mo_fields *fields, const char *path,
+                                      size_t *offset)
+{
+  const size_t size = strcspn(path, ".");
+  const struct mo_field *field = find(fields, path, size, offset);
+  if (field == NULL)
+    return NULL;
+  *offset += field->offset;
+  if (path[size] == '\0')
+    return field;
+  return field->type == MO_FIELD_GROUP ? mo_fields_find(field->group, path + size + 1, offset)
+                                       : NULL;
+}

@@ -1,0 +1,103 @@
+/* fields.h: settings as tables. Each setting is one row: its name in JSON, its offset in a struct,
+ * its bounds, its unit and one line of help. Requests, replies, the database, checkpoints, the
+ * metadata of controllers and the command line use these rows.
+ *
+ * Numbers are written with enough digits to read back bit for bit. */
+#ifndef MORPHO_BASE_FIELDS_H
+#define MORPHO_BASE_FIELDS_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <morpho/error.h>
+
+#include "base/json.h"
+#include "base/text.h"
+#include "base/words.h"
+
+#define MO_SEED_MAX INT64_C(9007199254740991) /* 2^53 − 1: exact in every JSON reader */
+
+enum mo_field_type {
+  MO_FIELD_COUNT,  /* uint32_t */
+  MO_FIELD_SEED,   /* uint64_t, at most MO_SEED_MAX */
+  MO_FIELD_NUMBER, /* double, finite */
+  MO_FIELD_FLAG,   /* bool */
+  MO_FIELD_WORD,   /* an enumeration: one of `words`, by its index */
+  MO_FIELD_GROUP,  /* an object: the rows of `group`, for the struct at `offset` */
+  MO_FIELD_INLINE, /* the rows of `group` without an object around them; it has no name */
+  MO_FIELD_OWN     /* anything else, by the functions of `own` */
+};
+
+enum mo_field_flag {
+  MO_FIELD_ABOVE_MIN = 1, /* the lower bound itself is not allowed */
+  MO_FIELD_BELOW_MAX = 2, /* the upper bound itself is not allowed */
+  MO_FIELD_NULL = 4       /* null stands for 0; for a word, null is written for an index below 0 */
+};
+
+struct mo_fields;
+
+/* Functions for a field of its own type. value: the field in its struct. read: reads one JSON value
+ * of any kind; a bad one adds a fault at its place and leaves `value` unchanged. check: MO_OK,
+ * MO_ERR_INVALID or MO_ERR_RANGE, with a message that begins with `name`, the path of the setting;
+ * NULL: nothing to check. */
+struct mo_field_own {
+  void (*read)(struct mo_json *json, void *value);
+  void (*write)(struct mo_text *text, const void *value);
+  int (*check)(const char *name, const void *value, struct mo_message *message);
+};
+
+struct mo_field {
+  const char *name;
+  enum mo_field_type type;
+  unsigned flags; /* of enum mo_field_flag */
+  size_t offset;
+  double min, max;               /* of counts and numbers */
+  const char *const *words;      /* of a word; NULL after the last */
+  const struct mo_fields *group; /* of a group, inline or not */
+  const struct mo_field_own *own;
+  const char *unit; /* "m", "s"; "": none */
+  const char *help; /* one line without a period */
+};
+
+struct mo_fields {
+  const struct mo_field *rows;
+  size_t n;
+};
+
+/* Reads the value of member `key` into `settings`. False: no row has this name. An invalid value
+ * adds a fault and leaves the setting unchanged. */
+bool mo_fields_read_member(struct mo_json *json, struct mo_json_slice key,
+                           const struct mo_fields *fields, void *settings);
+/* Reads one object. An unknown member adds a fault that lists the rows. */
+void mo_fields_read(struct mo_json *json, const struct mo_fields *fields, void *settings);
+/* Adds a fault at the current member and skips its value. The fault lists the allowed members:
+ * `known`, then the rows' names. known, fields: nullable. */
+void mo_fields_unknown(struct mo_json *json, const char *known, const struct mo_fields *fields);
+
+/* Parses a whole text from mo_fields_write_object. Missing members stay unchanged. MO_ERR_FORMAT,
+ * with the first fault in `message`; MO_ERR_NO_MEMORY. */
+int mo_fields_parse(const char *text, size_t size, const struct mo_fields *fields, void *settings,
+                    struct mo_message *message);
+
+/* Writes all rows as "name":value, with commas between them. */
+void mo_fields_write(struct mo_text *text, const struct mo_fields *fields, const void *settings);
+/* Writes all rows as an object, with braces. */
+void mo_fields_write_object(struct mo_text *text, const struct mo_fields *fields,
+                            const void *settings);
+
+/* Checks all settings against their bounds. MO_ERR_INVALID (not finite, not one of the words) or
+ * MO_ERR_RANGE for the first bad one; `message` gives its name, value and bounds. */
+int mo_fields_check(const struct mo_fields *fields, const void *settings,
+                    struct mo_message *message);
+
+/* Checks the fields of a struct that messages call `name`: "schedule.peak …". */
+int mo_fields_check_below(const struct mo_fields *fields, const char *name, const void *settings,
+                          struct mo_message *message);
+
+/* Finds the row of a path ("schedule.peak"). *offset: from the outermost struct. NULL: there is
+ * none. */
+const struct mo_field *mo_fields_find(const struct mo_fields *fields, const char *path,
+                                      size_t *offset);
+
+#endif

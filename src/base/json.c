@@ -1,0 +1,636 @@
+/* json.c: see json.h. */
+#include "base/json.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/number.h"
+#include "base/utf8.h"
+
+/* ---- places ---- */
+
+static int hex_value(char c)
+{
+  return c >= '0' && c <= '9'   ? c - '0'
+         : c >= 'a' && c <= 'f' ? c - 'a' + 10
+         : c >= 'A' && c <= 'F' ? c - 'A' + 10
+                                : -1;
+}
+
+/* Decodes the escapes of a string that was checked before. Writes at most `capacity` bytes; returns
+ * the full length. */
+static size_t decode(struct mo_json_slice raw, char *out, size_t capacity)
+{
+  size_t n = 0;
+  for (size_t i = 0; i < raw.size;) {
+    unsigned long code;
+    char c = raw.bytes[i];
+    if (c != '\\') {
+      if (n < capacity)
+        out[n] = c;
+      n++, i++;
+      continue;
+    }
+    char kind = raw.bytes[i + 1];
+    i += 2;
+    if (kind != 'u') {
+      if (n < capacity)
+        out[n] = (char)(kind == 'b'   ? '\b'
+                        : kind == 'f' ? '\f'
+                        : kind == 'n' ? '\n'
+                        : kind == 'r' ? '\r'
+                        : kind == 't' ? '\t'
+                                      : kind);
+      n++;
+      continue;
+    }
+    code = 0;
+    for (int k = 0; k < 4; k++)
+      code = code << 4 | (unsigned long)hex_value(raw.bytes[i++]);
+    if (code >= 0xD800 && code < 0xDC00) {
+      unsigned long low = 0;
+      i += 2;
+      for (int k = 0; k < 4; k++)
+        low = low << 4 | (unsigned long)hex_value(raw.bytes[i++]);
+      code = 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
+    }
+    char bytes[4];
+    unsigned length;
+    if (code < 0x80) {
+      bytes[0] = (char)code, length = 1;
+    } else if (code < 0x800) {
+      bytes[0] = (char)(0xC0 | code >> 6), bytes[1] = (char)(0x80 | (code & 0x3F)), length = 2;
+    } else if (code < 0x10000) {
+      bytes[0] = (char)(0xE0 | code >> 12), bytes[1] = (char)(0x80 | (code >> 6 & 0x3F));
+      bytes[2] = (char)(0x80 | (code & 0x3F)), length = 3;
+    } else {
+      bytes[0] = (char)(0xF0 | code >> 18), bytes[1] = (char)(0x80 | (code >> 12 & 0x3F));
+      bytes[2] = (char)(0x80 | (code >> 6 & 0x3F)), bytes[3] = (char)(0x80 | (code & 0x3F)),
+      length = 4;
+    }
+    for (unsigned k = 0; k < length; k++, n++)
+      if (n < capacity)
+        out[n] = bytes[k];
+  }
+  return n;
+}
+
+void mo_json_pointer(const struct mo_json *json, unsigned depth, char *pointer, size_t size)
+{
+  size_t at = 0;
+  for (unsigned d = 0; d < depth && d < json->depth; d++) {
+    const struct mo_json_level *level = &json->levels[d];
+    char step[MO_JSON_KEY_BYTES * 2 + 16];
+    size_t n = 0;
+    if (level->index == 0)
+      break;
+    step[n++] = '/';
+    if (level->object) {
+      char key[MO_JSON_KEY_BYTES];
+      size_t key_size = decode(level->key, key, sizeof(key));
+      for (size_t i = 0; i < key_size && i < sizeof(key); i++) {
+        if (key[i] == '~' || key[i] == '/') {
+          step[n++] = '~';
+          step[n++] = key[i] == '~' ? '0' : '1';
+        } else {
+          step[n++] = key[i];
+        }
+      }
+    } else {
+      n += (size_t)snprintf(step + n, sizeof(step) - n, "%u", level->index - 1);
+    }
+    if (at + n >= size)
+      break; /* too long: use the place of an outer value */
+    memcpy(pointer + at, step, n);
+    at += n;
+  }
+  pointer[at] = '\0';
+}
+
+static void fault_words(struct mo_json *json, unsigned depth, const char *below, const char *words)
+{
+  char pointer[sizeof(json->faults->items[0].where)];
+  mo_json_pointer(json, depth, pointer, sizeof(pointer));
+  size_t n = strlen(pointer);
+  if (n + strlen(below) < sizeof(pointer))
+    memcpy(pointer + n, below, strlen(below) + 1);
+  mo_faults_add(json->faults, MO_FAULT_BODY, pointer, "%s", words);
+  if (mo_faults_full(json->faults))
+    json->stop = true;
+}
+
+void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
+                      ...)
+{
+  char words[256];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(words, sizeof(words), format, arguments);
+  va_end(arguments);
+  if (!json->stop)
+    fault_words(json, depth, below, words);
+}
+
+void mo_json_fault(struct mo_json *json, const char *format, ...)
+{
+  char words[256];
+  va_list arguments;
+  va_start(arguments, format);
+  vsnprintf(words, sizeof(words), format, arguments);
+  va_end(arguments);
+  if (!json->stop)
+    fault_words(json, json->depth, "", words);
+}
+
+/* Reports where the text stops being JSON, and ends the reading. */
+static bool syntax(struct mo_json *json, const char *words)
+{
+  if (json->stop)
+    return false;
+  size_t line = 1, column = 1;
+  for (size_t i = 0; i < json->at && i < json->size; i++) {
+    column = json->text[i] == '\n' ? 1 : column + 1;
+    line += json->text[i] == '\n';
+  }
+  json->faults->n = 0; /* earlier faults of a text that is not JSON mean nothing */
+  json->faults->malformed = true;
+  char detail[256];
+  snprintf(detail, sizeof(detail), "line %zu, column %zu: %s", line, column, words);
+  fault_words(json, json->depth, "", detail);
+  json->stop = true;
+  return false;
+}
+
+/* ---- the text ---- */
+
+void mo_json_start(struct mo_json *json, const char *text, size_t size, struct mo_faults *faults)
+{
+  json->text = text;
+  json->size = size;
+  json->at = 0;
+  json->faults = faults;
+  json->stop = false;
+  json->depth = 0;
+  json->n_keys = 0;
+}
+
+static void skip_space(struct mo_json *json)
+{
+  while (json->at < json->size) {
+    char c = json->text[json->at];
+    if (c != ' ' && c != '\t' && c != '\n' && c != '\r')
+      break;
+    json->at++;
+  }
+}
+
+static char next_byte(struct mo_json *json)
+{
+  skip_space(json);
+  return json->at < json->size ? json->text[json->at] : '\0';
+}
+
+bool mo_json_finish(struct mo_json *json)
+{
+  if (json->stop)
+    return false;
+  skip_space(json);
+  return json->at == json->size ||
+         syntax(json, "something follows the value; exactly one JSON value is expected");
+}
+
+static bool literal(struct mo_json *json, const char *words)
+{
+  size_t n = strlen(words);
+  return json->size - json->at >= n && memcmp(json->text + json->at, words, n) == 0;
+}
+
+enum mo_json_kind mo_json_peek(struct mo_json *json)
+{
+  if (json->stop)
+    return MO_JSON_NONE;
+  char c = next_byte(json);
+  switch (c) {
+  case '{': return MO_JSON_OBJECT;
+  case '[': return MO_JSON_ARRAY;
+  case '"': return MO_JSON_STRING;
+  case 't':
+    if (literal(json, "true"))
+      return MO_JSON_TRUE;
+    break;
+  case 'f':
+    if (literal(json, "false"))
+      return MO_JSON_FALSE;
+    break;
+  case 'n':
+    if (literal(json, "null"))
+      return MO_JSON_NULL;
+    break;
+  default:
+    if (c == '-' || (c >= '0' && c <= '9'))
+      return MO_JSON_NUMBER;
+    break;
+  }
+  if (json->at >= json->size)
+    syntax(json, "the text ends where a value is expected");
+  else if (literal(json, "NaN") || literal(json, "Infinity") || literal(json, "-Infinity"))
+    syntax(json, "not a JSON value; numbers must be finite");
+  else if ((unsigned char)c == 0xEF)
+    syntax(json, "not a JSON value; a byte-order mark is not allowed");
+  else
+    syntax(json, "not a JSON value");
+  return MO_JSON_NONE;
+}
+
+/* Reads a string between its quotes, without decoding. *plain: it has no escapes. */
+static bool raw_string(struct mo_json *json, struct mo_json_slice *raw, bool *plain)
+{
+  const unsigned char *text = (const unsigned char *)json->text;
+  size_t at = json->at + 1;
+  *plain = true;
+  while (at < json->size && text[at] != '"') {
+    if (text[at] >= 0x20 && text[at] < 0x80 && text[at] != '\\') {
+      at++;
+      continue;
+    }
+    size_t start = at;
+    const char *words = NULL;
+    if (text[at] == '\\') {
+      *plain = false;
+      char kind = at + 1 < json->size ? json->text[at + 1] : '\0';
+      at += 2;
+      if (kind == 'u') {
+        unsigned long code = 0;
+        for (int k = 0; k < 4 && words == NULL; k++, at++) {
+          int digit = at < json->size ? hex_value(json->text[at]) : -1;
+          if (digit < 0)
+            words = "\\u needs four hexadecimal digits";
+          code = code << 4 | (unsigned long)(digit & 15);
+        }
+        if (words == NULL && code == 0)
+          words = "\\u0000 is not allowed";
+        else if (words == NULL && code >= 0xDC00 && code < 0xE000)
+          words = "a low surrogate without a high one";
+        else if (words == NULL && code >= 0xD800 && code < 0xDC00) {
+          unsigned long low = 0;
+          bool ok = at + 6 <= json->size && json->text[at] == '\\' && json->text[at + 1] == 'u';
+          for (int k = 2; k < 6 && ok; k++) {
+            int digit = hex_value(json->text[at + (size_t)k]);
+            ok = digit >= 0;
+            low = low << 4 | (unsigned long)(digit & 15);
+          }
+          if (!ok || low < 0xDC00 || low >= 0xE000)
+            words = "a high surrogate without a low one";
+          else
+            at += 6;
+        }
+      } else if (kind == '\0' || strchr("\"\\/bfnrt", kind) == NULL) {
+        words = "an unknown escape";
+      }
+    } else if (text[at] < 0x20) {
+      words = "a control character in a string; write it as an escape";
+    } else {
+      unsigned length = mo_utf8_sequence(text + at, json->size - at);
+      if (length == 0)
+        words = "bytes that are not UTF-8";
+      at += length;
+    }
+    if (words != NULL) {
+      json->at = start;
+      return syntax(json, words);
+    }
+  }
+  if (at >= json->size) {
+    json->at = json->size;
+    return syntax(json, "the text ends inside a string");
+  }
+  raw->bytes = json->text + json->at + 1;
+  raw->size = at - json->at - 1;
+  json->at = at + 1;
+  return true;
+}
+
+/* Checks the syntax of a number and moves past it. */
+static bool raw_number(struct mo_json *json, struct mo_json_slice *raw)
+{
+  const char *text = json->text; /* text[size] is NUL, which is no digit */
+  size_t at = json->at;
+  if (text[at] == '-')
+    at++;
+  size_t digits = at;
+  while (text[at] >= '0' && text[at] <= '9')
+    at++;
+  bool good = at > digits && (text[digits] != '0' || at == digits + 1);
+  if (good && text[at] == '.') {
+    digits = ++at;
+    while (text[at] >= '0' && text[at] <= '9')
+      at++;
+    good = at > digits;
+  }
+  if (good && (text[at] == 'e' || text[at] == 'E')) {
+    at++;
+    if (text[at] == '+' || text[at] == '-')
+      at++;
+    digits = at;
+    while (text[at] >= '0' && text[at] <= '9')
+      at++;
+    good = at > digits;
+  }
+  /* Only these characters may follow a number. A NUL inside the text is not its end. */
+  char c = text[at];
+  if (at < json->size && c != ' ' && c != '\t' && c != '\n' && c != '\r' && c != ',' && c != ']' &&
+      c != '}')
+    good = false;
+  if (!good)
+    return syntax(json, "not a number in JSON's notation");
+  *raw = (struct mo_json_slice){text + json->at, at - json->at};
+  json->at = at;
+  return true;
+}
+
+/* ---- values ---- */
+
+static const char *kind_words(enum mo_json_kind kind)
+{
+  static const char *const words[] = {"nothing",  "an object", "an array", "a string",
+                                      "a number", "true",      "false",    "null"};
+  return words[kind];
+}
+
+static bool mismatch(struct mo_json *json, enum mo_json_kind kind, const char *expected)
+{
+  if (kind != MO_JSON_NONE) {
+    mo_json_fault(json, "%s is given; %s is expected", kind_words(kind), expected);
+    mo_json_skip(json);
+  }
+  return false;
+}
+
+bool mo_json_string(struct mo_json *json, struct mo_json_slice *value)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  if (kind != MO_JSON_STRING)
+    return mismatch(json, kind, "a string");
+  bool plain;
+  struct mo_json_slice raw;
+  if (!raw_string(json, &raw, &plain))
+    return false;
+  if (plain && raw.size <= MO_JSON_STRING_MAX) {
+    *value = raw;
+    return true;
+  }
+  size_t n = plain ? raw.size : decode(raw, json->decoded, MO_JSON_STRING_MAX);
+  if (n > MO_JSON_STRING_MAX) {
+    mo_json_fault(json, "a string of %zu bytes is given; at most %d are expected", n,
+                  MO_JSON_STRING_MAX);
+    return false;
+  }
+  *value = (struct mo_json_slice){json->decoded, n};
+  return true;
+}
+
+bool mo_json_bool(struct mo_json *json, bool *value)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  if (kind != MO_JSON_TRUE && kind != MO_JSON_FALSE)
+    return mismatch(json, kind, "true or false");
+  *value = kind == MO_JSON_TRUE;
+  json->at += *value ? 4 : 5;
+  return true;
+}
+
+bool mo_json_number(struct mo_json *json, double *value)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  struct mo_json_slice raw;
+  if (kind != MO_JSON_NUMBER)
+    return mismatch(json, kind, "a number");
+  if (!raw_number(json, &raw))
+    return false;
+  double number = strtod(raw.bytes, NULL); /* strtod stops where the checked number ends */
+  if (!isfinite(number)) {
+    mo_json_fault(json, "the number is larger than any float64; a finite number is expected");
+    return false;
+  }
+  *value = number;
+  return true;
+}
+
+bool mo_json_bounded(struct mo_json *json, double min, double max, double *value)
+{
+  double number;
+  if (!mo_json_number(json, &number))
+    return false;
+  if (number < min || number > max) {
+    mo_json_fault(json, "%s is given; a number from %s to %s is expected", MO_NUMBER(number),
+                  MO_NUMBER(min), MO_NUMBER(max));
+    return false;
+  }
+  *value = number;
+  return true;
+}
+
+#define WHOLE_DIGITS_MAX 18 /* of a number that always fits 63 bits */
+
+/* Reads a whole number by its digits, not as a rounded float64: 3.0 and 3e0 are whole,
+ * 3.00000000000000000001 is not. MO_ERR_RANGE: too many digits; MO_ERR_INVALID: it has a
+ * fraction. */
+static int whole_number(struct mo_json_slice raw, int64_t *number)
+{
+  const bool negative = raw.bytes[0] == '-';
+  size_t i = negative, n_digits = 0, zeros = 0; /* zeros: after the last significant digit */
+  int64_t value = 0, exponent = 0, fraction = 0;
+  for (bool behind_point = false; i < raw.size && (raw.bytes[i] | 0x20) != 'e'; i++) {
+    const char c = raw.bytes[i];
+    behind_point |= c == '.';
+    if (c == '.')
+      continue;
+    fraction += behind_point;
+    zeros += c == '0' && n_digits > 0;
+    if (c == '0')
+      continue;
+    for (n_digits += zeros + 1; n_digits <= WHOLE_DIGITS_MAX && zeros > 0; zeros--)
+      value *= 10;
+    zeros = 0;
+    if (n_digits <= WHOLE_DIGITS_MAX)
+      value = value * 10 + (c - '0');
+  }
+  const bool shrinks = i + 1 < raw.size && raw.bytes[i + 1] == '-';
+  for (i++; i < raw.size; i++)
+    if (raw.bytes[i] >= '0' && raw.bytes[i] <= '9' && exponent < INT32_MAX)
+      exponent = exponent * 10 + (raw.bytes[i] - '0');
+  exponent = (shrinks ? -exponent : exponent) + (int64_t)zeros - fraction;
+  *number = 0;
+  if (n_digits == 0)
+    return MO_OK;
+  if (exponent < 0)
+    return MO_ERR_INVALID;
+  if (exponent + (int64_t)n_digits > WHOLE_DIGITS_MAX)
+    return MO_ERR_RANGE;
+  for (; exponent > 0; exponent--)
+    value *= 10;
+  *number = negative ? -value : value;
+  return MO_OK;
+}
+
+bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *value)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  struct mo_json_slice raw;
+  int64_t number;
+  if (kind != MO_JSON_NUMBER)
+    return mismatch(json, kind, "an integer");
+  if (!raw_number(json, &raw))
+    return false;
+  const int code = whole_number(raw, &number);
+  if (code == MO_ERR_RANGE)
+    mo_json_fault(json, "the number is too large; an integer from %lld to %lld is expected",
+                  (long long)min, (long long)max);
+  else if (code != MO_OK)
+    mo_json_fault(json, "%.*s is given; an integer is expected", raw.size > 32 ? 32 : (int)raw.size,
+                  raw.bytes);
+  else if (number < min || number > max)
+    mo_json_fault(json, "%lld is given; an integer from %lld to %lld is expected",
+                  (long long)number, (long long)min, (long long)max);
+  if (code != MO_OK || number < min || number > max)
+    return false;
+  *value = number;
+  return true;
+}
+
+static bool open_level(struct mo_json *json, bool object)
+{
+  if (json->depth == MO_JSON_DEPTH_MAX)
+    return syntax(json, "more than 64 levels of arrays and objects; at most 64 are allowed");
+  json->levels[json->depth++] = (struct mo_json_level){.object = object, .first_key = json->n_keys};
+  json->at++;
+  return true;
+}
+
+bool mo_json_array(struct mo_json *json)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  return kind == MO_JSON_ARRAY ? open_level(json, false) : mismatch(json, kind, "an array");
+}
+
+bool mo_json_object(struct mo_json *json)
+{
+  enum mo_json_kind kind = mo_json_peek(json);
+  return kind == MO_JSON_OBJECT ? open_level(json, true) : mismatch(json, kind, "an object");
+}
+
+/* Moves to the next item or member. False: at the closing bracket (the level is closed), or an
+ * error. */
+static bool advance(struct mo_json *json, char closing)
+{
+  if (json->stop)
+    return false;
+  struct mo_json_level *level = &json->levels[json->depth - 1];
+  char c = next_byte(json);
+  if (c == closing && json->at < json->size) {
+    json->at++;
+    json->n_keys = level->first_key;
+    json->depth--;
+    return false;
+  }
+  if (level->index > 0) {
+    if (c != ',')
+      return syntax(json, json->at >= json->size ? "the text ends inside an array or object"
+                          : closing == ']'       ? "a comma or ] is expected"
+                                                 : "a comma or } is expected");
+    json->at++;
+    skip_space(json);
+  }
+  return true;
+}
+
+bool mo_json_item(struct mo_json *json)
+{
+  if (!advance(json, ']'))
+    return false;
+  json->levels[json->depth - 1].index++;
+  return true;
+}
+
+static bool same_key(struct mo_json_slice a, struct mo_json_slice b)
+{
+  if (memchr(a.bytes, '\\', a.size) == NULL && memchr(b.bytes, '\\', b.size) == NULL)
+    return a.size == b.size && memcmp(a.bytes, b.bytes, a.size) == 0;
+  char left[MO_JSON_KEY_BYTES], right[MO_JSON_KEY_BYTES];
+  size_t n = decode(a, left, sizeof(left));
+  return n == decode(b, right, sizeof(right)) && memcmp(left, right, n) == 0;
+}
+
+bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
+{
+  if (!advance(json, '}'))
+    return false;
+  struct mo_json_level *level = &json->levels[json->depth - 1];
+  if (next_byte(json) != '"')
+    return syntax(json, json->at >= json->size ? "the text ends inside an object"
+                                               : "a key in quotes is expected");
+  bool plain;
+  struct mo_json_slice raw;
+  if (!raw_string(json, &raw, &plain))
+    return false;
+  if (raw.size > MO_JSON_KEY_BYTES)
+    return syntax(json, "a key of more than 256 bytes");
+  for (uint32_t i = level->first_key; i < json->n_keys; i++)
+    if (same_key(json->keys[i], raw)) {
+      level->key = raw;
+      return syntax(json, "a key that stands in this object already");
+    }
+  if (json->n_keys - level->first_key == MO_JSON_KEYS_MAX)
+    return syntax(json, "an object with more than 64 keys");
+  json->keys[json->n_keys++] = raw;
+  level->key = raw;
+  level->index++;
+  if (next_byte(json) != ':')
+    return syntax(json, "a colon is expected");
+  json->at++;
+  skip_space(json);
+  *key = plain ? raw : (struct mo_json_slice){json->key, decode(raw, json->key, sizeof(json->key))};
+  return true;
+}
+
+uint32_t mo_json_index(const struct mo_json *json)
+{
+  return json->depth == 0 || json->levels[json->depth - 1].index == 0
+             ? 0
+             : json->levels[json->depth - 1].index - 1;
+}
+
+/* Skips a value without recursion, by closing the levels that it opens. */
+void mo_json_skip(struct mo_json *json)
+{
+  unsigned outer = json->depth;
+  do {
+    if (json->depth > outer) {
+      struct mo_json_slice key;
+      bool object = json->levels[json->depth - 1].object;
+      if (!(object ? mo_json_member(json, &key) : mo_json_item(json)))
+        continue; /* level closed, or stopped */
+    }
+    bool plain;
+    struct mo_json_slice raw;
+    enum mo_json_kind kind = mo_json_peek(json);
+    switch (kind) {
+    case MO_JSON_OBJECT:
+    case MO_JSON_ARRAY: open_level(json, kind == MO_JSON_OBJECT); break;
+    case MO_JSON_STRING: raw_string(json, &raw, &plain); break;
+    case MO_JSON_NUMBER: raw_number(json, &raw); break;
+    case MO_JSON_TRUE:
+    case MO_JSON_NULL: json->at += 4; break;
+    case MO_JSON_FALSE: json->at += 5; break;
+    default: break;
+    }
+  } while (!json->stop && json->depth > outer);
+}
+
+bool mo_json_is(struct mo_json_slice slice, const char *words)
+{
+  return slice.size == strlen(words) && memcmp(slice.bytes, words, slice.size) == 0;
+}

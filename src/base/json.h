@@ -1,0 +1,111 @@
+/* json.h: a strict JSON reader (RFC 8259) that walks over the text and builds no tree.
+ *
+ * It reads a request of 32 MiB in one pass: the caller asks for the values that it expects.
+ * Anything else becomes a fault with the JSON pointer of its place. A syntax error ends the reading
+ * (400). A value of the wrong kind or range adds a fault (422) and is skipped, and reading goes on,
+ * so that a client gets many faults at once.
+ *
+ * Strict means: UTF-8 only, no byte-order mark, no NaN or Infinity, no leading zeros, no lone
+ * surrogates, no repeated key in an object, nothing after the value, at most MO_JSON_DEPTH_MAX
+ * levels and MO_JSON_KEYS_MAX keys per object. */
+#ifndef MORPHO_BASE_JSON_H
+#define MORPHO_BASE_JSON_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "base/faults.h"
+
+#define MO_JSON_DEPTH_MAX  64
+#define MO_JSON_KEYS_MAX   64   /* of one object */
+#define MO_JSON_KEY_BYTES  256  /* of one key, as written */
+#define MO_JSON_STRING_MAX 1024 /* longest decoded string, in bytes */
+
+enum mo_json_kind {
+  MO_JSON_NONE, /* end of the text, or a syntax error */
+  MO_JSON_OBJECT,
+  MO_JSON_ARRAY,
+  MO_JSON_STRING,
+  MO_JSON_NUMBER,
+  MO_JSON_TRUE,
+  MO_JSON_FALSE,
+  MO_JSON_NULL
+};
+
+struct mo_json_slice {
+  const char *bytes; /* not terminated */
+  size_t size;
+};
+
+struct mo_json_level {
+  bool object;
+  uint32_t index;           /* of the current item; after the last, the number of items */
+  struct mo_json_slice key; /* of the current member, as written; index 0: none yet */
+  uint32_t first_key;       /* place of the object's first key in the reader's list */
+};
+
+struct mo_json {
+  const char *text;
+  size_t size, at;
+  struct mo_faults *faults;
+  bool stop; /* after a syntax error or too many faults: every call fails */
+  unsigned depth;
+  struct mo_json_level levels[MO_JSON_DEPTH_MAX];
+  uint32_t n_keys;
+  struct mo_json_slice
+      keys[MO_JSON_DEPTH_MAX * MO_JSON_KEYS_MAX]; /* of all open objects, innermost last */
+  char decoded[MO_JSON_STRING_MAX + 4];
+  char key[MO_JSON_KEY_BYTES]; /* decoded; never longer than in the text */
+};
+
+/* Starts reading `size` bytes; text[size] must be readable and NUL. The reader takes 70 kB: do not
+ * put it on a small stack. */
+void mo_json_start(struct mo_json *json, const char *text, size_t size, struct mo_faults *faults);
+/* Ends reading. True: all of the text was read without a syntax error. There may still be other
+ * faults. */
+bool mo_json_finish(struct mo_json *json);
+
+/* Returns the kind of the next value. */
+enum mo_json_kind mo_json_peek(struct mo_json *json);
+
+/* The following functions read one value each. A value of another kind is skipped and adds a fault
+ * that says what was expected; they return false. */
+bool mo_json_string(struct mo_json *json,
+                    struct mo_json_slice *value); /* valid until the next string; a string longer
+                                                     than MO_JSON_STRING_MAX is a fault, too */
+bool mo_json_bool(struct mo_json *json, bool *value);
+bool mo_json_number(struct mo_json *json, double *value); /* finite */
+/* Reads a whole number in min … max, judged by its digits: 3.0 and 3e0 count as 3,
+ * 3.00000000000000000001 is not whole. */
+bool mo_json_integer(struct mo_json *json, int64_t min, int64_t max, int64_t *value);
+/* Reads a finite number in min … max. */
+bool mo_json_bounded(struct mo_json *json, double min, double max, double *value);
+
+/* Read arrays: if (mo_json_array(json)) while (mo_json_item(json)) read one value. Objects work in
+ * the same way, with a key. Each value must be read or skipped before the next item. */
+bool mo_json_array(struct mo_json *json);
+bool mo_json_item(struct mo_json *json);
+bool mo_json_object(struct mo_json *json);
+/* Moves to the next member. Escapes in the key are decoded; the key is valid until the next member
+ * with an escaped key, in any object. */
+bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
+/* Returns the index of the current item of the innermost array; after the last, the number of
+ * items. */
+uint32_t mo_json_index(const struct mo_json *json);
+
+void mo_json_skip(struct mo_json *json);
+
+/* Adds a fault at the value that is being read (between values: at the previous item). */
+void mo_json_fault(struct mo_json *json, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+/* Adds a fault at `below` ("" or "/cells/7") under the value that began when `depth` levels were
+ * open. */
+void mo_json_fault_at(struct mo_json *json, unsigned depth, const char *below, const char *format,
+                      ...) __attribute__((format(printf, 4, 5)));
+/* Writes the pointer of the value that began when `depth` levels were open. */
+void mo_json_pointer(const struct mo_json *json, unsigned depth, char *pointer, size_t size);
+
+bool mo_json_is(struct mo_json_slice slice, const char *words);
+
+#endif

@@ -1,0 +1,262 @@
+/* text.c: see text.h. */
+#include "base/text.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "base/utf8.h"
+
+void mo_text_free(struct mo_text *text)
+{
+  if (text == NULL)
+    return;
+  free(text->data);
+  *text = (struct mo_text){0};
+}
+
+/* Makes room for n more bytes and a NUL. */
+static bool reserve(struct mo_text *text, size_t n)
+{
+  if (text->failed)
+    return false;
+  if (n < text->capacity - text->size)
+    return true;
+  size_t capacity = text->capacity < 256 ? 256 : text->capacity;
+  while (capacity - text->size <= n) {
+    if (capacity > SIZE_MAX / 2) {
+      text->failed = true;
+      return false;
+    }
+    capacity *= 2;
+  }
+  char *data = realloc(text->data, capacity);
+  if (data == NULL) {
+    text->failed = true;
+    return false;
+  }
+  text->data = data;
+  text->capacity = capacity;
+  return true;
+}
+
+void mo_text_bytes(struct mo_text *text, const void *bytes, size_t n)
+{
+  if (!reserve(text, n))
+    return;
+  if (n > 0)
+    memcpy(text->data + text->size, bytes, n);
+  text->size += n;
+  text->data[text->size] = '\0';
+}
+
+void mo_text_add(struct mo_text *text, const char *words)
+{
+  mo_text_bytes(text, words, strlen(words));
+}
+
+void mo_text_format(struct mo_text *text, const char *format, ...)
+{
+  va_list arguments;
+  va_start(arguments, format);
+  va_list again;
+  va_copy(again, arguments);
+  char small[256];
+  int n = vsnprintf(small, sizeof(small), format, arguments);
+  va_end(arguments);
+  if (n < 0) {
+    text->failed = true;
+  } else if ((size_t)n < sizeof(small)) {
+    mo_text_bytes(text, small, (size_t)n);
+  } else if (reserve(text, (size_t)n)) {
+    vsnprintf(text->data + text->size, (size_t)n + 1, format, again);
+    text->size += (size_t)n;
+  }
+  va_end(again);
+}
+
+void mo_text_json_string(struct mo_text *text, const char *words, size_t n)
+{
+  const unsigned char *bytes = (const unsigned char *)words;
+  mo_text_bytes(text, "\"", 1);
+  size_t plain = 0; /* start of the current run without escapes */
+  for (size_t i = 0; i < n;) {
+    unsigned length = mo_utf8_sequence(bytes + i, n - i);
+    if (length > 0 && bytes[i] >= 0x20 && bytes[i] != '"' && bytes[i] != '\\' && bytes[i] != 0x7F) {
+      i += length;
+      continue;
+    }
+    mo_text_bytes(text, words + plain, i - plain);
+    if (length == 0)
+      mo_text_add(text, "\xEF\xBF\xBD");
+    else if (bytes[i] == '"' || bytes[i] == '\\')
+      mo_text_format(text, "\\%c", bytes[i]);
+    else if (bytes[i] == '\n')
+      mo_text_add(text, "\\n");
+    else
+      mo_text_format(text, "\\u%04x", bytes[i]);
+    plain = ++i;
+  }
+  mo_text_bytes(text, words + plain, n - plain);
+  mo_text_bytes(text, "\"", 1);
+}
+
+void mo_text_json_stored(struct mo_text *text, const char *json)
+{
+  const size_t n = strlen(json);
+  size_t whole = 0; /* start of the current run of valid UTF-8 */
+  for (size_t i = 0; i < n;) {
+    const bool is_break =
+        json[i] == '\n' || json[i] == '\r'; /* between values: an event is one line */
+    unsigned length = mo_utf8_sequence((const unsigned char *)json + i, n - i);
+    if (length > 0 && !is_break) {
+      i += length;
+      continue;
+    }
+    mo_text_bytes(text, json + whole, i - whole);
+    mo_text_add(text, is_break ? " " : "\xEF\xBF\xBD");
+    whole = ++i;
+  }
+  mo_text_bytes(text, json + whole, n - whole);
+}
+
+void mo_text_json_number(struct mo_text *text, double value)
+{
+  if (!isfinite(value)) {
+    mo_text_add(text, "null");
+    return;
+  }
+  char digits[32];
+  int n = 0;
+  /* Fast path with the same text as below: half of a page's numbers are whole. */
+  if (fabs(value) < 1e15 && value == trunc(value) && (value != 0 || !signbit(value))) {
+    mo_text_format(text, "%lld", (long long)value);
+    return;
+  }
+  for (int precision = 15; precision <= 17; precision++) {
+    n = snprintf(digits, sizeof(digits), "%.*g", precision, value);
+    if (precision == 17 || strtod(digits, NULL) == value)
+      break;
+  }
+  mo_text_bytes(text, digits, (size_t)n);
+}
+
+/* Writes the same text as "%.*g" with the fewest of 6 to 9 digits that read back, for magnitudes
+ * that need no exponent. printf takes microseconds per number, and recordings have millions. Every
+ * product is exact: 24 bits of the value and 28 of 5^12. Returns 0 if nothing was written. */
+static int write_plain_float(float value, char digits[32])
+{
+  static const double powers[] = {1e0, 1e1, 1e2, 1e3,  1e4,  1e5, 1e6,
+                                  1e7, 1e8, 1e9, 1e10, 1e11, 1e12};
+  double size = fabs((double)value), whole = 0;
+  int exponent = 5, places = 0;
+  if (!(size >= 1e-4 && size < 1e6))
+    return 0;
+  while (exponent >= 0 ? size < powers[exponent] : size * powers[-exponent] < 1)
+    exponent--;
+  for (int precision = 6; precision <= 9; precision++) {
+    places = precision - 1 - exponent;
+    whole = nearbyint(size * powers[places]);
+    if ((float)(whole / powers[places]) == (float)size)
+      break;
+  }
+  uint64_t number = (uint64_t)whole;
+  for (; places > 0 && number % 10 == 0; places--)
+    number /= 10;
+  int n = 32;
+  for (int place = 0; place <= places || number > 0; place++) {
+    if (place == places && places > 0)
+      digits[--n] = '.';
+    digits[--n] = (char)('0' + number % 10);
+    number /= 10;
+  }
+  if (value < 0)
+    digits[--n] = '-';
+  memmove(digits, digits + n, (size_t)(32 - n));
+  return 32 - n;
+}
+
+void mo_text_json_float(struct mo_text *text, float value)
+{
+  if (!isfinite(value)) {
+    mo_text_add(text, "null");
+    return;
+  }
+  char digits[32];
+  int n = write_plain_float(value, digits);
+  for (int precision = 6; n == 0 && precision <= 9; precision++) {
+    n = snprintf(digits, sizeof(digits), "%.*g", precision, (double)value);
+    if (precision < 9 && strtof(digits, NULL) != value)
+      n = 0;
+  }
+  mo_text_bytes(text, digits, (size_t)n);
+}
+
+void mo_text_json_integer(struct mo_text *text, int64_t value)
+{
+  mo_text_format(text, "%lld", (long long)value);
+}
+
+void mo_text_json_time(struct mo_text *text, int64_t time_us)
+{
+  if (time_us == 0) {
+    mo_text_add(text, "null");
+    return;
+  }
+  time_t seconds = (time_t)(time_us / 1000000);
+  struct tm parts;
+  if (time_us < 0 || gmtime_r(&seconds, &parts) == NULL) {
+    mo_text_add(text, "null");
+    return;
+  }
+  mo_text_format(text, "\"%04d-%02d-%02dT%02d:%02d:%02d.%03dZ\"", parts.tm_year + 1900,
+                 parts.tm_mon + 1, parts.tm_mday, parts.tm_hour, parts.tm_min, parts.tm_sec,
+                 (int)(time_us / 1000 % 1000));
+}
+
+static void begin_member(struct mo_text *text, const char *name)
+{
+  mo_text_bytes(text, ",\"", 2);
+  mo_text_add(text, name);
+  mo_text_bytes(text, "\":", 2);
+}
+
+void mo_text_member(struct mo_text *text, const char *name, const char *words)
+{
+  begin_member(text, name);
+  mo_text_json_string(text, words, strlen(words));
+}
+
+void mo_text_member_number(struct mo_text *text, const char *name, double value)
+{
+  begin_member(text, name);
+  mo_text_json_number(text, value);
+}
+
+void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value)
+{
+  mo_text_format(text, ",\"%s\":%llu", name, (unsigned long long)value);
+}
+
+void mo_text_member_bool(struct mo_text *text, const char *name, bool value)
+{
+  mo_text_format(text, ",\"%s\":%s", name, value ? "true" : "false");
+}
+
+void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us)
+{
+  begin_member(text, name);
+  mo_text_json_time(text, time_us);
+}
+
+void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n)
+{
+  static const char digits[] = "0123456789abcdef";
+  for (size_t i = 0; i < n; i++) {
+    char pair[2] = {digits[bytes[i] >> 4], digits[bytes[i] & 15]};
+    mo_text_bytes(text, pair, 2);
+  }
+}

@@ -1,0 +1,47 @@
+/* text.h: a growing text, for JSON and other replies.
+ *
+ * After a failed allocation `failed` is set and later calls do nothing, so writers check it once,
+ * at the end. */
+#ifndef MORPHO_BASE_TEXT_H
+#define MORPHO_BASE_TEXT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+struct mo_text {
+  char *data; /* malloc; a NUL follows the last byte when size > 0; may be handed over */
+  size_t size, capacity;
+  bool failed;
+};
+
+void mo_text_free(struct mo_text *text); /* NULL-safe; empties it */
+
+void mo_text_bytes(struct mo_text *text, const void *bytes, size_t n);
+void mo_text_add(struct mo_text *text, const char *words);
+void mo_text_format(struct mo_text *text, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+
+/* Appends a JSON string with its quotes. Invalid UTF-8 becomes U+FFFD. */
+void mo_text_json_string(struct mo_text *text, const char *words, size_t n);
+/* Appends a stored JSON text on one line. Invalid UTF-8 in its strings becomes U+FFFD. */
+void mo_text_json_stored(struct mo_text *text, const char *json);
+/* Appends a number with the fewest of 15, 16 or 17 significant digits that read back as the same
+ * float64; null if it is not finite. */
+void mo_text_json_number(struct mo_text *text, double value);
+void mo_text_json_float(struct mo_text *text,
+                        float value); /* the same for float32 with 6 to 9 digits */
+void mo_text_json_integer(struct mo_text *text, int64_t value);
+/* Appends "2026-11-21T11:34:04.123Z" in quotes; null for 0. */
+void mo_text_json_time(struct mo_text *text, int64_t time_us);
+/* Append further members of an object: ,"name":value. */
+void mo_text_member(struct mo_text *text, const char *name, const char *words);
+void mo_text_member_number(struct mo_text *text, const char *name,
+                           double value); /* null if it is not finite */
+void mo_text_member_count(struct mo_text *text, const char *name, uint64_t value);
+void mo_text_member_bool(struct mo_text *text, const char *name, bool value);
+void mo_text_member_time(struct mo_text *text, const char *name, int64_t time_us);
+/* Appends lower-case hexadecimal digits, without quotes. */
+void mo_text_hex(struct mo_text *text, const uint8_t *bytes, size_t n);
+
+#endif

@@ -1,0 +1,13 @@
+/* utf8.h: checks UTF-8: no overlong forms, no surrogates, nothing past U+10FFFF. */
+#ifndef MORPHO_BASE_UTF8_H
+#define MORPHO_BASE_UTF8_H
+
+#include <stdbool.h>
+#include <stddef.h>
+
+/* Returns the length of the UTF-8 sequence at `words` (n ≥ 1 bytes long), 0 if it is invalid. */
+unsigned mo_utf8_sequence(const unsigned char *words, size_t n);
+/* Says whether the whole text is UTF-8. */
+bool mo_utf8_is_valid(const char *text);
+
+#endif

@@ -1,0 +1,12 @@
+/* memory.h: how much memory the service may use if no setting says so. */
+#ifndef MORPHO_DAEMON_MEMORY_H
+#define MORPHO_DAEMON_MEMORY_H
+
+#include <stdint.h>
+
+/* Returns the least of the machine's memory, the limits of the cgroup (both versions), and
+ * RLIMIT_AS without 1 GiB that is only reserved; minus the larger of an eighth and 64 MiB, but at
+ * most minus half. > 0. */
+uint64_t memory_limit(void);
+
+#endif

@@ -1,0 +1,205 @@
+/* fields.c: see fields.h. */
+#include "evolution/fields.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "learning/fields.h"
+#include "rollout/physics.h"
+
+/* ---- workspace: [nx, ny, nz] ---- */
+
+static void read_workspace(struct mo_json *json, void *value)
+{
+  const struct mo_workspace most = MO_DEFAULT_WORKSPACE;
+  const int64_t limits[3] = {most.nx, most.ny, most.nz};
+  int64_t sides[3] = {0};
+  const unsigned depth = json->depth, before = json->faults->n;
+  size_t given = 0;
+  if (!mo_json_array(json))
+    return;
+  while (mo_json_item(json)) {
+    if (given < 3)
+      mo_json_integer(json, 1, limits[given], &sides[given]);
+    else
+      mo_json_skip(json);
+    given++;
+  }
+  if (!json->stop && given != 3)
+    mo_json_fault_at(json, depth, "", "must be 3 numbers, the voxels along x, y and z, got %zu",
+                     given);
+  if (!json->stop && json->faults->n == before)
+    *(struct mo_workspace *)value =
+        (struct mo_workspace){(uint16_t)sides[0], (uint16_t)sides[1], (uint16_t)sides[2]};
+}
+
+static void write_workspace(struct mo_text *text, const void *value)
+{
+  const struct mo_workspace *workspace = value;
+  mo_text_format(text, "[%u,%u,%u]", workspace->nx, workspace->ny, workspace->nz);
+}
+
+static int check_workspace(const char *name, const void *value, struct mo_message *message)
+{
+  const struct mo_workspace most = MO_DEFAULT_WORKSPACE, *w = value;
+  if (w->nx < 1 || w->ny < 1 || w->nz < 1 || w->nx > most.nx || w->ny > most.ny || w->nz > most.nz)
+    return mo_fail(message, MO_ERR_RANGE, "%s must be 1x1x1 to %ux%ux%u voxels, got %ux%ux%u", name,
+                   most.nx, most.ny, most.nz, w->nx, w->ny, w->nz);
+  return MO_OK;
+}
+
+static const struct mo_field_own workspace = {read_workspace, write_workspace, check_workspace};
+
+/* ---- selection: a word, or an object with its kind's own settings ---- */
+
+#define AT(member) offsetof(struct mo_selection, member)
+static const struct mo_field selection_rows[] = {
+    {"kind", MO_FIELD_WORD, 0, AT(kind), .words = mo_selection_words, .unit = "",
+     .help = "who lives"},
+    {"size", MO_FIELD_COUNT, 0, AT(tournament_size), .min = 2, .max = 64, .unit = "designs",
+     .help = "draws of a tournament"},
+    {"weight", MO_FIELD_NUMBER, 0, AT(novelty_weight), .min = 0, .max = 1, .unit = "",
+     .help = "weight of the rank by novelty"},
+    {"layers", MO_FIELD_COUNT, 0, AT(n_layers), .min = 2, .max = 16, .unit = "",
+     .help = "layers of age"},
+    {"age_gap", MO_FIELD_COUNT, 0, AT(age_gap), .min = 1, .max = 1000, .unit = "generations",
+     .help = "age limit of the youngest layer"},
+};
+#undef AT
+#define N_SELECTION_ROWS (sizeof(selection_rows) / sizeof(selection_rows[0]))
+static const struct mo_fields selection_fields = {selection_rows, N_SELECTION_ROWS};
+
+/* The rows of selection_rows that a kind has besides `kind`: from, n. */
+static const struct {
+  size_t from, n;
+} selection_own[] = {{1, 0}, {1, 1}, {2, 1}, {3, 2}};
+
+static bool has_row(enum mo_selection_kind kind, size_t row)
+{
+  return row == 0 || (row >= selection_own[kind].from &&
+                      row < selection_own[kind].from + selection_own[kind].n);
+}
+
+static void read_selection_object(struct mo_json *json, struct mo_selection *selection)
+{
+  struct mo_selection read = *selection;
+  bool given[N_SELECTION_ROWS] = {false};
+  const unsigned depth = json->depth, before = json->faults->n;
+  struct mo_json_slice key;
+  char list[MO_WORDS_BYTES], below[32];
+  mo_json_object(json);
+  while (mo_json_member(json, &key)) {
+    for (size_t i = 0; i < N_SELECTION_ROWS; i++)
+      given[i] |= mo_json_is(key, selection_rows[i].name);
+    if (!mo_fields_read_member(json, key, &selection_fields, &read))
+      mo_fields_unknown(json, NULL, &selection_fields);
+  }
+  if (json->stop)
+    return;
+  if (!given[0])
+    mo_json_fault_at(json, depth, "", "kind is missing: %s",
+                     mo_words_list(mo_selection_words, list));
+  if (!given[0] || json->faults->n > before)
+    return;
+  for (size_t i = 1; i < N_SELECTION_ROWS; i++)
+    if (given[i] && !has_row(read.kind, i)) {
+      snprintf(below, sizeof(below), "/%s", selection_rows[i].name);
+      mo_json_fault_at(json, depth, below, "selection by %s has no %s",
+                       mo_selection_name(read.kind), selection_rows[i].name);
+    }
+  if (json->faults->n == before)
+    *selection = read;
+}
+
+static void read_selection(struct mo_json *json, void *value)
+{
+  struct mo_selection *selection = value;
+  const enum mo_json_kind next = mo_json_peek(json);
+  const unsigned depth = json->depth;
+  struct mo_json_slice word;
+  char list[MO_WORDS_BYTES];
+  if (next == MO_JSON_OBJECT) {
+    read_selection_object(json, selection);
+    return;
+  }
+  if (next == MO_JSON_STRING && mo_json_string(json, &word))
+    for (int i = 0; mo_selection_words[i] != NULL; i++)
+      if (mo_json_is(word, mo_selection_words[i])) {
+        selection->kind = (enum mo_selection_kind)i;
+        return;
+      }
+  if (next == MO_JSON_NONE)
+    return;
+  mo_json_fault_at(json, depth, "", "must be %s, or an object with kind and its settings",
+                   mo_words_list(mo_selection_words, list));
+  if (next != MO_JSON_STRING)
+    mo_json_skip(json);
+}
+
+static void write_selection(struct mo_text *text, const void *value)
+{
+  const struct mo_selection *selection = value;
+  struct mo_field rows[N_SELECTION_ROWS];
+  size_t n = 0;
+  for (size_t i = 0; i < N_SELECTION_ROWS; i++)
+    if (has_row(selection->kind, i))
+      rows[n++] = selection_rows[i];
+  const struct mo_fields own = {rows, n};
+  mo_fields_write_object(text, &own, selection);
+}
+
+static int check_selection(const char *name, const void *value, struct mo_message *message)
+{
+  return mo_fields_check_below(&selection_fields, name, value, message);
+}
+
+static const struct mo_field_own selection = {read_selection, write_selection, check_selection};
+
+/* ---- campaigns ---- */
+
+#define AT(member) offsetof(struct mo_campaign_settings, member)
+static const struct mo_field mutation_rows[] = {
+    {"share", MO_FIELD_NUMBER, 0, AT(mutation_share), .min = 0, .max = 1, .unit = "",
+     .help = "share of the population that mutates; the rest recombines"},
+    {"rate", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN | MO_FIELD_NULL, AT(mutation_rate), .min = 0,
+     .max = 0.5, .unit = "", .help = "probability that a voxel flips; null: one voxel on average"},
+    {"growth", MO_FIELD_NUMBER, 0, AT(mutation_growth), .min = 1, .max = 2, .unit = "",
+     .help = "factor of the rate after an attempt that gave nothing new"},
+};
+static const struct mo_fields mutation_fields = {mutation_rows,
+                                                 sizeof(mutation_rows) / sizeof(mutation_rows[0])};
+static const struct mo_field campaign_rows[] = {
+    {"population", MO_FIELD_COUNT, 0, AT(population), .min = MO_POPULATION_MIN,
+     .max = MO_POPULATION_MAX, .unit = "designs", .help = "designs that live at a time"},
+    {"generations", MO_FIELD_COUNT, 0, AT(generations), .min = 0, .max = MO_GENERATIONS_MAX,
+     .unit = "generations", .help = "generations after the initial population"},
+    {"seed", MO_FIELD_SEED, 0, AT(seed), .unit = "", .help = "of every random number"},
+    {"workspace", MO_FIELD_OWN, 0, AT(workspace), .own = &workspace, .unit = "voxels",
+     .help = "box that bodies must fit: [nx, ny, nz]"},
+    {"mutation", MO_FIELD_GROUP, 0, 0, .group = &mutation_fields, .unit = "",
+     .help = "how designs mutate"},
+    {"selection", MO_FIELD_OWN, 0, AT(selection), .own = &selection, .unit = "",
+     .help = "who lives: a kind, or an object with its settings"},
+    {"exclude_pretraining", MO_FIELD_FLAG, 0, AT(exclude_pretraining), .unit = "",
+     .help = "bodies that the controller was pretrained on are never born"},
+    {"collapse_share", MO_FIELD_NUMBER, 0, AT(collapse_share), .min = 0, .max = 1, .unit = "",
+     .help = "warn below this share of the largest diversity so far; 0: never"},
+    {"physics", MO_FIELD_GROUP, 0, AT(physics), .group = &mo_physics_fields, .unit = "",
+     .help = "constants of the world"},
+};
+const struct mo_fields mo_campaign_fields = {campaign_rows,
+                                             sizeof(campaign_rows) / sizeof(campaign_rows[0])};
+static const struct mo_field learning_rows[] = {
+    {"parent_steps", MO_FIELD_COUNT, 0, AT(parent_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
+     .unit = "steps", .help = "steps of learning on the parents in each generation"},
+    {"child_steps", MO_FIELD_COUNT, 0, AT(child_steps), .min = 0, .max = MO_CAMPAIGN_STEPS_MAX,
+     .unit = "steps", .help = "steps of learning on the children in each generation"},
+    {"batch", MO_FIELD_COUNT, MO_FIELD_NULL, AT(batch), .min = 1, .max = MO_TRAINING_BATCH_MAX,
+     .unit = "robots", .help = "robots in each step; null: the population"},
+    {NULL, MO_FIELD_INLINE, 0, AT(learning), .group = &mo_learning_fields},
+    {"sensor", MO_FIELD_WORD, MO_FIELD_NULL, AT(sensor), .words = mo_sensor_words, .unit = "",
+     .help = "of a controller that starts from random weights"},
+};
+#undef AT
+const struct mo_fields mo_campaign_learning_fields = {learning_rows, sizeof(learning_rows) /
+                                                                         sizeof(learning_rows[0])};

@@ -1,0 +1,165 @@
+/* last_reply.c: replies that bypass libmicrohttpd and end their connection, and what becomes of
+ * such connections.
+ *
+ * The library cannot reply in the middle of a body. It answers requests that it cannot parse by
+ * itself: in HTML, after some errors with two headers, and not at all when the connection's memory
+ * is used up. So these replies are written directly to the socket. The socket is then shut down for
+ * writing, which discards what the library still wants to send.
+ *
+ * The library sends its own pages with MHD_queue_response. The definition in this file replaces
+ * that function in the whole program, the library included. Our own replies reach the library's
+ * function through mo_queue_response. */
+#include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "http/server.h"
+
+#include "base/clock.h"
+
+#define LINGER_US    2000000
+#define LINGER_READS 16 /* per call: a client that keeps sending must not block the thread */
+
+typedef enum MHD_Result (*queue_function)(struct MHD_Connection *mhd, unsigned status,
+                                          struct MHD_Response *response);
+static queue_function library_queue;
+
+static void find_library_queue(void)
+{
+  void *found = dlsym(RTLD_NEXT, "MHD_queue_response");
+  memcpy(&library_queue, &found, sizeof(library_queue));
+}
+
+bool mo_last_replies_init(void)
+{
+  static pthread_once_t once = PTHREAD_ONCE_INIT;
+  return pthread_once(&once, find_library_queue) == 0 && library_queue != NULL;
+}
+
+enum MHD_Result mo_queue_response(struct MHD_Connection *mhd, unsigned status,
+                                  struct MHD_Response *response)
+{
+  return library_queue(mhd, status, response);
+}
+
+static enum MHD_Result write_header(void *context, enum MHD_ValueKind kind, const char *name,
+                                    const char *value)
+{
+  (void)kind;
+  mo_text_format(context, "%s: %s\r\n", name, value);
+  return MHD_YES;
+}
+
+void mo_reply_last(struct mo_request *request)
+{
+  struct mo_reply *reply = &request->reply;
+  struct mo_text text = {0};
+  struct MHD_Response *headers =
+      MHD_create_response_from_buffer(0, (void *)"", MHD_RESPMEM_PERSISTENT);
+  mo_request_drop_body(request);
+  reply->close = true;
+  mo_text_format(&text, "HTTP/1.1 %u %s\r\nContent-Length: %zu\r\n", reply->status,
+                 mo_status_title(reply->status), reply->size);
+  if (headers != NULL && mo_reply_headers(request, headers)) {
+    MHD_get_response_headers(headers, write_header, &text);
+    mo_text_add(&text, "\r\n");
+    if (request->method != MO_HEAD)
+      mo_text_bytes(&text, reply->body != NULL ? reply->body : reply->fixed, reply->size);
+    if (!text.failed &&
+        send(request->connection->fd, text.data, text.size, MSG_NOSIGNAL | MSG_DONTWAIT) > 0) {
+      request->sent = request->method != MO_HEAD ? reply->size : 0;
+      request->answered = true;
+    }
+  }
+  MHD_destroy_response(headers);
+  mo_text_free(&text);
+  shutdown(request->connection->fd, SHUT_WR);
+  request->connection->lingers = true;
+}
+
+static void refuse_unparsed(struct mo_connection *connection, struct MHD_Connection *mhd,
+                            unsigned status)
+{
+  struct mo_request *request = connection->request;
+  if (request == NULL && (request = mo_request_begin(connection, mhd, "")) == NULL)
+    return;
+  const char *detail;
+  switch (status) {
+  case 400:
+    detail = "Not HTTP as it is read here: a malformed request line, header field, length or "
+             "chunk, or no Host.";
+    break;
+  case 413: detail = "The length of the body, or of a chunk of it, is beyond all bounds."; break;
+  case 414: detail = "The request line is too long; " MO_HEADER_WORDS; break;
+  case 431: detail = "The header is too large; " MO_HEADER_WORDS; break;
+  case 505: detail = "This service speaks HTTP/1.0 and HTTP/1.1."; break;
+  default:
+    status = 400; /* the library has 500 for a line of a chunk that its memory cannot hold */
+    detail = "The request cannot be read.";
+    break;
+  }
+  mo_reply_problem(request, status, NULL, "%s", detail);
+  mo_reply_last(request);
+}
+
+__attribute__((visibility("default"))) enum MHD_Result
+MHD_queue_response(struct MHD_Connection *mhd, unsigned status, struct MHD_Response *response)
+{
+  const union MHD_ConnectionInfo *info =
+      MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_SOCKET_CONTEXT);
+  struct mo_connection *connection = info != NULL ? info->socket_context : NULL;
+  if (connection != NULL)
+    refuse_unparsed(connection, mhd, status);
+  info = MHD_get_connection_info(mhd, MHD_CONNECTION_INFO_CONNECTION_FD);
+  if (info != NULL)
+    shutdown(info->connect_fd, SHUT_WR);
+  /* Let the library queue its page and end the connection: not all of its code survives a failure
+   * here. */
+  return mo_queue_response(mhd, status, response);
+}
+
+/* ---- lingering ---- */
+
+void mo_linger_add(struct mo_lingering *lingering, int fd)
+{
+  pthread_mutex_lock(&lingering->lock);
+  bool room = lingering->n < MO_LINGER_MAX;
+  if (room) {
+    lingering->fd[lingering->n] = fd;
+    lingering->until_us[lingering->n++] = mo_clock_us() + LINGER_US;
+  }
+  pthread_mutex_unlock(&lingering->lock);
+  if (!room)
+    close(fd);
+}
+
+void mo_linger_on(struct mo_lingering *lingering, int64_t now_us)
+{
+  char waste[16384];
+  pthread_mutex_lock(&lingering->lock);
+  for (size_t i = 0; i < lingering->n;) {
+    ssize_t n = 1;
+    for (int k = 0; k < LINGER_READS && n > 0; k++)
+      n = recv(lingering->fd[i], waste, sizeof(waste), MSG_DONTWAIT);
+    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR) ||
+        now_us >= lingering->until_us[i]) {
+      close(lingering->fd[i]);
+      lingering->n--;
+      lingering->fd[i] = lingering->fd[lingering->n];
+      lingering->until_us[i] = lingering->until_us[lingering->n];
+    } else {
+      i++;
+    }
+  }
+  pthread_mutex_unlock(&lingering->lock);
+}
+
+void mo_linger_end(struct mo_lingering *lingering)
+{
+  for (size_t i = 0; i < lingering->n; i++)
+    close(lingering->fd[i]);
+  lingering->n = 0;
+  pthread_mutex_destroy(&lingering->lock);
+}

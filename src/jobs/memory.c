@@ -1,0 +1,408 @@
+/* memory.c: estimates the memory of jobs with their own thread before they start, so that all
+ * running jobs fit into `max_memory`.
+ *
+ * A job starts when it fits beside the running ones; until then it stays queued, with a reason. At
+ * most OVERTAKEN_MAX later jobs that fit may start before it; then all wait for it. Submission
+ * rejects a job that would not fit without other jobs. If such a job was stored under a higher
+ * limit, it waits, and no other job waits for it.
+ *
+ * After a process that was killed while several jobs ran, jobs start one at a time, each when the
+ * earlier ones have saved something. So the next kill identifies the job at fault
+ * (mo_store_requeue). */
+#include <malloc.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "jobs/campaign_run.h"
+
+#define MIB           ((uint64_t)1 << 20)
+#define OVERTAKEN_MAX 8
+
+/* Measured, and rounded up. */
+#define SERVICE_BYTES  (64 * MIB)    /* evaluations, requests, caches of the store */
+#define LEARNING_BYTES (28 * MIB)    /* weights, Adam, gradient, a checkpoint while it is written */
+#define SLOT_BYTES     (5 * MIB / 2) /* the gradient of a block */
+#define CAMPAIGN_BYTES (20 * MIB)    /* controller, packed for the kernels */
+#define DRAWN_BYTES                                                                                \
+  ((uint64_t)5 << 10) /* a robot of a pretraining: random body, environment, outcome */
+#define DESIGN_BYTES       ((uint64_t)24 << 10) /* the largest body of the default workspace */
+#define ROBOT_BYTES        ((uint64_t)1 << 10)  /* environment and outcome of a robot in a batch */
+#define CANDIDATE_BYTES    ((uint64_t)1 << 10)  /* of a population: parents and children */
+#define SCORED_BYTES       ((uint64_t)3 << 10)  /* a candidate's losses: computed, saved, found */
+#define DRAWING_BYTES      (3 * MIB)            /* a thread that draws bodies again */
+#define DRAWING_THREADS    16
+#define SCRATCH_BYTES      (12 * MIB)            /* a worker's gradients without the tape */
+#define TAPE_STEP_BYTES    ((uint64_t)550 << 10) /* a step of a full block of the largest bodies */
+#define TAPE_SEGMENT_BYTES ((uint64_t)300 << 10) /* the start of a segment of the tape */
+
+/* ---- the limit ---- */
+
+static uint64_t room(const struct mo_jobs *jobs)
+{
+  const uint64_t most = jobs->config.max_memory;
+  return most > SERVICE_BYTES ? most - SERVICE_BYTES : 0;
+}
+
+void mo_memory_init(struct mo_jobs *jobs)
+{
+  struct mo_compute_stats stats;
+  uint64_t tape = MO_GRADIENT_DEFAULT_BYTES, share;
+  mo_compute_get_stats(jobs->compute, &stats);
+  jobs->memory.n_workers = stats.n_workers > 0 ? stats.n_workers : 1;
+  if (jobs->config.max_memory >
+      0) { /* the gradients of all workers take at most half of the limit, if possible */
+    share = room(jobs) / 2 / jobs->memory.n_workers;
+    share = share > SCRATCH_BYTES + 8 * MIB ? share - SCRATCH_BYTES : 8 * MIB;
+    tape = share < tape ? share : tape;
+    mo_compute_set_gradient_bytes(jobs->compute, tape);
+  }
+  jobs->memory.tape_bytes = tape;
+  pthread_mutex_init(&jobs->memory.mutex, NULL);
+}
+
+/* ---- needs ---- */
+
+/* Returns the scratch memory of one worker: the whole tape, or a tape in segments that fit the
+ * budget; if no segments fit, those with the least need (sqrt). */
+static uint64_t scratch(const struct mo_jobs *jobs, uint32_t n_steps)
+{
+  const uint64_t whole = n_steps * TAPE_STEP_BYTES, cut = jobs->memory.tape_bytes;
+  const uint64_t least =
+      (uint64_t)(2 * sqrt((double)n_steps * TAPE_STEP_BYTES * TAPE_SEGMENT_BYTES));
+  const uint64_t tape = least > cut ? least : cut;
+  return SCRATCH_BYTES + (tape < whole ? tape : whole);
+}
+
+static void add_learning(const struct mo_jobs *jobs, uint32_t batch,
+                         const struct mo_physics *physics, enum mo_back_end back_end,
+                         struct mo_need *need)
+{
+  const uint64_t blocks = (batch + MO_GRADIENT_ROBOTS - 1) / MO_GRADIENT_ROBOTS,
+                 n = jobs->memory.n_workers;
+  need->own += LEARNING_BYTES;
+  if (back_end == MO_ON_DEVICE)
+    return;
+  need->own += (blocks < 2 * n ? blocks : 2 * n) * SLOT_BYTES;
+  need->scratch = (blocks < n ? blocks : n) * scratch(jobs, physics->n_steps);
+}
+
+struct mo_need mo_need_of_training(const struct mo_jobs *jobs,
+                                   const struct mo_training_record *record,
+                                   enum mo_back_end back_end)
+{
+  const struct mo_training_settings *settings = &record->settings;
+  const uint64_t hands = back_end == MO_ON_DEVICE ? 2 : 1,
+                 drawn = (uint64_t)settings->n_steps * settings->batch;
+  struct mo_need need = {0};
+  add_learning(jobs, settings->batch, &settings->physics, back_end, &need);
+  if (settings->kind == MO_TRAINING_PRETRAIN)
+    need.own += hands * settings->batch * DRAWN_BYTES +
+                mo_form_set_reckon(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
+  else
+    need.own += record->n_designs * DESIGN_BYTES + hands * settings->batch * ROBOT_BYTES;
+  return need;
+}
+
+/* Adds the set of all excluded bodies, and a second set that separates the bodies of one part. The
+ * first part in the default workspace needs no second set. */
+static void add_excluded(const struct mo_jobs *jobs, const struct mo_lineage *lineage,
+                         struct mo_workspace workspace, struct mo_need *need)
+{
+  const struct mo_workspace all = MO_DEFAULT_WORKSPACE;
+  const bool is_all = workspace.nx == all.nx && workspace.ny == all.ny && workspace.nz == all.nz;
+  const uint32_t n = jobs->memory.n_workers;
+  uint64_t total = 0, apart = 0,
+           key = UINT64_C(0xcbf29ce484222325) ^ mo_workspace_voxels(workspace);
+  if (lineage->n_parts == 0)
+    return;
+  for (uint32_t i = 0; i < lineage->n_parts; i++) {
+    const struct mo_lineage_part *part = &lineage->parts[i];
+    total += part->n_bodies;
+    if ((i > 0 || !is_all) && part->n_bodies > apart)
+      apart = part->n_bodies;
+    key = ((key ^ part->seed) * UINT64_C(0x100000001b3) ^ part->n_bodies) * UINT64_C(0x100000001b3);
+  }
+  need->shared = mo_form_set_reckon(workspace, total) +
+                 (apart > 0 ? mo_form_set_reckon(all, apart) : 0) +
+                 (n < DRAWING_THREADS ? n : DRAWING_THREADS) * DRAWING_BYTES;
+  need->shared_key = key;
+}
+
+int mo_need_of_campaign(struct mo_jobs *jobs, const struct mo_campaign_settings *settings,
+                        const struct mo_sha256 *controller, enum mo_back_end back_end,
+                        struct mo_need *ret, struct mo_message *message)
+{
+  const uint64_t n = settings->population;
+  struct mo_need need = {
+      .own = CAMPAIGN_BYTES + 2 * n * CANDIDATE_BYTES +
+             mo_form_set_reckon(settings->workspace, n * (settings->generations + UINT64_C(1)))};
+  struct mo_lineage lineage = {.n_parts = 0};
+  int error = MO_OK;
+  if (controller != NULL && settings->exclude_pretraining)
+    error = mo_lineage_reckon(jobs, controller, &lineage, message);
+  if (error != MO_OK)
+    return error;
+  if (settings->mode == MO_ZERO_SHOT) {
+    need.own += n * SCORED_BYTES;
+  } else {
+    const uint32_t batch = mo_campaign_training(settings, 0).batch;
+    add_learning(jobs, batch, &settings->physics, back_end, &need);
+    need.own += 2 * n * SCORED_BYTES + n * DESIGN_BYTES + batch * ROBOT_BYTES;
+  }
+  add_excluded(jobs, &lineage, settings->workspace, &need);
+  *ret = need;
+  return MO_OK;
+}
+
+static uint64_t alone(const struct mo_need *need)
+{
+  return need->own + need->shared + need->scratch;
+}
+
+static unsigned mib(uint64_t bytes)
+{
+  return (unsigned)((bytes + MIB - 1) / MIB);
+}
+
+int mo_memory_check(const struct mo_jobs *jobs, const struct mo_need *need,
+                    struct mo_message *message)
+{
+  if (jobs->config.max_memory == 0 || alone(need) <= room(jobs))
+    return MO_OK;
+  if (need->shared == 0)
+    return mo_fail(
+        message, MO_ERR_LIMIT,
+        "this needs %u MiB of memory and jobs can have %u MiB: ask for less, or raise max_memory",
+        mib(alone(need)), mib(room(jobs)));
+  return mo_fail(message, MO_ERR_LIMIT,
+                 "this needs %u MiB of memory, %u MiB of them for the bodies of the controller's "
+                 "pretraining, and jobs "
+                 "can have %u MiB: submit with "
+                 "exclude_pretraining false, or raise max_memory",
+                 mib(alone(need)), mib(need->shared), mib(room(jobs)));
+}
+
+/* ---- accounting, under the mutex ---- */
+
+static uint64_t in_use_with(const struct mo_memory *memory, const struct mo_need *need)
+{
+  uint64_t sum = need->own, scratch = need->scratch;
+  bool is_there = need->shared == 0;
+  for (const struct mo_memory_user *user = memory->users; user != NULL; user = user->next) {
+    bool counted = user->need.shared == 0;
+    for (const struct mo_memory_user *before = memory->users; before != user && !counted;
+         before = before->next)
+      counted = before->need.shared > 0 && before->need.shared_key == user->need.shared_key;
+    sum += user->need.own + (counted ? 0 : user->need.shared);
+    is_there = is_there || (user->need.shared > 0 && user->need.shared_key == need->shared_key);
+    scratch = user->need.scratch > scratch ? user->need.scratch : scratch;
+  }
+  return sum + (is_there ? 0 : need->shared) + scratch;
+}
+
+static struct mo_memory_user **find(struct mo_memory_user **link, int64_t id)
+{
+  while (*link != NULL && (*link)->id != id)
+    link = &(*link)->next;
+  return link;
+}
+
+static void drop(struct mo_memory_user **link)
+{
+  struct mo_memory_user *user = *link;
+  if (user == NULL)
+    return;
+  *link = user->next;
+  free(user);
+}
+
+/* Returns whether the job may start now; if not, stores the reason. */
+static bool fits(const struct mo_jobs *jobs, struct mo_memory_user *asker)
+{
+  const struct mo_memory *memory = &jobs->memory;
+  const struct mo_need *need = &asker->need, none = {0};
+  char *reason = asker->reason;
+  for (const struct mo_memory_user *user = memory->users; user != NULL && memory->n_suspects > 0;
+       user = user->next)
+    if (!user->is_proven) {
+      snprintf(reason, sizeof(asker->reason),
+               "the service was killed while several jobs ran: it starts one at a time, after job "
+               "%lld has saved its work",
+               (long long)user->id);
+      return false;
+    }
+  if (jobs->config.max_memory == 0)
+    return true;
+  if (alone(need) > room(jobs)) {
+    snprintf(reason, sizeof(asker->reason),
+             "it needs %u MiB of memory and jobs can have %u MiB: raise max_memory, or cancel it",
+             mib(alone(need)), mib(room(jobs)));
+    return false;
+  }
+  for (const struct mo_memory_user *other = memory->waiting; other != NULL && other != asker;
+       other = other->next)
+    if (other->overtaken >= OVERTAKEN_MAX && alone(&other->need) <= room(jobs)) {
+      snprintf(reason, sizeof(asker->reason), "job %lld waits for memory longer, and starts first",
+               (long long)other->id);
+      return false;
+    }
+  if (in_use_with(memory, need) <= room(jobs))
+    return true;
+  const uint64_t used = in_use_with(memory, &none),
+                 left = used < room(jobs) ? room(jobs) - used : 0;
+  snprintf(reason, sizeof(asker->reason),
+           "it needs %u MiB of memory more and %u MiB are free of the %u MiB that jobs can have: "
+           "it starts when others end",
+           mib(in_use_with(memory, need) - used), (unsigned)(left / MIB), mib(room(jobs)));
+  return false;
+}
+
+static struct mo_memory_user *make(struct mo_jobs *jobs, const struct mo_runner_kind *kind,
+                                   int64_t id)
+{
+  struct mo_memory_user *made = calloc(1, sizeof(*made));
+  if (made == NULL)
+    return NULL;
+  made->id = id;
+  made->kind = kind;
+  if (kind->need(jobs, id, &made->need) == MO_OK)
+    return made;
+  free(made); /* of a shortage: it is looked at again */
+  return NULL;
+}
+
+bool mo_memory_take(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id)
+{
+  struct mo_memory *memory = &jobs->memory;
+  struct mo_memory_user *user, *made = NULL, **link;
+  bool taken = false;
+  pthread_mutex_lock(&memory->mutex);
+  if (*find(&memory->waiting, id) == NULL && *find(&memory->users, id) == NULL) {
+    pthread_mutex_unlock(&memory->mutex);
+    made = make(jobs, kind, id);
+    pthread_mutex_lock(&memory->mutex);
+  }
+  link = find(&memory->waiting, id);
+  if (*link == NULL && made != NULL && *find(&memory->users, id) == NULL) {
+    *link = made;
+    made = NULL;
+  }
+  user = *link; /* NULL: an earlier run has not ended yet, or another thread took the job */
+  if (user != NULL && fits(jobs, user)) {
+    for (struct mo_memory_user *before = memory->waiting; before != user; before = before->next)
+      before->overtaken++;
+    *link = user->next;
+    user->next = memory->users;
+    memory->users = user;
+    taken = true;
+  }
+  pthread_mutex_unlock(&memory->mutex);
+  free(made);
+  return taken;
+}
+
+/* One suspect fewer, if this job was not proven before. */
+static bool clear(struct mo_memory *memory, const struct mo_memory_user *user)
+{
+  if (memory->n_suspects == 0 || user == NULL || user->is_proven)
+    return false;
+  memory->n_suspects--;
+  return true;
+}
+
+static void wake(struct mo_jobs *jobs)
+{
+  mo_runners_wake(&jobs->trainings);
+  mo_runners_wake(&jobs->campaigns);
+}
+
+void mo_memory_give(struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_memory *memory = &jobs->memory;
+  bool learns = false;
+  pthread_mutex_lock(&memory->mutex);
+  clear(memory, *find(&memory->users, id));
+  drop(find(&memory->users, id));
+  for (const struct mo_memory_user *user = memory->users; user != NULL; user = user->next)
+    learns = learns || user->need.scratch > 0;
+  pthread_mutex_unlock(&memory->mutex);
+  if (!learns)
+    mo_compute_trim(jobs->compute);
+  (void)malloc_trim(0);
+  wake(jobs);
+}
+
+void mo_memory_forget(struct mo_jobs *jobs, int64_t id)
+{
+  pthread_mutex_lock(&jobs->memory.mutex);
+  drop(find(&jobs->memory.waiting, id));
+  pthread_mutex_unlock(&jobs->memory.mutex);
+  wake(jobs);
+}
+
+void mo_memory_keep(struct mo_jobs *jobs, const struct mo_runner_kind *kind, const int64_t *ids,
+                    int64_t n)
+{
+  struct mo_memory_user **link = &jobs->memory.waiting;
+  pthread_mutex_lock(&jobs->memory.mutex);
+  while (*link != NULL) {
+    bool is_there = (*link)->kind != kind;
+    for (int64_t i = 0; i < n && !is_there; i++)
+      is_there = ids[i] == (*link)->id;
+    if (is_there)
+      link = &(*link)->next;
+    else
+      drop(link);
+  }
+  pthread_mutex_unlock(&jobs->memory.mutex);
+}
+
+void mo_memory_renew(struct mo_jobs *jobs, const struct mo_runner_kind *kind, int64_t id)
+{
+  struct mo_need need = {0};
+  const int error = kind->need(jobs, id, &need);
+  struct mo_memory_user *user;
+  pthread_mutex_lock(&jobs->memory.mutex);
+  user = *find(&jobs->memory.users, id);
+  if (user != NULL && error == MO_OK)
+    user->need = need;
+  pthread_mutex_unlock(&jobs->memory.mutex);
+  mo_memory_forget(jobs, id);
+}
+
+void mo_memory_prove(struct mo_jobs *jobs, int64_t id)
+{
+  struct mo_memory_user *user;
+  bool is_news;
+  pthread_mutex_lock(&jobs->memory.mutex);
+  user = *find(&jobs->memory.users, id);
+  is_news = clear(&jobs->memory, user);
+  if (user != NULL)
+    user->is_proven = true;
+  pthread_mutex_unlock(&jobs->memory.mutex);
+  if (is_news)
+    wake(jobs);
+}
+
+bool mo_memory_reason(struct mo_jobs *jobs, int64_t id, char reason[160])
+{
+  const struct mo_memory_user *user;
+  pthread_mutex_lock(&jobs->memory.mutex);
+  user = *find(&jobs->memory.waiting, id);
+  if (user != NULL && user->reason[0] != '\0')
+    memcpy(reason, user->reason, sizeof(user->reason));
+  else
+    user = NULL;
+  pthread_mutex_unlock(&jobs->memory.mutex);
+  return user != NULL;
+}
+
+void mo_memory_free(struct mo_jobs *jobs)
+{
+  while (jobs->memory.waiting != NULL)
+    drop(&jobs->memory.waiting);
+  while (jobs->memory.users != NULL)
+    drop(&jobs->memory.users);
+  pthread_mutex_destroy(&jobs->memory.mutex);
+}

@@ -1,0 +1,19 @@
+/* fields.h: the settings of learning and of trainings as tables of fields. */
+#ifndef MORPHO_LEARNING_FIELDS_H
+#define MORPHO_LEARNING_FIELDS_H
+
+#include <morpho/learning.h>
+
+#include "base/fields.h"
+
+/* Of struct mo_learning: schedule, Adam, limits of the gradient. */
+extern const struct mo_fields mo_learning_fields;
+/* Of struct mo_training_settings: what a controller's metadata store about its training: steps,
+ * batch, learning, physics. */
+extern const struct mo_fields mo_recipe_fields;
+/* The same with seed and sensor. */
+extern const struct mo_fields mo_training_fields;
+
+extern const char *const mo_schedule_words[]; /* of enum mo_schedule_kind; schedule.c */
+
+#endif

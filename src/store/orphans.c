@@ -1,0 +1,153 @@
+/* orphans.c: files that no row refers to.
+ *
+ * Opening removes only what this program itself leaves behind: unfinished files, whose names
+ * nothing else has, and checkpoints without rows of a job that the database knows. Any other file
+ * may be the last copy of something, for example of a database that was replaced. It stays until
+ * mo_store_clean. */
+#include <errno.h>
+#include <fts.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/stat.h>
+
+#include "store/internal.h"
+
+struct round {
+  struct mo_connection *connection; /* NULL: knows only unfinished files */
+  bool removes_left_over, removes_unknown;
+  void (*tell)(void *context, const char *name, uint64_t bytes); /* for unknown files; nullable */
+  void *context;
+};
+
+enum whose { UNKNOWN = 0, LEFT_OVER = 1, NAMED = 2 };
+
+/* Returns whether `format` prints `name` from n numbers, and sets the numbers. */
+static bool is_of_form(const char *name, const char *format, int n, long long numbers[3])
+{
+  char again[128];
+  numbers[0] = numbers[1] = numbers[2] = 0;
+  if (sscanf(name, format, &numbers[0], &numbers[1], &numbers[2]) !=
+      n) /* NOLINT(cert-err34-c): compared below */
+    return false;
+  snprintf(again, sizeof(again), format, numbers[0], numbers[1], numbers[2]);
+  return strcmp(name, again) == 0 && numbers[0] >= 0 && numbers[1] >= 0 && numbers[2] >= 0;
+}
+
+/* Runs a query that returns an enum whose. Its parameters are the numbers, or a hash. */
+static int ask(struct mo_connection *connection, const char *sql, const long long numbers[3],
+               const struct mo_sha256 *sha256, int64_t *whose)
+{
+  int error = MO_OK;
+  sqlite3_stmt *statement = mo_sql(connection, sql, &error);
+  if (statement == NULL)
+    return error;
+  if (sha256 != NULL)
+    mo_bind_hash(statement, 1, sha256);
+  for (int i = 0; sha256 == NULL && i < sqlite3_bind_parameter_count(statement); i++)
+    sqlite3_bind_int64(statement, i + 1, numbers[i]);
+  error = mo_sql_integer(connection, statement, whose);
+  (void)sqlite3_clear_bindings(statement);
+  return error;
+}
+
+/* Decides whose a file is. connection NULL: recognizes only unfinished files. */
+static int judge(struct mo_connection *connection, const char *name, int64_t *whose)
+{
+  static const char weights_sql[] = "SELECT 2*EXISTS(SELECT 1 FROM controllers WHERE sha256=?1)";
+  static const char training_sql[] =
+      "SELECT max(2*EXISTS(SELECT 1 FROM training_checkpoints WHERE job=?1 AND step=?2),"
+      "EXISTS(SELECT 1 FROM trainings WHERE job=?1))";
+  static const char campaign_sql[] = "SELECT max(2*EXISTS(SELECT 1 FROM campaign_checkpoints WHERE "
+                                     "job=?1 AND generation=?2 AND step=?3),"
+                                     "EXISTS(SELECT 1 FROM campaigns WHERE job=?1))";
+  const char *file = strrchr(name, '/') + 1;
+  const size_t digits = strspn(file, "0123456789abcdef");
+  struct mo_sha256 sha256;
+  long long numbers[3];
+  *whose = is_of_form(file, ".tmp-%lld", 1, numbers) ? LEFT_OVER : UNKNOWN;
+  if (*whose == LEFT_OVER || connection == NULL)
+    return MO_OK;
+  if (is_of_form(name, "trainings/%lld/%lld.checkpoint", 2, numbers))
+    return ask(connection, training_sql, numbers, NULL, whose);
+  if (is_of_form(name, "campaigns/%lld/%lld-%lld.checkpoint", 3, numbers))
+    return ask(connection, campaign_sql, numbers, NULL, whose);
+  if (strncmp(name, "controllers/", 12) == 0 && file == name + 12 &&
+      strcmp(file + digits, ".safetensors") == 0 &&
+      mo_sha256_from_hex(file, digits, &sha256) == MO_OK)
+    return ask(connection, weights_sql, numbers, &sha256, whose);
+  return MO_OK;
+}
+
+static int visit(struct mo_store *store, const struct round *round, const FTSENT *entry)
+{
+  const char *name = entry->fts_path + strlen(store->path) + 1;
+  int64_t whose = UNKNOWN;
+  int error = entry->fts_info == FTS_F ? judge(round->connection, name, &whose) : MO_OK;
+  if (error == MO_OK && whose == UNKNOWN && round->tell != NULL)
+    round->tell(round->context, name, (uint64_t)entry->fts_statp->st_size);
+  if (error == MO_OK &&
+      (whose == UNKNOWN ? round->removes_unknown : whose == LEFT_OVER && round->removes_left_over))
+    (void)store->files->unlink(store->files->context, entry->fts_path);
+  return error;
+}
+
+static int walk(struct mo_store *store, const struct round *round)
+{
+  char *const folders[] = {store->controllers_path, store->trainings_path, store->campaigns_path,
+                           NULL};
+  FTS *tree = fts_open(folders, FTS_PHYSICAL | FTS_NOCHDIR, NULL);
+  int error = tree != NULL ? MO_OK : MO_ERR_NO_MEMORY;
+  const FTSENT *entry;
+  while (error == MO_OK && (errno = 0, entry = fts_read(tree)) != NULL) {
+    const bool is_missing =
+        entry->fts_info == FTS_NS && entry->fts_level == 0 && entry->fts_errno == ENOENT;
+    if (entry->fts_info == FTS_DNR || entry->fts_info == FTS_ERR ||
+        (entry->fts_info == FTS_NS && !is_missing))
+      error = MO_ERR_IO;
+    else if (entry->fts_info == FTS_DP && entry->fts_level > 0 && round->removes_unknown)
+      (void)store->files->rmdir(store->files->context, entry->fts_path); /* if it is empty */
+    else if (entry->fts_info != FTS_D && entry->fts_info != FTS_DP && !is_missing)
+      error = visit(store, round, entry);
+  }
+  if (error == MO_OK && errno != 0)
+    error = MO_ERR_IO;
+  if (tree != NULL)
+    (void)fts_close(tree);
+  return error;
+}
+
+static void note(void *context, const char *name, uint64_t bytes)
+{
+  struct mo_orphans *orphans = context;
+  const size_t length = strlen(orphans->first);
+  orphans->bytes += bytes;
+  if (orphans->n++ < 3)
+    snprintf(orphans->first + length, sizeof(orphans->first) - length, "%s%s",
+             length > 0 ? ", " : "", name);
+}
+
+int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, bool removes)
+{
+  store->orphans = (struct mo_orphans){.n = 0};
+  return walk(store, &(struct round){.connection = connection,
+                                     .removes_left_over = removes,
+                                     .tell = note,
+                                     .context = &store->orphans});
+}
+
+const struct mo_orphans *mo_store_orphans(const struct mo_store *store)
+{
+  return &store->orphans;
+}
+
+int mo_store_clean(struct mo_store *store,
+                   void (*tell)(void *context, const char *name, uint64_t bytes), void *context)
+{
+  struct mo_connection *reader = mo_reader_acquire(store);
+  int error = walk(store, &(struct round){.connection = reader,
+                                          .removes_unknown = tell == NULL,
+                                          .tell = tell,
+                                          .context = context});
+  mo_reader_release(store, reader);
+  return error != MO_OK ? error : mo_controllers_clean(store, tell, context);
+}

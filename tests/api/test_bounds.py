@@ -1,0 +1,119 @@
+"""What the contract says of a value is what the service does with it: at each bound, and for many
+texts."""
+
+import re
+
+import pytest
+from service import CONTRACT, DESIGN
+
+CURSORS = [
+    "1", "01", "0", "x", "", "-1", "9999999999", "99999999999", "999999999999999999",
+    "1000000000000000000", "0" * 512, "5-7", "05-007", "1234567-1", "999999-999999", "~3", "~03",
+    "walker", "Walker", "a" * 64, "a" * 65, "3ff0000000000000-4", "fff8000000000000-4",
+    "bff0000000000000-4", "7ff8000000000000-4", "7ff0000000000000-4", "7fefffffffffffff-4",
+    "7e00000000000000-4", "3ff0000000000000-04", "3ff00000-4", "4294967296", "1.5"
+]
+KEYS = [
+    "k", "k" * 255, "k" * 256, '"k"', '"' + "k" * 255 + '"', '"' + "k" * 256 + '"', '"', '""', '"a',
+    'a"', '"a"b"', r'"a\"b"', r'"a\\b"', r'"a\b"', "a b", '"a b"', "\u00e9", r"a\b", "a\tb"
+]
+PREFER = [
+    "wait=1", "wait=0", 'wait="1"', "wait=", "wait=x", "wait=-1", "wait", "return=minimal", "",
+    "wait=" + "0" * 18, "wait=" + "0" * 19
+]
+
+
+def schema_of(operation, name):
+    parameter, = [
+        one for one in map(CONTRACT.resolve, operation["parameters"]) if one["name"] == name
+    ]
+    return CONTRACT.resolve(parameter["schema"])
+
+
+def lists():
+    for path, item in CONTRACT.document["paths"].items():
+        if any(
+                CONTRACT.resolve(one)["name"] == "cursor"
+                for one in item.get("get", {}).get("parameters", [])):
+            yield path
+
+
+@pytest.fixture(scope="module")
+def campaign(service):
+    body = {
+        "mode": "zero-shot", "population": 4, "generations": 1, "physics": {"n_steps": 5},
+        "exclude_pretraining": False
+    }
+    id = service.request("POST", "/v1/campaigns", body).json()["id"]
+    service.request("GET", f"/v1/jobs/{id}", headers={"Prefer": "wait=60"})
+    return id
+
+
+@pytest.mark.parametrize("path", lists())
+def test_cursors(service, campaign, path):
+    schema = schema_of(CONTRACT.document["paths"][path]["get"], "cursor")
+    for query in ("", "&sort=score") if path == "/v1/designs" else ("", ):
+        for cursor in CURSORS:
+            reply = service.request("GET",
+                                    path.format(id=campaign, number=0) + f"?cursor={cursor}{query}")
+            told = re.search(schema["pattern"], cursor) is not None and len(cursor) <= schema.get(
+                "maxLength", 520)
+            if path == "/v1/designs":  # one form for each sort
+                told = told and ("-" in cursor) == (query != "")
+            assert (reply.status != 400) == told, (path, cursor, reply.status)
+
+
+def test_places_of_learning(service, campaign):
+    pattern = schema_of(CONTRACT.document["paths"]["/v1/campaigns/{id}/learning"]["get"],
+                        "after")["pattern"]
+    for after in ("0.0", "4294967295.4294967296", "9999999999.9999999999", "10000000000.0", "1",
+                  "1.", ".1", "-1.0", "1.0.0"):
+        reply = service.request("GET", f"/v1/campaigns/{campaign}/learning?after={after}")
+        assert (reply.status != 400) == (re.search(pattern, after) is not None), after
+
+
+def test_keys_and_preferences(start):
+    service = start()  # the keys are not those of other tests
+    operation = CONTRACT.document["paths"]["/v1/evaluations"]["post"]
+    for header, texts in (("Idempotency-Key", KEYS), ("Prefer", PREFER)):
+        pattern = schema_of(operation, header)["pattern"]
+        for text in texts:
+            reply = service.request("POST",
+                                    "/v1/evaluations",
+                                    {"designs": [DESIGN], "physics": {"n_steps": 5}},
+                                    headers={header: text})
+            assert (reply.status != 400) == (re.search(pattern, text)
+                                             is not None), (header, text, reply.body)
+
+
+def refused(service, name, value):
+    reply = service.request(
+        "POST", "/v1/evaluations",
+        {"designs": [DESIGN], "physics": {"n_steps": 5, name: value}, "record_stride": 1})
+    assert reply.status in (202, 422), reply.body
+    return reply.status == 422
+
+
+def test_physics(service):
+    for name, schema in CONTRACT.document["components"]["schemas"]["PhysicsRequest"][
+            "properties"].items():
+        if schema["type"] == "string":
+            continue
+        least, most = schema["minimum"], schema["maximum"]
+        assert not refused(service, name, least) and refused(
+            service, name, least - 1e-9 if schema["type"] == "number" else least - 1), name
+        assert refused(service, name,
+                       most * 1.0001 if schema["type"] == "number" else most + 1), name
+        if name != "n_steps":  # it would take its time
+            assert not refused(service, name, most), name
+
+
+def test_limits_of_learning(service):
+    """Asked for with a fault besides, so that nothing is trained."""
+    properties = CONTRACT.document["components"]["schemas"]["TrainingRequest"]["properties"]
+    for name in ("gradient_norm_limit", "adjoint_bound", "restart_weight"):
+        most = CONTRACT.resolve(properties[name])["maximum"]
+        for value, right in ((most, []), (most * 1.0001, ["/" + name])):
+            reply = service.request("POST", "/v1/trainings",
+                                    {"kind": "pretrain", name: value, "batch": 0})
+            assert sorted(reply.pointers()) == sorted(["/batch", *right]), (name, value, reply.body)

@@ -1,0 +1,97 @@
+"""Clients that want to use up the service's memory."""
+
+import contextlib
+import json
+import os
+import pathlib
+import re
+import socket
+import time
+
+from service import split_replies
+
+N_CONNECTIONS = int(os.environ.get("MORPHOD_TEST_HOSTILE",
+                                   "20000"))  # 100000 shows more, and takes minutes
+HOST = b"Host: 127.0.0.1\r\n"
+POST = b"POST /v1/evaluations HTTP/1.1\r\n" + HOST + b"Content-Type: application/json\r\n"
+
+HOSTILE = {
+    "thousands of parameters": b"GET /?" + b"a&" * 15000 + b" HTTP/1.1\r\n",
+    "hundreds of parameters": b"GET /?" + b"a=b&" * 1200 + b" HTTP/1.1\r\n" + HOST + b"\r\n",
+    "half a header": b"GET /v1/jobs?" + b"a" * 8000 + b" HTTP/1.1\r\n" + HOST + b"X: ",
+    "endless line": b"GET /" + b"a" * 40000,
+    "endless field": b"GET / HTTP/1.1\r\n" + HOST + b"X: " + b"a" * 40000,
+    "endless cookies": b"GET / HTTP/1.1\r\n" + HOST + b"Cookie: " + b"a;" * 4000 + b"\r\n\r\n",
+    "malformed chunk": POST + b"Transfer-Encoding: chunked\r\n\r\n4\r\n{\"a\"\r\nzz\r\n",
+    "folded length": POST + b"Content-Length:\r\n 50\r\n\r\nDELETE /v1/jobs/1 HTTP/1.1\r\n" + HOST +
+    b"\r\n",
+    "half a body": POST + b"Content-Length: 60000\r\n\r\n" + b" " * 20000,
+    "foreign host": b"GET /v1/jobs HTTP/1.1\r\nHost: evil.example\r\n\r\n",
+}
+
+
+def memory(service):
+    """Resident bytes that belong to no file."""
+    text = pathlib.Path(f"/proc/{service.process.pid}/status").read_text()
+    return 1024 * int(re.search(r"RssAnon:\s+(\d+) kB", text)[1])
+
+
+def gauge(service, name):
+    """A number from /metrics; None: the service has no connection left to tell it."""
+    found = re.search(rf"^{name} (\d+)$",
+                      service.request("GET", "/metrics").body.decode(), re.MULTILINE)
+    return int(found[1]) if found else None
+
+
+def attack(service, n, at_once=100):
+    """Connections in groups: each sends, some read what comes, all leave."""
+    kinds = list(HOSTILE.values())
+    for first in range(0, n, at_once):
+        with contextlib.ExitStack() as stack:
+            group = [
+                stack.enter_context(
+                    socket.create_connection((service.host, service.port), timeout=30))
+                for _ in range(min(at_once, n - first))
+            ]
+            for i, sock in enumerate(group):
+                with contextlib.suppress(ConnectionError):
+                    sock.sendall(kinds[i % len(kinds)])
+            time.sleep(0.02)
+            for sock in group[::3]:
+                sock.setblocking(False)
+                with contextlib.suppress(ConnectionError, BlockingIOError):
+                    sock.recv(4096)
+
+
+def settle(service):
+    """Waits until the service has only the connection that asks."""
+    deadline = time.monotonic() + 60
+    while gauge(service, "morphod_http_connections") != 1:
+        assert time.monotonic() < deadline, service.request("GET", "/metrics").body.decode()
+        time.sleep(0.05)
+
+
+def test_hostile_connections_leave_nothing_behind(start):
+    service = start("--log-level=error", "--header-timeout=1s", "--body-timeout=1s",
+                    "--max-connections=2048")
+    attack(service, 2000)  # what a service takes once
+    settle(service)
+    before = memory(service)
+    attack(service, N_CONNECTIONS)
+    settle(service)
+    deadline = time.monotonic() + 10
+    while (grown := memory(service) - before) > 8 << 20 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    print(f"{N_CONNECTIONS} connections: {grown} bytes more than {before}")
+    assert grown <= 8 << 20, f"{grown} bytes more after {N_CONNECTIONS} connections"
+    assert gauge(service, "morphod_http_requests_in_flight") == 1
+
+
+def test_many_parameters_are_answered(service):
+    for n in (600, 1200, 7000):
+        target = b"/v1/jobs?" + b"a&" * n
+        received, _ = service.raw(b"GET " + target + b" HTTP/1.1\r\n" + HOST +
+                                  b"Connection: close\r\n\r\n")
+        (status, headers, body), = split_replies(received)
+        assert status == 400 and headers["content-type"] == "application/problem+json", received
+        assert "no such parameter" in json.loads(body)["detail"]

@@ -1,0 +1,332 @@
+"""One client cannot shut out the others: rates, connections, memory of bodies, and who counts as
+one client."""
+
+import contextlib
+import ctypes
+import json
+import os
+import re
+import resource
+import select
+import socket
+import time
+
+import pytest
+
+import service as service_module
+from service import BOOTSTRAP, CONTRACT, DESIGN, SHORT
+
+EVALUATION = {"designs": [DESIGN], "physics": SHORT}
+USERS = (4001, 4002)  # of no account; only root can open connections as they
+LIBC = ctypes.CDLL(None)
+as_root = pytest.mark.skipif(os.geteuid() != 0, reason="connections of several users need root")
+
+
+@contextlib.contextmanager
+def user(uid):
+    """Sockets that are opened meanwhile belong to this user (setfsuid is of this thread alone)."""
+    LIBC.setfsuid(uid)
+    try:
+        yield
+    finally:
+        LIBC.setfsuid(os.geteuid())
+
+
+def dial(service, uid=None):
+    with user(uid) if uid is not None else contextlib.nullcontext():
+        return socket.create_connection((service.host, service.port), timeout=30)
+
+
+def half(sock, size, sent):
+    """The beginning of a submission: `sent` of its `size` bytes."""
+    sock.sendall(
+        b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+        b"Content-Length: %d\r\n\r\n" % size + b" " * sent)
+    return sock
+
+
+def endless(service, **how):
+    """A job that does not end by itself."""
+    value = {
+        **EVALUATION, "priority": "batch", "precision": "float64", "physics": {"n_steps": 100000}
+    }
+    job = service.request("POST", "/v1/evaluations", value, **how).json()["id"]
+    assert service.request("POST", f"/v1/jobs/{job}/pause", **how).status in (200, 202)
+    return job
+
+
+def metric(service, name, **how):
+    found = re.search(rf"^{name} (\d+)$",
+                      service.request("GET", "/metrics", **how).body.decode(), re.M)
+    return int(found.group(1)) if found else 0
+
+
+def awaited_metric(service, name, value, **how):
+    deadline = time.monotonic() + 30
+    while (seen := metric(service, name, **how)) != value:
+        assert time.monotonic() < deadline, (name, seen)
+        time.sleep(0.02)
+
+
+def status(sock):
+    """The status of the reply that comes; 0: the connection ends without one."""
+    with contextlib.suppress(ConnectionError):
+        return int(sock.recv(65536)[9:12] or 0)
+    return 0
+
+
+def test_rate_covers_whatever_submits_or_stores(start):
+    service = start("--client-rate=1")
+    upload = {
+        "body": BOOTSTRAP.read_bytes(), "headers": {"Content-Type": "application/octet-stream"}
+    }
+    asked = [("PUT", "/v1/controllers/again", upload),
+             ("POST", "/v1/evaluations", {"value": EVALUATION}),
+             ("POST", "/v1/campaigns/1/extend", {"value": {"generations": 2}}),
+             ("POST", "/v1/campaigns/1/champions", {"value": {}})]
+    for method, path, content in asked:
+        seen = [service.request(method, path, **content) for _ in range(12)]
+        refused = [reply for reply in seen if reply.status == 429]
+        assert refused, (path, [reply.status for reply in seen])
+        assert all(reply.headers["Retry-After"] == "1" for reply in refused)
+    # Whoever sends too much can still stop what runs.
+    assert 429 not in {service.request("POST", "/v1/jobs/1/pause").status for _ in range(12)}
+
+
+@as_root
+@pytest.mark.parametrize("address", ["127.0.0.1:0", "[::1]:0"])
+def test_over_loopback_a_client_is_a_user(start, address):
+    try:
+        service = start("--client-rate=1", listen=(address, ))
+    except RuntimeError:
+        pytest.skip(f"{address} is not served here")
+
+    def submit(uid):
+        with user(uid):
+            return service.request("POST", "/v1/evaluations", EVALUATION).status
+
+    assert 429 in [submit(USERS[0]) for _ in range(12)]
+    assert submit(USERS[1]) == 202  # its first
+    for uid in USERS:
+        assert re.search(rf"{re.escape(address[:-1])}\d+ uid {uid}\b",
+                         service.log_text()), service.log_text()[-2000:]
+
+
+@as_root
+def test_a_user_is_one_client_over_tcp_and_the_unix_socket(start, tmp_path):
+    service = start("--client-rate=1", listen=("127.0.0.1:0", f"unix:{tmp_path}/socket"))
+    seen = [
+        service.request("POST", "/v1/evaluations", EVALUATION, unix=i % 2 == 0).status
+        for i in range(12)
+    ]
+    assert 429 in seen[0::2] and 429 in seen[1::2], seen
+    with user(USERS[0]):
+        assert service.request("POST", "/v1/evaluations", EVALUATION).status == 202
+
+
+def test_waiting_takes_no_place(start):
+    service = start("--max-in-flight=2")
+    job = endless(service)
+    waiting = [service.connection() for _ in range(20)]
+    for connection in waiting:
+        deadline = time.monotonic() + 20
+        while service.request("GET",
+                              "/v1/jobs").status != 200:  # until at most one is not parked yet
+            assert time.monotonic() < deadline
+        connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
+    assert service.request("DELETE", f"/v1/jobs/{job}").status in (200, 202)
+    # All are answered, more than may be in flight.
+    for connection in waiting:
+        reply = connection.getresponse()
+        assert reply.status == 200 and b'"cancelled"' in reply.read()
+
+
+def streams(service, n):
+    """Connections that do not give way."""
+    held = [dial(service) for _ in range(n)]
+    for sock in held:
+        sock.sendall(b"GET /v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert status(sock) == 200
+    return held
+
+
+def ended(sock):
+    """The service has closed it, without a word."""
+    sock.settimeout(30)
+    try:
+        return sock.recv(100) == b""
+    except ConnectionError:
+        return True
+
+
+def is_open(sock):
+    sock.setblocking(False)
+    try:
+        return sock.recv(100) != b""
+    except BlockingIOError:
+        return True
+    except ConnectionError:
+        return False
+
+
+def is_quiet(sock):
+    return not select.select([sock], [], [], 0)[0]
+
+
+def test_idle_connections_give_way_oldest_first(start):
+    service = start("--max-connections=64", "--header-timeout=60s")  # of which 8 are kept
+    time.sleep(0.5)  # those that asked whether it is ready are gone
+    used = service.connection(
+    )  # the first to come, but not the one that has been idle for the longest
+    used.connect()
+    working = streams(service, 20)
+    waiting = service.connection()
+    waiting.request("GET", f"/v1/jobs/{endless(service)}", headers={"Prefer": "wait=60"})
+    idle = [dial(service) for _ in range(34)]
+    awaited_metric(service, "morphod_http_connections", 1 + 20 + 1 + 34, connection=used)
+    for _ in range(30):
+        assert service.request("GET", "/v1/jobs").status == 200
+    # At most one for each, and fewer where a connection of a request before is gone or gave way.
+    gone = metric(service, "morphod_http_connections_gave_way_total")
+    closed = [not is_open(sock) for sock in idle]
+    assert sum(closed) <= gone <= 40 and closed == sorted(closed, reverse=True), (gone, closed)
+    assert all(is_open(sock) for sock in working + [used.sock, waiting.sock])
+    flood = [dial(service) for _ in range(200)]
+    assert service.request("GET", "/v1/jobs").status == 200
+    assert sum(closed) >= 1 and ended(used.sock) and all(ended(sock) for sock in idle + flood[:100])
+    assert all(is_open(sock) for sock in working + [waiting.sock])
+
+
+def test_requests_that_stop_coming_give_way(start):
+    service = start("--max-connections=8")
+    time.sleep(0.5)
+    held = [half(dial(service), 1000, 10) for _ in range(4)]
+    held += [dial(service) for _ in range(3)]
+    for sock in held[4:]:
+        sock.sendall(b"GET /v1/jobs HTTP/1.1\r\n")
+    time.sleep(1.5)
+    for _ in range(7):
+        assert streams(service, 1)
+
+
+def test_kept_connections_are_for_health(start, tmp_path):
+    service = start("--max-connections=64", listen=("127.0.0.1:0", f"unix:{tmp_path}/socket"))
+    time.sleep(0.5)
+    held = streams(service, 56)
+    for _ in range(20):  # more often than there are kept connections
+        for path in ("/healthz", "/readyz", "/metrics"):
+            assert service.request("GET", path).status == 200
+        connection = service.connection()
+        reply = service.request("GET", "/v1/jobs", connection=connection)
+        assert reply.status == 503 and reply.headers["Retry-After"] and reply.headers[
+            "Connection"] == "close"
+        connection = service.connection(unix=True)
+        assert service.request("GET", "/v1/jobs", connection=connection).status == 200
+    # They are held on the unix socket, too: what is left is for health.
+    waiting = [service.connection(unix=True) for _ in range(4)]
+    job = endless(service, unix=True)
+    awaited_metric(service, "morphod_http_requests_in_flight", 56 + 1)  # with the one that asks
+    for connection in waiting:
+        connection.request("GET", f"/v1/jobs/{job}", headers={"Prefer": "wait=60"})
+    awaited_metric(service, "morphod_http_requests_in_flight", 56 + 4 + 1)
+    assert service.request("GET", "/v1/jobs", unix=True).status == 503
+    assert service.request("GET", "/healthz", unix=True).status == 200
+    assert service.request("GET", "/healthz").status == 200
+    for sock in held:
+        sock.close()
+    deadline = time.monotonic() + 20
+    while service.request("GET", "/v1/jobs").status != 200:
+        assert time.monotonic() < deadline
+
+
+def whole(service, size):
+    """The status of a submission of so many bytes."""
+    body = json.dumps(EVALUATION).ljust(size)
+    return service.request("POST", "/v1/evaluations", body=body).status
+
+
+def test_half_sent_bodies_give_way_to_whole_ones(start):
+    service = start("--max-body=1M", "--max-controller=1M")  # 8 MiB, of which 4 for one client
+    held = [half(dial(service), 1000000, 600000) for _ in range(4)]
+    for _ in range(20):
+        held[0].sendall(b" " * 17000)  # this one goes on, if slowly
+        time.sleep(0.5)
+        if (last := whole(service, 900000)) == 202:
+            break
+    assert last == 202
+    received = [sock.recv(65536) for sock in held[1:] if not is_quiet(sock)]
+    assert received
+    for reply in received:
+        head, _, problem = reply.partition(b"\r\n\r\n")
+        assert head.startswith(
+            b"HTTP/1.1 503 ") and b"\r\nRetry-After: 1" in head and b"\r\nConnection: close" in head
+        CONTRACT.validate({"$ref": "#/components/schemas/Problem"}, json.loads(problem), "503")
+    assert metric(service, "morphod_http_bodies_gave_way_total") == len(received)
+    assert 'status=503' in service.log_text() and "others needed its memory" in service.log_text()
+    assert is_quiet(held[0])
+
+
+@as_root
+def test_half_sent_bodies_of_all_users_give_way(start):
+    service = start("--max-body=1M", "--max-controller=1M")
+    held = [half(dial(service, uid), 1000000, 600000) for uid in USERS for _ in range(4)]
+    time.sleep(0.5)
+    assert whole(service, 1000) == 202  # of the memory that is kept for small ones
+    deadline = time.monotonic() + 30
+    while whole(service, 900000) != 202:
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+    assert not all(is_quiet(sock) for sock in held)
+
+
+def test_connections_fit_the_limit_of_open_files(start, monkeypatch, tmp_path):
+    wrapper = tmp_path / "morphod"
+    wrapper.write_text(f'#!/bin/sh\nulimit -n 256\nexec {service_module.BINARY} "$@"\n')
+    wrapper.chmod(0o755)
+    monkeypatch.setattr(service_module, "BINARY", str(wrapper))
+    service = start("--header-timeout=60s")
+    held = [dial(service) for _ in range(300)]
+    assert service.evaluate(EVALUATION).status == 200
+    assert 64 <= metric(service, "morphod_http_connections_max") <= 192
+    assert re.search(r"warning: the limit of open files .*max_connections=1024 used=\d+",
+                     service.log_text())
+    assert held
+
+
+def test_connections_that_fit_need_no_word(start):
+    service = start("--max-connections=64")
+    assert metric(service, "morphod_http_connections_max") == 64
+    assert "limit of open files" not in service.log_text()
+
+
+@as_root
+def test_one_user_does_not_shut_out_another(start):
+    """64 waits, 1,024 idle connections and four half-sent bodies of one user; prints what another user
+    and health checks feel."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, min(hard, 4096)), hard))
+    service = start("--header-timeout=10min")
+    job = endless(service)
+    waiting = [dial(service, USERS[0]) for _ in range(64)]
+    for sock in waiting:
+        sock.sendall(
+            f"GET /v1/jobs/{job} HTTP/1.1\r\nHost: localhost\r\nPrefer: wait=300\r\n\r\n".encode())
+    bodies = [half(dial(service, USERS[0]), 30 << 20, 20 << 20) for _ in range(4)]
+    awaited_metric(service, "morphod_http_requests_in_flight", 64 + 4 + 1)
+    idle = [dial(service, USERS[0]) for _ in range(1024)]
+
+    def seconds(ask):
+        begun = time.monotonic()
+        assert ask().status == 200
+        return time.monotonic() - begun
+
+    with user(USERS[1]):
+        evaluations = sorted(
+            seconds(lambda n=n: service.evaluate({**EVALUATION, "physics": {"n_steps": 20 + n}}))
+            for n in range(50))
+    health = sorted(seconds(lambda: service.request("GET", "/healthz")) for _ in range(500))
+    print(
+        f"another user's evaluation: median {evaluations[25] * 1e3:.1f} ms, longest {evaluations[-1] * 1e3:.1f} ms; "
+        f"/healthz: median {health[250] * 1e3:.2f} ms, p99 {health[495] * 1e3:.2f} ms")
+    assert evaluations[-1] < 1 and health[495] < 0.2  # 50 ms where nothing else runs
+    assert all(is_quiet(sock) for sock in waiting + bodies) and len(idle) == 1024

@@ -1,0 +1,78 @@
+"""A log that nobody reads: the service goes on, lines are dropped and counted, and the end comes in
+time."""
+
+import fcntl
+import http.client
+import os
+import re
+import signal
+import time
+
+import pytest
+
+REQUESTS = 6000  # 260 bytes of log each at least: more than the buffer's 1 MiB
+PATH = "/" + "x" * 180
+
+
+@pytest.fixture
+def unread():
+    """A pipe: (the end to read, the end to write)."""
+    ends = list(os.pipe())
+    fcntl.fcntl(ends[1], fcntl.F_SETPIPE_SZ, 4096)
+    yield ends
+    for end in ends:
+        os.close(end)
+
+
+def ask(service, n):
+    connection = http.client.HTTPConnection(service.host, service.port, timeout=20)
+    for _ in range(n):
+        connection.request("GET", PATH)
+        assert connection.getresponse().read()
+    connection.close()
+
+
+def dropped(service):
+    text = service.request("GET", "/metrics").body.decode()
+    return int(re.search(r"^morphod_log_lines_dropped_total (\d+)$", text, re.M).group(1))
+
+
+def read_until(end, pattern, seconds=30):
+    text, deadline = "", time.monotonic() + seconds
+    os.set_blocking(end, False)
+    while not re.search(pattern, text):
+        assert time.monotonic() < deadline, text[-2000:]
+        try:
+            text += os.read(end, 65536).decode()
+        except BlockingIOError:
+            time.sleep(0.01)
+    return text
+
+
+def test_lines_are_dropped_and_counted(start, unread):
+    reading, writing = unread
+    service = start(stderr=writing)
+    assert dropped(service) == 0
+    ask(service, REQUESTS)
+    assert service.request("GET", "/healthz").status == 200
+    lost = dropped(service)
+    assert lost > 0
+    text = read_until(reading, r"lines were dropped.*\n")
+    assert f"lines={lost}\n" in text
+    ask(service, 1)  # after the notice
+    text += read_until(reading, re.escape(PATH) + r" .*\n")
+    lines = [line for line in text.splitlines() if PATH in line]
+    assert len(lines) == REQUESTS + 1 - lost and all(
+        re.fullmatch(r"\S+ info: request .* seconds=\S+", line) for line in lines)
+    assert PATH in text.splitlines()[-1] and dropped(service) == lost
+    assert service.stop() == 0
+    assert "stopped work=finished" in read_until(reading, "stopped.*\n")
+
+
+@pytest.mark.parametrize("number, status", [(signal.SIGTERM, 0), (signal.SIGSEGV, -signal.SIGSEGV)])
+def test_the_end_does_not_wait_for_a_reader(start, unread, number, status):
+    service = start(stderr=unread[1])
+    ask(service, 600)  # the pipe is full long before
+    began = time.monotonic()
+    assert service.stop(number) == status
+    assert time.monotonic() - began < 15

@@ -1,0 +1,173 @@
+/* Settings as tables: reading with faults, writing, parsing back bit for bit, bounds, paths. */
+#include "base/fields.h"
+
+#include "../check.h"
+
+enum color { RED, GREEN };
+
+struct inner {
+  double share;
+  uint32_t steps, flat;
+};
+
+struct outer {
+  uint32_t count, batch;
+  uint64_t seed;
+  double rate;
+  bool on;
+  enum color color;
+  struct inner inner;
+  uint16_t side[2];
+};
+
+static void read_side(struct mo_json *json, void *value)
+{
+  uint16_t side[2] = {0};
+  int64_t number;
+  size_t n = 0;
+  if (!mo_json_array(json))
+    return;
+  for (; mo_json_item(json); n++)
+    if (mo_json_integer(json, 1, 6, &number) && n < 2)
+      side[n] = (uint16_t)number;
+  if (n == 2)
+    memcpy(value, side, sizeof(side));
+}
+
+static void write_side(struct mo_text *text, const void *value)
+{
+  uint16_t side[2];
+  memcpy(side, value, sizeof(side));
+  mo_text_format(text, "[%u,%u]", side[0], side[1]);
+}
+
+static const struct mo_field_own side = {.read = read_side, .write = write_side};
+static const char *const colors[] = {"red", "green", NULL};
+static const struct mo_field inner_rows[] = {
+    {"share", MO_FIELD_NUMBER, MO_FIELD_BELOW_MAX, offsetof(struct inner, share), .min = 0,
+     .max = 1},
+    {"steps", MO_FIELD_COUNT, 0, offsetof(struct inner, steps), .min = 1, .max = 1000},
+};
+static const struct mo_fields inner = {inner_rows, 2};
+static const struct mo_field flat_rows[] = {
+    {"flat", MO_FIELD_COUNT, 0, offsetof(struct inner, flat), .min = 0, .max = 9},
+};
+static const struct mo_fields flat = {flat_rows, 1};
+static const struct mo_field rows[] = {
+    {"count", MO_FIELD_COUNT, 0, offsetof(struct outer, count), .min = 1, .max = 4294967295.0},
+    {"batch", MO_FIELD_COUNT, MO_FIELD_NULL, offsetof(struct outer, batch), .min = 1, .max = 64},
+    {"seed", MO_FIELD_SEED, 0, offsetof(struct outer, seed)},
+    {NULL, MO_FIELD_INLINE, 0, offsetof(struct outer, inner), .group = &flat},
+    {"rate", MO_FIELD_NUMBER, MO_FIELD_ABOVE_MIN, offsetof(struct outer, rate), .min = 0,
+     .max = 1e6},
+    {"on", MO_FIELD_FLAG, 0, offsetof(struct outer, on)},
+    {"color", MO_FIELD_WORD, 0, offsetof(struct outer, color), .words = colors},
+    {"inner", MO_FIELD_GROUP, 0, offsetof(struct outer, inner), .group = &inner},
+    {"side", MO_FIELD_OWN, 0, offsetof(struct outer, side), .own = &side},
+};
+static const struct mo_fields fields = {rows, sizeof(rows) / sizeof(rows[0])};
+
+static const struct outer start = {1, 0, 1, 0.5, false, RED, {0.25, 10, 3}, {1, 1}};
+
+static int parse(const char *text, struct outer *outer, struct mo_message *message)
+{
+  return mo_fields_parse(text, strlen(text), &fields, outer, message);
+}
+
+static void reads_what_is_given(void)
+{
+  struct outer outer = start;
+  struct mo_message message = {""};
+  CHECK_INT(parse("{\"count\":7,\"inner\":{\"steps\":3},\"color\":\"green\",\"side\":[2,3]}",
+                  &outer, &message),
+            MO_OK);
+  CHECK_INT(outer.count, 7);
+  CHECK_INT(outer.inner.steps, 3);
+  CHECK(outer.inner.share == 0.25); /* as it was */
+  CHECK_INT(outer.color, GREEN);
+  CHECK_INT(outer.side[1], 3);
+  outer.batch = 5;
+  CHECK_INT(parse("{\"batch\":null}", &outer, &message), MO_OK);
+  CHECK_INT(outer.batch, 0);
+}
+
+static void returns_every_bit(void)
+{
+  const struct outer full = {UINT32_MAX, 64,    (uint64_t)MO_SEED_MAX,          0.1 + 0.2,
+                             true,       GREEN, {0x1.fffffffffffffp-1, 999, 9}, {6, 5}};
+  struct outer outer = start;
+  struct mo_message message = {""};
+  struct mo_text text = {0};
+  mo_fields_write_object(&text, &fields, &full);
+  REQUIRE(!text.failed);
+  CHECK_INT(parse(text.data, &outer, &message), MO_OK);
+  CHECK(outer.count == full.count && outer.batch == full.batch && outer.seed == full.seed &&
+        outer.on);
+  CHECK(outer.rate == full.rate && outer.inner.share == full.inner.share &&
+        outer.inner.steps == 999 && outer.inner.flat == 9);
+  CHECK(outer.color == GREEN && outer.side[0] == 6 && outer.side[1] == 5);
+  mo_text_free(&text);
+  mo_fields_write_object(&text, &fields, &start);
+  CHECK_TEXT(text.data, "{\"count\":1,\"batch\":null,\"seed\":1,\"flat\":3,\"rate\":0.5,\"on\":"
+                        "false,\"color\":\"red\",\"inner\":"
+                        "{\"share\":0.25,\"steps\":10},\"side\":[1,1]}");
+  mo_text_free(&text);
+}
+
+static void refuses(const char *text, const char *expected)
+{
+  struct outer outer = start;
+  struct mo_message message = {""};
+  CHECK_INT(parse(text, &outer, &message), MO_ERR_FORMAT);
+  CHECK_TEXT(message.text, expected);
+  CHECK(outer.rate == 0.5 && outer.color == RED && outer.inner.share == 0.25 &&
+        outer.count == 1); /* as they were */
+}
+
+static void says_what_is_wrong(void)
+{
+  refuses("{\"rate\":0}", "/rate: must be above 0 and at most 1e+06, got 0");
+  refuses("{\"inner\":{\"share\":1}}", "/inner/share: must be at least 0 and below 1, got 1");
+  refuses("{\"color\":\"blue\"}", "/color: must be \"red\" or \"green\", got \"blue\"");
+  refuses("{\"inner\":{\"size\":1}}", "/inner/size: unknown field; expected are share, steps");
+  refuses("{\"count\":\"7\"}", "/count: a string is given; an integer is expected");
+  refuses("{\"count\":1", "/count: line 1, column 11: the text ends inside an array or object");
+}
+
+static void checks_bounds(void)
+{
+  struct mo_message message = {""};
+  struct outer outer = start;
+  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_OK);
+  outer.inner.share = 1;
+  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_RANGE);
+  CHECK_TEXT(message.text, "inner.share must be at least 0 and below 1, got 1");
+  outer = start;
+  outer.rate = NAN;
+  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_INVALID);
+  outer = start;
+  outer.color = (enum color)2;
+  CHECK_INT(mo_fields_check(&fields, &outer, &message), MO_ERR_INVALID);
+  CHECK_TEXT(message.text, "color must be \"red\" or \"green\", got number 2");
+}
+
+static void finds_paths(void)
+{
+  size_t offset = 0;
+  const struct mo_field *field = mo_fields_find(&fields, "inner.steps", &offset);
+  REQUIRE(field != NULL);
+  CHECK_INT(offset, offsetof(struct outer, inner.steps));
+  offset = 0;
+  REQUIRE(mo_fields_find(&fields, "flat", &offset) != NULL);
+  CHECK_INT(offset, offsetof(struct outer, inner.flat));
+  offset = 0;
+  CHECK(mo_fields_find(&fields, "inner.size", &offset) == NULL);
+  CHECK(mo_fields_find(&fields, "count.size", &offset) == NULL);
+}
+
+static const struct check_case cases[] = {{"reads what is given", reads_what_is_given},
+                                          {"returns every bit", returns_every_bit},
+                                          {"says what is wrong", says_what_is_wrong},
+                                          {"checks bounds", checks_bounds},
+                                          {"finds paths", finds_paths}};
+CHECK_MAIN(cases)

@@ -1,0 +1,27 @@
+/* What one client has in flight. */
+#include "http/server.h"
+
+#include "unit/check.h"
+
+/* A client is remembered while one of its requests waits, however long. */
+static void parked_clients_are_kept(void)
+{
+  static const unsigned char key[16] = "parked";
+  struct mo_clients clients;
+  bool refused;
+  REQUIRE(mo_clients_init(&clients) == MO_OK);
+  struct mo_client *client = mo_client_enter(&clients, key, 1, &refused);
+  REQUIRE(client != NULL);
+  CHECK(mo_client_enter(&clients, key, 1, &refused) == NULL && refused);
+  mo_client_park(&clients, client, true);
+  mo_clients_sweep(&clients, MO_NEVER);
+  CHECK(mo_client_enter(&clients, key, 1, &refused) == client);
+  mo_client_park(&clients, client, false); /* two now, of one: what is woken is not refused */
+  mo_client_leave(&clients, client, 0);
+  CHECK(mo_client_enter(&clients, key, 1, &refused) == NULL && refused);
+  mo_client_leave(&clients, client, 0);
+  mo_clients_free(&clients);
+}
+
+static const struct check_case cases[] = {{"clients that wait are kept", parked_clients_are_kept}};
+CHECK_MAIN(cases)

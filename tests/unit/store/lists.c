@@ -1,0 +1,253 @@
+/* lists.c: a page costs what it shows. SQLite counts the steps of its statements, so no clock is
+ * needed: a page that goes through the rows that it leaves out, or sorts them, takes tens of
+ * thousands. */
+#include <stdatomic.h>
+
+#include "by_hand.h"
+#include "campaign_fixture.h"
+#include "training_fixture.h"
+
+#define ROWS      10000 /* of each kind */
+#define PAGE      5
+#define STEPS_MAX 2000
+
+static _Atomic int64_t steps;
+
+static int count_steps(unsigned event, void *context, void *statement, void *time)
+{
+  (void)event;
+  (void)context;
+  (void)time;
+  atomic_fetch_add(&steps, sqlite3_stmt_status(statement, SQLITE_STMTSTATUS_VM_STEP, 1));
+  return 0;
+}
+
+static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines *routines)
+{
+  (void)message;
+  (void)routines;
+  return sqlite3_trace_v2(db, SQLITE_TRACE_PROFILE, count_steps, NULL);
+}
+
+/* Copies of job 1, an evaluation, of 2, a training, and of 3, a campaign, in this order. The oldest
+ * 24 of each kind are in all states in turn, all others in one. */
+static int fill(struct fixture *fixture)
+{
+  static const char *const tables[] = {"evaluations", "trainings", "campaigns"};
+  static const char *const columns[] = {
+      "controller,controller_name,physics,environment_set,n_designs,n_environments,verify,record,"
+      "record_stride,done,"
+      "cached,"
+      "diverged",
+      "kind,settings,name,parent,parent_name,n_designs,population,n_steps,validate_every_steps,"
+      "checkpoint_every_steps,"
+      "checkpoint_every_s,checkpoints_kept,step,result",
+      "settings,generations,name,preset,controller,controller_name,physics,environment_set,n_"
+      "environments,n_listed,"
+      "initial_campaign,replicates_of,replicate,replicates,checkpoint_every_s,generation,n_designs,"
+      "best_score,"
+      "diversity_max,"
+      "ended,scored_generation,scored,result"};
+  char sql[4096];
+  int result = SQLITE_OK;
+  mo_store_close(fixture->store);
+  fixture->store = NULL;
+  for (int kind = 0; kind < 3 && result == SQLITE_OK; kind++) {
+    snprintf(sql, sizeof(sql),
+             "BEGIN;"
+             "WITH RECURSIVE n(i) AS (SELECT 0 UNION ALL SELECT i+1 FROM n LIMIT %d)"
+             " INSERT INTO "
+             "jobs(kind,state,priority,version,epoch,attempts,created_us,started_us,finished_us,"
+             "error,label)"
+             " SELECT %d,iif(i<24,i%%6,%d),0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual') FROM n;"
+             "INSERT INTO %s(job,%s) SELECT copy,%s FROM (SELECT id copy FROM jobs WHERE kind=%d "
+             "AND id>3),"
+             "(SELECT * FROM %s WHERE job=%d);"
+             "COMMIT",
+             ROWS, kind, 3 + kind, tables[kind], columns[kind], columns[kind], kind, tables[kind],
+             kind + 1);
+    result = outside(fixture, sql);
+  }
+  if (result == SQLITE_OK)
+    result = outside(
+        fixture,
+        "BEGIN;"
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
+        " INSERT INTO controller_names SELECT 'copy-'||i,controller,1,stored_us FROM "
+        "n,controller_names"
+        " WHERE name='default';"
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
+        " INSERT INTO designs(form,first_seen_us) SELECT randomblob(18),1 FROM n;"
+        "INSERT INTO genotypes(bits,design) SELECT form,id FROM designs WHERE id NOT IN"
+        " (SELECT design FROM genotypes);"
+        "INSERT INTO set_scores SELECT controller,physics,environment_set,g.id,0.5,zeroblob(8) FROM"
+        " genotypes g,evaluations WHERE job=1;"
+        "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
+        " INSERT INTO events(time_us,job,type,data) SELECT 1,iif(i<9,4,5),'job.started','{}' FROM "
+        "n;"
+        "COMMIT");
+  return result == SQLITE_OK ? fixture_reopen(fixture) : MO_ERR_IO;
+}
+
+static int start(struct fixture *fixture)
+{
+  struct mo_training_submission training = submission_of(10);
+  struct mo_campaign_submission campaign = campaign_submission(MO_ZERO_SHOT, 8, 3);
+  struct mo_bits *forms = NULL, *genotypes = NULL;
+  int64_t id = 0;
+  bool replayed;
+  int error = sqlite3_auto_extension((void (*)(void))watch) == SQLITE_OK ? fixture_start(fixture)
+                                                                         : MO_ERR_IO;
+  if (error == MO_OK)
+    error = fixture_bodies(1, 1, &forms, &genotypes);
+  if (error == MO_OK) {
+    struct mo_submission evaluation = fixture_submission(forms, genotypes, 1);
+    error = mo_store_submit(fixture->store, &evaluation, &id, &replayed);
+  }
+  free(forms);
+  free(genotypes);
+  if (error == MO_OK &&
+      (submit(fixture, &training) != 2 || campaign_submit(fixture, &campaign) != 3))
+    error = MO_ERR_CONFLICT;
+  return error == MO_OK ? fill(fixture) : error;
+}
+
+static int64_t all_steps(void)
+{
+  return atomic_exchange(&steps, 0);
+}
+
+static void cheap(const char *what, int kind, int state, int64_t before, bool waits)
+{
+  int64_t n = all_steps();
+  CHECK(n <= STEPS_MAX);
+  if (n > STEPS_MAX)
+    printf("# %s of kind %d, state %d, before %lld%s: %lld steps\n", what, kind, state,
+           (long long)before, waits ? ", some waiting" : "", (long long)n);
+}
+
+/* Each page of each kind in each state, from the newest on and from before the oldest that match.
+ */
+static void pages_of_jobs(void)
+{
+  struct fixture fixture;
+  struct mo_job jobs[PAGE];
+  struct mo_training_status trainings[PAGE];
+  struct mo_campaign_status campaigns[PAGE];
+  REQUIRE(start(&fixture) == MO_OK);
+  const int64_t places[] = {0, 2 * ROWS + 20, ROWS + 20, 20, 2};
+  /* Of the trainings and campaigns that run. */
+  const int64_t waiting[] = {ROWS + 5, ROWS + 11, 2 * ROWS + 5};
+  for (int state = -1; state < MO_JOB_STATES; state++)
+    for (size_t p = 0; p < sizeof(places) / sizeof(places[0]); p++)
+      for (size_t w = 0; w <= 3; w += 3) {
+        for (int kind = -1; kind < 3; kind++) {
+          struct mo_job_query query = {.before = places[p],
+                                       .state = state,
+                                       .kind = kind,
+                                       .waiting = waiting,
+                                       .n_waiting = w};
+          (void)all_steps();
+          CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+          cheap("jobs", kind, state, places[p], w > 0);
+          for (int usual = 0; usual < 2; usual++) {
+            query.label = usual ? "usual" : "rare";
+            CHECK(mo_store_jobs(fixture.store, &query, jobs, PAGE) >= 0);
+            cheap(query.label, kind, state, places[p], w > 0);
+          }
+        }
+        struct mo_job_query query = {
+            .before = places[p], .state = state, .kind = -1, .waiting = waiting, .n_waiting = w};
+        CHECK(mo_store_trainings(fixture.store, &query, trainings, PAGE) >= 0);
+        cheap("trainings", 1, state, places[p], w > 0);
+        struct mo_campaign_query all = {
+            .before = places[p], .state = state, .waiting = waiting, .n_waiting = w, .group = 0};
+        CHECK(mo_store_campaigns(fixture.store, &all, campaigns, PAGE) >= 0);
+        cheap("campaigns", 2, state, places[p], w > 0);
+      }
+  fixture_end(&fixture);
+}
+
+/* What a page shows is right whichever statement finds it: newest first, of the kind, those that
+ * wait as paused. */
+static void pages_tell_the_states_that_are_shown(void)
+{
+  struct fixture fixture;
+  struct mo_job jobs[40];
+  REQUIRE(start(&fixture) == MO_OK);
+  const int64_t first =
+      4 + ROWS; /* trainings: every sixth is queued, the next runs, the next is paused */
+  const int64_t waiting[] = {first + 7, first + 1};
+  struct mo_job_query query = {
+      .state = MO_JOB_PAUSED, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
+  const int64_t paused[] = {first + 20, first + 14, first + 8, first + 7, first + 2, first + 1};
+  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  for (int i = 0; i < 6; i++)
+    CHECK_INT(jobs[i].id, paused[i]);
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 4), 4);
+  CHECK_INT(jobs[3].id, paused[3]);
+  query.before = paused[3];
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 2);
+  CHECK(jobs[0].id == paused[4] && jobs[1].id == paused[5]);
+  query = (struct mo_job_query){
+      .state = MO_JOB_RUNNING, .kind = MO_JOB_TRAINING, .waiting = waiting, .n_waiting = 2};
+  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 2);
+  CHECK(jobs[0].id == first + 19 && jobs[1].id == first + 13);
+  query.kind = MO_JOB_EVALUATION;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 4);
+  query.kind = -1;
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 10);
+  query = (struct mo_job_query){.state = MO_JOB_PAUSED,
+                                .kind = MO_JOB_TRAINING,
+                                .waiting = waiting,
+                                .n_waiting = 2,
+                                .label = "usual"};
+  REQUIRE(mo_store_jobs(fixture.store, &query, jobs, 40) == 6);
+  for (int i = 0; i < 6; i++)
+    CHECK_INT(jobs[i].id, paused[i]);
+  query.label = "none";
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 0);
+  query = (struct mo_job_query){.state = MO_JOB_SUCCEEDED, .kind = MO_JOB_CAMPAIGN};
+  CHECK_INT(mo_store_jobs(fixture.store, &query, jobs, 40), 4);
+  fixture_end(&fixture);
+}
+
+static void pages_of_everything_else(void)
+{
+  struct fixture fixture;
+  struct mo_controller_record controllers[PAGE];
+  struct mo_design_row designs[PAGE];
+  struct mo_event events[PAGE];
+  REQUIRE(start(&fixture) == MO_OK);
+  REQUIRE(mo_store_controller(fixture.store, "default", &controllers[0]) == MO_OK);
+  struct mo_design_query query = {.controller_sha256 = controllers[0].sha256,
+                                  .environment_set = "paper-test",
+                                  .physics = mo_default_physics(),
+                                  .precision = MO_FLOAT32};
+  (void)all_steps();
+  CHECK_INT(mo_store_controllers(fixture.store, NULL, controllers, PAGE), PAGE);
+  CHECK_INT(mo_store_controllers(fixture.store, "default", controllers, PAGE), 0);
+  cheap("controllers", -1, -1, 0, false);
+  for (query.after_row = 0; query.after_row < ROWS; query.after_row += ROWS / 4) {
+    CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
+    cheap("designs", -1, -1, 0, false);
+  }
+  query.sort = MO_DESIGNS_BY_SCORE;
+  query.after_score = 0.5; /* as of all others */
+  for (query.after_row = 0; query.after_row < ROWS; query.after_row += ROWS / 4) {
+    CHECK_INT(mo_store_designs(fixture.store, &query, designs, PAGE), PAGE);
+    cheap("designs by score", -1, -1, 0, false);
+  }
+  for (int64_t job = 0; job <= 6; job++) {
+    CHECK(mo_store_events(fixture.store, 100, job, events, PAGE, NULL, NULL) >= 0);
+    cheap("events", -1, -1, 0, false);
+  }
+  fixture_end(&fixture);
+}
+
+static const struct check_case cases[] = {
+    {"pages of jobs cost what they show", pages_of_jobs},
+    {"pages tell the states that are shown", pages_tell_the_states_that_are_shown},
+    {"other pages cost what they show", pages_of_everything_else},
+};
+CHECK_MAIN(cases)
