@@ -167,49 +167,6 @@ static void settings_kept(void)
   mo_training_free(training);
 }
 
-/* A checkpoint as version 1 wrote it: it had neither rule nor weight. */
-static void as_version_1(struct blob *blob)
-{
-  enum { VERSION = 8, RULE = 112 };
-  const uint32_t version = 1;
-  blob->size -= 12;
-  memmove(blob->bytes + RULE, blob->bytes + RULE + 12, blob->size - RULE);
-  memcpy(blob->bytes + VERSION, &version, 4);
-  const uint64_t sum = mo_checksum(blob->bytes, blob->size - 8);
-  memcpy(blob->bytes + blob->size - 8, &sum, 8);
-}
-
-/* One of version 1 goes on as what it was, and clips; what is written of it is of the new version.
- */
-static void first_version(void)
-{
-  for (int kind = MO_TRAINING_PRETRAIN; kind <= MO_TRAINING_FINETUNE; kind++) {
-    struct mo_training *training = begin((enum mo_training_kind)kind);
-    struct made_up made_up;
-    REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-    REQUIRE(advance_one(training, &made_up) == MO_OK);
-    struct blob now = encoded(training), old = encoded(training);
-    as_version_1(&old);
-    struct mo_training *read = decoded(&old);
-    REQUIRE(read != NULL);
-    CHECK_INT(mo_training_settings_of(read)->learning.adjoint_rule, MO_ADJOINT_CLIP);
-    CHECK(mo_training_settings_of(read)->learning.restart_weight == MO_RESTART_WEIGHT);
-    struct blob again = encoded(read);
-    CHECK(same(&now, &again));
-    CHECK(advance_one(training, &made_up) == MO_OK && advance_one(read, &made_up) == MO_OK);
-    free(now.bytes);
-    free(again.bytes);
-    now = encoded(training), again = encoded(read);
-    CHECK(same(&now, &again));
-    free(now.bytes);
-    free(again.bytes);
-    free(old.bytes);
-    made_up_free(&made_up);
-    mo_training_free(read);
-    mo_training_free(training);
-  }
-}
-
 static void expect_refused(const uint8_t *bytes, size_t size, const char *says)
 {
   struct mo_training *training = NULL;
@@ -232,7 +189,7 @@ static void damaged(void)
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
     expect_refused(blob.bytes, blob.size,
                    i < 8    ? "not a checkpoint"
-                   : i < 12 ? "this program reads versions 1 to 2"
+                   : i < 12 ? "this program reads version 2"
                             : "checksum is wrong");
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
   }
@@ -497,7 +454,6 @@ static void lineage(void)
 static const struct check_case cases[] = {
     {"saved and restored at every step, the same bytes at the end", resume},
     {"every setting survives", settings_kept},
-    {"the first version is read", first_version},
     {"the checksum", checksum},
     {"damaged bytes are refused", damaged},
     {"wrong contents under a right checksum are refused", wrong_contents},
