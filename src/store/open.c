@@ -452,11 +452,6 @@ void mo_store_close(struct mo_store *store)
   free_store(store);
 }
 
-int64_t mo_store_epoch(const struct mo_store *store)
-{
-  return store->epoch;
-}
-
 uint64_t mo_store_id(const struct mo_store *store)
 {
   return (uint64_t)store->id;

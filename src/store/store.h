@@ -81,7 +81,6 @@ const struct mo_orphans *mo_store_orphans(const struct mo_store *store);
  * NULL: removes all of them. No other call may use the store meanwhile. */
 int mo_store_clean(struct mo_store *store,
                    void (*tell)(void *context, const char *name, uint64_t bytes), void *context);
-int64_t mo_store_epoch(const struct mo_store *store); /* number of openings: 1 for the first */
 /* Random, chosen when the database was made: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
 

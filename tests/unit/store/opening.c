@@ -10,13 +10,13 @@ static void opens_and_locks(void)
   struct mo_store_config config;
   struct mo_store *second = NULL;
   REQUIRE(fixture_start(&fixture) == 0);
-  CHECK_INT(mo_store_epoch(fixture.store), 1);
+  CHECK_INT(fixture.store->epoch, 1);
   config = (struct mo_store_config){.path = fixture.path};
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_BUSY);
   CHECK(strstr(fixture.message.text, "another process") != NULL);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(mo_store_epoch(fixture.store), 2);
+  CHECK_INT(fixture.store->epoch, 2);
   mo_store_close(fixture.store);
   fixture.store = NULL;
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);

@@ -352,7 +352,7 @@ static void starts_when_it_is_full(void)
   snprintf(index, sizeof(index), "%s/morphod.db-shm", small.fixture.path);
   whole = size_of(small.reserve);
   fill_all(&small);
-  epoch = mo_store_epoch(small.fixture.store);
+  epoch = small.fixture.store->epoch;
   for (int n = 1; n <= STARTS; n++) {
     kill_store(&small);
     if (n == STARTS) /* 32 KiB, made anew */
@@ -360,7 +360,7 @@ static void starts_when_it_is_full(void)
     if (n == 1)
       fill_up(small.filler);
     REQUIRE(fixture_reopen(&small.fixture) == MO_OK);
-    CHECK_INT(mo_store_epoch(small.fixture.store), epoch + n);
+    CHECK_INT(small.fixture.store->epoch, epoch + n);
     CHECK(is_full(&small));
     CHECK_INT(mo_store_requeue(small.fixture.store, n == 1 ? ids[1] : 0, 3, "signal 11"), MO_OK);
     CHECK_INT(mo_store_fingerprint(small.fixture.store, "of another program", &fingerprint), MO_OK);
