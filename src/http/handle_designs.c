@@ -52,6 +52,8 @@ static void write_score(struct mo_text *text, const struct mo_design_score *scor
   mo_text_json_time(text, score->computed_us);
   mo_text_add(text, ",\"fingerprint\":");
   mo_text_json_string(text, score->fingerprint, strlen(score->fingerprint));
+  mo_text_add(text, ",\"origin\":");
+  mo_text_json_string(text, score->origin, strlen(score->origin));
   mo_text_add(text, "}");
 }
 
@@ -199,16 +201,34 @@ static void write_page(struct mo_request *request, const struct mo_design_query 
   mo_reply_etag_of_body(request);
 }
 
+static bool is_class(const char *text)
+{
+  const size_t n = strlen(text);
+  for (size_t i = 0; i < n; i++)
+    if (text[i] < ' ' || text[i] > '~')
+      return false;
+  return n > 0 && n < MO_FINGERPRINT_BYTES;
+}
+
+/* The class whose scores are ranked unless another one is asked for: that of the devices, which
+ * compute large batches, or else of the workers. */
+static const char *own_class(const struct mo_compute *compute)
+{
+  const char *devices = mo_compute_device_fingerprint(compute);
+  return devices != NULL ? devices : mo_compute_fingerprint(compute, MO_FLOAT32);
+}
+
 void mo_handle_designs(struct mo_request *request)
 {
-  static const char *const names[] = {"sort", "controller", "environments", "limit", "cursor"};
+  static const char *const names[] = {"sort",  "controller", "environments",
+                                      "class", "limit",      "cursor"};
   struct mo_store *store = request->http->services.store;
-  struct mo_query_value values[5];
+  struct mo_query_value values[6];
   struct mo_design_query query = {
       .sort = MO_DESIGNS_BY_ID, .physics = mo_default_physics(), .precision = MO_FLOAT32};
   size_t limit;
-  if (!mo_query_read(request, names, values, 5) || !mo_accepts_json(request) ||
-      !mo_query_limit(request, &values[3], &limit))
+  if (!mo_query_read(request, names, values, 6) || !mo_accepts_json(request) ||
+      !mo_query_limit(request, &values[4], &limit))
     return;
   if (strcmp(values[0].text, "score") == 0)
     query.sort = MO_DESIGNS_BY_SCORE;
@@ -216,7 +236,7 @@ void mo_handle_designs(struct mo_request *request)
     mo_reply_bad_parameter(request, "sort", "id or score is expected");
     return;
   }
-  for (size_t i = 1; i < 3; i++)
+  for (size_t i = 1; i < 4; i++)
     if (values[i].present && query.sort != MO_DESIGNS_BY_SCORE) {
       mo_reply_bad_parameter(request, names[i], "this parameter is for sort=score");
       return;
@@ -225,7 +245,11 @@ void mo_handle_designs(struct mo_request *request)
     mo_reply_bad_parameter(request, "environments", "paper-test is expected");
     return;
   }
-  if (values[4].present && !read_cursor(values[4].text, &query)) {
+  if (values[3].present && !is_class(values[3].text)) {
+    mo_reply_bad_parameter(request, "class", "a fingerprint is expected, as scores have it");
+    return;
+  }
+  if (values[5].present && !read_cursor(values[5].text, &query)) {
     mo_reply_bad_parameter(request, "cursor",
                            "the next_cursor of an earlier page with the same sort is expected");
     return;
@@ -240,6 +264,8 @@ void mo_handle_designs(struct mo_request *request)
     }
     query.controller_sha256 = controller.sha256;
     snprintf(query.environment_set, sizeof(query.environment_set), "paper-test");
+    snprintf(query.fingerprint, sizeof(query.fingerprint), "%s",
+             values[3].present ? values[3].text : own_class(request->http->services.compute));
   }
   struct mo_design_row *rows = malloc(limit * sizeof(*rows));
   int64_t n = rows != NULL ? mo_store_designs(store, &query, rows, limit) : MO_ERR_NO_MEMORY;

@@ -3,9 +3,8 @@
  * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
  * commit (the cell waits, too), then the store (the cell is done). Otherwise the cell joins a new
  * block. Only the scheduler adds and removes rollouts, and removes a rollout only after its commit.
- * So a score is always in one of the two places and is never computed twice. The exception is an
- * interactive job, which does not wait for a device. Verify and recording jobs compute every cell
- * in their own blocks. */
+ * So a score is always in one of the two places and is never computed twice in one class. Verify
+ * and recording jobs compute every cell in their own blocks. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -31,18 +30,10 @@ static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_wor
       jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
   while (rollout != NULL &&
          (rollout->genotype != genotype || rollout->environment != environment ||
-          rollout->controller != work->controller || rollout->physics != work->physics))
+          rollout->controller != work->controller || rollout->physics != work->physics ||
+          rollout->fingerprint != work->fingerprint))
     rollout = rollout->next;
   return rollout;
-}
-
-/* Returns whether the job may wait for the rollout. An interactive job does not wait for a device,
- * whose queue may be seconds long: it computes the rollout again, and the store keeps the result
- * that is saved first. */
-static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active *active)
-{
-  return active->priority != MO_INTERACTIVE || rollout->flight == NULL ||
-         rollout->flight->block.back_end != MO_ON_DEVICE;
 }
 
 static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work,
@@ -57,6 +48,7 @@ static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work
   rollout->controller = work->controller;
   rollout->physics = work->physics;
   rollout->environment = environment;
+  rollout->fingerprint = work->fingerprint;
   rollout->next = *bucket;
   *bucket = rollout;
   return rollout;
@@ -109,8 +101,9 @@ static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t c
   if (origin == SHARED)
     atomic_fetch_add(&jobs->shared, 1);
   if (active->left[design] == 0 && active->work->environment_set != 0) {
-    struct mo_saved_design saved = {active->work->genotype_rows[design], active->work->controller,
-                                    active->work->physics, active->work->environment_set};
+    const struct mo_work *work = active->work;
+    struct mo_saved_design saved = {work->genotype_rows[design], work->controller,  work->physics,
+                                    work->environment_set,       work->fingerprint, work->workers};
     if (mo_pending_design(jobs, &saved) != MO_OK)
       mo_active_fail(jobs, active, MO_ERR_NO_MEMORY, "out of memory");
   }
@@ -288,8 +281,9 @@ static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   struct mo_flight *flight = NULL;
   bool whole = true;
-  int error = mo_store_scores(jobs->store, work->genotype_rows[design], work->controller,
-                              work->physics, work->environment_rows, work->n_environments, scores);
+  int error =
+      mo_store_scores(jobs->store, work->genotype_rows[design], work->controller, work->physics,
+                      work->fingerprint, work->environment_rows, work->n_environments, scores);
   if (error != MO_OK) {
     mo_active_fail(jobs, active, error, mo_error_text(error));
     return -1;
@@ -304,8 +298,6 @@ static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32
       continue;
     }
     rollout = find_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
-    if (rollout != NULL && !may_wait_at(rollout, active))
-      rollout = NULL;
     if (rollout != NULL && rollout->flight == NULL)
       finish_cell(jobs, active, cell, rollout->diverged_step, SHARED);
     else if (rollout != NULL)
@@ -393,8 +385,7 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
       /* A job that only waited for another job's rollout computes the rollout itself. */
-      if (status != MO_ERR_CANCELLED &&
-          (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
+      if (status != MO_ERR_CANCELLED) {
         mo_block_describe(status, text);
         mo_active_fail(jobs, active, status, text);
       }
@@ -406,8 +397,8 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
 
 static int64_t fingerprint_of(const struct mo_jobs *jobs, const struct mo_block *block)
 {
-  return block->computed_on == MO_ON_DEVICE ? jobs->device_fingerprint
-                                            : jobs->fingerprints[block->precision];
+  return block->computed_on == MO_ON_DEVICE ? jobs->classes.device
+                                            : jobs->classes.cpu[block->precision];
 }
 
 static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
@@ -466,6 +457,7 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
                                         .stride = flight->recordings[i].stride,
                                         .frames = flight->frames,
                                         .n_masses = flight->body->n_masses,
+                                        .diverged_step = outcome->diverged_step,
                                         .com_m = flight->recordings[i].com_m,
                                         .mass_m = flight->recordings[i].mass_m};
     error = mo_pending_trajectory(jobs, &saved);

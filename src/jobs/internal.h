@@ -74,7 +74,7 @@ struct mo_waiter {
 };
 
 struct mo_rollout {
-  int64_t genotype, controller, physics, environment;
+  int64_t genotype, controller, physics, environment, fingerprint; /* the class of its jobs */
   struct mo_flight *flight; /* NULL: computed, waits for its commit */
   double loss;
   int32_t diverged_step;
@@ -236,8 +236,7 @@ struct mo_jobs { /* NOLINT(clang-analyzer-optin.performance.Padding): grouped by
   struct mo_compute *compute;
   struct mo_jobs_config config;
   struct mo_lattice *lattice;
-  int64_t fingerprints[2];    /* by precision */
-  int64_t device_fingerprint; /* 0: there are no devices */
+  struct mo_classes classes;
   int listener;
 
   /* Admission. */

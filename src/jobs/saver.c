@@ -111,6 +111,10 @@ int mo_pending_update(struct mo_jobs *jobs, struct mo_active *active, enum mo_jo
                                    .started_us = step == MO_STEP_START ? mo_clock_wall_us() : 0,
                                    .error = error,
                                    .max_attempts = jobs->config.max_attempts};
+  if (active->work != NULL) {
+    update->fingerprint = active->work->fingerprint;
+    update->workers = active->work->workers;
+  }
   if (text != NULL)
     snprintf(update->error_text, sizeof(update->error_text), "%s", text);
   pending->owners[n] = active;

@@ -174,7 +174,7 @@ static void mark_finished(struct mo_active *active)
 static int load_active(struct mo_jobs *jobs, struct mo_active *active, char text[256])
 {
   char digits[MO_SHA256_DIGITS + 1];
-  int error = mo_store_load_work(jobs->store, active->id, &active->work);
+  int error = mo_store_load_work(jobs->store, active->id, &jobs->classes, &active->work);
   snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(error));
   if (error != MO_OK)
     return error;

@@ -1,6 +1,5 @@
-/* controllers_unused.c: finds and removes content that no name, job or score refers to.
- *
- * Scores have no index by controller, so a search for references reads them all. */
+/* controllers_unused.c: finds and removes content that no name, job or score refers to. Scores
+ * refer to it by their conditions, which are few. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,8 +14,8 @@ static int find_user(struct mo_connection *reader, int64_t row, char words[128])
       " SELECT 'evaluation '||job FROM evaluations WHERE controller=?1 UNION ALL"
       " SELECT 'training '||job FROM trainings WHERE ?1 IN (parent,result) UNION ALL"
       " SELECT 'campaign '||job FROM campaigns WHERE ?1 IN (controller,result) UNION ALL"
-      " SELECT 'a stored mean score' FROM set_scores WHERE controller=?1 UNION ALL"
-      " SELECT 'a stored score' FROM scores WHERE controller=?1 LIMIT 1";
+      " SELECT 'a stored mean score' FROM rankings WHERE controller=?1 UNION ALL"
+      " SELECT 'a stored score' FROM conditions WHERE controller=?1 LIMIT 1";
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   if (statement == NULL)
@@ -96,8 +95,8 @@ int mo_controllers_clean(struct mo_store *store,
                             " UNION SELECT result FROM trainings WHERE result IS NOT NULL"
                             " UNION SELECT controller FROM campaigns WHERE controller IS NOT NULL"
                             " UNION SELECT result FROM campaigns WHERE result IS NOT NULL UNION "
-                            "SELECT controller FROM set_scores"
-                            " UNION SELECT controller FROM scores) ORDER BY id";
+                            "SELECT controller FROM rankings"
+                            " UNION SELECT controller FROM conditions) ORDER BY id";
   struct mo_connection *reader = mo_reader_acquire(store);
   char digits[MO_SHA256_DIGITS + 1], name[128];
   struct mo_sha256 sha256;

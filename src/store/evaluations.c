@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/scores.h"
 
 static int get_job(struct mo_connection *connection, int64_t id, struct mo_job *job)
 {
@@ -160,17 +160,17 @@ int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
 /* ---- results ---- */
 
 struct result_keys {
-  int64_t controller, physics;
+  int64_t controller, physics, fingerprint, workers; /* fingerprint 0: the job has not started */
   bool verify;
   int64_t environments[MO_ENVIRONMENTS_MAX];
-  int64_t lowest, highest; /* bounds of `environments`, for one range scan per genotype */
 };
 
 static int load_keys(struct mo_connection *reader, int64_t id, struct result_keys *keys,
                      struct mo_evaluation_results *results)
 {
   static const char sql[] =
-      "SELECT controller,physics,verify,n_designs,n_environments FROM evaluations WHERE job=?1";
+      "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
+      "coalesce(workers,0) FROM evaluations WHERE job=?1";
   static const char environments_sql[] =
       "SELECT position,environment FROM evaluation_environments WHERE job=?1 ORDER BY position";
   int error = MO_OK;
@@ -189,6 +189,8 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   keys->verify = sqlite3_column_int(statement, 2) != 0;
   n_designs = sqlite3_column_int64(statement, 3);
   n_environments = sqlite3_column_int64(statement, 4);
+  keys->fingerprint = sqlite3_column_int64(statement, 5);
+  keys->workers = sqlite3_column_int64(statement, 6);
   (void)sqlite3_reset(statement);
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 ||
       n_environments > MO_ENVIRONMENTS_MAX)
@@ -199,17 +201,10 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   if (statement == NULL)
     return error;
   sqlite3_bind_int64(statement, 1, id);
-  keys->lowest = INT64_MAX;
-  keys->highest = INT64_MIN;
   while ((step = mo_sql_step(reader, statement)) > 0) {
     if (k == results->n_environments || sqlite3_column_int64(statement, 0) != k)
       return MO_ERR_CORRUPT;
-    keys->environments[k] = sqlite3_column_int64(statement, 1);
-    if (keys->environments[k] < keys->lowest)
-      keys->lowest = keys->environments[k];
-    if (keys->environments[k] > keys->highest)
-      keys->highest = keys->environments[k];
-    k++;
+    keys->environments[k++] = sqlite3_column_int64(statement, 1);
   }
   if (step < 0)
     return step;
@@ -244,30 +239,16 @@ static int allocate_results(struct mo_evaluation_results *results, bool verify)
 static int load_losses(struct mo_connection *reader, const struct result_keys *keys,
                        int64_t genotype, size_t n, struct mo_evaluation_results *results)
 {
-  static const char sql[] =
-      "SELECT environment,loss,diverged_step FROM scores WHERE genotype=?1 AND controller=?2"
-      " AND physics=?3 AND environment BETWEEN ?4 AND ?5";
-  int error = MO_OK;
-  int step = 0;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement == NULL)
-    return error;
-  sqlite3_bind_int64(statement, 1, genotype);
-  sqlite3_bind_int64(statement, 2, keys->controller);
-  sqlite3_bind_int64(statement, 3, keys->physics);
-  sqlite3_bind_int64(statement, 4, keys->lowest);
-  sqlite3_bind_int64(statement, 5, keys->highest);
-  while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int64_t environment = sqlite3_column_int64(statement, 0);
-    double loss = 0;
-    error = mo_column_double(statement, 1, &loss);
-    for (uint32_t k = 0; k < results->n_environments; k++)
-      if (keys->environments[k] == environment) {
-        results->losses[n * results->n_environments + k] = loss;
-        results->diverged_steps[n * results->n_environments + k] = sqlite3_column_int(statement, 2);
-      }
-  }
-  return step < 0 ? step : error;
+  struct mo_score scores[MO_ENVIRONMENTS_MAX];
+  const size_t first = n * results->n_environments;
+  int error = mo_losses_read(reader, genotype, keys->controller, keys->physics, keys->fingerprint,
+                             keys->workers, keys->environments, results->n_environments, scores);
+  for (uint32_t k = 0; k < results->n_environments && error == MO_OK; k++)
+    if (scores[k].known) {
+      results->losses[first + k] = scores[k].loss;
+      results->diverged_steps[first + k] = scores[k].diverged_step;
+    }
+  return error;
 }
 
 static int load_designs(struct mo_connection *reader, int64_t id, const struct result_keys *keys,
@@ -291,7 +272,7 @@ static int load_designs(struct mo_connection *reader, int64_t id, const struct r
     error = mo_column_bits(statement, 2, &results->genotypes[n]);
     if (error == MO_OK)
       error = mo_column_bits(statement, 3, &results->forms[n]);
-    if (error == MO_OK && !keys->verify)
+    if (error == MO_OK && !keys->verify && keys->fingerprint != 0)
       error = load_losses(reader, keys, sqlite3_column_int64(statement, 1), n, results);
     n++;
   }

@@ -12,6 +12,7 @@
 
 #include <morpho/compute.h>
 #include <morpho/controller.h>
+#include <morpho/learning.h>
 #include <morpho/morphospace.h>
 #include <morpho/rollout.h>
 #include <morpho/world.h>
@@ -91,7 +92,8 @@ struct mo_event {
   int64_t time_us;
   int64_t job;    /* 0: about no job */
   char type[32];  /* "job.created", "job.started", "job.weight", "job.progress", "job.paused",
-                     "job.resumed", "job.requeued", "job.finished",  "training.progress",
+                     "job.resumed", "job.requeued", "job.finished",  "evaluation.code_changed",
+                     "training.progress",
                      "training.validation", "training.checkpoint", "training.code_changed",
                      "campaign.progress",  "campaign.generation", "campaign.diversity_collapse",
                      "campaign.extended",  "campaign.lineage_unreadable", "controller.stored",
@@ -132,8 +134,9 @@ struct mo_design_score {
   uint32_t n_losses;
   double losses[MO_ENVIRONMENTS_MAX]; /* NaN: not computed yet */
   int32_t diverged_steps[MO_ENVIRONMENTS_MAX];
-  int64_t computed_us; /* when the newest rollout was computed */
-  char fingerprint[128];
+  int64_t computed_us;                    /* when the newest rollout was computed */
+  char fingerprint[MO_FINGERPRINT_BYTES]; /* its class */
+  char origin[65];                        /* the host that computed the newest rollout */
 };
 
 struct mo_design_orientation {
