@@ -362,7 +362,7 @@ static void starts_when_it_is_full(void)
   held = size_of(small.reserve);
   for (int n = 1; n <= STARTS; n++) {
     kill_store(&small);
-    if (n == STARTS) /* 32 KiB, made anew */
+    if (n == STARTS) /* 32 KiB, made again */
       CHECK_INT(unlink(index), 0);
     fill_up(small.filler);
     REQUIRE(fixture_reopen(&small.fixture) == MO_OK);
