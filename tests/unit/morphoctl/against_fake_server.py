@@ -381,10 +381,10 @@ def test_watch_a_failure_in_json():
 
 
 def test_trajectories_are_numpy_files():
-    data = reply(200, struct.pack("<6f", *range(6)), "application/octet-stream",
-                 Morphod_Shape="2,3")
+    data = struct.pack("<6f", *range(6))
+    recording = reply(200, data, "application/octet-stream", Morphod_Shape="2,3")
     with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, {**JOB, "results": [RESULT]})] + [data] * 2) as server:
+            Server([reply(200, {**JOB, "results": [RESULT]})] + [recording] * 2) as server:
         status, _, err = run(server,
                              "eval",
                              "--record",
