@@ -1,8 +1,10 @@
 """The state folder: what of it outlives a start, and what is refused."""
 
+import contextlib
 import hashlib
 import os
 import shutil
+import sqlite3
 import subprocess
 
 import pytest
@@ -211,6 +213,18 @@ def test_a_database_that_was_lost(start, tmp_path, lost):
     for part in ("morphod.db-shm", "lock"):
         before.pop(part, None), after.pop(part, None)
     assert after == before
+
+
+def test_a_folder_of_version_0_1(start, tmp_path):
+    state = tmp_path / "state"
+    assert start(state=state).stop() == 0
+    with contextlib.closing(sqlite3.connect(state / "morphod.db")) as database:
+        database.execute("PRAGMA user_version=8")
+    before = tree(state)
+    old = start(state=state, wait=False)
+    assert old.process.wait(30) == 78
+    assert "was written by morphod 0.1" in old.log_text() and "empty folder" in old.log_text()
+    assert tree(state) == before
 
 
 def test_a_new_folder_starts(start, tmp_path):

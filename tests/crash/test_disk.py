@@ -163,7 +163,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
     ask("pause", first, 200, 202)
     assert one.get("/v1/jobs").status_code == 200 and one.get(
         f"/v1/campaigns/{first}/population").status_code == 200
-    assert 0 < held() < whole
+    assert held() < whole
     filler.unlink()
     until(lambda: held() == whole and one.get("/readyz").status_code == 200, "no room is seen")
     ask("resume", first, 200, 202)
@@ -176,7 +176,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
 
 def test_killed_on_a_full_disk(one, small_disk, seed):
     """The way out outlives the process: killed on a full disk it starts again, short of room as it
-    was; without the reserve it says what to do."""
+    was; where others took the reserve's room it says what to do."""
     reserve = one.state / "reserve"
 
     def cancel(job):
@@ -200,7 +200,6 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
     cancel(jobs[0])
     for n in range(12):
         one.kill()
-        fill(small_disk)
         one.start()
         assert one.get("/healthz").status_code == 200
         assert one.get("/readyz").status_code == 503
@@ -209,9 +208,8 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
         assert one.get(f"/v1/jobs/{jobs[0]}").json()["state"] == "cancelled"
         if n in (4, 8):
             cancel(jobs[n // 4])
-    assert whole / 2 < reserve.stat().st_size < whole
+    assert reserve.stat().st_size == 0
     one.kill()
-    reserve.unlink()
     for _ in range(20):
         fill(small_disk)
         one.spawn()

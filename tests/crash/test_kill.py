@@ -137,7 +137,7 @@ def calls(daemon):
 
 
 def test_kill_at_the_start(daemon, soak, seed):
-    """Kills during the first moments: migrations, registration of the controller, recovery."""
+    """Kills during the first moments: the schema, registration of the controller, recovery."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     quiet = daemon("undisturbed")

@@ -209,8 +209,7 @@ static uint64_t distance_to_all(const struct scene *scene, uint32_t i)
 {
   uint64_t sum = 0;
   for (uint32_t j = 0; j < N; j++)
-    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, scene->genotypes + (size_t)W * i,
-                               scene->genotypes + (size_t)W * j);
+    sum += hamming(scene->genotypes + (size_t)W * i, scene->genotypes + (size_t)W * j);
   return sum;
 }
 

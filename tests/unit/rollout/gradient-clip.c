@@ -287,19 +287,6 @@ static void adds_up(void)
   gradient_case_free(&c);
 }
 
-static void names_rules(void)
-{
-  enum mo_adjoint_rule rule = MO_ADJOINT_CLIP;
-  CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_CLIP), "clip") == 0);
-  CHECK(strcmp(mo_adjoint_rule_name(MO_ADJOINT_RESTART), "restart") == 0);
-  CHECK(strcmp(mo_adjoint_rule_name((enum mo_adjoint_rule)2), "unknown") == 0);
-  CHECK(mo_adjoint_rule_from_name("restart", &rule) == MO_OK && rule == MO_ADJOINT_RESTART);
-  CHECK_INT(mo_adjoint_rule_from_name("Clip", &rule), MO_ERR_NOT_FOUND);
-  CHECK_INT(mo_adjoint_rule_from_name("", &rule), MO_ERR_NOT_FOUND);
-  CHECK(rule == MO_ADJOINT_RESTART);
-  CHECK(mo_adjoint_rule_from_name("clip", &rule) == MO_OK && rule == MO_ADJOINT_CLIP);
-}
-
 static void refuses(void)
 {
   struct gradient_case c, other;
@@ -427,7 +414,6 @@ static void cost(void)
 static const struct check_case cases[] = {
     {"the bound holds at every step, and is exact about it", bounds_every_step},
     {"above the bound, the adjoint restarts from where the robot is", restarts},
-    {"rules have names", names_rules},
     {"a robot whose adjoint is not finite contributes nothing", zeroes_what_is_not_finite},
     {"gradients add up, weighted, in the same bits", adds_up},
     {"memory is bounded, and may run out", memory},

@@ -117,7 +117,7 @@ static int disk_close(void *context, int fd)
   return close(fd);
 }
 
-static int disk_rename(void *context, const char *from, const char *to, bool replace)
+static int disk_rename(void *context, const char *from, const char *to)
 {
   struct disk *disk = context;
   enum turn turn;
@@ -125,7 +125,7 @@ static int disk_rename(void *context, const char *from, const char *to, bool rep
   pthread_mutex_lock(&disk->mutex);
   turn = disk_change(disk, false);
   if (turn != TURN_OFF)
-    result = replace ? rename(from, to) : renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE);
+    result = rename(from, to);
   else
     errno = EIO;
   if (result == 0)

@@ -8,6 +8,7 @@
 #include "../check.h"
 #include "fixture.h"
 #include "life.h"
+#include "store/internal.h"
 
 enum { CUTS_OF_A_LIFE = 5, ACTS_MAX = 60 };
 
@@ -26,11 +27,11 @@ static void open_store(struct life *life, int *error, struct mo_message *message
                                    .checkpoint_frames = 200};
   life->store = NULL;
   *error = mo_store_open(&config, &life->store, message);
-  if (*error == MO_OK && mo_store_epoch(life->store) <= life->model.epoch)
-    life_found(life, "opening %lld came after %lld", (long long)mo_store_epoch(life->store),
+  if (*error == MO_OK && life->store->epoch <= life->model.epoch)
+    life_found(life, "opening %lld came after %lld", (long long)life->store->epoch,
                (long long)life->model.epoch);
   if (*error == MO_OK)
-    life->model.epoch = mo_store_epoch(life->store);
+    life->model.epoch = life->store->epoch;
 }
 
 /* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have
