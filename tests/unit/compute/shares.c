@@ -1,6 +1,6 @@
 /* Shares on running workers: time by weight between submitters of short and long blocks and of
- * gradients, urgent blocks charged to nobody, the same bits as ever, and shares that come and go.
- * fair.c has the arithmetic. */
+ * gradients, urgent blocks charged to no share, the same bits in any order, and shares that come
+ * and go. fair.c has the arithmetic. */
 #include <morpho/compute.h>
 
 #include "../check.h"
@@ -316,7 +316,7 @@ static void urgent_blocks_are_charged_to_nobody(void)
   REQUIRE(mo_compute_share_create(compute, 1, &calm) == MO_OK);
   REQUIRE(mo_compute_share_create(compute, 1, &hasty) == MO_OK);
   fill_block(&slow, brain, calm,
-             MO_STEPS_MAX); /* under way for as long as the urgent ones take, then cancelled */
+             MO_STEPS_MAX); /* runs as long as the urgent ones take, then cancelled */
   slow.cancel = &cancel;
   slow.done = note;
   slow.context = &done;
