@@ -194,7 +194,8 @@ def check_database(state):
         assert total == distinct, f"{table}: {total - distinct} rows are there twice"
     stored_scores(state)
     for (row, ) in database.execute(
-            "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND e.done <> "
+            "SELECT j.id FROM jobs j JOIN evaluations e ON e.job = j.id WHERE j.state = 3 AND "
+            "e.done <> "
             "e.n_designs * e.n_environments"):
         raise AssertionError(f"job {row} has succeeded without all its rollouts")
     database.close()

@@ -283,8 +283,8 @@ static void tells_who_computed(void)
   fixture_end(&fixture);
 }
 
-/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once, whoever
- * was first. */
+/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once,
+ * whichever was first. */
 static void shares_scores(void)
 {
   struct fixture fixture;
