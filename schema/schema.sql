@@ -88,9 +88,9 @@ CREATE TABLE origins(
   text TEXT NOT NULL UNIQUE
 ) STRICT;
 
--- What a loss depends on besides the genotype: weights, physics, class (fingerprint), and a block of
--- up to 16 environments that one call computed. `environments`: the ids of the block's environments,
--- 8 bytes each, little-endian; the same as rows are in condition_environments.
+-- What a loss depends on besides the genotype: weights, physics, class (fingerprint), and a block
+-- of up to 16 environments that one call computed. `environments`: the ids of the block's
+-- environments, 8 bytes each, little-endian; condition_environments has the same as rows.
 CREATE TABLE conditions(
   id INTEGER PRIMARY KEY,
   controller INTEGER NOT NULL REFERENCES controllers(id),
@@ -215,6 +215,7 @@ CREATE TABLE recomputed(
   loss BLOB NOT NULL CHECK(length(loss) = 8),
   diverged_step INTEGER NOT NULL,
   stored BLOB CHECK(length(stored) = 8),
+  checksum INTEGER NOT NULL, -- of the row
   PRIMARY KEY(job, position, environment)
 ) STRICT, WITHOUT ROWID;
 

@@ -144,8 +144,8 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
                        uint32_t i)
 {
   static const char sql[] =
-      "SELECT d.born,g.bits FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
-      " WHERE d.job=?1 AND d.number=?2";
+      "SELECT d.born,g.bits,x.form FROM campaign_designs d JOIN genotypes g ON g.id=d.genotype"
+      " JOIN designs x ON x.id=g.design WHERE d.job=?1 AND d.number=?2";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -157,7 +157,7 @@ static int load_member(struct mo_connection *reader, int64_t id, struct mo_campa
   if (step <= 0)
     return step < 0 ? step : MO_ERR_CORRUPT;
   state->born[i] = (uint32_t)sqlite3_column_int64(statement, 0);
-  return mo_column_bits(statement, 1, &state->genotypes[i]);
+  return mo_column_genotype(statement, 1, 2, &state->genotypes[i], NULL);
 }
 
 static int load_state(struct mo_connection *reader, int64_t id, struct mo_campaign_state *state)

@@ -96,9 +96,7 @@ static int64_t list_by_score(struct mo_connection *reader, const struct mo_desig
     row->first_seen_us = sqlite3_column_int64(statement, 6);
     error = mo_set_score_from_row(statement, 1, ranking, row->genotype_row, &row->score);
     if (error == MO_OK)
-      error = mo_column_bits(statement, 3, &row->genotype);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 5, &row->form);
+      error = mo_column_genotype(statement, 3, 5, &row->genotype, &row->form);
   }
   (void)sqlite3_reset(statement);
   return step < 0 ? step : error != MO_OK ? error : n;
@@ -150,7 +148,8 @@ static struct mo_design_score *add_score(struct mo_design_orientation *orientati
 static int load_orientations(struct mo_connection *reader, int64_t row, struct mo_design *design,
                              int64_t *genotypes)
 {
-  static const char sql[] = "SELECT id,bits FROM genotypes WHERE design=?1 ORDER BY id LIMIT 8";
+  static const char sql[] = "SELECT g.id,g.bits,d.form FROM genotypes g JOIN designs d ON"
+                            " d.id=g.design WHERE g.design=?1 ORDER BY g.id LIMIT 8";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -160,7 +159,7 @@ static int load_orientations(struct mo_connection *reader, int64_t row, struct m
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
     struct mo_bits bits;
     genotypes[design->n_orientations] = sqlite3_column_int64(statement, 0);
-    error = mo_column_bits(statement, 1, &bits);
+    error = mo_column_genotype(statement, 1, 2, &bits, NULL);
     if (error == MO_OK)
       error = add_orientation(design, &bits);
   }

@@ -161,7 +161,7 @@ int mo_store_job_counts(struct mo_store *store, uint64_t counts[MO_JOB_STATES])
 
 struct result_keys {
   int64_t controller, physics, fingerprint, workers; /* fingerprint 0: the job has not started */
-  bool verify;
+  bool verify, is_complete; /* is_complete: the job has succeeded, so that no loss is missing */
   int64_t environments[MO_ENVIRONMENTS_MAX];
 };
 
@@ -170,7 +170,7 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
 {
   static const char sql[] =
       "SELECT controller,physics,verify,n_designs,n_environments,coalesce(fingerprint,0),"
-      "coalesce(workers,0) FROM evaluations WHERE job=?1";
+      "coalesce(workers,0),state=3 FROM evaluations JOIN jobs ON id=job WHERE job=?1";
   static const char environments_sql[] =
       "SELECT position,environment FROM evaluation_environments WHERE job=?1 ORDER BY position";
   int error = MO_OK;
@@ -191,6 +191,7 @@ static int load_keys(struct mo_connection *reader, int64_t id, struct result_key
   n_environments = sqlite3_column_int64(statement, 4);
   keys->fingerprint = sqlite3_column_int64(statement, 5);
   keys->workers = sqlite3_column_int64(statement, 6);
+  keys->is_complete = sqlite3_column_int(statement, 7) != 0;
   (void)sqlite3_reset(statement);
   if (n_designs < 1 || n_designs > MO_DESIGNS_MAX || n_environments < 1 ||
       n_environments > MO_ENVIRONMENTS_MAX)
@@ -247,6 +248,8 @@ static int load_losses(struct mo_connection *reader, const struct result_keys *k
     if (scores[k].known) {
       results->losses[first + k] = scores[k].loss;
       results->diverged_steps[first + k] = scores[k].diverged_step;
+    } else if (keys->is_complete) {
+      error = MO_ERR_CORRUPT;
     }
   return error;
 }
@@ -269,9 +272,7 @@ static int load_designs(struct mo_connection *reader, int64_t id, const struct r
       error = MO_ERR_CORRUPT;
       break;
     }
-    error = mo_column_bits(statement, 2, &results->genotypes[n]);
-    if (error == MO_OK)
-      error = mo_column_bits(statement, 3, &results->forms[n]);
+    error = mo_column_genotype(statement, 2, 3, &results->genotypes[n], &results->forms[n]);
     if (error == MO_OK && !keys->verify && keys->fingerprint != 0)
       error = load_losses(reader, keys, sqlite3_column_int64(statement, 1), n, results);
     n++;
@@ -293,8 +294,8 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
                            struct mo_evaluation_results *results)
 {
   static const char sql[] =
-      "SELECT position,environment,loss,diverged_step,stored FROM recomputed WHERE job=?1 ORDER "
-      "BY position,environment";
+      "SELECT position,environment,diverged_step,loss,stored,checksum FROM recomputed"
+      " WHERE job=?1 ORDER BY position,environment";
   int error = MO_OK;
   int step = 0;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
@@ -303,18 +304,24 @@ static int load_recomputed(struct mo_connection *reader, int64_t id,
   memset(results->agrees, 1, results->n_designs);
   sqlite3_bind_int64(statement, 1, id);
   while (error == MO_OK && (step = mo_sql_step(reader, statement)) > 0) {
-    int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
+    const int64_t n = sqlite3_column_int64(statement, 0), k = sqlite3_column_int64(statement, 1);
+    const int64_t key[4] = {id, n, k, sqlite3_column_int64(statement, 2)};
+    const bool has_stored = sqlite3_column_type(statement, 4) != SQLITE_NULL;
+    double values[2] = {NAN, NAN};
     size_t cell;
     if (n < 0 || n >= results->n_designs || k < 0 || k >= results->n_environments)
       return MO_ERR_CORRUPT;
     cell = (size_t)n * results->n_environments + (size_t)k;
-    error = mo_column_double(statement, 2, &results->losses[cell]);
-    results->diverged_steps[cell] = sqlite3_column_int(statement, 3);
-    if (error == MO_OK && sqlite3_column_type(statement, 4) != SQLITE_NULL) {
-      error = mo_column_double(statement, 4, &results->stored_losses[cell]);
-      if (!same_bits(results->stored_losses[cell], results->losses[cell]))
-        results->agrees[n] = 0;
-    }
+    for (int i = 0; i <= has_stored && error == MO_OK; i++)
+      error = mo_column_double(statement, 3 + i, &values[i]);
+    if (error == MO_OK && mo_recomputed_checksum(key, values, has_stored ? 2 : 1) !=
+                              (uint64_t)sqlite3_column_int64(statement, 5))
+      error = MO_ERR_CORRUPT;
+    results->losses[cell] = values[0];
+    results->stored_losses[cell] = values[1];
+    results->diverged_steps[cell] = (int32_t)key[3];
+    if (has_stored && !same_bits(values[0], values[1]))
+      results->agrees[n] = 0;
   }
   return step < 0 ? step : error;
 }

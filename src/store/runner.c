@@ -365,9 +365,9 @@ static int load_environments(struct mo_connection *reader, int64_t id, struct mo
 
 static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_work *work)
 {
-  static const char sql[] =
-      "SELECT x.position,x.genotype,g.bits FROM evaluation_designs x"
-      " JOIN genotypes g ON g.id=x.genotype WHERE x.job=?1 ORDER BY x.position";
+  static const char sql[] = "SELECT x.position,x.genotype,g.bits,d.form FROM evaluation_designs x"
+                            " JOIN genotypes g ON g.id=x.genotype JOIN designs d ON d.id=g.design"
+                            " WHERE x.job=?1 ORDER BY x.position";
   int error = MO_OK;
   uint32_t n = 0;
   int step = 0;
@@ -379,7 +379,7 @@ static int load_genotypes(struct mo_connection *reader, int64_t id, struct mo_wo
     if (n == work->n_designs || sqlite3_column_int64(statement, 0) != n)
       return MO_ERR_CORRUPT;
     work->genotype_rows[n] = sqlite3_column_int64(statement, 1);
-    error = mo_column_bits(statement, 2, &work->genotypes[n]);
+    error = mo_column_genotype(statement, 2, 3, &work->genotypes[n], NULL);
     n++;
   }
   if (step < 0)

@@ -206,7 +206,7 @@ static int read_class(struct mo_connection *connection, int64_t genotype, int64_
   sqlite3_bind_int64(statement, 4, fingerprint);
   while (error == MO_OK && (step = mo_sql_step(connection, statement)) > 0) {
     const int64_t time_us = sqlite3_column_int64(statement, 6);
-    struct mo_condition condition;
+    struct mo_condition condition = {.n = 0};
     double losses[MO_BLOCK_LANES];
     uint32_t steps[MO_BLOCK_LANES];
     error = mo_score_from_row(statement, 0, &condition, losses, steps);
@@ -252,15 +252,22 @@ int mo_store_scores(struct mo_store *store, int64_t genotype, int64_t controller
 
 /* ---- scores of evaluations ---- */
 
+uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n)
+{
+  return mo_row_checksum(key, 4, values, n * sizeof(*values));
+}
+
 /* Stores what a verify job computed, beside the loss of its class that was stored before. */
 static int note_recomputed(struct mo_connection *writer, const struct mo_saved_score *score,
                            bool *is_known)
 {
   static const char sql[] =
-      "INSERT OR IGNORE INTO recomputed(job,position,environment,loss,diverged_step,stored)"
-      " VALUES(?1,?2,?3,?4,?5,?6)";
+      "INSERT OR IGNORE INTO recomputed(job,position,environment,diverged_step,loss,stored,"
+      "checksum) VALUES(?1,?2,?3,?4,?5,?6,?7)";
+  const int64_t key[4] = {score->verify_job, score->design_position, score->environment_position,
+                          score->diverged_step};
   struct mo_score before;
-  uint8_t loss[8], stored[8];
+  double values[2];
   sqlite3_stmt *statement;
   int error = mo_losses_read(writer, score->genotype, score->controller, score->physics,
                              score->fingerprint, 0, &score->environment, 1, &before);
@@ -270,15 +277,15 @@ static int note_recomputed(struct mo_connection *writer, const struct mo_saved_s
   statement = mo_sql(writer, sql, &error);
   if (statement == NULL)
     return error;
-  mo_encode_double(score->loss, loss);
-  mo_encode_double(before.loss, stored);
-  sqlite3_bind_int64(statement, 1, score->verify_job);
-  sqlite3_bind_int64(statement, 2, score->design_position);
-  sqlite3_bind_int64(statement, 3, score->environment_position);
-  sqlite3_bind_blob(statement, 4, loss, 8, SQLITE_STATIC);
-  sqlite3_bind_int64(statement, 5, score->diverged_step);
+  values[0] = score->loss;
+  values[1] = before.loss;
+  for (int i = 0; i < 4; i++)
+    sqlite3_bind_int64(statement, i + 1, key[i]);
+  sqlite3_bind_blob(statement, 5, &values[0], 8, SQLITE_STATIC);
   if (before.known)
-    sqlite3_bind_blob(statement, 6, stored, 8, SQLITE_STATIC);
+    sqlite3_bind_blob(statement, 6, &values[1], 8, SQLITE_STATIC);
+  sqlite3_bind_int64(statement, 7,
+                     (int64_t)mo_recomputed_checksum(key, values, before.known ? 2 : 1));
   error = mo_sql_run(writer, statement);
   (void)sqlite3_clear_bindings(statement);
   return error;
@@ -312,8 +319,8 @@ static int insert_run(struct mo_store *store, const struct mo_saved_score *score
                                 .physics = scores[0].physics,
                                 .fingerprint = scores[0].fingerprint,
                                 .n = n};
-  double losses[MO_BLOCK_LANES];
-  uint32_t steps[MO_BLOCK_LANES];
+  double losses[MO_BLOCK_LANES] = {0};
+  uint32_t steps[MO_BLOCK_LANES] = {0};
   bool all_known = scores[0].verify_job != 0, is_known = false, is_new = false;
   int error = MO_OK;
   for (uint32_t k = 0; k < n && error == MO_OK; k++) {

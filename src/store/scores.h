@@ -42,6 +42,9 @@ int mo_score_from_row(sqlite3_stmt *statement, int first, struct mo_condition *c
 int mo_losses_read(struct mo_connection *connection, int64_t genotype, int64_t controller,
                    int64_t physics, int64_t fingerprint, int64_t workers,
                    const int64_t *environments, uint32_t n, struct mo_score *scores);
+/* Returns the checksum of a row of `recomputed`, whose key is {job, position, environment, step};
+ * values: the loss and, if n is 2, the stored one. */
+uint64_t mo_recomputed_checksum(const int64_t key[4], const double *values, size_t n);
 /* Inserts scores, as they are saved for a job. */
 int mo_scores_insert(struct mo_store *store, const struct mo_saved_score *scores, size_t n,
                      int64_t now_us);

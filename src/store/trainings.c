@@ -318,8 +318,8 @@ int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits
                               uint32_t *ret_n)
 {
   static const char sql[] =
-      "SELECT x.position,g.bits FROM training_designs x JOIN genotypes g ON g.id=x.genotype"
-      " WHERE x.job=?1 ORDER BY x.position";
+      "SELECT x.position,g.bits,d.form FROM training_designs x JOIN genotypes g ON"
+      " g.id=x.genotype JOIN designs d ON d.id=g.design WHERE x.job=?1 ORDER BY x.position";
   struct mo_training_status status;
   struct mo_connection *reader = mo_reader_acquire(store);
   struct mo_bits *genotypes = NULL;
@@ -342,7 +342,7 @@ int mo_store_training_designs(struct mo_store *store, int64_t id, struct mo_bits
       if (n == status.record.n_designs || sqlite3_column_int64(statement, 0) != n)
         error = MO_ERR_CORRUPT;
       else
-        error = mo_column_bits(statement, 1, &genotypes[n++]);
+        error = mo_column_genotype(statement, 1, 2, &genotypes[n++], NULL);
     }
     if (step < 0)
       error = step;

@@ -31,11 +31,25 @@ static void checksum(sqlite3_context *context, int n, sqlite3_value **values)
   sqlite3_result_int64(context, (int64_t)mo_row_checksum(key, 2, &score, sizeof(score)));
 }
 
+/* The canonical form of a body. */
+static void canonical(sqlite3_context *context, int n, sqlite3_value **values)
+{
+  struct mo_bits bits, form = {{0}};
+  uint8_t bytes[MO_BITS_BYTES];
+  (void)n;
+  (void)mo_decode_bits(sqlite3_value_blob(values[0]), MO_BITS_BYTES, &bits);
+  mo_genotype_canonical(MO_DEFAULT_WORKSPACE, bits.words, form.words);
+  mo_encode_bits(&form, bytes);
+  sqlite3_result_blob(context, bytes, sizeof(bytes), SQLITE_TRANSIENT);
+}
+
 static int watch(sqlite3 *db, char **message, const struct sqlite3_api_routines *routines)
 {
   (void)message;
   (void)routines;
   int result = sqlite3_create_function(db, "checksum", 3, SQLITE_UTF8, NULL, checksum, NULL, NULL);
+  if (result == SQLITE_OK)
+    result = sqlite3_create_function(db, "canonical", 1, SQLITE_UTF8, NULL, canonical, NULL, NULL);
   return result == SQLITE_OK ? sqlite3_trace_v2(db, SQLITE_TRACE_PROFILE, count_steps, NULL)
                              : result;
 }
@@ -89,7 +103,7 @@ static int fill(struct fixture *fixture)
         "n,controller_names"
         " WHERE name='default';"
         "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i+1 FROM n LIMIT 10000)"
-        " INSERT INTO designs(form,first_seen_us) SELECT randomblob(18),1 FROM n;"
+        " INSERT INTO designs(form,first_seen_us) SELECT canonical(randomblob(18)),1 FROM n;"
         "INSERT INTO genotypes(bits,design) SELECT form,id FROM designs WHERE id NOT IN"
         " (SELECT design FROM genotypes);"
         "INSERT INTO fingerprints(text) VALUES('by hand');"
