@@ -213,7 +213,7 @@ def card(arguments):
         f"**By roughness of the terrain** (σ of its heights), {count} lights 0.4 to 2 m away each:",
         records.table(("σ", ) + head, by_value(SIGMAS_M, by_rough, count, "m", TRAINED_SIGMA_M)),
         f"**By distance of the light**, {count} environments with σ up to 0.1 m each; the map ends "
-        f"2.5 m from the start, and its border's heights go on:",
+        f"2.5 m from the start, and its border's heights continue:",
         records.table(("distance", ) + head,
                       by_value(DISTANCES_M, by_light, count, "m", TRAINED_DISTANCES_M))
     ]
