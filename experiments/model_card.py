@@ -201,7 +201,7 @@ def card(arguments):
     parts = [
         f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining "
         f"draws (`/v1/held-out`, "
-        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), lives of "
+        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), rollouts of "
         f"{arguments.rollout_steps} steps. A score is the distance to the light at the end "
         "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; "
         "its confidence interval comes from drawing the bodies again.",
