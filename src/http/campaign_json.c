@@ -10,14 +10,14 @@
 #include "store/fields.h"
 
 enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
-                                          const struct mo_campaign_live *live)
+                                          const struct mo_live *live)
 {
-  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_CAMPAIGN_WAIT;
+  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
   return waits ? MO_JOB_PAUSED : status->job.state;
 }
 
 static void write_reason(struct mo_text *text, const struct mo_campaign_status *status,
-                         const struct mo_campaign_live *live)
+                         const struct mo_live *live)
 {
   if (live->reason[0] != '\0' && !mo_job_state_is_final(status->job.state))
     mo_text_member(text, "reason", live->reason);
@@ -84,23 +84,22 @@ static void write_settings(struct mo_text *text, const struct mo_campaign_record
 /* ---- the campaign ---- */
 
 static void write_progress(struct mo_text *text, const struct mo_campaign_status *status,
-                           const struct mo_campaign_live *live)
+                           const struct mo_live *live)
 {
-  bool runs = live->phase != MO_CAMPAIGN_IDLE;
+  bool runs = live->phase != MO_PHASE_IDLE;
   if (status->generation >= 0)
     mo_text_format(text, ",\"progress\":{\"generation\":%lld", (long long)status->generation);
   else
     mo_text_add(text, ",\"progress\":{\"generation\":null");
   mo_text_member_count(text, "generations", status->record.settings.generations);
   if (runs)
-    mo_text_member_count(text, "under_way", live->generation);
+    mo_text_member_count(text, "under_way", live->position);
   else
     mo_text_add(text, ",\"under_way\":null");
   mo_text_member_count(text, "done", runs ? live->done : 0);
   mo_text_member_count(text, "total", runs ? live->total : 0);
   mo_text_member_count(text, "designs", status->n_designs);
-  mo_text_member_number(text, "rollouts_per_s",
-                        runs && live->rollouts_per_s > 0 ? live->rollouts_per_s : (double)NAN);
+  mo_text_member_number(text, "rollouts_per_s", runs && live->rate > 0 ? live->rate : (double)NAN);
   mo_text_member_number(text, "seconds_left",
                         runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
   mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
@@ -143,7 +142,7 @@ static void write_links(struct mo_text *text, long long id)
 }
 
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
-                            const struct mo_campaign_live *live)
+                            const struct mo_live *live)
 {
   const struct mo_campaign_record *record = &status->record;
   mo_text_format(text, "{\"id\":\"%lld\",\"mode\":\"%s\"", (long long)status->job.id,
@@ -155,7 +154,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   write_name(text, status);
   mo_job_write_common(text, &status->job, mo_campaign_state_shown(status, live));
   write_reason(text, status, live);
-  mo_text_member(text, "phase", mo_campaign_phase_name(live->phase));
+  mo_text_member(text, "phase", mo_phase_name(live->phase));
   mo_text_add(text, ",\"controller\":");
   if (record->has_controller)
     mo_reference_write(text, record->controller_name, &record->controller_sha256);
@@ -186,7 +185,7 @@ void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_campaign_
 }
 
 void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
-                          const struct mo_campaign_live *live)
+                          const struct mo_live *live)
 {
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));

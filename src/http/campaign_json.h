@@ -7,16 +7,16 @@
 
 /* Returns the state to show: a running campaign that waits for disk space is shown as paused. */
 enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
-                                          const struct mo_campaign_live *live);
+                                          const struct mo_live *live);
 
 /* Writes a campaign. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
-                            const struct mo_campaign_live *live);
+                            const struct mo_live *live);
 void mo_campaign_json_checkpoint(struct mo_text *text,
                                  const struct mo_campaign_checkpoint_row *row);
 /* Writes a campaign as an item of the list of jobs. */
 void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
-                          const struct mo_campaign_live *live);
+                          const struct mo_live *live);
 
 /* Write rows as JSON objects, or as CSV lines under their heading. In CSV a number that is not
  * finite is an empty cell. */

@@ -4,7 +4,7 @@
 #define MORPHO_HTTP_EVALUATION_REQUEST_H
 
 #include "http/problem.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
 
 /* A request and the data that its pointers point to. */
 struct mo_parsed_evaluation {

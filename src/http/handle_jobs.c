@@ -45,7 +45,7 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
 {
   int code = MO_OK;
   if (job->kind == MO_JOB_TRAINING) {
-    struct mo_training_live live;
+    struct mo_live live;
     struct mo_training_status *training = malloc(sizeof(*training));
     code = training != NULL ? mo_read_training(http, job->id, training, &live) : MO_ERR_NO_MEMORY;
     if (code == MO_OK &&
@@ -55,7 +55,7 @@ static int write_job(struct mo_http *http, struct mo_text *text, const struct mo
     }
     free(training);
   } else if (job->kind == MO_JOB_CAMPAIGN) {
-    struct mo_campaign_live live;
+    struct mo_live live;
     struct mo_campaign_status *campaign = malloc(sizeof(*campaign));
     code = campaign != NULL ? mo_read_campaign(http, job->id, campaign, &live) : MO_ERR_NO_MEMORY;
     if (code == MO_OK &&

@@ -73,15 +73,12 @@ static void submission_error(struct mo_request *request, const struct mo_parsed_
 }
 
 int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
-                     struct mo_training_live *live)
+                     struct mo_live *live)
 {
   int code = mo_store_training(http->services.store, id, status);
-  *live = (struct mo_training_live){.seconds_left = -1};
-  if (code == MO_OK && !mo_job_state_is_final(status->job.state)) {
-    code = mo_jobs_training_live(http->services.jobs, id, live);
-    if (code == MO_ERR_NOT_FOUND)
-      code = MO_OK;
-  }
+  *live = (struct mo_live){.seconds_left = -1};
+  if (code == MO_OK && !mo_job_state_is_final(status->job.state))
+    mo_jobs_live(http->services.jobs, id, live);
   return code;
 }
 
@@ -100,7 +97,7 @@ static enum mo_job_kind population_kind(struct mo_http *http,
 static void reply_training(struct mo_request *request, unsigned http_status, int64_t id)
 {
   struct mo_training_status *status = malloc(sizeof(*status));
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_text text = {0};
   int code = status != NULL ? mo_read_training(request->http, id, status, &live) : MO_ERR_NO_MEMORY;
   if (code != MO_OK) {
@@ -204,9 +201,9 @@ void mo_handle_trainings(struct mo_request *request)
   const char *comma = "";
   mo_text_add(&text, "{\"items\":[");
   for (int64_t i = 0; i < n; i++) {
-    struct mo_training_live live = {.seconds_left = -1};
+    struct mo_live live = {.seconds_left = -1};
     if (!mo_job_state_is_final(page[i].job.state))
-      mo_jobs_training_live(http->services.jobs, page[i].job.id, &live);
+      mo_jobs_live(http->services.jobs, page[i].job.id, &live);
     if (query.state >= 0 && mo_training_state(&page[i], &live) != (enum mo_job_state)query.state)
       continue; /* it has just started or stopped waiting */
     mo_text_add(&text, comma);

@@ -8,7 +8,7 @@
 
 #include "base/number.h"
 #include "http/field.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
 #include "store/store.h"
 
 #define SIGMA_MAX_M 10.0

@@ -31,7 +31,7 @@
 #include "http/problem.h"
 #include "http/route.h"
 #include "jobs/campaigns.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
 #include "jobs/trainings.h"
 #include "store/store.h"
 
@@ -324,10 +324,10 @@ void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, 
                    int64_t last);
 /* Reads a training: its stored and its live state. MO_ERR_NOT_FOUND. */
 int mo_read_training(struct mo_http *http, int64_t id, struct mo_training_status *status,
-                     struct mo_training_live *live);
+                     struct mo_live *live);
 /* Reads a campaign in the same way. */
 int mo_read_campaign(struct mo_http *http, int64_t id, struct mo_campaign_status *status,
-                     struct mo_campaign_live *live);
+                     struct mo_live *live);
 /* Checks that Content-Type is `expected` or `also` (nullable), without a content coding. False: the
  * 415 is made. */
 bool mo_check_content(struct mo_request *request, const char *expected, const char *also);

@@ -11,18 +11,18 @@
 #include "store/fields.h"
 
 enum mo_job_state mo_training_state(const struct mo_training_status *status,
-                                    const struct mo_training_live *live)
+                                    const struct mo_live *live)
 {
-  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_TRAINING_WAIT;
+  bool waits = status->job.state == MO_JOB_RUNNING && live->phase == MO_PHASE_WAIT;
   return waits ? MO_JOB_PAUSED : status->job.state;
 }
 
 /* Writes why the training makes no progress, also if it was paused and has no space for its
  * checkpoint. */
 static void write_reason(struct mo_text *text, const struct mo_training_status *status,
-                         const struct mo_training_live *live)
+                         const struct mo_live *live)
 {
-  if (live->phase == MO_TRAINING_WAIT && !mo_job_state_is_final(status->job.state))
+  if (live->phase == MO_PHASE_WAIT && !mo_job_state_is_final(status->job.state))
     mo_text_member(text, "reason", live->reason);
   else if (mo_job_lacks_device(&status->job))
     mo_text_member(text, "reason", status->job.error_text);
@@ -40,12 +40,11 @@ static void write_name(struct mo_text *text, const struct mo_training_status *st
 
 /* Returns the steps applied. After a crash, a run that resumed from a checkpoint may be behind the
  * stored curve. A run that is being prepared does not know its step yet. */
-static uint32_t step_of(const struct mo_training_status *status,
-                        const struct mo_training_live *live)
+static uint32_t step_of(const struct mo_training_status *status, const struct mo_live *live)
 {
-  if (live->phase == MO_TRAINING_IDLE)
+  if (live->phase == MO_PHASE_IDLE)
     return status->step;
-  return live->step > 0 ? live->step : status->checkpoint_step;
+  return live->position > 0 ? live->position : status->checkpoint_step;
 }
 
 /* ---- settings ---- */
@@ -72,10 +71,10 @@ static void write_settings(struct mo_text *text, const struct mo_training_record
 /* ---- progress ---- */
 
 static void write_progress(struct mo_text *text, const struct mo_training_status *status,
-                           const struct mo_training_live *live)
+                           const struct mo_live *live)
 {
   const struct mo_training_report *last = &status->last.report;
-  bool runs = live->phase != MO_TRAINING_IDLE, any = status->step > 0;
+  bool runs = live->phase != MO_PHASE_IDLE, any = status->step > 0;
   mo_text_format(text, ",\"progress\":{\"step\":%u,\"steps\":%u", step_of(status, live),
                  status->record.settings.n_steps);
   mo_text_member_number(text, "mean_loss", any ? last->mean_loss : (double)NAN);
@@ -87,13 +86,12 @@ static void write_progress(struct mo_text *text, const struct mo_training_status
   mo_text_member_count(text, "diverged", any ? last->diverged : 0);
   mo_text_member_count(text, "zeroed", any ? last->zeroed : 0);
   mo_text_member_bool(text, "skipped", any && last->skipped);
-  mo_text_member_number(text, "bodies_per_s",
-                        runs && live->robots_per_s > 0 ? live->robots_per_s : (double)NAN);
+  mo_text_member_number(text, "bodies_per_s", runs && live->rate > 0 ? live->rate : (double)NAN);
   mo_text_member_number(text, "seconds_left",
                         runs && live->seconds_left >= 0 ? live->seconds_left : (double)NAN);
   mo_text_member_number(text, "busy_s", runs && live->busy_s >= 0 ? live->busy_s : (double)NAN);
-  mo_text_member_count(text, "replayed", runs ? live->replayed : 0);
-  mo_text_member_count(text, "replay_total", runs ? live->replay_total : 0);
+  mo_text_member_count(text, "replayed", runs ? live->done : 0);
+  mo_text_member_count(text, "replay_total", runs ? live->total : 0);
   mo_text_add(text, "}");
 }
 
@@ -123,7 +121,7 @@ static void write_links(struct mo_text *text, long long id)
 }
 
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            enum mo_job_kind population_kind, const struct mo_training_live *live)
+                            enum mo_job_kind population_kind, const struct mo_live *live)
 {
   const struct mo_training_record *record = &status->record;
   char made[40];
@@ -133,7 +131,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_name(text, status);
   mo_job_write_common(text, &status->job, mo_training_state(status, live));
   write_reason(text, status, live);
-  mo_text_member(text, "phase", mo_training_phase_name(live->phase));
+  mo_text_member(text, "phase", mo_phase_name(live->phase));
   mo_text_add(text, ",\"parent\":");
   if (record->has_parent)
     mo_reference_write(text, record->parent_name, &record->parent_sha256);
@@ -161,7 +159,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
 }
 
 void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
-                          const struct mo_training_live *live)
+                          const struct mo_live *live)
 {
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)status->job.id);
   mo_text_member(text, "kind", mo_job_kind_name(status->job.kind));

@@ -7,15 +7,15 @@
 
 /* Returns the state to show: a running training that waits for disk space is shown as paused. */
 enum mo_job_state mo_training_state(const struct mo_training_status *status,
-                                    const struct mo_training_live *live);
+                                    const struct mo_live *live);
 
 /* Writes a training. live: its current live state. population_kind: the kind of the job
  * record.population, if there is one. */
 void mo_training_json_write(struct mo_text *text, const struct mo_training_status *status,
-                            enum mo_job_kind population_kind, const struct mo_training_live *live);
+                            enum mo_job_kind population_kind, const struct mo_live *live);
 /* Writes a training as an item of the list of jobs. */
 void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
-                          const struct mo_training_live *live);
+                          const struct mo_live *live);
 
 /* Write rows of the curves as JSON objects, or as CSV lines under their heading. In CSV a number
  * that is not finite is an empty cell. */

@@ -11,7 +11,7 @@
 
 #include "base/clock.h"
 #include "base/thread.h"
-#include "jobs/campaign_run.h"
+#include "jobs/campaign_excluded.h"
 
 #define WAIT_MS_MAX 50
 #define THREADS_MAX 16
@@ -89,7 +89,7 @@ static void begin(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
   exclusion->has_thread = mo_thread_create(&exclusion->thread, NULL, draw_nicely, exclusion) == 0;
   if (!exclusion->has_thread)
-    draw(exclusion, 1, &run->attempt.runner->interrupt);
+    draw(exclusion, 1, &run->runner->interrupt);
 }
 
 /* ---- the sets ---- */
@@ -200,7 +200,7 @@ static int look(const struct mo_campaign_run *run, struct mo_exclusion *exclusio
 
 static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
 {
-  struct mo_runner *runner = run->attempt.runner;
+  struct mo_runner *runner = run->runner;
   struct mo_campaign_drawing drawing;
   int status;
   for (uint32_t ms = 1; (status = look(run, exclusion, &drawing)) > 0;
@@ -208,7 +208,7 @@ static int await(struct mo_campaign_run *run, struct mo_exclusion *exclusion)
     if (mo_runner_is_interrupted(runner))
       return MO_ERR_CANCELLED;
     mo_campaign_show_drawing(run, &drawing);
-    mo_runner_sleep(runner, ms, MO_WISH_PAUSE);
+    mo_runner_sleep(runner, ms, MO_REQUEST_PAUSE);
   }
   return status;
 }
@@ -221,7 +221,7 @@ static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
   int error;
   if (exclusion == NULL)
     return MO_ERR_NO_MEMORY;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_PREPARE, exclusion->n_bodies);
+  (void)mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
   if (is_new)
     begin(run, exclusion);
   error = await(run, exclusion);
@@ -241,12 +241,12 @@ int mo_exclusion_acquire(struct mo_campaign_run *run, struct mo_exclusion **excl
     return error;
   do
     error = join(run, &lineage, exclusion);
-  while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->attempt.runner));
+  while (error == MO_ERR_CANCELLED && !mo_runner_is_interrupted(run->runner));
   mo_campaign_show_drawing(run, NULL);
   if (error == MO_ERR_EXHAUSTED) /* returned as it is, the error would end the campaign as if no
                                     child could be found */
-    return mo_attempt_fail(
-        &run->attempt, MO_ERR_LIMIT,
+    return mo_runner_fail(
+        run->runner, MO_ERR_LIMIT,
         "the controller's lineage names more bodies of pretraining than can be found: submit with "
         "exclude_pretraining false");
   return error;

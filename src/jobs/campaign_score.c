@@ -15,6 +15,7 @@
 #include "base/clock.h"
 #include "base/parallel.h"
 #include "jobs/campaign_run.h"
+#include "jobs/scoring.h"
 
 #define SAVED_AT_ONCE           1024
 #define RATE_AFTER_US           INT64_C(500000)
@@ -139,7 +140,7 @@ static int read_known(struct mo_campaign_run *run)
                                                                                   : MO_OK;
   for (uint32_t i = 0; i < run->n_scored && error == MO_OK; i++)
     if (run->left[i] > 0) {
-      asked[n] = run->bits[run->first_scored + i];
+      asked[n] = run->rows->bits[run->first_scored + i];
       places[n++] = i;
     }
   if (error == MO_OK) {
@@ -179,7 +180,7 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
   char progress[256];
   struct save save = {.run = run};
   int error = MO_OK;
-  if (run->n_unsaved == 0 || (!run->attempt.winding_down && mo_campaign_is_writing(run)))
+  if (run->n_unsaved == 0 || (!run->runner->winding_down && mo_campaign_is_writing(run)))
     return MO_OK; /* they wait for the commit of the previous generation */
   error = mo_campaign_settle(run);
   if (error != MO_OK)
@@ -192,10 +193,10 @@ int mo_campaign_save_losses(struct mo_campaign_run *run)
     save.n = run->n_unsaved < SAVED_AT_ONCE ? run->n_unsaved : SAVED_AT_ONCE;
     for (uint32_t i = 0; i < save.n; i++)
       save.losses[i] = run->losses[run->unsaved[i]];
-    save.progress = run->attempt.winding_down ? NULL
+    save.progress = run->runner->winding_down ? NULL
                                               : mo_campaign_progress(run, "scoring", run->n_done,
                                                                      run->n_scored, progress);
-    error = mo_attempt_persist(&run->attempt, write_losses, &save, "the scores of a generation");
+    error = mo_runner_persist(run->runner, write_losses, &save, "the scores of a generation");
     if (error == MO_OK) {
       run->n_unsaved -= save.n;
       memmove(run->unsaved, run->unsaved + save.n, run->n_unsaved * sizeof(*run->unsaved));
@@ -230,19 +231,20 @@ static int launch(struct scoring *scoring)
   scoring->free = flight->next;
   flight->place = scoring->place;
   flight->first = scoring->environment;
-  flight->block = (struct mo_block){.lattice = run->jobs->lattice,
-                                    .genotype = run->bits[run->first_scored + scoring->place].words,
-                                    .controller = scoring->controller,
-                                    .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
-                                    .physics = run->status.record.settings.physics,
-                                    .precision = MO_FLOAT32,
-                                    .urgency = run->status.job.priority,
-                                    .back_end = run->status.job.back_end,
-                                    .cancel = &run->attempt.runner->interrupt,
-                                    .tag = run->id,
-                                    .share = scoring->run->share,
-                                    .done = finished,
-                                    .context = flight};
+  flight->block =
+      (struct mo_block){.lattice = run->jobs->lattice,
+                        .genotype = run->rows->bits[run->first_scored + scoring->place].words,
+                        .controller = scoring->controller,
+                        .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
+                        .physics = run->status.record.settings.physics,
+                        .precision = MO_FLOAT32,
+                        .urgency = run->status.job.priority,
+                        .back_end = run->status.job.back_end,
+                        .cancel = &run->runner->interrupt,
+                        .tag = run->id,
+                        .share = scoring->run->share,
+                        .done = finished,
+                        .context = flight};
   for (uint32_t i = 0; i < flight->block.n_environments; i++)
     flight->block.environments[i] = &run->environments[scoring->environment + i];
   error = mo_compute_submit(run->jobs->compute, &flight->block);
@@ -284,7 +286,7 @@ static int land(struct scoring *scoring, struct flight *flight)
   int error = MO_OK;
   scoring->n_in_flight--;
   for (uint32_t i = 0; i < n && error == MO_OK; i++) {
-    error = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
+    error = mo_block_check(&flight->block, i);
     loss->losses[flight->first + i] = flight->block.outcomes[i].loss;
     loss->diverged_steps[flight->first + i] = flight->block.outcomes[i].diverged_step;
     if (flight->block.computed_on != flight->block.back_end)
@@ -298,7 +300,7 @@ static int land(struct scoring *scoring, struct flight *flight)
       run->n_done++;
     }
   } else if (error != MO_ERR_CANCELLED) {
-    mo_block_describe(error, run->attempt.text);
+    mo_block_describe(error, run->runner->text);
   }
   flight->next = scoring->free;
   scoring->free = flight;
@@ -376,7 +378,7 @@ static int compute(struct scoring *scoring)
   int error = MO_OK;
   for (;;) {
     int landed;
-    if (error == MO_OK && mo_runner_is_interrupted(run->attempt.runner))
+    if (error == MO_OK && mo_runner_is_interrupted(run->runner))
       error = MO_ERR_CANCELLED;
     if (error == MO_OK)
       error = fill(scoring);
@@ -441,7 +443,7 @@ static void read_scores(struct mo_campaign_run *run)
     double sum = 0;
     for (uint32_t k = 0; k < run->n_environments; k++)
       sum += loss->losses[k];
-    run->scores[run->first_scored + i] = sum / run->n_environments;
+    run->rows->scores[run->first_scored + i] = sum / run->n_environments;
   }
 }
 
@@ -455,7 +457,7 @@ int mo_campaign_score(struct mo_campaign_run *run)
     error = read_known(run);
   if (error != MO_OK)
     return error;
-  (void)mo_campaign_enter(run, MO_CAMPAIGN_SCORE, run->n_scored);
+  (void)mo_campaign_enter(run, MO_PHASE_SCORE, run->n_scored);
   mo_campaign_advance(run, run->n_done);
   error = open_scoring(&scoring, run);
   if (error == MO_OK)

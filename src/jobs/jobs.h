@@ -1,13 +1,9 @@
-/* jobs.h: accepts evaluations, trainings (jobs/trainings.h) and campaigns (jobs/campaigns.h), runs
- * them on a compute back end, and keeps their results in the store.
+/* jobs.h: accepts jobs of all kinds (evaluations.h, trainings.h, campaigns.h), runs them on a
+ * compute back end, and keeps their results in the store.
  *
- * A scheduler thread claims queued jobs, cuts them into blocks (one design, up to MO_BLOCK_LANES
- * environments), keeps a small window of blocks in flight in the back end, and saves losses in
- * grouped transactions as they arrive. Interactive jobs go first. Batch jobs share the back end by
- * weight. Each running training or campaign has its own share of worker time. All evaluations
- * together have one share, whose weight is the sum of their weights, and divide that share by
- * weight. A score that the store holds, or that another job is computing, is not computed again. A
- * crash loses only the blocks in flight.
+ * Interactive jobs go first. Batch jobs share the back end by weight. Each running training or
+ * campaign has its own share of worker time. All evaluations together have one share, whose weight
+ * is the sum of their weights, and divide that share by weight.
  *
  * States:
  * - queued → running → succeeded | failed
@@ -26,6 +22,10 @@
 #include "store/store.h"
 
 struct mo_jobs;
+
+/* Value of `back_end` in a request beside enum mo_back_end: devices if one works and the job suits
+ * them. */
+#define MO_BACK_END_AUTO (-1)
 
 struct mo_jobs_config {
   uint32_t max_open_jobs;          /* queued, running and paused together; 0: 10000 */
@@ -75,46 +75,6 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
  * acknowledged is lost. Submissions fail with MO_ERR_CANCELLED from now on. */
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms);
 void mo_jobs_free(struct mo_jobs *jobs); /* stops first if needed; NULL-safe */
-
-/* ---- submission ---- */
-
-/* Values of `back_end`: enum mo_back_end, or MO_BACK_END_AUTO, which means devices if one works and
- * the job suits them. An evaluation suits devices if it is a float32 batch of at least
- * MO_DEVICE_ROLLOUTS_MIN rollouts that neither records nor verifies. */
-#define MO_BACK_END_AUTO       (-1)
-#define MO_DEVICE_ROLLOUTS_MIN 1000
-
-struct mo_evaluation_request {
-  const struct mo_bits *genotypes;           /* (n_designs) valid, not yet placed */
-  uint32_t n_designs;                        /* 1 … MO_DESIGNS_MAX */
-  const char *environment_set;               /* "paper-test", or NULL: `environments` */
-  const struct mo_environment *environments; /* (n_environments) checked */
-  uint32_t n_environments;                   /* 1 … MO_ENVIRONMENTS_MAX; ignored with a set */
-  const char *controller;                    /* name or "sha256:<64 hex>"; NULL: "default" */
-  struct mo_physics physics;                 /* checked */
-  enum mo_precision precision;
-  int priority; /* enum mo_urgency, or −1: interactive up to 64 rollouts that are not for devices */
-  int back_end;      /* enum mo_back_end or MO_BACK_END_AUTO */
-  double weight;     /* MO_WEIGHT_MIN … MO_WEIGHT_MAX; 0: 1 */
-  const char *label; /* nullable */
-  bool verify, record_com, record_masses;
-  uint32_t record_stride;       /* 1 … n_steps; ignored when nothing is recorded */
-  const char *idempotency_key;  /* nullable; ≤ MO_IDEMPOTENCY_BYTES_MAX */
-  struct mo_sha256 body_sha256; /* hash of the request's bytes; used with a key */
-};
-/* Submits an evaluation and returns after the commit. *id: the job. *replayed: the key was known
- * with the same body, and *id is the earlier job. `message` names the invalid value.
- * - MO_ERR_INVALID, MO_ERR_RANGE: a value breaks this contract
- * - MO_ERR_NOT_FOUND: no such controller or set
- * - MO_ERR_CONFLICT: the key was used with another body
- * - MO_ERR_BUSY: the queue is full; try again later
- * - MO_ERR_LIMIT: the job would record more than max_recorded_bytes
- * - MO_ERR_NO_SPACE: the disk is full; try again later
- * - MO_ERR_CANCELLED: `jobs` is stopping
- * - MO_ERR_UNSUPPORTED: the controller is for another workspace
- * - MO_ERR_DEVICE: no device works, or devices cannot do this (float64, recordings, interactive) */
-int mo_jobs_submit_evaluation(struct mo_jobs *jobs, const struct mo_evaluation_request *request,
-                              int64_t *id, bool *replayed, struct mo_message *message);
 
 /* ---- control: each returns after its commit. MO_ERR_NOT_FOUND; MO_ERR_CONFLICT: not possible in
  * the job's state. A request for the state that the job already has is a conflict, except pausing a

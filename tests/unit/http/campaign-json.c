@@ -11,7 +11,7 @@
 #include "http/newick_pieces.h"
 
 static struct mo_campaign_status status;
-static struct mo_campaign_live live;
+static struct mo_live live;
 static json_t *json;
 
 static void begin(enum mo_campaign_mode mode, enum mo_job_state state)
@@ -22,7 +22,7 @@ static void begin(enum mo_campaign_mode mode, enum mo_job_state state)
   status.record.settings = mo_campaign_preset(mode, MO_PRESET_DEMO);
   status.record.group = 12;
   status.record.replicates = 1;
-  live = (struct mo_campaign_live){.seconds_left = -1, .busy_s = -1};
+  live = (struct mo_live){.seconds_left = -1, .busy_s = -1};
 }
 
 static void parse(struct mo_text *text)
@@ -75,8 +75,7 @@ static void fresh(void)
 static void waits_for_room(void)
 {
   begin(MO_FEW_SHOT, MO_JOB_RUNNING);
-  live = (struct mo_campaign_live){
-      .phase = MO_CAMPAIGN_WAIT, .generation = 1, .seconds_left = -1, .busy_s = 3};
+  live = (struct mo_live){.phase = MO_PHASE_WAIT, .position = 1, .seconds_left = -1, .busy_s = 3};
   snprintf(live.reason, sizeof(live.reason), "no \"space\"");
   for (int as_job = 0; as_job < 2; as_job++) {
     write(as_job != 0);
@@ -97,12 +96,12 @@ static void waits_for_room(void)
 static void waits_for_another(void)
 {
   begin(MO_FEW_SHOT, MO_JOB_RUNNING);
-  live = (struct mo_campaign_live){.phase = MO_CAMPAIGN_PREPARE,
-                                   .done = 5,
-                                   .total = 9,
-                                   .seconds_left = 2.5,
-                                   .busy_s = 0,
-                                   .reason = "campaign 7 draws"};
+  live = (struct mo_live){.phase = MO_PHASE_PREPARE,
+                          .done = 5,
+                          .total = 9,
+                          .seconds_left = 2.5,
+                          .busy_s = 0,
+                          .reason = "campaign 7 draws"};
   for (int as_job = 0; as_job < 2; as_job++) {
     write(as_job != 0);
     CHECK_TEXT(text_at("state"), "running");

@@ -7,7 +7,7 @@
 #include "http/training_json.h"
 
 static struct mo_training_status status;
-static struct mo_training_live live;
+static struct mo_live live;
 static json_t *json;
 
 static void begin(enum mo_job_state state)
@@ -15,7 +15,7 @@ static void begin(enum mo_job_state state)
   status = (struct mo_training_status){
       .job = {.id = 12, .kind = MO_JOB_TRAINING, .state = state, .created_us = 1}};
   status.record.settings = mo_training_defaults(MO_TRAINING_PRETRAIN);
-  live = (struct mo_training_live){.seconds_left = -1};
+  live = (struct mo_live){.seconds_left = -1};
 }
 
 static void write(bool as_job)
@@ -67,20 +67,19 @@ static void runs(void)
   status.checkpoint_step = 80;
   status.last.report = (struct mo_training_report){
       .step = 90, .mean_loss = 0.25, .rate = 1e-3, .gradient_norm = 0.5};
-  live =
-      (struct mo_training_live){.phase = MO_TRAINING_LEARN, .robots_per_s = 64, .seconds_left = 30};
+  live = (struct mo_live){.phase = MO_PHASE_LEARN, .rate = 64, .seconds_left = 30};
   write(false); /* being prepared: the step is not known yet */
   CHECK_INT(json_integer_value(at("progress", "step")), 80);
-  live.step = 85; /* after a crash, behind the curve */
+  live.position = 85; /* after a crash, behind the curve */
   write(false);
   CHECK_INT(json_integer_value(at("progress", "step")), 85);
   CHECK_TEXT(text_at("state"), "running");
   CHECK(json_real_value(at("progress", "mean_loss")) == 0.25);
   CHECK(json_number_value(at("progress", "bodies_per_s")) == 64 &&
         json_number_value(at("progress", "seconds_left")) == 30);
-  live.phase = MO_TRAINING_REPLAY;
-  live.replayed = 5;
-  live.replay_total = 20;
+  live.phase = MO_PHASE_REPLAY;
+  live.done = 5;
+  live.total = 20;
   write(false);
   CHECK_TEXT(text_at("phase"), "replaying");
   CHECK(json_integer_value(at("progress", "replayed")) == 5 &&
@@ -90,8 +89,8 @@ static void runs(void)
 static void waits_for_room(void)
 {
   begin(MO_JOB_RUNNING);
-  live = (struct mo_training_live){
-      .phase = MO_TRAINING_WAIT, .step = 7, .seconds_left = -1, .reason = "no \"space\""};
+  live = (struct mo_live){
+      .phase = MO_PHASE_WAIT, .position = 7, .seconds_left = -1, .reason = "no \"space\""};
   for (int as_job = 0; as_job < 2; as_job++) {
     write(as_job != 0);
     CHECK_TEXT(text_at("state"), "paused");

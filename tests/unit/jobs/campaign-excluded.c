@@ -332,14 +332,14 @@ static int start_drawing(struct service *service, const char *steps,
 }
 
 /* The figures of a campaign as soon as some of its bodies are drawn. */
-static struct mo_campaign_live await_drawing(struct service *service, int64_t id)
+static struct mo_live await_drawing(struct service *service, int64_t id)
 {
   const double end = now_s() + 60;
-  struct mo_campaign_live live;
+  struct mo_live live;
   do {
     usleep(300);
     live = live_of(service, id);
-  } while ((live.phase != MO_CAMPAIGN_PREPARE || live.done == 0 || live.seconds_left < 0) &&
+  } while ((live.phase != MO_PHASE_PREPARE || live.done == 0 || live.seconds_left < 0) &&
            now_s() < end);
   return live;
 }
@@ -353,7 +353,7 @@ static struct mo_exclusion *exclusions(struct service *service)
   return first;
 }
 
-static bool names(const struct mo_campaign_live *live, int64_t id)
+static bool names(const struct mo_live *live, int64_t id)
 {
   char text[64];
   snprintf(text, sizeof(text), "campaign %lld draws", (long long)id);
@@ -363,8 +363,8 @@ static bool names(const struct mo_campaign_live *live, int64_t id)
 /* Whether one shows that it draws, and the other that it waits for that one. */
 static bool draws_for(struct service *service, int64_t drawer, int64_t other)
 {
-  const struct mo_campaign_live first = live_of(service, drawer), second = live_of(service, other);
-  return first.phase == MO_CAMPAIGN_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
+  const struct mo_live first = live_of(service, drawer), second = live_of(service, other);
+  return first.phase == MO_PHASE_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
 /* What one draws, others wait for, and they are told so; when it is paused or cancelled, the
@@ -373,7 +373,7 @@ static void hands_the_drawing_over(void)
 {
   struct mo_campaign_request request;
   struct mo_form_set *excluded = NULL;
-  struct mo_campaign_live live;
+  struct mo_live live;
   struct service service;
   struct origin origin;
   char steps[16];
@@ -393,7 +393,7 @@ static void hands_the_drawing_over(void)
   }
   done = live_of(&service, ids[1]).done;
   CHECK_INT(mo_jobs_pause(service.jobs, ids[0]), MO_OK);
-  REQUIRE(await_phase(&service, ids[0], MO_CAMPAIGN_IDLE));
+  REQUIRE(await_phase(&service, ids[0], MO_PHASE_IDLE));
   CHECK_INT(state_of(&service, ids[0]), MO_JOB_PAUSED);
   for (int i = 0;
        i < 500 && !draws_for(&service, ids[1], ids[2]) && !draws_for(&service, ids[2], ids[1]); i++)
@@ -401,7 +401,7 @@ static void hands_the_drawing_over(void)
   CHECK(draws_for(&service, ids[1], ids[2]) || draws_for(&service, ids[2], ids[1]));
   for (int i = 1; i < 3; i++) {
     live = live_of(&service, ids[i]);
-    CHECK(live.phase == MO_CAMPAIGN_PREPARE && live.done >= done); /* not from the beginning */
+    CHECK(live.phase == MO_PHASE_PREPARE && live.done >= done); /* not from the beginning */
   }
   CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds the drawing in progress */
   live = await_drawing(&service, ids[0]);
@@ -410,7 +410,7 @@ static void hands_the_drawing_over(void)
             MO_OK);
   for (uint64_t before = done;; before = live.done) {
     live = live_of(&service, ids[0]);
-    if (live.phase != MO_CAMPAIGN_PREPARE || live.total == 0)
+    if (live.phase != MO_PHASE_PREPARE || live.total == 0)
       break;
     CHECK(live.done >= before);
     usleep(2000);
@@ -448,7 +448,7 @@ static void draws_for_nobody(void)
   CHECK_INT(mo_jobs_cancel(service.jobs, ids[0]), MO_OK);
   CHECK_INT(mo_jobs_pause(service.jobs, ids[1]), MO_OK);
   for (int i = 0; i < 2; i++)
-    CHECK(await_phase(&service, ids[i], MO_CAMPAIGN_IDLE));
+    CHECK(await_phase(&service, ids[i], MO_PHASE_IDLE));
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* again */
   ids[0] = submit(&service, &request);
@@ -468,7 +468,7 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
   struct mo_campaign_request request;
-  struct mo_campaign_live live;
+  struct mo_live live;
   struct mo_event events[80];
   struct service service;
   double begin, drawing_s, rest;
@@ -479,24 +479,24 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
   request.record.settings.generations = LONG_GENERATIONS;
   fake_plan.delay_us = 10000;
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_PREPARE));
+  REQUIRE(await_phase(&service, id, MO_PHASE_PREPARE));
   begin = now_s();
   (void)await_drawing(&service, id);
   do { /* half of it */
     usleep(1000);
     live = live_of(&service, id);
-  } while (live.phase == MO_CAMPAIGN_PREPARE && live.done < live.total / 2);
-  REQUIRE(live.phase == MO_CAMPAIGN_PREPARE);
+  } while (live.phase == MO_PHASE_PREPARE && live.done < live.total / 2);
+  REQUIRE(live.phase == MO_PHASE_PREPARE);
   rest = (now_s() - begin) * (double)(live.total - live.done) / (double)live.done;
   printf("# %.2f s left, %.2f s by this clock\n", live.seconds_left, rest);
   CHECK(live.seconds_left > 0.5 * rest && live.seconds_left < 2 * rest + 0.1);
-  while (live_of(&service, id).phase == MO_CAMPAIGN_PREPARE)
+  while (live_of(&service, id).phase == MO_PHASE_PREPARE)
     usleep(300);
   drawing_s = now_s() - begin;
   CHECK(live_of(&service, id).seconds_left < 0); /* nothing is known of the generations */
-  REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+  REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+  REQUIRE(await_phase(&service, id, MO_PHASE_IDLE));
   n = mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN);
   REQUIRE(n >= 2 && n < SEEN);
   committed = n;
@@ -515,7 +515,7 @@ __attribute__((unused)) static void tells_how_long_it_draws(void)
                                                  rows[committed - 1].seconds);
   REQUIRE(
       await_place(&service, id, (uint32_t)committed + 2,
-                  MO_CAMPAIGN_SCORE)); /* a commit is written while the next generation is scored */
+                  MO_PHASE_SCORE)); /* a commit is written while the next generation is scored */
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
   REQUIRE(mo_store_campaign_generations(service.fixture.store, id, -1, rows, SEEN) > committed);
   CHECK(rows[committed].seconds < drawing_s); /* what was drawn after the pause is no part of it */

@@ -142,13 +142,13 @@ static void waits_for_room(void)
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct origin origin = origin_of(&request);
   struct service service;
-  struct mo_campaign_live live;
+  struct mo_live live;
   int64_t id, waiting[MO_WAITING_MAX] = {0};
   double begin;
   REQUIRE(start(&service, 1) == MO_OK);
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   live = live_of(&service, id);
   CHECK(strstr(live.reason, "no space") != NULL &&
         strstr(live.reason, "checkpoint of generation 0") != NULL);
@@ -161,14 +161,14 @@ static void waits_for_room(void)
   /* Cancelled while it waits. */
   limit_files(8 << 20);
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK);
-  CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE));
   CHECK(now_s() - begin < 1);
   /* Stopped while it waits: at once; what it had learned comes again. */
   id = submit(&service, &request);
-  REQUIRE(await_phase(&service, id, MO_CAMPAIGN_WAIT));
+  REQUIRE(await_phase(&service, id, MO_PHASE_WAIT));
   begin = now_s();
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_ERR_BUSY);
   CHECK(now_s() - begin < 2);
@@ -210,7 +210,7 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
   for (int round = 0; round < 2; round++) {
     uint32_t generation;
     id = submit(&service, &request);
-    REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+    REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
     generation = (uint32_t)status_of(&service, id).generation + 1;
     service_close(&service);

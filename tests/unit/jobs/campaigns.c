@@ -2,6 +2,7 @@
  * inputs: every mode end to end, against plain loops (campaign_history.h), and what is told of
  * them. */
 #include "campaigns.h"
+#include "jobs/trainings.h"
 
 /* For any number of workers; with environments of its own, more than a block takes. */
 static void evolves_in_every_mode(void)
@@ -160,10 +161,10 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   REQUIRE(start(&service, 1) == MO_OK);
   fake_plan.delay_us = 2000;
   id = submit(&service, &request);
-  REQUIRE(await_place(&service, id, 1, MO_CAMPAIGN_SCORE));
+  REQUIRE(await_place(&service, id, 1, MO_PHASE_SCORE));
   CHECK(live_of(&service, id).total == 2 * POPULATION ||
-        live_of(&service, id).phase != MO_CAMPAIGN_SCORE);
-  CHECK_TEXT(mo_campaign_phase_name(MO_CAMPAIGN_SCORE), "scoring");
+        live_of(&service, id).phase != MO_PHASE_SCORE);
+  CHECK_TEXT(mo_phase_name(MO_PHASE_SCORE), "scoring");
   REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
@@ -197,7 +198,7 @@ __attribute__((unused)) static void tells_of_its_generations(void)
   }
   CHECK(expected > 0);
   CHECK_INT(collapses, expected);
-  CHECK_INT(live_of(&service, id + 7).phase, MO_CAMPAIGN_IDLE);
+  CHECK_INT(live_of(&service, id + 7).phase, MO_PHASE_IDLE);
   service_end(&service);
 }
 
@@ -218,9 +219,9 @@ __attribute__((unused)) static void shows_its_champions(void)
     REQUIRE(start(&service, 1) == MO_OK);
     fake_plan.delay_us = 3000;
     id = submit(&service, &request);
-    REQUIRE(await_place(&service, id, 2, MO_CAMPAIGN_SCORE));
+    REQUIRE(await_place(&service, id, 2, MO_PHASE_SCORE));
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_CAMPAIGN_IDLE));
+    CHECK(await_phase(&service, id, MO_PHASE_IDLE));
     for (int round = 0; round < 2; round++) {
       bool has_best = false;
       CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, -1, 4, rows, distinctiveness, &n),
@@ -305,7 +306,7 @@ __attribute__((unused)) static void shows_no_generation_behind_its_last(void)
 {
   struct mo_campaign_request request = campaign(MO_ZERO_SHOT);
   struct service service;
-  struct mo_campaign_live live;
+  struct mo_live live;
   uint32_t most = 0;
   bool behind = false;
   REQUIRE(start(&service, 1) == MO_OK);
@@ -315,8 +316,8 @@ __attribute__((unused)) static void shows_no_generation_behind_its_last(void)
     while (!mo_job_state_is_final(status_of(&service, id).job.state))
       for (int i = 0; i < 1000; i++) {
         live = live_of(&service, id);
-        most = live.generation > most ? live.generation : most;
-        behind |= live.phase == MO_CAMPAIGN_SAVE && live.generation > GENERATIONS;
+        most = live.position > most ? live.position : most;
+        behind |= live.phase == MO_PHASE_SAVE && live.position > GENERATIONS;
       }
   }
   CHECK_INT(most, GENERATIONS);

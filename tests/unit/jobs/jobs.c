@@ -4,7 +4,7 @@
 #include <sqlite3.h>
 
 #include "../check.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 #include "watch.h"
 
@@ -281,17 +281,15 @@ static void counts_through_pauses(void)
   }
 }
 
-/* One client pauses, another resumes before the first's call has told the scheduler: the wish finds
- * a job that runs. */
-static void survives_a_late_wish(void)
+/* One client pauses, another resumes before the scheduler has looked: the request finds a job that
+ * is to run. */
+static void survives_a_late_request(void)
 {
   struct service service;
   struct mo_bits *forms, *genotypes;
   struct mo_evaluation_request request;
-  struct mo_wish *wish = calloc(1, sizeof(*wish));
   struct mo_job job;
   int64_t id;
-  REQUIRE(wish != NULL);
   REQUIRE(service_start(&service) == MO_OK);
   REQUIRE(fixture_bodies(16, 60, &forms, &genotypes) == MO_OK);
   fake_plan.delay_us = 5000;
@@ -299,12 +297,9 @@ static void survives_a_late_wish(void)
   id = service_submit(&service, &request);
   CHECK(await_state(&service, id, MO_JOB_RUNNING, 5));
   usleep(20000);
-  wish->id = id;
-  pthread_mutex_lock(&service.jobs->mutex);
-  wish->next = service.jobs->wishes;
-  service.jobs->wishes = wish;
-  pthread_cond_signal(&service.jobs->news);
-  pthread_mutex_unlock(&service.jobs->mutex);
+  mo_runners_request(&service.jobs->runners[MO_JOB_EVALUATION], id, MO_REQUEST_PAUSE);
+  CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
+  CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   REQUIRE(mo_jobs_wait(service.jobs, id, 10000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.attempts, 0);
@@ -489,7 +484,7 @@ static const struct check_case cases[] = {
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
     {"counts through pauses", counts_through_pauses},
-    {"survives a wish that comes late", survives_a_late_wish},
+    {"survives a wish that comes late", survives_a_late_request},
     {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and goes on after it", parks_and_goes_on},
     {"verifies bits", verifies},

@@ -2,6 +2,7 @@
  * that gets the process killed is found. */
 #include <sqlite3.h>
 
+#include "jobs/campaigns.h"
 #include "learning.h"
 
 #define MIB ((uint64_t)1 << 20)
@@ -25,10 +26,10 @@ static int reopen(struct service *service, uint64_t max_memory, bool was_killed)
 
 static bool await_reason(struct service *service, int64_t id, const char *words)
 {
-  struct mo_training_live live = {.reason = ""};
+  struct mo_live live = {.reason = ""};
   for (double end = now_s() + 20; now_s() < end; usleep(1000)) {
-    (void)mo_jobs_training_live(service->jobs, id, &live);
-    if (live.phase == MO_TRAINING_WAIT && strstr(live.reason, words) != NULL)
+    mo_jobs_live(service->jobs, id, &live);
+    if (live.phase == MO_PHASE_WAIT && strstr(live.reason, words) != NULL)
       return true;
   }
   printf("# job %lld: %s\n", (long long)id, live.reason);
@@ -74,7 +75,7 @@ static void waits_beside_others(void)
 {
   struct service service;
   struct mo_training_request request = large(), short_one = pretraining("");
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   int64_t first, second, id = 0;
   REQUIRE(start(&service, 1) == MO_OK);
@@ -99,14 +100,14 @@ static void waits_beside_others(void)
   CHECK(await_state(&service, second, MO_JOB_RUNNING, 10));
   REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-  CHECK_INT(mo_jobs_training_live(service.jobs, second, &live), MO_OK);
-  CHECK(live.phase != MO_TRAINING_WAIT);
+  mo_jobs_live(service.jobs, second, &live);
+  CHECK(live.phase != MO_PHASE_WAIT);
   /* Who waits and is paused holds up nobody. */
   first = submit(&service, &request);
   CHECK(await_reason(&service, first, "MiB"));
   CHECK_INT(mo_jobs_pause(service.jobs, first), MO_OK);
-  CHECK_INT(mo_jobs_training_live(service.jobs, first, &live), MO_OK);
-  CHECK_INT(live.phase, MO_TRAINING_IDLE);
+  mo_jobs_live(service.jobs, first, &live);
+  CHECK_INT(live.phase, MO_PHASE_IDLE);
   CHECK_INT(mo_jobs_cancel(service.jobs, second), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, first), MO_OK);
   CHECK(await_state(&service, first, MO_JOB_RUNNING, 10));

@@ -4,7 +4,7 @@
 
 #include "../check.h"
 #include "../store/fixture.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
 
 #define BODIES 12
 #define STEPS  150

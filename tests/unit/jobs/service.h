@@ -4,7 +4,7 @@
 
 #include "../store/fixture.h"
 #include "fake_compute.h"
-#include "jobs/jobs.h"
+#include "jobs/evaluations.h"
 
 struct service {
   struct fixture fixture;

@@ -6,6 +6,7 @@
 
 #include "../check.h"
 #include "../store/fixture.h"
+#include "jobs/evaluations.h"
 #include "jobs/trainings.h"
 
 enum { BODIES = 2000 };
@@ -52,7 +53,7 @@ static void a_training_beside_an_evaluation(void)
       .record = {.settings = mo_training_defaults(MO_TRAINING_PRETRAIN),
                  .checkpoint_every_s = 60,
                  .checkpoints_kept = 1}};
-  struct mo_training_live live = {.step = 0};
+  struct mo_live live = {.position = 0};
   struct mo_job job;
   double end, slowest_s = 0;
   int64_t batch, learns, small;
@@ -72,8 +73,8 @@ static void a_training_beside_an_evaluation(void)
   REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &batch, &replayed, &fixture.message) ==
           MO_OK);
   REQUIRE(mo_jobs_submit_training(jobs, &training, &learns, &replayed, &fixture.message) == MO_OK);
-  for (end = now_s() + 60; live.step < 2 && now_s() < end; usleep(2000))
-    REQUIRE(mo_jobs_training_live(jobs, learns, &live) == MO_OK);
+  for (end = now_s() + 60; live.position < 2 && now_s() < end; usleep(2000))
+    mo_jobs_live(jobs, learns, &live);
   CHECK(training_gets(jobs, 0.5));
   REQUIRE(mo_jobs_set_weight(jobs, learns, 0.25) == MO_OK);
   CHECK(training_gets(jobs, 0.2));

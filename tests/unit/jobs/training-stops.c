@@ -9,7 +9,7 @@ static void pauses_and_resumes(void)
   struct mo_training_request request = pretraining("");
   struct mo_sha256 expected = undisturbed();
   struct mo_training_status status;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_job job;
   double begin;
   int64_t id;
@@ -21,7 +21,7 @@ static void pauses_and_resumes(void)
     REQUIRE(await_step(&service, id, step));
     begin = now_s();
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-    CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+    CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
     CHECK(now_s() - begin < 5);
     REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK);
     CHECK_INT(status.job.state, MO_JOB_PAUSED);
@@ -124,7 +124,7 @@ static void cancels(void)
   struct service service;
   struct mo_training_request request = pretraining("never");
   struct mo_controller_record record;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_jobs_stats stats;
   double begin;
   int64_t id, waiting;
@@ -133,11 +133,11 @@ static void cancels(void)
   id = submit(&service, &request);
   waiting = submit(&service, &request);
   REQUIRE(await_state(&service, id, MO_JOB_RUNNING, 10));
-  REQUIRE(await_phase(&service, id, MO_TRAINING_LEARN, &live));
+  REQUIRE(await_phase(&service, id, MO_PHASE_LEARN, &live));
   CHECK_INT(mo_jobs_cancel(service.jobs, waiting), MO_OK); /* before it starts */
   begin = now_s();
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_OK); /* inside a gradient */
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live));
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live));
   CHECK(now_s() - begin < 3);
   CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);

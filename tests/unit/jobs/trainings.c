@@ -1,5 +1,6 @@
 /* trainings.c: trainings with a fake back end, whose gradients are a function of robots and
  * weights: what they ask for, do and leave. */
+#include "jobs/held_out.h"
 #include "learning.h"
 
 static void learns(void)
@@ -14,7 +15,7 @@ static void learns(void)
   struct mo_controller_record record;
   struct mo_event events[60];
   struct mo_jobs_stats stats;
-  struct mo_training_live live;
+  struct mo_live live;
   struct mo_held_out held_out;
   struct mo_job job;
   char *metadata = NULL;
@@ -63,12 +64,12 @@ static void learns(void)
   CHECK_INT(stats.training_validations, 3);
   CHECK_INT(stats.jobs_succeeded, 1);
   CHECK_INT(stats.open_jobs, 0);
-  CHECK(await_phase(&service, id, MO_TRAINING_IDLE, &live)); /* its thread follows in a moment */
+  CHECK(await_phase(&service, id, MO_PHASE_IDLE, &live)); /* its thread follows in a moment */
   /* What it was validated on. */
-  CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
+  CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
+  CHECK_INT(mo_held_out_load(service.fixture.store, &status, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && held_out.n_environments == 20);
   mo_held_out_free(&held_out);
-  CHECK_INT(mo_store_training(service.fixture.store, id, &status), MO_OK);
   CHECK_INT(status.step, STEPS);
   CHECK_INT(warnings, 0);
   CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);
@@ -138,7 +139,7 @@ __attribute__((unused)) static void validates_as_an_evaluation_does(void)
   REQUIRE(mo_store_controller_bytes(service.fixture.store, &status.result_sha256, &bytes, &size) ==
           MO_OK);
   REQUIRE(mo_controller_decode(bytes, size, &controller, NULL) == MO_OK);
-  REQUIRE(mo_jobs_training_held_out(service.jobs, id, &held_out) == MO_OK);
+  REQUIRE(mo_held_out_load(service.fixture.store, &status, &held_out) == MO_OK);
   for (uint32_t d = 0; d < 3; d++) {
     uint32_t before = diverged;
     double sum = 0;
@@ -204,7 +205,7 @@ __attribute__((unused)) static void tunes_a_population(void)
   CHECK(status.record.population == scored && status.record.n_designs == 5 &&
         status.record.has_parent);
   CHECK_TEXT(status.record.parent_name, "default");
-  CHECK_INT(mo_jobs_training_held_out(service.jobs, id, &held_out), MO_OK);
+  CHECK_INT(mo_held_out_load(service.fixture.store, &status, &held_out), MO_OK);
   CHECK(held_out.n_designs == 3 && memcmp(held_out.genotypes, best, 3 * sizeof(*best)) == 0);
   mo_held_out_free(&held_out);
   /* From the result, on designs that are listed. */

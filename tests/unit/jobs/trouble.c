@@ -8,7 +8,7 @@
 
 #include "../check.h"
 #include "../store/fault_vfs.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 #include "watch.h"
 

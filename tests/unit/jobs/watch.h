@@ -6,7 +6,7 @@
 #include <time.h>
 
 #include "../check.h"
-#include "jobs/internal.h"
+#include "jobs/state.h"
 #include "service.h"
 
 static struct mo_controller *weights;

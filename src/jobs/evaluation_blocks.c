@@ -1,4 +1,5 @@
-/* blocks.c: cuts the cells of a job into blocks for the back end, and stores the results.
+/* evaluation_blocks.c: cuts the cells of a job into blocks for the back end, and stores the
+ * results.
  *
  * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
  * commit (the cell waits, too), then the store (the cell is done). Otherwise the cell joins a new
@@ -6,13 +7,58 @@
  * So a score is always in one of the two places and is never computed twice. The exception is an
  * interactive job, which does not wait for a device. Verify and recording jobs compute every cell
  * in their own blocks. */
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/internal.h"
+#include "jobs/evaluation.h"
 
-#define NOT_A_LOSS MO_ERR_RANGE /* a code that back ends do not return */
+struct mo_waiter {
+  struct mo_active *active;
+  size_t cell;
+  bool owner; /* the block was made for this cell */
+  struct mo_waiter *next;
+};
+
+/* ---- lanes and failures ---- */
+
+enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end)
+{
+  return back_end == MO_ON_DEVICE     ? MO_LANE_DEVICE
+         : priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE
+                                      : MO_LANE_BATCH;
+}
+
+void mo_flights_cancel(struct mo_evaluations *all, bool every)
+{
+  for (struct mo_flight *flight = all->flights; flight != NULL; flight = flight->next) {
+    bool wanted = flight->rollouts[0] == NULL && !flight->owner->detached;
+    for (uint32_t i = 0; i < MO_BLOCK_LANES && flight->rollouts[i] != NULL; i++)
+      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL;
+           waiter = waiter->next)
+        wanted = wanted || !waiter->active->detached;
+    if (every || !wanted)
+      __atomic_store_n(&flight->cancel, 1, __ATOMIC_RELAXED);
+  }
+}
+
+void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int error,
+                    const char *text)
+{
+  char loss[256];
+  if (active->detached)
+    return;
+  active->detached = true;
+  if (error == MO_ERR_DEVICE) {
+    mo_back_end_describe_loss(all->jobs, loss, sizeof(loss));
+    text = loss;
+  }
+  if (all->jobs->config.warn != NULL)
+    all->jobs->config.warn(all->jobs->config.warn_context, active->id, error, text);
+  active->failing =
+      mo_pending_update(all, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error,
+                        text) == MO_OK;
+  mo_flights_cancel(all, false);
+}
 
 /* ---- the table of rollouts ---- */
 
@@ -24,11 +70,11 @@ static size_t bucket_of(int64_t genotype, int64_t controller, int64_t physics, i
   return (size_t)(h >> 40) % MO_ROLLOUT_BUCKETS;
 }
 
-static struct mo_rollout *find_rollout(struct mo_jobs *jobs, const struct mo_work *work,
+static struct mo_rollout *find_rollout(struct mo_evaluations *all, const struct mo_work *work,
                                        int64_t genotype, int64_t environment)
 {
   struct mo_rollout *rollout =
-      jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+      all->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
   while (rollout != NULL &&
          (rollout->genotype != genotype || rollout->environment != environment ||
           rollout->controller != work->controller || rollout->physics != work->physics))
@@ -45,12 +91,12 @@ static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active
          rollout->flight->block.back_end != MO_ON_DEVICE;
 }
 
-static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work *work,
+static struct mo_rollout *add_rollout(struct mo_evaluations *all, const struct mo_work *work,
                                       int64_t genotype, int64_t environment)
 {
   struct mo_rollout *rollout = calloc(1, sizeof(*rollout));
   struct mo_rollout **bucket =
-      &jobs->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+      &all->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
   if (rollout == NULL)
     return NULL;
   rollout->genotype = genotype;
@@ -62,10 +108,10 @@ static struct mo_rollout *add_rollout(struct mo_jobs *jobs, const struct mo_work
   return rollout;
 }
 
-void mo_rollout_forget(struct mo_jobs *jobs, struct mo_rollout *rollout)
+void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout)
 {
-  struct mo_rollout **link = &jobs->buckets[bucket_of(rollout->genotype, rollout->controller,
-                                                      rollout->physics, rollout->environment)];
+  struct mo_rollout **link = &all->buckets[bucket_of(rollout->genotype, rollout->controller,
+                                                     rollout->physics, rollout->environment)];
   while (*link != NULL && *link != rollout)
     link = &(*link)->next;
   if (*link == rollout)
@@ -81,7 +127,7 @@ static bool wait_at(struct mo_rollout *rollout, struct mo_active *active, size_t
   *waiter = (struct mo_waiter){active, cell, owner, rollout->waiters};
   rollout->waiters = waiter;
   active->references++;
-  active->cells[cell] = MO_CELL_UNDER_WAY;
+  active->cells[cell] = MO_CELL_IN_FLIGHT;
   return true;
 }
 
@@ -89,7 +135,7 @@ static bool wait_at(struct mo_rollout *rollout, struct mo_active *active, size_t
 
 enum origin { COMPUTED, SHARED, STORED };
 
-static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t cell,
+static void finish_cell(struct mo_evaluations *all, struct mo_active *active, size_t cell,
                         int32_t diverged_step, enum origin origin)
 {
   uint32_t design = (uint32_t)(cell / active->work->n_environments);
@@ -97,7 +143,7 @@ static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t c
   active->left[design]--;
   active->done++;
   active->changed = true;
-  mo_pending_touch(jobs);
+  mo_pending_touch(all);
   if (diverged_step != 0)
     active->diverged++;
   if (origin == STORED && active->own_before > 0)
@@ -105,14 +151,14 @@ static void finish_cell(struct mo_jobs *jobs, struct mo_active *active, size_t c
   else if (origin != COMPUTED)
     active->cached++;
   if (origin == STORED)
-    atomic_fetch_add(&jobs->cached, 1);
+    atomic_fetch_add(&all->jobs->cached, 1);
   if (origin == SHARED)
-    atomic_fetch_add(&jobs->shared, 1);
+    atomic_fetch_add(&all->jobs->shared, 1);
   if (active->left[design] == 0 && active->work->environment_set != 0) {
     struct mo_saved_design saved = {active->work->genotype_rows[design], active->work->controller,
                                     active->work->physics, active->work->environment_set};
-    if (mo_pending_design(jobs, &saved) != MO_OK)
-      mo_active_fail(jobs, active, MO_ERR_NO_MEMORY, "out of memory");
+    if (mo_pending_design(all, &saved) != MO_OK)
+      mo_active_fail(all, active, MO_ERR_NO_MEMORY, "out of memory");
   }
 }
 
@@ -132,7 +178,7 @@ static void free_flight(struct mo_flight *flight)
     free(flight->recordings[i].com_m);
     free(flight->recordings[i].mass_m);
   }
-  flight->jobs->recording_bytes -= flight->recorded_bytes;
+  flight->all->recording_bytes -= flight->recorded_bytes;
   mo_body_free(flight->body);
   free(flight);
 }
@@ -140,24 +186,25 @@ static void free_flight(struct mo_flight *flight)
 static void flight_done(struct mo_block *block, void *context)
 {
   struct mo_flight *flight = context;
-  struct mo_jobs *jobs = flight->jobs;
+  struct mo_evaluations *all = flight->all;
   (void)block;
-  pthread_mutex_lock(&jobs->mutex);
-  flight->next_inbox = jobs->finished;
-  jobs->finished = flight;
-  pthread_cond_signal(&jobs->news);
-  pthread_mutex_unlock(&jobs->mutex);
+  pthread_mutex_lock(&all->runners->mutex);
+  flight->next_inbox = all->finished;
+  all->finished = flight;
+  pthread_cond_broadcast(&all->runners->news);
+  pthread_mutex_unlock(&all->runners->mutex);
 }
 
-static struct mo_flight *new_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+static struct mo_flight *new_flight(struct mo_evaluations *all, struct mo_active *active,
+                                    uint32_t design)
 {
   const struct mo_work *work = active->work;
   struct mo_flight *flight = calloc(1, sizeof(*flight));
   if (flight == NULL)
     return NULL;
-  flight->jobs = jobs;
+  flight->all = all;
   flight->genotype = work->genotypes[design];
-  flight->block = (struct mo_block){.lattice = jobs->lattice,
+  flight->block = (struct mo_block){.lattice = all->jobs->lattice,
                                     .genotype = flight->genotype.words,
                                     .controller = active->controller->ready,
                                     .physics = work->job.physics,
@@ -166,7 +213,7 @@ static struct mo_flight *new_flight(struct mo_jobs *jobs, struct mo_active *acti
                                     .back_end = active->back_end,
                                     .cancel = &flight->cancel,
                                     .tag = active->id,
-                                    .share = jobs->evaluations,
+                                    .share = all->jobs->evaluation_share,
                                     .done = flight_done,
                                     .context = flight};
   return flight;
@@ -178,32 +225,31 @@ static enum mo_lane lane_of(const struct mo_flight *flight)
 }
 
 /* Submits the block. The job must outlive the block, which uses its environments and controller. */
-static void launch(struct mo_jobs *jobs, struct mo_active *active, struct mo_flight *flight)
+static void launch(struct mo_evaluations *all, struct mo_active *active, struct mo_flight *flight)
 {
   double cost = (double)flight->block.n_environments * flight->block.physics.n_steps;
   int error;
   active->pass += cost / active->weight;
   active->references++;
   flight->owner = active;
-  flight->serial = ++jobs->serial;
-  flight->next = jobs->flights;
-  if (jobs->flights != NULL)
-    jobs->flights->previous = flight;
-  jobs->flights = flight;
-  jobs->n_flights[lane_of(flight)]++;
-  atomic_fetch_add(&jobs->blocks_in_flight, 1);
-  error = mo_compute_submit(jobs->compute, &flight->block);
+  flight->next = all->flights;
+  if (all->flights != NULL)
+    all->flights->previous = flight;
+  all->flights = flight;
+  all->n_flights[lane_of(flight)]++;
+  atomic_fetch_add(&all->jobs->blocks_in_flight, 1);
+  error = mo_compute_submit(all->jobs->compute, &flight->block);
   if (error != MO_OK) {
     flight->block.status = error;
     flight_done(&flight->block, flight);
   }
 }
 
-static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
+static int prepare_recording(struct mo_evaluations *all, const struct mo_job *job,
                              struct mo_flight *flight)
 {
   uint32_t frames = mo_recording_frames(&job->physics, job->record_stride);
-  int error = mo_body_create(jobs->lattice, flight->genotype.words, &flight->body);
+  int error = mo_body_create(all->jobs->lattice, flight->genotype.words, &flight->body);
   if (error != MO_OK)
     return error;
   flight->frames = frames;
@@ -212,7 +258,7 @@ static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
   flight->recorded_bytes =
       (uint64_t)flight->block.n_environments * frames *
       ((job->record_com ? 24 : 0) + (job->record_masses ? flight->body->n_masses * 12 : 0));
-  jobs->recording_bytes += flight->recorded_bytes;
+  all->recording_bytes += flight->recorded_bytes;
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
     struct mo_recording *recording = &flight->recordings[i];
     recording->stride = job->record_stride;
@@ -228,10 +274,10 @@ static int prepare_recording(struct mo_jobs *jobs, const struct mo_job *job,
 }
 
 /* Launches the next cells of a design of a verify or recording job, without look-ups. */
-static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+static int launch_private(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
-  struct mo_flight *flight = new_flight(jobs, active, design);
+  struct mo_flight *flight = new_flight(all, active, design);
   int error = flight == NULL ? MO_ERR_NO_MEMORY : MO_OK;
   if (error == MO_OK)
     for (uint32_t k = 0; k < work->n_environments && flight->block.n_environments < MO_BLOCK_LANES;
@@ -243,36 +289,36 @@ static int launch_private(struct mo_jobs *jobs, struct mo_active *active, uint32
       flight->cells[flight->block.n_environments++] = cell;
     }
   if (error == MO_OK && (work->job.record_com || work->job.record_masses))
-    error = prepare_recording(jobs, &work->job, flight);
+    error = prepare_recording(all, &work->job, flight);
   if (error != MO_OK) {
     if (flight != NULL)
       free_flight(flight);
-    mo_active_fail(jobs, active, error, mo_error_text(error));
+    mo_active_fail(all, active, error, mo_error_text(error));
     return -1;
   }
   for (uint32_t i = 0; i < flight->block.n_environments; i++)
-    active->cells[flight->cells[i]] = MO_CELL_UNDER_WAY;
-  launch(jobs, active, flight);
+    active->cells[flight->cells[i]] = MO_CELL_IN_FLIGHT;
+  launch(all, active, flight);
   return 1;
 }
 
 /* Adds a cell that neither the table nor the store knows to the block. false: out of memory. */
-static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t design, uint32_t k,
-                        struct mo_flight **flight)
+static bool join_flight(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                        uint32_t k, struct mo_flight **flight)
 {
   const struct mo_work *work = active->work;
   size_t cell = (size_t)design * work->n_environments + k;
   struct mo_rollout *rollout;
   if (*flight == NULL)
-    *flight = new_flight(jobs, active, design);
+    *flight = new_flight(all, active, design);
   if (*flight == NULL)
     return false;
-  rollout = add_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
+  rollout = add_rollout(all, work, work->genotype_rows[design], work->environment_rows[k]);
   if (rollout == NULL)
     return false;
   rollout->flight = *flight;
   if (!wait_at(rollout, active, cell, true)) {
-    mo_rollout_forget(jobs, rollout);
+    mo_rollout_forget(all, rollout);
     return false;
   }
   (*flight)->block.environments[(*flight)->block.n_environments] = &work->environments[k];
@@ -282,16 +328,16 @@ static bool join_flight(struct mo_jobs *jobs, struct mo_active *active, uint32_t
 
 /* Finishes the known cells of one design and launches at most one block. 1: launched; 0: not; −1:
  * the job failed. */
-static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32_t design)
+static int advance_design(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
   struct mo_flight *flight = NULL;
   bool whole = true;
-  int error = mo_store_scores(jobs->store, work->genotype_rows[design], work->controller,
+  int error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
                               work->physics, work->environment_rows, work->n_environments, scores);
   if (error != MO_OK) {
-    mo_active_fail(jobs, active, error, mo_error_text(error));
+    mo_active_fail(all, active, error, mo_error_text(error));
     return -1;
   }
   for (uint32_t k = 0; k < work->n_environments && whole; k++) {
@@ -300,25 +346,25 @@ static int advance_design(struct mo_jobs *jobs, struct mo_active *active, uint32
     if (active->cells[cell] != MO_CELL_TO_DO)
       continue;
     if (scores[k].known) {
-      finish_cell(jobs, active, cell, scores[k].diverged_step, STORED);
+      finish_cell(all, active, cell, scores[k].diverged_step, STORED);
       continue;
     }
-    rollout = find_rollout(jobs, work, work->genotype_rows[design], work->environment_rows[k]);
+    rollout = find_rollout(all, work, work->genotype_rows[design], work->environment_rows[k]);
     if (rollout != NULL && !may_wait_at(rollout, active))
       rollout = NULL;
     if (rollout != NULL && rollout->flight == NULL)
-      finish_cell(jobs, active, cell, rollout->diverged_step, SHARED);
+      finish_cell(all, active, cell, rollout->diverged_step, SHARED);
     else if (rollout != NULL)
       whole = wait_at(rollout, active, cell, false);
     else if (flight == NULL || flight->block.n_environments < MO_BLOCK_LANES)
-      whole = join_flight(jobs, active, design, k, &flight);
+      whole = join_flight(all, active, design, k, &flight);
   }
   if (flight != NULL && flight->block.n_environments > 0)
-    launch(jobs, active, flight);
+    launch(all, active, flight);
   else if (flight != NULL)
     free_flight(flight);
   if (!whole) {
-    mo_active_fail(jobs, active, MO_ERR_NO_MEMORY, mo_error_text(MO_ERR_NO_MEMORY));
+    mo_active_fail(all, active, MO_ERR_NO_MEMORY, mo_error_text(MO_ERR_NO_MEMORY));
     return -1;
   }
   return flight != NULL ? 1 : 0;
@@ -331,7 +377,7 @@ static bool has_cell_to_do(const struct mo_active *active, uint32_t design)
          memchr(cells, MO_CELL_TO_DO, active->work->n_environments) != NULL;
 }
 
-int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *budget)
+int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget)
 {
   while (active->cursor < active->work->n_designs) {
     int result;
@@ -342,8 +388,8 @@ int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *
     if (*budget == 0)
       return 0;
     (*budget)--;
-    result = active->private_runs ? launch_private(jobs, active, active->cursor)
-                                  : advance_design(jobs, active, active->cursor);
+    result = active->private_runs ? launch_private(all, active, active->cursor)
+                                  : advance_design(all, active, active->cursor);
     if (result != 0)
       return result;
   }
@@ -352,35 +398,20 @@ int mo_active_advance(struct mo_jobs *jobs, struct mo_active *active, unsigned *
 
 /* ---- taking blocks back ---- */
 
-static void drop_flight(struct mo_jobs *jobs, struct mo_flight *flight)
+static void drop_flight(struct mo_evaluations *all, struct mo_flight *flight)
 {
   if (flight->previous != NULL)
     flight->previous->next = flight->next;
   else
-    jobs->flights = flight->next;
+    all->flights = flight->next;
   if (flight->next != NULL)
     flight->next->previous = flight->previous;
-  jobs->n_flights[lane_of(flight)]--;
-  atomic_fetch_sub(&jobs->blocks_in_flight, 1);
-}
-
-void mo_block_describe(int status, char text[128])
-{
-  if (status == NOT_A_LOSS)
-    snprintf(text, 128, "the runner of rollouts gave a loss that is not a number");
-  else
-    snprintf(text, 128, "the runner of rollouts reported: %s", mo_error_text(status));
-}
-
-int mo_block_check(const struct mo_block *block, uint32_t i)
-{
-  if (block->status != MO_OK)
-    return block->status;
-  return block->outcomes[i].loss > -INFINITY ? MO_OK : NOT_A_LOSS;
+  all->n_flights[lane_of(flight)]--;
+  atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
 }
 
 /* Reports the outcome to all cells that wait for the rollout, and frees the list. */
-static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int status)
+static void tell_waiters(struct mo_evaluations *all, struct mo_rollout *rollout, int status)
 {
   char text[128];
   while (rollout->waiters != NULL) {
@@ -388,7 +419,7 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
     struct mo_active *active = waiter->active;
     rollout->waiters = waiter->next;
     if (status == MO_OK) {
-      finish_cell(jobs, active, waiter->cell, rollout->diverged_step,
+      finish_cell(all, active, waiter->cell, rollout->diverged_step,
                   waiter->owner ? COMPUTED : SHARED);
     } else if (!active->detached) {
       return_cell(active, waiter->cell);
@@ -396,21 +427,21 @@ static void tell_waiters(struct mo_jobs *jobs, struct mo_rollout *rollout, int s
       if (status != MO_ERR_CANCELLED &&
           (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
         mo_block_describe(status, text);
-        mo_active_fail(jobs, active, status, text);
+        mo_active_fail(all, active, status, text);
       }
     }
     free(waiter);
-    mo_active_release(jobs, active);
+    active->references--;
   }
 }
 
-static int64_t fingerprint_of(const struct mo_jobs *jobs, const struct mo_block *block)
+static int64_t fingerprint_of(const struct mo_evaluations *all, const struct mo_block *block)
 {
-  return block->computed_on == MO_ON_DEVICE ? jobs->device_fingerprint
-                                            : jobs->fingerprints[block->precision];
+  return block->computed_on == MO_ON_DEVICE ? all->jobs->device_fingerprint
+                                            : all->jobs->fingerprints[block->precision];
 }
 
-static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
+static void land_shared(struct mo_evaluations *all, struct mo_flight *flight)
 {
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
     struct mo_rollout *rollout = flight->rollouts[i];
@@ -419,29 +450,28 @@ static void land_shared(struct mo_jobs *jobs, struct mo_flight *flight)
                                    .controller = rollout->controller,
                                    .physics = rollout->physics,
                                    .environment = rollout->environment,
-                                   .fingerprint = fingerprint_of(jobs, &flight->block),
+                                   .fingerprint = fingerprint_of(all, &flight->block),
                                    .loss = outcome->loss,
                                    .diverged_step = outcome->diverged_step};
-    int status = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
+    int status = mo_block_check(&flight->block, i);
     if (status == MO_OK)
-      status = mo_pending_score(jobs, &score);
+      status = mo_pending_score(all, &score);
     if (status == MO_OK) {
       rollout->flight = NULL;
-      rollout->loss = outcome->loss;
       rollout->diverged_step = outcome->diverged_step;
-      rollout->next_save = jobs->pending.rollouts;
-      jobs->pending.rollouts = rollout;
-      atomic_fetch_add(&jobs->computed, 1);
-      atomic_fetch_add(&jobs->diverged, outcome->diverged_step != 0);
-      tell_waiters(jobs, rollout, MO_OK);
+      rollout->next_save = all->pending.rollouts;
+      all->pending.rollouts = rollout;
+      atomic_fetch_add(&all->jobs->computed, 1);
+      atomic_fetch_add(&all->jobs->diverged, outcome->diverged_step != 0);
+      tell_waiters(all, rollout, MO_OK);
     } else {
-      tell_waiters(jobs, rollout, status);
-      mo_rollout_forget(jobs, rollout);
+      tell_waiters(all, rollout, status);
+      mo_rollout_forget(all, rollout);
     }
   }
 }
 
-static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uint32_t i)
+static int land_private_cell(struct mo_evaluations *all, struct mo_flight *flight, uint32_t i)
 {
   struct mo_active *active = flight->owner;
   const struct mo_work *work = active->work;
@@ -452,7 +482,7 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
                                  .controller = work->controller,
                                  .physics = work->physics,
                                  .environment = work->environment_rows[k],
-                                 .fingerprint = fingerprint_of(jobs, &flight->block),
+                                 .fingerprint = fingerprint_of(all, &flight->block),
                                  .loss = outcome->loss,
                                  .diverged_step = outcome->diverged_step,
                                  .verify_job = work->job.verify ? active->id : 0,
@@ -468,63 +498,50 @@ static int land_private_cell(struct mo_jobs *jobs, struct mo_flight *flight, uin
                                         .n_masses = flight->body->n_masses,
                                         .com_m = flight->recordings[i].com_m,
                                         .mass_m = flight->recordings[i].mass_m};
-    error = mo_pending_trajectory(jobs, &saved);
+    error = mo_pending_trajectory(all, &saved);
     if (error == MO_OK) { /* the save owns the arrays now */
       flight->recordings[i].com_m = NULL;
       flight->recordings[i].mass_m = NULL;
     }
   }
   if (error == MO_OK)
-    error = mo_pending_score(jobs, &score);
+    error = mo_pending_score(all, &score);
   if (error != MO_OK)
     return error;
-  atomic_fetch_add(&jobs->computed, 1);
-  atomic_fetch_add(&jobs->diverged, outcome->diverged_step != 0);
-  finish_cell(jobs, active, flight->cells[i], outcome->diverged_step, COMPUTED);
+  atomic_fetch_add(&all->jobs->computed, 1);
+  atomic_fetch_add(&all->jobs->diverged, outcome->diverged_step != 0);
+  finish_cell(all, active, flight->cells[i], outcome->diverged_step, COMPUTED);
   return MO_OK;
 }
 
-static void land_private(struct mo_jobs *jobs, struct mo_flight *flight)
+static void land_private(struct mo_evaluations *all, struct mo_flight *flight)
 {
   struct mo_active *active = flight->owner;
   char text[128];
   for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    int status = mo_back_end_error(flight->block.back_end, mo_block_check(&flight->block, i));
+    int status = mo_block_check(&flight->block, i);
     if (status == MO_OK)
-      status = land_private_cell(jobs, flight, i);
+      status = land_private_cell(all, flight, i);
     if (status == MO_OK || active->detached)
       continue;
     return_cell(active, flight->cells[i]);
     if (status != MO_ERR_CANCELLED) {
       mo_block_describe(status, text);
-      mo_active_fail(jobs, active, status, text);
+      mo_active_fail(all, active, status, text);
     }
   }
 }
 
-void mo_flight_land(struct mo_jobs *jobs, struct mo_flight *flight)
+void mo_flight_land(struct mo_evaluations *all, struct mo_flight *flight)
 {
   struct mo_active *owner = flight->owner;
-  drop_flight(jobs, flight);
+  drop_flight(all, flight);
   if (flight->rollouts[0] != NULL)
-    land_shared(jobs, flight);
+    land_shared(all, flight);
   else
-    land_private(jobs, flight);
+    land_private(all, flight);
   if (flight->block.urgency == MO_INTERACTIVE)
-    jobs->pending.urgent = true;
+    all->pending.urgent = true;
   free_flight(flight);
-  mo_active_release(jobs, owner);
-}
-
-void mo_flights_cancel(struct mo_jobs *jobs, bool all)
-{
-  for (struct mo_flight *flight = jobs->flights; flight != NULL; flight = flight->next) {
-    bool wanted = flight->rollouts[0] == NULL && !flight->owner->detached;
-    for (uint32_t i = 0; i < MO_BLOCK_LANES && flight->rollouts[i] != NULL; i++)
-      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL;
-           waiter = waiter->next)
-        wanted = wanted || !waiter->active->detached;
-    if (all || !wanted)
-      __atomic_store_n(&flight->cancel, 1, __ATOMIC_RELAXED);
-  }
+  owner->references--;
 }

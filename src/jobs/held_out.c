@@ -1,21 +1,19 @@
-/* training_held_out.c: the held-out designs of a training's validation, and their score.
+/* held_out.c: the held-out designs of a training's validation, and their score.
  *
  * The score of a design is its mean loss over the environments. The mean over designs omits designs
  * of which a rollout diverged; diverged rollouts are counted. Sums run in the order of designs and
  * environments, so they have the same bits for any number of workers. */
+#include "jobs/held_out.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "jobs/internal.h"
 
 #define BLOCKS_AT_ONCE        64
 #define DEVICE_BLOCKS_AT_ONCE 4096
 
 void mo_held_out_free(struct mo_held_out *held_out)
 {
-  if (held_out == NULL)
-    return;
   free(held_out->genotypes);
   free(held_out->environments);
   memset(held_out, 0, sizeof(*held_out));
@@ -53,13 +51,6 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
   return error;
 }
 
-int mo_jobs_training_held_out(struct mo_jobs *jobs, int64_t id, struct mo_held_out *held_out)
-{
-  struct mo_training_status status;
-  int error = mo_store_training(jobs->store, id, &status);
-  return error == MO_OK ? mo_held_out_load(jobs->store, &status, held_out) : error;
-}
-
 /* ---- scores ---- */
 
 /* Sums so far. */
@@ -95,11 +86,13 @@ static void take(struct tally *tally, const struct mo_block *block,
   }
 }
 
-int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out,
-                      const struct mo_controller *controller, const struct mo_physics *physics,
-                      enum mo_back_end back_end, int64_t tag, struct mo_compute_share *share,
-                      const volatile int *cancel, struct mo_training_validation_row *row)
+int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_out,
+                      const struct mo_controller *controller,
+                      const struct mo_training_status *status, struct mo_compute_share *share,
+                      struct mo_training_validation_row *row)
 {
+  const enum mo_back_end back_end = status->job.back_end;
+  struct mo_jobs *jobs = runner->jobs;
   uint32_t per_design = (held_out->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
   size_t total = (size_t)per_design * held_out->n_designs;
   size_t at_once = back_end == MO_ON_DEVICE ? DEVICE_BLOCKS_AT_ONCE : BLOCKS_AT_ONCE;
@@ -118,12 +111,12 @@ int mo_held_out_score(struct mo_jobs *jobs, const struct mo_held_out *held_out,
                                     .genotype = held_out->genotypes[(first + b) / per_design].words,
                                     .controller = ready,
                                     .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
-                                    .physics = *physics,
+                                    .physics = status->record.settings.physics,
                                     .precision = MO_FLOAT32,
                                     .urgency = MO_BATCH,
                                     .back_end = back_end,
-                                    .cancel = cancel,
-                                    .tag = tag,
+                                    .cancel = &runner->interrupt,
+                                    .tag = runner->id,
                                     .share = share};
       for (uint32_t i = 0; i < blocks[b].n_environments; i++)
         blocks[b].environments[i] = &held_out->environments[from + i];

@@ -1,33 +1,12 @@
-/* campaigns.c: live figures and champions of campaigns. */
+/* campaign_champions.c: the champions of a generation, and recordings of them. */
 #include "jobs/campaigns.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/internal.h"
-
-const char *mo_campaign_phase_name(enum mo_campaign_phase phase)
-{
-  static const char *const names[] = {"idle",    "preparing", "varying", "learning",
-                                      "scoring", "saving",    "waiting"};
-  return (unsigned)phase < sizeof(names) / sizeof(names[0]) ? names[phase] : "unknown";
-}
-
-int mo_jobs_campaign_live(struct mo_jobs *jobs, int64_t id, struct mo_campaign_live *live)
-{
-  struct mo_runner *runner;
-  *live = (struct mo_campaign_live){.phase = MO_CAMPAIGN_IDLE, .seconds_left = -1, .busy_s = -1};
-  pthread_mutex_lock(&jobs->campaigns.mutex);
-  runner = mo_runners_find(&jobs->campaigns, id);
-  if (runner != NULL)
-    *live = runner->live.campaign;
-  pthread_mutex_unlock(&jobs->campaigns.mutex);
-  if (runner == NULL && mo_memory_reason(jobs, id, live->reason))
-    live->phase = MO_CAMPAIGN_WAIT;
-  if (runner != NULL)
-    live->busy_s = mo_jobs_busy_s(jobs, id);
-  return MO_OK;
-}
+#include "jobs/evaluations.h"
+#include "jobs/learner.h"
+#include "store/runner.h"
 
 /* ---- champions ---- */
 
@@ -142,14 +121,16 @@ static int free_name(struct mo_store *store, int64_t id, int64_t generation,
   return error == MO_ERR_NOT_FOUND ? MO_OK : error == MO_OK ? MO_ERR_CONFLICT : error;
 }
 
-/* Exports the controller that scored the newest generation of a campaign that learns, from its
- * checkpoint. */
-static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
-                             struct mo_controller **controller)
+/* Stores the controller that scored the newest generation of a campaign that learns, from its
+ * checkpoint, under a new name; *created: remove the name when a job refers to the file. */
+static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
+                            struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
+                            bool *created)
 {
   const struct mo_campaign_record *record = &status->record;
   struct mo_training *training = NULL;
-  char digits[MO_SHA256_DIGITS + 1];
+  struct mo_learned learned = {.controller = NULL};
+  struct mo_controller_record stored;
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t step = 0;
@@ -158,35 +139,18 @@ static int export_controller(struct mo_jobs *jobs, const struct mo_campaign_stat
   if (error == MO_OK)
     error = mo_training_decode(bytes, size, &training, NULL);
   free(bytes);
-  mo_sha256_to_hex(&record->controller_sha256, digits);
   if (error == MO_OK)
-    error = mo_training_export(training, record->has_controller ? digits : NULL,
-                               jobs->code_versions[status->job.back_end], NULL, controller);
+    error = mo_learned_create(training, record->has_controller ? &record->controller_sha256 : NULL,
+                              jobs->code_versions[status->job.back_end], NULL, &learned);
   mo_training_free(training);
-  return error;
-}
-
-/* Stores that controller under a new name; *created: remove the name when a job refers to the file.
- */
-static int store_controller(struct mo_jobs *jobs, const struct mo_campaign_status *status,
-                            struct mo_sha256 *sha256, char name[MO_NAME_BYTES_MAX + 1],
-                            bool *created)
-{
-  struct mo_controller *controller = NULL;
-  struct mo_controller_record record;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error = export_controller(jobs, status, &controller);
-  if (error == MO_OK)
-    error = mo_controller_encode(controller, &bytes, &size);
   if (error == MO_OK) {
-    mo_sha256_of(bytes, size, sha256);
+    mo_sha256_of(learned.bytes, learned.size, sha256);
     error = free_name(jobs->store, status->job.id, status->generation, sha256, name);
   }
   if (error == MO_OK)
-    error = mo_store_controller_put(jobs->store, name, bytes, size, controller, &record, created);
-  free(bytes);
-  mo_controller_free(controller);
+    error = mo_store_controller_put(jobs->store, name, learned.bytes, learned.size,
+                                    learned.controller, &stored, created);
+  mo_learned_free(&learned);
   return error;
 }
 

@@ -1,4 +1,5 @@
-/* training_run.c: runs one training to its end or until a request.
+/* training.c: the kind "training": checks and stores a submission, runs one training to its end or
+ * until a request.
  *
  * A step draws robots, waits for their gradient and applies it. Rows of steps are written about
  * once a second and before every checkpoint. A checkpoint is written when it is due, at a pause, at
@@ -8,20 +9,24 @@
  *
  * A run that lacks space tries again every second (retry_ms) until it succeeds or a request
  * arrives. A stop request does not wait: the next process continues from the last checkpoint. */
-#include <math.h>
+#include "jobs/trainings.h"
+
 #include <stdlib.h>
 #include <string.h>
 
-#include "jobs/internal.h"
-
 #include "base/clock.h"
+#include "jobs/held_out.h"
+#include "jobs/learner.h"
+#include "jobs/submission.h"
 
 #define ROWS_MAX      256
 #define RATES         16 /* steps over which the speed is averaged */
 #define ROWS_EVERY_US INT64_C(1000000)
+/* A robot of a pretraining takes so much memory: random body, environment, outcome. */
+#define DRAWN_BYTES ((uint64_t)5 << 10)
 
 struct run {
-  struct mo_attempt attempt;
+  struct mo_runner *runner;
   struct mo_jobs *jobs;
   int64_t id;
   struct mo_training_status status; /* from the time of the claim */
@@ -42,52 +47,32 @@ struct run {
   enum mo_back_end noted;
 };
 
-static int set_phase(struct mo_runner *runner, int phase, const char *reason)
+static enum mo_phase enter(struct run *run, enum mo_phase phase)
 {
-  struct mo_training_live *live = &runner->live.training;
-  enum mo_training_phase before;
+  struct mo_runner *runner = run->runner;
   pthread_mutex_lock(&runner->runners->mutex);
-  before = live->phase;
-  live->phase = (enum mo_training_phase)phase;
-  snprintf(live->reason, sizeof(live->reason), "%s", reason);
-  pthread_mutex_unlock(&runner->runners->mutex);
-  return (int)before;
-}
-
-static int enter(struct run *run, enum mo_training_phase phase)
-{
-  struct mo_runner *runner = run->attempt.runner;
-  pthread_mutex_lock(&runner->runners->mutex);
-  runner->live.training.step =
+  runner->live.position =
       run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
   pthread_mutex_unlock(&runner->runners->mutex);
-  return set_phase(runner, (int)phase, "");
+  return mo_runner_enter(runner, phase);
 }
 
 /* ---- writes that wait for space ---- */
-
-static const char *number(double value, char text[32])
-{
-  snprintf(text, 32, isfinite(value) ? "%.9g" : "null", value);
-  return text;
-}
 
 static int write_rows(void *context)
 {
   struct run *run = context;
   const struct mo_training_report *report = &run->rows[run->n_rows - 1].report;
-  const struct mo_training_live *live =
-      &run->attempt.runner->live.training; /* only this thread changes it */
-  char data[480], loss[32], norm[32], rate[32], clipped[32], speed[32], left[32];
+  const struct mo_live *live = &run->runner->live; /* only this thread changes it */
+  char data[480];
   int error;
   snprintf(
       data, sizeof(data),
       "{\"id\":\"%lld\",\"step\":%u,\"steps\":%u,\"mean_loss\":%s,\"gradient_norm\":%s,\"rate\":%s,"
       "\"clipped_share\":%s,\"bodies_per_s\":%s,\"seconds_left\":%s}",
       (long long)run->id, (unsigned)report->step, (unsigned)run->status.record.settings.n_steps,
-      number(report->mean_loss, loss), number(report->gradient_norm, norm),
-      number(report->rate, rate), number(report->clipped_share, clipped),
-      number(live->robots_per_s, speed), number(live->seconds_left, left));
+      MO_FIGURE(report->mean_loss), MO_FIGURE(report->gradient_norm), MO_FIGURE(report->rate),
+      MO_FIGURE(report->clipped_share), MO_FIGURE(live->rate), MO_FIGURE(live->seconds_left));
   error = mo_store_training_progress(run->jobs->store, run->id, run->rows, run->n_rows, NULL, data);
   if (error == MO_OK) {
     run->n_rows = 0;
@@ -98,7 +83,7 @@ static int write_rows(void *context)
 
 static int flush(struct run *run)
 {
-  return run->n_rows > 0 ? mo_attempt_persist(&run->attempt, write_rows, run, "the learning curve")
+  return run->n_rows > 0 ? mo_runner_persist(run->runner, write_rows, run, "the learning curve")
                          : MO_OK;
 }
 
@@ -126,14 +111,15 @@ static int write_checkpoint(void *context)
 static int save(struct run *run)
 {
   char what[64];
-  int phase, error = flush(run);
+  enum mo_phase phase;
+  int error = flush(run);
   if (error != MO_OK || mo_training_step(run->learner.training) == run->checkpoint_step)
     return error;
-  phase = enter(run, MO_TRAINING_SAVE);
+  phase = enter(run, MO_PHASE_SAVE);
   snprintf(what, sizeof(what), "the checkpoint of step %u",
            (unsigned)mo_training_step(run->learner.training));
-  error = mo_attempt_persist(&run->attempt, write_checkpoint, run, what);
-  (void)set_phase(run->attempt.runner, phase, "");
+  error = mo_runner_persist(run->runner, write_checkpoint, run, what);
+  (void)mo_runner_enter(run->runner, phase);
   return error;
 }
 
@@ -164,7 +150,7 @@ static int load_checkpoint(struct run *run)
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
              (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
              i + 1 < n ? "the one before it is taken" : "the training begins anew");
-    mo_attempt_warn(&run->attempt, error, text);
+    mo_runner_warn(run->runner, error, text);
   }
   return MO_ERR_NOT_FOUND;
 }
@@ -175,26 +161,17 @@ static int begin_anew(struct run *run)
   struct mo_message message = {.text = ""};
   struct mo_controller *parent = NULL;
   struct mo_bits *genotypes = NULL;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
   uint32_t n = 0;
-  int error = MO_OK;
-  if (record->has_parent) {
-    error = mo_store_controller_bytes(run->jobs->store, &record->parent_sha256, &bytes, &size);
-    if (error == MO_OK)
-      error = mo_controller_decode(bytes, size, &parent, NULL);
-    free(bytes);
-    if (error == MO_ERR_CORRUPT || error == MO_ERR_IO || error == MO_ERR_FORMAT)
-      return mo_attempt_fail_controller(&run->attempt, error, &record->parent_sha256);
-  }
+  int error =
+      record->has_parent ? mo_runner_load(run->runner, &record->parent_sha256, &parent) : MO_OK;
   if (error == MO_OK && record->n_designs > 0)
     error = mo_store_training_designs(run->jobs->store, run->id, &genotypes, &n);
   if (error == MO_OK)
     error =
         mo_training_create(&record->settings, parent, genotypes != NULL ? genotypes[0].words : NULL,
                            n, &run->learner.training, &message);
-  if (error != MO_OK && run->attempt.text[0] == '\0' && message.text[0] != '\0')
-    snprintf(run->attempt.text, sizeof(run->attempt.text),
+  if (error != MO_OK && run->runner->text[0] == '\0' && message.text[0] != '\0')
+    snprintf(run->runner->text, sizeof(run->runner->text),
              "the training cannot be prepared: %.200s", message.text);
   free(genotypes);
   mo_controller_free(parent);
@@ -205,7 +182,7 @@ static int prepare(struct run *run)
 {
   int error = mo_store_training(run->jobs->store, run->id, &run->status);
   if (error != MO_OK)
-    return mo_attempt_fail_unreadable(&run->attempt, error);
+    return mo_runner_fail_unreadable(run->runner, error);
   run->validated = run->status.has_validation ? (int64_t)run->status.validation.step : -1;
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
   if (error != MO_OK)
@@ -241,14 +218,13 @@ static void note_speed(struct run *run, double seconds)
     if (run->rates[i].end_us < oldest)
       oldest = run->rates[i].end_us;
   }
-  pthread_mutex_lock(&run->attempt.runner->runners->mutex);
-  run->attempt.runner->live.training.step = mo_training_step(run->learner.training);
-  run->attempt.runner->live.training.robots_per_s =
-      sum > 0 ? (double)settings->batch * (double)n / sum : 0;
+  pthread_mutex_lock(&run->runner->runners->mutex);
+  run->runner->live.position = mo_training_step(run->learner.training);
+  run->runner->live.rate = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* Includes the time between steps: validations, checkpoints. */
-  run->attempt.runner->live.training.seconds_left =
+  run->runner->live.seconds_left =
       left * (n > 1 ? (double)(now - oldest) * 1e-6 / (double)(n - 1) : seconds);
-  pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
+  pthread_mutex_unlock(&run->runner->runners->mutex);
 }
 
 static int draw(struct run *run, const struct mo_robot **robots)
@@ -258,22 +234,21 @@ static int draw(struct run *run, const struct mo_robot **robots)
                  mo_training_step(run->learner.training) > 0;
   int error;
   if (replays) {
-    pthread_mutex_lock(&run->attempt.runner->runners->mutex);
-    run->attempt.runner->live.training.replay_total =
-        (uint64_t)mo_training_step(run->learner.training) * settings->batch;
-    pthread_mutex_unlock(&run->attempt.runner->runners->mutex);
-    (void)enter(run, MO_TRAINING_REPLAY);
+    pthread_mutex_lock(&run->runner->runners->mutex);
+    run->runner->live.total = (uint64_t)mo_training_step(run->learner.training) * settings->batch;
+    pthread_mutex_unlock(&run->runner->runners->mutex);
+    (void)enter(run, MO_PHASE_REPLAY);
   }
-  error = mo_training_draw(run->learner.training, &run->attempt.runner->interrupt,
-                           &run->attempt.runner->replayed, robots);
+  error = mo_training_draw(run->learner.training, &run->runner->interrupt, &run->runner->replayed,
+                           robots);
   if (replays)
-    (void)enter(run, MO_TRAINING_LEARN);
+    (void)enter(run, MO_PHASE_LEARN);
   if (error == MO_ERR_CORRUPT)
-    return mo_attempt_fail(
-        &run->attempt, error,
+    return mo_runner_fail(
+        run->runner, error,
         "its bodies were drawn by another version of the program: they cannot be drawn again");
   if (error == MO_ERR_EXHAUSTED)
-    return mo_attempt_fail(&run->attempt, error, "no new bodies are left to learn from");
+    return mo_runner_fail(run->runner, error, "no new bodies are left to learn from");
   return error;
 }
 
@@ -296,7 +271,7 @@ static int note_code(struct run *run)
   int error;
   if (run->code_noted && run->noted == run->learner.batch.computed_on)
     return MO_OK;
-  error = mo_attempt_persist(&run->attempt, write_code, run, "the lineage");
+  error = mo_runner_persist(run->runner, write_code, run, "the lineage");
   run->code_noted = error == MO_OK;
   run->noted = run->learner.batch.computed_on;
   return error;
@@ -331,7 +306,7 @@ static int step(struct run *run)
   const struct mo_learner_turn turn = {.urgency = run->status.job.priority,
                                        .tag = run->id,
                                        .share = run->share,
-                                       .cancel = &run->attempt.runner->interrupt,
+                                       .cancel = &run->runner->interrupt,
                                        .write = write_what_is_due,
                                        .context = run};
   struct mo_training_step_row *row;
@@ -373,15 +348,14 @@ static int validate(struct run *run)
   error = flush(run);
   if (error != MO_OK)
     return error;
-  (void)enter(run, MO_TRAINING_VALIDATE);
+  (void)enter(run, MO_PHASE_VALIDATE);
   run->status.validation.step = here;
   error =
-      mo_held_out_score(run->jobs, &run->held_out, mo_training_controller(run->learner.training),
-                        &run->status.record.settings.physics, run->status.job.back_end, run->id,
-                        run->share, &run->attempt.runner->interrupt, &run->status.validation);
+      mo_held_out_score(run->runner, &run->held_out, mo_training_controller(run->learner.training),
+                        &run->status, run->share, &run->status.validation);
   if (error == MO_OK)
-    error = mo_attempt_persist(&run->attempt, write_validation, run, "a validation");
-  (void)enter(run, MO_TRAINING_LEARN);
+    error = mo_runner_persist(run->runner, write_validation, run, "a validation");
+  (void)enter(run, MO_PHASE_LEARN);
   if (error == MO_OK) {
     run->validated = here;
     atomic_fetch_add(&run->jobs->training_validations, 1);
@@ -395,34 +369,28 @@ static int write_result(void *context)
 {
   struct run *run = context;
   const struct mo_training_record *record = &run->status.record;
-  struct mo_controller *controller = NULL;
-  char digits[MO_SHA256_DIGITS + 1], name[MO_NAME_BYTES_MAX + 1];
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int error;
-  mo_sha256_to_hex(&record->parent_sha256, digits);
+  struct mo_learned learned;
+  char name[MO_NAME_BYTES_MAX + 1];
+  int error = mo_learned_create(
+      run->learner.training, record->has_parent ? &record->parent_sha256 : NULL,
+      run->jobs->code_versions[run->status.job.back_end], &run->status.code, &learned);
   if (record->name[0] != '\0')
     snprintf(name, sizeof(name), "%s", record->name);
   else
     snprintf(name, sizeof(name), "training-%lld", (long long)run->id);
-  error = mo_training_export(run->learner.training, record->has_parent ? digits : NULL,
-                             run->jobs->code_versions[run->status.job.back_end], &run->status.code,
-                             &controller);
   if (error == MO_OK)
-    error = mo_controller_encode(controller, &bytes, &size);
-  if (error == MO_OK)
-    error = mo_store_training_finish(run->jobs->store, run->id, name, bytes, size, controller);
-  free(bytes);
-  mo_controller_free(controller);
+    error = mo_store_training_finish(run->jobs->store, run->id, name, learned.bytes, learned.size,
+                                     learned.controller);
+  mo_learned_free(&learned);
   return error;
 }
 
 static int learn(struct run *run)
 {
   int error = MO_OK;
-  (void)enter(run, MO_TRAINING_LEARN);
+  (void)enter(run, MO_PHASE_LEARN);
   while (error == MO_OK) {
-    if (mo_runner_is_interrupted(run->attempt.runner))
+    if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     error = validate(run);
     if (error != MO_OK ||
@@ -433,8 +401,8 @@ static int learn(struct run *run)
   if (error == MO_OK)
     error = save(run);
   if (error == MO_OK) {
-    (void)enter(run, MO_TRAINING_SAVE);
-    error = mo_attempt_persist(&run->attempt, write_result, run, "the trained controller");
+    (void)enter(run, MO_PHASE_SAVE);
+    error = mo_runner_persist(run->runner, write_result, run, "the trained controller");
   }
   return error;
 }
@@ -446,28 +414,171 @@ static int save_rest(void *context)
   return run->learner.training != NULL ? save(run) : MO_OK;
 }
 
-static bool run_training(struct mo_runner *runner, int64_t id)
+static void clean_up(void *context)
 {
-  struct run *run = calloc(1, sizeof(*run));
-  bool failed;
-  int error;
-  if (run == NULL) {
-    runner->is_short = true;
-    return false;
-  }
-  run->attempt = (struct mo_attempt){.jobs = runner->jobs, .runner = runner, .id = id};
-  run->jobs = runner->jobs;
-  run->id = id;
-  error = prepare(run);
-  if (error == MO_OK)
-    error = learn(run);
-  failed = mo_attempt_settle(&run->attempt, error, save_rest, run);
+  struct run *run = context;
   mo_learner_free(&run->learner);
-  mo_share_close(run->jobs, id);
+  mo_share_close(run->jobs, run->id);
   mo_held_out_free(&run->held_out);
-  free(run);
-  return failed;
 }
+
+static int run_training(struct mo_runner *runner, void *context)
+{
+  struct run *run = context;
+  int error;
+  run->runner = runner;
+  run->jobs = runner->jobs;
+  run->id = runner->id;
+  error = prepare(run);
+  return error == MO_OK ? learn(run) : error;
+}
+
+/* ---- submission ---- */
+
+static struct mo_need estimate(const struct mo_jobs *jobs, const struct mo_training_record *record,
+                               enum mo_back_end back_end)
+{
+  const struct mo_training_settings *settings = &record->settings;
+  const uint64_t hands = back_end == MO_ON_DEVICE ? 2 : 1,
+                 drawn = (uint64_t)settings->n_steps * settings->batch;
+  struct mo_need need = {0};
+  mo_memory_add_learning(jobs, settings->batch, &settings->physics, back_end, &need);
+  if (settings->kind == MO_TRAINING_PRETRAIN)
+    need.own += hands * settings->batch * DRAWN_BYTES +
+                mo_form_set_reckon(MO_DEFAULT_WORKSPACE, drawn + drawn / (MO_HELD_OUT_ONE_IN - 1));
+  else
+    need.own += record->n_designs * MO_DESIGN_BYTES + hands * settings->batch * MO_ROBOT_BYTES;
+  return need;
+}
+
+static int check_kind(const struct mo_training_request *request, struct mo_message *message)
+{
+  const struct mo_training_record *record = &request->record;
+  if (record->settings.kind == MO_TRAINING_PRETRAIN) {
+    if (record->n_designs > 0 || request->population != 0)
+      return mo_fail(message, MO_ERR_INVALID,
+                     "a pretraining draws its own bodies: it takes no designs and no population");
+    return MO_OK;
+  }
+  if (request->population != 0 && record->n_designs > 0)
+    return mo_fail(message, MO_ERR_INVALID, "a finetuning takes designs or a population, not both");
+  if (request->population == 0 &&
+      (record->n_designs < 1 || record->n_designs > MO_TRAINING_DESIGNS_MAX))
+    return mo_fail(message, MO_ERR_RANGE, "a finetuning learns on 1 to %d designs, not %u",
+                   MO_TRAINING_DESIGNS_MAX, (unsigned)record->n_designs);
+  return MO_OK;
+}
+
+static int check_request(const struct mo_training_request *request, struct mo_message *message)
+{
+  const struct mo_training_record *record = &request->record;
+  int error = mo_training_settings_check(&record->settings, message);
+  if (error == MO_OK)
+    error = check_kind(request, message);
+  if (error != MO_OK)
+    return error;
+  if (record->checkpoints_kept < 1 || record->checkpoints_kept > MO_CHECKPOINTS_KEPT_MAX)
+    return mo_fail(message, MO_ERR_RANGE, "1 to %d checkpoints can be kept, not %u",
+                   MO_CHECKPOINTS_KEPT_MAX, (unsigned)record->checkpoints_kept);
+  if (record->validate_every_steps > 0 &&
+      (record->settings.held_out_designs == 0 || record->settings.held_out_environments == 0))
+    return mo_fail(message, MO_ERR_INVALID,
+                   "a validation needs at least one design and one environment");
+  return mo_result_check(record->name, request->priority, message);
+}
+
+static int load_population(struct mo_jobs *jobs, const struct mo_training_request *request,
+                           struct mo_bits **genotypes, uint32_t *n, struct mo_message *message)
+{
+  const long long population = (long long)request->population;
+  int error =
+      mo_store_population(jobs->store, request->population, request->population_best, genotypes, n);
+  switch (error) {
+  case MO_OK: break;
+  case MO_ERR_NOT_FOUND:
+    return mo_fail(message, error,
+                   "there is no population %lld: an evaluation or a campaign is expected",
+                   population);
+  case MO_ERR_CONFLICT:
+    return mo_fail(message, error, "population %lld has not succeeded, or has no generation yet",
+                   population);
+  default:
+    return mo_fail(message, error, "the population cannot be read: %s", mo_error_text(error));
+  }
+  if (*n == 0)
+    return mo_fail(message, MO_ERR_CONFLICT, "every design of population %lld has diverged",
+                   population);
+  if (*n > MO_TRAINING_DESIGNS_MAX) /* the population of a campaign */
+    return mo_fail(message, MO_ERR_RANGE,
+                   "a finetuning learns on 1 to %d designs, not %u: ask for the best of them",
+                   MO_TRAINING_DESIGNS_MAX, (unsigned)*n);
+  return MO_OK;
+}
+
+/* Chooses the back end and the designs; checks the memory. */
+static int complete(struct mo_jobs *jobs, const struct mo_training_request *request,
+                    struct mo_training_submission *submission, struct mo_placed *placed,
+                    struct mo_message *message)
+{
+  struct mo_bits *population = NULL;
+  struct mo_need need;
+  int error =
+      mo_back_end_choose(jobs, request->back_end, true, true, &submission->back_end, message);
+  if (error == MO_OK && request->population != 0)
+    error = load_population(jobs, request, &population, &submission->record.n_designs, message);
+  submission->record.population = request->population;
+  if (error == MO_OK) {
+    need = estimate(jobs, &submission->record, submission->back_end);
+    error = mo_memory_check(jobs, &need, message);
+  }
+  if (error == MO_OK)
+    error = mo_placed_create(population != NULL ? population : request->genotypes,
+                             submission->record.n_designs, placed, message);
+  free(population);
+  return error;
+}
+
+int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
+                            int64_t *id, bool *replayed, struct mo_message *message)
+{
+  const char *parent =
+      request->parent == NULL && request->record.settings.kind == MO_TRAINING_FINETUNE
+          ? "default"
+          : request->parent;
+  const struct mo_submitting submitting = {.kind = MO_JOB_TRAINING,
+                                           .n_jobs = 1,
+                                           .weight = request->weight,
+                                           .controller = parent,
+                                           .label = request->label,
+                                           .idempotency_key = request->idempotency_key,
+                                           .body_sha256 = &request->body_sha256};
+  struct mo_training_submission submission = {.record = request->record,
+                                              .parent = parent,
+                                              .priority = (enum mo_urgency)request->priority,
+                                              .weight = request->weight,
+                                              .label = request->label,
+                                              .idempotency_key = request->idempotency_key,
+                                              .body_sha256 = request->body_sha256};
+  struct mo_placed placed = {NULL, NULL};
+  int error = check_request(request, message);
+  if (error == MO_OK)
+    error = mo_submitting_begin(jobs, &submitting, id, replayed, message);
+  if (error != MO_OK || *replayed)
+    return error;
+  error = complete(jobs, request, &submission, &placed, message);
+  submission.forms = placed.forms;
+  submission.genotypes = placed.genotypes;
+  if (error == MO_OK)
+    error = mo_jobs_admit(jobs, 1, 0, message);
+  if (error == MO_OK)
+    error = mo_submitting_end(jobs, &submitting,
+                              mo_store_submit_training(jobs->store, &submission, id, replayed),
+                              *replayed, message);
+  mo_placed_free(&placed);
+  return error;
+}
+
+/* ---- the kind ---- */
 
 static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
 {
@@ -475,22 +586,23 @@ static int need(struct mo_jobs *jobs, int64_t id, struct mo_need *need)
   const int error = mo_store_training(jobs->store, id, &status);
   *need = (struct mo_need){0};
   if (error == MO_OK)
-    *need = mo_need_of_training(jobs, &status.record, status.job.back_end);
+    *need = estimate(jobs, &status.record, status.job.back_end);
   return mo_is_shortage(error) ? error : MO_OK;
 }
 
-static void begin(struct mo_runner *runner)
+static uint32_t threads(const struct mo_jobs_config *config)
 {
-  runner->live.training = (struct mo_training_live){.phase = MO_TRAINING_LEARN, .seconds_left = -1};
+  return config->max_active_trainings;
 }
 
-const struct mo_runner_kind mo_training_runners = {.noun = "training",
-                                                   .queued = mo_store_queued_trainings,
-                                                   .need = need,
-                                                   .start = mo_store_training_start,
-                                                   .park = mo_store_training_park,
-                                                   .run = run_training,
-                                                   .begin = begin,
-                                                   .set_phase = set_phase,
-                                                   .waiting = MO_TRAINING_WAIT,
-                                                   .busy = MO_TRAINING_LEARN};
+const struct mo_kind mo_training_kind = {.kind = MO_JOB_TRAINING,
+                                         .threads = threads,
+                                         .queued = mo_store_queued_trainings,
+                                         .start = mo_store_training_start,
+                                         .park = mo_store_training_park,
+                                         .need = need,
+                                         .first = MO_PHASE_LEARN,
+                                         .run_bytes = sizeof(struct run),
+                                         .run = run_training,
+                                         .save = save_rest,
+                                         .clean_up = clean_up};
