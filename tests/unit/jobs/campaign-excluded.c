@@ -425,7 +425,7 @@ static void hands_the_drawing_over(void)
   for (int i = 1; i < 3; i++)
     CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED ||
           ends_as_plain(&service, ids[i], &origin));
-  (void)settled(&service);
+  (void)idle_stats(&service);
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(warnings, 0);
   mo_form_set_free(excluded);

@@ -51,7 +51,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   rollouts = status_of(&service, id).n_designs * MO_PAPER_TEST_COUNT;
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, 0);
@@ -62,7 +62,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   /* The same once more finds everything; an evaluation of its designs does, too. */
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
   CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1),
@@ -85,9 +85,10 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   origin = origin_of(&request);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(settled(&service).campaign_cached, rollouts);
-  CHECK_INT(settled(&service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
-  CHECK_INT(settled(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
+  CHECK_INT(idle_stats(&service).campaign_cached, rollouts);
+  CHECK_INT(idle_stats(&service).campaign_rollouts - rollouts,
+            3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(idle_stats(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
   service_end(&service);
 }
 

@@ -142,7 +142,7 @@ static void cancels(void)
   CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_cancelled, 2);
   service_end(&service);
