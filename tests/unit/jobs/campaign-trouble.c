@@ -198,7 +198,7 @@ static int damage(struct service *service, int64_t id, uint32_t generation, uint
 }
 
 /* What was learned inside a generation is learned again; what a generation left cannot be. */
-__attribute__((unused)) static void tells_of_damaged_checkpoints(void)
+__attribute__((unused)) static void reports_damaged_checkpoints(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct origin origin = origin_of(&request);
@@ -368,7 +368,7 @@ static const struct check_case cases[] = {
     {"tries three times", tries_three_times},
     {"waits for memory", waits_for_memory},
     {"tries three times to learn", tries_three_times_to_learn},
-    {"tells of damaged checkpoints", tells_of_damaged_checkpoints},
+    {"reports damaged checkpoints", reports_damaged_checkpoints},
     {"needs its controller", needs_its_controller},
     {"refuses", refuses},
 #endif

@@ -1,5 +1,5 @@
 /* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
- * inputs: every mode end to end, against plain loops (campaign_history.h), and what is told of
+ * inputs: every mode end to end, against plain loops (campaign_history.h), and what is reported of
  * them. */
 #include "campaigns.h"
 #include "jobs/trainings.h"
@@ -144,9 +144,9 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   service_end(&service);
 }
 
-/* ---- what is told ---- */
+/* ---- what is reported ---- */
 
-__attribute__((unused)) static void tells_of_its_generations(void)
+__attribute__((unused)) static void reports_its_generations(void)
 {
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct mo_campaign_generation rows[GENERATIONS + 1];
@@ -331,7 +331,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
     {"begins with what is given", begins_with_what_is_given},
-    {"tells of its generations", tells_of_its_generations},
+    {"reports its generations", reports_its_generations},
     {"shows its champions", shows_its_champions},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
     {"gives its population to a training", gives_its_population_to_a_training},

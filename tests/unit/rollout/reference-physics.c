@@ -247,7 +247,7 @@ static void rest(void)
   close_scene(&s);
 }
 
-/* What the controller is told: light less its mean at the body's places, 0 elsewhere, and five
+/* The inputs of the controller: light less its mean at the body's places, 0 elsewhere, and five
  * phases of one clock. */
 static void inputs(void)
 {

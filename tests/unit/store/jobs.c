@@ -232,7 +232,7 @@ static void receive_events(void *context, const struct mo_event *events, size_t 
     received->sequences[received->n++] = events[i].sequence;
 }
 
-static void tells_of_changes(void)
+static void reports_changes(void)
 {
   struct fixture fixture;
   struct mo_bits *forms, *genotypes;
@@ -324,7 +324,7 @@ static const struct check_case cases[] = {
     {"answers a repeated key with the same job", answers_a_repeated_key},
     {"pages through jobs", pages_through_jobs},
     {"changes states only as the machine allows", changes_states},
-    {"tells of changes, in order, and prunes", tells_of_changes},
+    {"reports changes, in order, and prunes", reports_changes},
     {"keeps trajectories", keeps_trajectories},
 };
 CHECK_MAIN(cases)
