@@ -1,0 +1,67 @@
+/* job_reply.h: the kinds of jobs as the interface shows them, and replies about jobs of any
+ * kind. */
+#ifndef MORPHO_API_JOB_REPLY_H
+#define MORPHO_API_JOB_REPLY_H
+
+#include "api/handlers.h"
+#include "jobs/campaigns.h"
+#include "jobs/trainings.h"
+
+/* What is known of a job only while it runs. */
+union mo_live {
+  struct mo_training_live training;
+  struct mo_campaign_live campaign;
+};
+
+/* A kind of job. A status is its row in the store and begins with struct mo_job. */
+struct mo_kind {
+  enum mo_job_kind kind;
+  const char *path; /* "/v1/trainings" */
+  size_t status_size;
+  int (*read)(struct mo_store *store, int64_t id, void *status);
+  /* Reads a page of statuses, newest first. Returns their number or an error. */
+  int64_t (*page)(struct mo_store *store, const struct mo_campaign_query *query, void *statuses,
+                  size_t limit);
+  int (*live)(struct mo_jobs *jobs, int64_t id, union mo_live *live); /* NULL: nothing */
+  /* Returns the state to show: a running job that waits for space is shown as paused. */
+  enum mo_job_state (*state)(const void *status, const union mo_live *live);
+  /* Writes the whole resource, or the item of the list of jobs. */
+  int (*write)(struct mo_api *api, struct mo_text *text, const void *status,
+               const union mo_live *live);
+  void (*write_job)(struct mo_text *text, const void *status, const union mo_live *live);
+  bool versioned; /* the row's version covers all that is written */
+};
+extern const struct mo_kind mo_evaluation_kind, mo_training_kind, mo_campaign_kind;
+
+/* Reads a job's status (malloc) and its live state. */
+int mo_status_read(struct mo_api *api, const struct mo_kind *kind, int64_t id, void **status,
+                   union mo_live *live);
+/* Replies with a job as it stands now: whole, or as an item of the list of jobs. Without a reply,
+ * returns an error. */
+int mo_write_reply(struct mo_request *request, unsigned http_status, const struct mo_kind *kind,
+                   int64_t id, bool whole);
+void mo_reply_of_kind(struct mo_request *request, unsigned http_status, const struct mo_kind *kind,
+                      int64_t id);
+/* Replies 202 to a submission, or 200 if the job is done and the client waited. */
+void mo_reply_submitted(struct mo_request *request, const struct mo_kind *kind, int64_t id,
+                        bool done);
+/* Reads a job, or lets the request wait for its end where Prefer asks for it. False: the request
+ * waits, or the reply is made. kind NULL: any. */
+bool mo_await_job(struct mo_request *request, const struct mo_kind *kind, int64_t id,
+                  struct mo_job *job);
+/* Handles GET of a job of one kind. */
+void mo_get_of_kind(struct mo_request *request, const struct mo_kind *kind);
+/* Handles GET of the list of one kind. group: only campaigns of this group; 0: all. */
+void mo_list_of_kind(struct mo_request *request, const struct mo_kind *kind, int64_t group);
+
+/* Reads what filters a list of jobs: state, label, limit, cursor. waiting: room for the jobs that
+ * wait. False: the 400 is made. */
+bool mo_read_job_query(struct mo_request *request, struct mo_campaign_query *query,
+                       int64_t waiting[MO_WAITING_MAX], size_t *limit);
+/* Replies with a page of n items (negative: an error), of which the last has this cursor. */
+void mo_reply_page(struct mo_request *request, struct mo_text *text, int64_t n, size_t limit,
+                   int64_t last);
+/* Reads the id in the path of a job of this kind. False: the 404 is made. */
+bool mo_path_job(struct mo_request *request, enum mo_job_kind kind, int64_t *id);
+
+#endif
