@@ -5,8 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "api/columns.h"
 #include "api/job_json.h"
-#include "api/learning_json.h"
 #include "store/fields.h"
 
 enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *status,
@@ -168,7 +168,7 @@ void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_statu
   write_end(text, status->end);
   mo_text_add(text, ",\"newest\":");
   if (status->generation >= 0)
-    mo_campaign_json_generation(text, &status->last);
+    mo_columns_json(text, &mo_generation_columns, &status->last);
   else
     mo_text_add(text, "null");
   write_result(text, status);
@@ -201,204 +201,6 @@ void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status 
     mo_text_add(text, ",\"generation\":null");
   mo_text_member_count(text, "generations", status->record.settings.generations);
   mo_text_add(text, "}}");
-}
-
-/* ---- generations ---- */
-
-static const char *const quantile_names[MO_QUANTILES] = {"p0",  "p5",  "p25", "p50",
-                                                         "p75", "p95", "p100"};
-
-static void write_operator(struct mo_text *text, const char *name, uint64_t born, uint64_t survived,
-                           uint64_t attempts)
-{
-  mo_text_format(text, "\"%s\":{\"born\":%llu", name, (unsigned long long)born);
-  mo_text_member_count(text, "survived", survived);
-  mo_text_member_count(text, "attempts", attempts);
-  mo_text_add(text, "}");
-}
-
-static void write_spread(struct mo_text *text, const char *name, const struct mo_spread *spread)
-{
-  mo_text_format(text, ",\"%s\":{\"least\":", name);
-  mo_text_json_number(text, spread->least);
-  mo_text_member_number(text, "mean", spread->mean);
-  mo_text_member_number(text, "most", spread->most);
-  mo_text_add(text, "}");
-}
-
-void mo_campaign_json_generation(struct mo_text *text, const struct mo_campaign_generation *row)
-{
-  const struct mo_population_stats *stats = &row->stats;
-  mo_text_format(text, "{\"generation\":%u", row->generation);
-  mo_text_member_count(text, "population", stats->n);
-  mo_text_member_count(text, "born", row->n_children);
-  mo_text_member_count(text, "first_number", row->born_before);
-  mo_text_add(text, ",\"score\":{\"mean\":");
-  mo_text_json_number(text, stats->mean_score);
-  mo_text_add(text, ",\"quantiles\":{");
-  for (int q = 0; q < MO_QUANTILES; q++) {
-    mo_text_format(text, q > 0 ? ",\"%s\":" : "\"%s\":", quantile_names[q]);
-    mo_text_json_number(text, stats->quantiles[q]);
-  }
-  mo_text_format(text, "},\"diverged\":%u}", stats->n_diverged);
-  mo_text_member_number(text, "diversity", stats->diversity);
-  mo_text_member_count(text, "species", stats->species);
-  mo_text_member_number(text, "turnover", row->turnover);
-  mo_text_add(text, ",\"operators\":{");
-  write_operator(text, "mutation", row->variation.mutants, row->survived_mutants,
-                 row->variation.mutation_attempts);
-  mo_text_add(text, ",");
-  write_operator(text, "crossover", row->variation.recombinants, row->survived_recombinants,
-                 row->variation.crossover_attempts);
-  mo_text_member_count(text, "fallbacks", row->variation.fallbacks);
-  mo_text_add(text, "}");
-  write_spread(text, "voxels", &stats->voxels);
-  write_spread(text, "footprint", &stats->footprint);
-  write_spread(text, "masses", &stats->masses);
-  write_spread(text, "springs", &stats->springs);
-  mo_text_member_number(text, "parents_mean", row->mean_parents);
-  mo_text_member_number(text, "children_mean", row->mean_children);
-  mo_text_format(text, ",\"learning\":{\"steps\":%u", row->learning_steps);
-  mo_text_member_number(text, "first_loss", row->first_loss);
-  mo_text_member_number(text, "last_loss", row->last_loss);
-  mo_text_add(text, "}");
-  mo_text_member_count(text, "rollouts", row->rollouts);
-  mo_text_member_count(text, "cached", row->rollouts_cached);
-  mo_text_member_count(text, "rollouts_diverged", row->rollouts_diverged);
-  mo_text_member_bool(text, "exhausted", row->variation.exhausted);
-  mo_text_member_bool(text, "collapse", row->collapse);
-  mo_text_member_number(text, "seconds", row->seconds);
-  mo_text_add(text, "}");
-}
-
-const char mo_campaign_csv_generations[] =
-    "generation,population,born,first_number,mean,p0,p5,p25,p50,p75,p95,p100,diverged,diversity,"
-    "species,turnover,"
-    "mutation_born,mutation_survived,mutation_attempts,crossover_born,crossover_survived,crossover_"
-    "attempts,fallbacks,"
-    "voxels_least,voxels_mean,voxels_most,footprint_least,footprint_mean,footprint_most,masses_"
-    "least,masses_mean,"
-    "masses_most,springs_least,springs_mean,springs_most,parents_mean,children_mean,learning_steps,"
-    "first_loss,last_"
-    "loss,"
-    "rollouts,cached,rollouts_diverged,exhausted,collapse,seconds\n";
-
-static void csv_spread(struct mo_text *text, const struct mo_spread *spread)
-{
-  mo_csv_number(text, spread->least);
-  mo_csv_number(text, spread->mean);
-  mo_csv_number(text, spread->most);
-}
-
-void mo_campaign_csv_generation(struct mo_text *text, const struct mo_campaign_generation *row)
-{
-  const struct mo_population_stats *stats = &row->stats;
-  const struct mo_variation_counts *variation = &row->variation;
-  mo_text_format(text, "%u,%u,%u,%llu", row->generation, stats->n, row->n_children,
-                 (unsigned long long)row->born_before);
-  mo_csv_number(text, stats->mean_score);
-  for (int q = 0; q < MO_QUANTILES; q++)
-    mo_csv_number(text, stats->quantiles[q]);
-  mo_text_format(text, ",%u", stats->n_diverged);
-  mo_csv_number(text, stats->diversity);
-  mo_text_format(text, ",%u", stats->species);
-  mo_csv_number(text, row->turnover);
-  mo_text_format(text, ",%u,%u,%llu,%u,%u,%llu,%u", variation->mutants, row->survived_mutants,
-                 (unsigned long long)variation->mutation_attempts, variation->recombinants,
-                 row->survived_recombinants, (unsigned long long)variation->crossover_attempts,
-                 variation->fallbacks);
-  csv_spread(text, &stats->voxels);
-  csv_spread(text, &stats->footprint);
-  csv_spread(text, &stats->masses);
-  csv_spread(text, &stats->springs);
-  mo_csv_number(text, row->mean_parents);
-  mo_csv_number(text, row->mean_children);
-  mo_text_format(text, ",%u", row->learning_steps);
-  mo_csv_number(text, row->first_loss);
-  mo_csv_number(text, row->last_loss);
-  mo_text_format(text, ",%llu,%llu,%llu,%d,%d", (unsigned long long)row->rollouts,
-                 (unsigned long long)row->rollouts_cached,
-                 (unsigned long long)row->rollouts_diverged, variation->exhausted, row->collapse);
-  mo_csv_number(text, row->seconds);
-  mo_text_add(text, "\n");
-}
-
-/* ---- learning ---- */
-
-void mo_campaign_json_step(struct mo_text *text, const struct mo_campaign_step *row)
-{
-  mo_text_format(text, "{\"generation\":%u,\"step\":%u,\"on\":\"%s\"", row->generation, row->step,
-                 row->on_children ? "children" : "parents");
-  mo_report_json(text, &row->report, row->seconds);
-  mo_text_add(text, "}");
-}
-
-const char mo_campaign_csv_steps[] = "generation,step,on," MO_REPORT_CSV "\n";
-
-void mo_campaign_csv_step(struct mo_text *text, const struct mo_campaign_step *row)
-{
-  mo_text_format(text, "%u,%u,%s", row->generation, row->step,
-                 row->on_children ? "children" : "parents");
-  mo_report_csv(text, &row->report, row->seconds);
-  mo_text_add(text, "\n");
-}
-
-/* ---- replicates ---- */
-
-static const char *const replicate_names[MO_REPLICATE_NUMBERS] = {"mean_score", "best_score",
-                                                                  "diversity"};
-
-void mo_replicate_add(struct mo_replicate_row *row, const struct mo_campaign_generation *of_one)
-{
-  const double numbers[MO_REPLICATE_NUMBERS] = {
-      of_one->stats.mean_score, of_one->stats.quantiles[0], of_one->stats.diversity};
-  row->generation = of_one->generation;
-  row->campaigns++;
-  for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
-    double number = numbers[i];
-    if (!isfinite(number))
-      continue;
-    if (row->numbers[i].n == 0 || number < row->numbers[i].least)
-      row->numbers[i].least = number;
-    if (row->numbers[i].n == 0 || number > row->numbers[i].most)
-      row->numbers[i].most = number;
-    row->numbers[i].sum += number;
-    row->numbers[i].n++;
-  }
-}
-
-/* Returns the spread of a number over the campaigns. NaN: it is finite in no campaign. */
-static struct mo_spread spread_of(const struct mo_replicate_row *row, int i)
-{
-  if (row->numbers[i].n == 0)
-    return (struct mo_spread){NAN, NAN, NAN};
-  return (struct mo_spread){row->numbers[i].least, row->numbers[i].sum / row->numbers[i].n,
-                            row->numbers[i].most};
-}
-
-void mo_replicate_json(struct mo_text *text, const struct mo_replicate_row *row)
-{
-  mo_text_format(text, "{\"generation\":%u,\"campaigns\":%u", row->generation, row->campaigns);
-  for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
-    struct mo_spread spread = spread_of(row, i);
-    write_spread(text, replicate_names[i], &spread);
-  }
-  mo_text_add(text, "}");
-}
-
-const char mo_replicate_csv_heading[] =
-    "generation,campaigns,mean_score_least,mean_score_mean,mean_score_most,best_score_least,best_"
-    "score_mean,"
-    "best_score_most,diversity_least,diversity_mean,diversity_most\n";
-
-void mo_replicate_csv(struct mo_text *text, const struct mo_replicate_row *row)
-{
-  mo_text_format(text, "%u,%u", row->generation, row->campaigns);
-  for (int i = 0; i < MO_REPLICATE_NUMBERS; i++) {
-    struct mo_spread spread = spread_of(row, i);
-    csv_spread(text, &spread);
-  }
-  mo_text_add(text, "\n");
 }
 
 /* ---- designs ---- */
@@ -448,7 +250,9 @@ void mo_campaign_csv_design(struct mo_text *text, const struct mo_campaign_desig
   else
     mo_text_add(text, "inf");
   mo_text_format(text, ",%s", mo_operator_name((enum mo_operator)row->descent.op));
-  mo_csv_number(text, row->score);
+  mo_text_add(text, ",");
+  if (isfinite(row->score))
+    mo_text_json_number(text, row->score);
   mo_text_add(text, ",d"); /* letters, because programs that read tables take 8e00… for a number */
   mo_bits_write_id_bare(text, &row->form);
   mo_text_add(text, ",g");

@@ -183,37 +183,3 @@ void mo_api_extend_campaign(struct mo_request *request)
   if (mo_handle_submission(request, "campaign", extend))
     mo_reply_of_kind(request, 200, &mo_campaign_kind, request->kept);
 }
-
-static void change(struct mo_request *request, int (*call)(struct mo_jobs *jobs, int64_t id),
-                   const char *verb)
-{
-  struct mo_api *api = mo_api_of(request);
-  int64_t id;
-  if (!mo_path_job(request, MO_JOB_CAMPAIGN, &id))
-    return;
-  int code = call(api->jobs, id);
-  struct mo_job *job = malloc(sizeof(*job));
-  if (code == MO_ERR_CONFLICT && job != NULL && mo_store_job(api->store, id, job) == MO_OK)
-    mo_reply_problem(request, 409, NULL, "The campaign cannot be %s: it is %s.", verb,
-                     mo_job_state_name(job->state));
-  else if (code != MO_OK)
-    mo_reply_error(request, code, "campaign");
-  else
-    mo_reply_of_kind(request, 200, &mo_campaign_kind, id);
-  free(job);
-}
-
-void mo_api_pause_campaign(struct mo_request *request)
-{
-  change(request, mo_jobs_pause, "paused");
-}
-
-void mo_api_resume_campaign(struct mo_request *request)
-{
-  change(request, mo_jobs_resume, "resumed");
-}
-
-void mo_api_cancel_campaign(struct mo_request *request)
-{
-  change(request, mo_jobs_cancel, "cancelled");
-}

@@ -57,9 +57,9 @@ static void delete_checkpoints(struct mo_request *request, bool one)
     mo_reply_error(request, code, "checkpoint");
   } else {
     struct mo_text reply = {0};
-    mo_text_add(&reply, "{\"removed\":[");
+    mo_text_add(&reply, "{\"items\":[");
     for (size_t i = 0; i < removed.n; i++)
-      mo_text_format(&reply, "%s%u", i > 0 ? "," : "", removed.steps[i]);
+      mo_text_format(&reply, "%s{\"step\":%u}", i > 0 ? "," : "", removed.steps[i]);
     mo_text_add(&reply, "]");
     mo_text_member_count(&reply, "bytes", removed.bytes);
     mo_text_add(&reply, "}");
@@ -112,7 +112,7 @@ void mo_api_delete_campaign_checkpoints(struct mo_request *request)
     mo_reply_error(request, code, "campaign");
     return;
   }
-  mo_text_add(&text, "{\"removed\":[");
+  mo_text_add(&text, "{\"items\":[");
   for (size_t i = 0; i < removed.n; i++)
     mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "",
                    removed.places[i][0], removed.places[i][1]);

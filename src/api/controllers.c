@@ -81,48 +81,50 @@ void mo_api_list_controllers(struct mo_request *request)
   mo_reply_text(request, code, &text, "page");
 }
 
-void mo_api_get_controller(struct mo_request *request)
+/* Reads the record of the controller that the path names. False: the reply is made. */
+static bool read_record(struct mo_request *request, struct mo_controller_record *record)
 {
-  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors",
-                                      "application/json"};
-  struct mo_store *store = mo_api_of(request)->store;
-  struct mo_controller_record record;
-  int form;
-  if (!mo_accept(request, types, 3, &form))
-    return;
-  int code = mo_store_controller(store, request->parameters[0], &record);
-  if (code == MO_ERR_FORMAT)
-    code = MO_ERR_NOT_FOUND; /* not a valid name */
-  if (code != MO_OK) {
-    mo_reply_error(request, code, "controller");
-    return;
-  }
-  if (form == 2) {
-    reply_controller(request, 200, &record);
-    return;
-  }
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  code = mo_store_controller_bytes(store, &record.sha256, &bytes, &size);
-  char digits[MO_SHA256_DIGITS + 1];
-  mo_sha256_to_hex(&record.sha256, digits);
-  if (code == MO_ERR_CORRUPT) {
-    mo_reply_problem(request, 500, NULL,
-                     "The file controllers/%s.safetensors in the state folder of the service is "
-                     "missing or damaged. PUT "
-                     "of the same file, under any name, puts it right.",
-                     digits);
-    return;
-  }
-  if (code != MO_OK) {
-    mo_reply_error(request, code, "controller");
-    return;
-  }
-  mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
-  mo_reply_etag(request, "%s", digits);
+  int error = mo_store_controller(mo_api_of(request)->store, request->parameters[0], record);
+  if (error == MO_ERR_FORMAT)
+    error = MO_ERR_NOT_FOUND; /* not a valid name */
+  if (error != MO_OK)
+    mo_reply_error(request, error, "controller");
+  return error == MO_OK;
 }
 
-void mo_api_put_controller(struct mo_request *request)
+void mo_api_get_controller(struct mo_request *request)
+{
+  struct mo_controller_record record;
+  if (read_record(request, &record))
+    reply_controller(request, 200, &record);
+}
+
+void mo_api_get_controller_file(struct mo_request *request)
+{
+  static const char *const types[] = {"application/octet-stream", "application/vnd.safetensors"};
+  struct mo_controller_record record;
+  char digits[MO_SHA256_DIGITS + 1];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  int form;
+  if (!mo_accept(request, types, 2, &form) || !read_record(request, &record))
+    return;
+  int error = mo_store_controller_bytes(mo_api_of(request)->store, &record.sha256, &bytes, &size);
+  mo_sha256_to_hex(&record.sha256, digits);
+  if (error == MO_ERR_CORRUPT) {
+    mo_reply_problem(request, 500, NULL,
+                     "The file controllers/%s.safetensors in the state folder of the service is "
+                     "missing or damaged. PUT of the same file, under any name, puts it right.",
+                     digits);
+  } else if (error != MO_OK) {
+    mo_reply_error(request, error, "controller");
+  } else {
+    mo_reply_bytes(request, 200, types[form], (char *)bytes, size);
+    mo_reply_etag(request, "%s", digits);
+  }
+}
+
+void mo_api_put_controller_file(struct mo_request *request)
 {
   struct mo_store *store = mo_api_of(request)->store;
   const char *name = request->parameters[0];

@@ -41,14 +41,26 @@ static void write_item(struct mo_text *text, const void *status, const union mo_
   mo_job_write(text, status, NULL);
 }
 
+static int64_t read_page(struct mo_store *store, const struct mo_campaign_query *query,
+                         void *statuses, size_t limit)
+{
+  const struct mo_job_query jobs = {.before = query->before,
+                                    .state = query->state,
+                                    .kind = MO_JOB_EVALUATION,
+                                    .label = query->label};
+  return mo_store_jobs(store, &jobs, statuses, limit);
+}
+
 const struct mo_kind mo_evaluation_kind = {.kind = MO_JOB_EVALUATION,
                                            .path = "/v1/evaluations",
                                            .status_size = sizeof(struct mo_job),
                                            .read = read_status,
+                                           .page = read_page,
                                            .state = state_of,
                                            .write = write_whole,
                                            .write_job = write_item,
-                                           .versioned = true};
+                                           .versioned = true,
+                                           .brief = true};
 
 /* ---- routes ---- */
 
@@ -93,4 +105,9 @@ void mo_api_post_evaluation(struct mo_request *request)
 void mo_api_get_evaluation(struct mo_request *request)
 {
   mo_get_of_kind(request, &mo_evaluation_kind);
+}
+
+void mo_api_list_evaluations(struct mo_request *request)
+{
+  mo_list_of_kind(request, &mo_evaluation_kind, 0);
 }

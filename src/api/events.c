@@ -121,6 +121,7 @@ static void open_stream(struct mo_request *request, int64_t after, int64_t job)
 
 /* ---- pages ---- */
 
+/* Replies with the page of events after `after`. */
 static void reply_page(struct mo_request *request, int64_t after, int64_t job, size_t limit)
 {
   struct mo_event *events = malloc(limit * sizeof(*events));
@@ -143,13 +144,14 @@ static void reply_page(struct mo_request *request, int64_t after, int64_t job, s
     comma = ",";
     write_event(&text, &events[i]);
   }
-  /* A short page has reached the newest event, so skip what the filter left out. */
-  int64_t next = (size_t)n == limit ? events[n - 1].sequence : newest > after ? newest : after;
-  if (after > newest || next > newest) /* never beyond the newest event */
-    next = newest;
-  bool reset = (after > 0 && after < oldest - 1) || after > newest;
-  mo_text_format(&text, "],\"next_after\":\"%lld\",\"reset\":%s}", (long long)next,
-                 reset ? "true" : "false");
+  mo_text_add(&text, "],\"next_cursor\":");
+  if ((size_t)n == limit && events[n - 1].sequence < newest)
+    mo_text_format(&text, "\"%lld\"", (long long)events[n - 1].sequence);
+  else
+    mo_text_add(&text, "null");
+  mo_text_format(&text, ",\"newest\":\"%lld\"", (long long)newest);
+  mo_text_member_bool(&text, "reset", (after > 0 && after < oldest - 1) || after > newest);
+  mo_text_add(&text, "}");
   free(events);
   mo_reply_json(request, 200, &text);
 }
@@ -160,6 +162,7 @@ void mo_api_get_events(struct mo_request *request)
   static const char place[] = "the id of an event, in decimal digits, is expected";
   const char *format = mo_query(request, "format"), *from = mo_query(request, "after");
   const char *of_job = mo_query(request, "job"), *last = request->framing.last_event_id;
+  const char *cursor = mo_query(request, "cursor");
   bool is_page = format != NULL && strcmp(format, "json") == 0;
   int64_t after = -1, job = 0;
   size_t limit;
@@ -174,6 +177,10 @@ void mo_api_get_events(struct mo_request *request)
     mo_reply_bad_parameter(request, "job", "the id of a job, in decimal digits, is expected");
   else if (last != NULL && last[0] != '\0' && !mo_decimal(last, strlen(last), 0, INT64_MAX, &after))
     mo_reply_bad_header(request, 400, "Last-Event-ID", place, NULL);
+  else if (cursor != NULL &&
+           (!is_page || !mo_decimal(cursor, strlen(cursor), 0, INT64_MAX, &after)))
+    mo_reply_bad_parameter(request, "cursor",
+                           "the next_cursor of an earlier page is expected, with format=json");
   else if (!is_page)
     open_stream(request, after, job);
   else if (mo_accept(request, json, 1, &form))

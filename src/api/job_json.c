@@ -40,6 +40,18 @@ void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash)
   mo_text_bytes(text, "\"", 1);
 }
 
+void mo_reference_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256)
+{
+  mo_text_add(text, "{\"name\":");
+  if (name[0] != '\0')
+    mo_text_json_string(text, name, strlen(name));
+  else
+    mo_text_add(text, "null");
+  mo_text_add(text, ",\"sha256\":");
+  mo_hash_write(text, sha256);
+  mo_text_add(text, "}");
+}
+
 void mo_loss_write(struct mo_text *text, double loss)
 {
   mo_text_json_number(text, loss); /* null when diverged */
@@ -126,14 +138,8 @@ void mo_job_write(struct mo_text *text, const struct mo_job *job,
   mo_text_format(text, "{\"id\":\"%lld\"", (long long)job->id);
   mo_text_member(text, "kind", mo_job_kind_name(job->kind));
   mo_job_write_common(text, job, job->state);
-  mo_text_add(text, ",\"controller\":{\"name\":");
-  if (job->controller_name[0] != '\0')
-    mo_text_json_string(text, job->controller_name, strlen(job->controller_name));
-  else
-    mo_text_add(text, "null");
-  mo_text_add(text, ",\"sha256\":");
-  mo_hash_write(text, &job->controller_sha256);
-  mo_text_add(text, "}");
+  mo_text_add(text, ",\"controller\":");
+  mo_reference_write(text, job->controller_name, &job->controller_sha256);
   if (job->environment_set[0] != '\0')
     mo_text_member(text, "environments", job->environment_set);
   else

@@ -11,6 +11,8 @@ void mo_bits_write_bare(struct mo_text *text,
                         const struct mo_bits *bits); /* the genotype without quotes */
 void mo_bits_write_id_bare(struct mo_text *text, const struct mo_bits *form);
 void mo_hash_write(struct mo_text *text, const struct mo_sha256 *hash); /* in quotes */
+/* Writes a controller as an object of name ("": null) and hash. */
+void mo_reference_write(struct mo_text *text, const char *name, const struct mo_sha256 *sha256);
 /* True for a job that is paused because no device is available to compute it. */
 bool mo_job_lacks_device(const struct mo_job *job);
 

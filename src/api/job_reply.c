@@ -224,7 +224,10 @@ void mo_list_of_kind(struct mo_request *request, const struct mo_kind *kind, int
       continue; /* it has just started or stopped waiting */
     if (text.data != NULL && text.data[text.size - 1] == '}')
       mo_text_add(&text, ",");
-    error = kind->write(api, &text, status, &live);
+    if (kind->brief)
+      kind->write_job(&text, status, &live);
+    else
+      error = kind->write(api, &text, status, &live);
   }
   mo_reply_page(request, &text, error != MO_OK ? error : n, limit, last);
   free(page);

@@ -30,6 +30,7 @@ struct mo_kind {
                const union mo_live *live);
   void (*write_job)(struct mo_text *text, const void *status, const union mo_live *live);
   bool versioned; /* the row's version covers all that is written */
+  bool brief;     /* lists of this kind have the items of the list of jobs */
 };
 extern const struct mo_kind mo_evaluation_kind, mo_training_kind, mo_campaign_kind;
 

@@ -151,7 +151,7 @@ static int read_weight(const struct mo_request *request, double *weight, struct 
   return faults->malformed ? MO_ERR_FORMAT : faults->n > 0 ? MO_ERR_INVALID : MO_OK;
 }
 
-void mo_api_weigh_job(struct mo_request *request)
+void mo_api_set_job_weight(struct mo_request *request)
 {
   double weight = 1;
   int64_t id;

@@ -56,11 +56,11 @@ void mo_api_get_threads(struct mo_request *request)
   struct mo_text text = {0};
   mo_compute_get_stats(compute, &c);
   mo_text_format(&text,
-                 "{\"n_workers\":%u,\"n_busy\":%u,\"blocks_done\":%llu,\"rollouts_done\":%llu,"
+                 "{\"n_threads\":%u,\"n_busy\":%u,\"blocks_done\":%llu,\"rollouts_done\":%llu,"
                  "\"rollout_steps\":%llu,"
                  "\"rollouts_diverged\":%llu,\"blocks_preempted\":%llu,\"queued_batch\":%llu,"
                  "\"queued_interactive\":%llu,"
-                 "\"worker_bytes_max\":%zu,\"busy_s\":",
+                 "\"thread_bytes_max\":%zu,\"busy_s\":",
                  c.n_workers, c.n_busy, (unsigned long long)c.blocks_done,
                  (unsigned long long)c.rollouts_done, (unsigned long long)c.rollout_steps,
                  (unsigned long long)c.rollouts_diverged, (unsigned long long)c.blocks_preempted,
@@ -115,7 +115,7 @@ void mo_api_get_devices(struct mo_request *request)
   struct mo_compute *compute = mo_api_of(request)->compute;
   struct mo_device_status status;
   struct mo_text text = {0};
-  mo_text_add(&text, "{\"devices\":[");
+  mo_text_add(&text, "{\"items\":[");
   for (uint32_t i = 0; mo_compute_device(compute, i, &status) == MO_OK; i++) {
     mo_text_add(&text, i > 0 ? "," : "");
     write_device(&text, &status);
@@ -142,11 +142,12 @@ static const char index_page[] =
     "auto;line-height:1.5}</style></head>\n"
     "<body><h1>morphod</h1>\n<p>Scores of voxel robots, durable and the same for ever.</p>\n<ul>\n"
     "<li><a href=\"/openapi.json\">The HTTP contract</a> (OpenAPI 3.1)</li>\n"
-    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/trainings\">trainings</a>, <a "
+    "<li><a href=\"/v1/jobs\">Jobs</a>, <a href=\"/v1/evaluations\">evaluations</a>, <a "
+    "href=\"/v1/trainings\">trainings</a>, <a "
     "href=\"/v1/campaigns\">campaigns</a>, <a href=\"/v1/designs\">designs</a>, "
     "<a "
     "href=\"/v1/controllers\">controllers</a>, "
-    "<a href=\"/v1/workers\">workers</a>, <a href=\"/v1/devices\">devices</a></li>\n"
+    "<a href=\"/v1/threads\">threads</a>, <a href=\"/v1/devices\">devices</a></li>\n"
     "<li><a href=\"/healthz\">Health</a>, <a href=\"/readyz\">readiness</a>, <a "
     "href=\"/metrics\">metrics</a></li>\n"
     "</ul></body></html>\n";

@@ -5,8 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "api/columns.h"
 #include "api/job_json.h"
-#include "api/learning_json.h"
 #include "rollout/physics.h"
 #include "store/fields.h"
 
@@ -146,7 +146,7 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
   write_progress(text, status, live);
   mo_text_add(text, ",\"validation\":");
   if (status->has_validation)
-    mo_training_json_validation(text, &status->validation);
+    mo_columns_json(text, &mo_validation_columns, &status->validation);
   else
     mo_text_add(text, "null");
   if (status->checkpoint_step > 0)
@@ -179,23 +179,6 @@ void mo_training_json_job(struct mo_text *text, const struct mo_training_status 
 
 /* ---- rows ---- */
 
-void mo_training_json_step(struct mo_text *text, const struct mo_training_step_row *row)
-{
-  mo_text_format(text, "{\"step\":%u", row->report.step);
-  mo_report_json(text, &row->report, row->seconds);
-  mo_text_add(text, "}");
-}
-
-void mo_training_json_validation(struct mo_text *text, const struct mo_training_validation_row *row)
-{
-  mo_text_format(text, "{\"step\":%u", row->step);
-  mo_text_member_number(text, "mean_score", row->mean_score);
-  mo_text_member_number(text, "standard_error", row->standard_error);
-  mo_text_member_count(text, "rollouts", row->rollouts);
-  mo_text_member_count(text, "diverged", row->diverged);
-  mo_text_add(text, "}");
-}
-
 void mo_training_json_checkpoint(struct mo_text *text, const struct mo_training_checkpoint_row *row)
 {
   mo_text_format(text, "{\"step\":%u,\"sha256\":", row->step);
@@ -203,24 +186,6 @@ void mo_training_json_checkpoint(struct mo_text *text, const struct mo_training_
   mo_text_member_count(text, "size", row->size);
   mo_text_member_time(text, "stored_at", row->stored_us);
   mo_text_add(text, "}");
-}
-
-const char mo_training_csv_steps[] = "step," MO_REPORT_CSV "\n";
-const char mo_training_csv_validations[] = "step,mean_score,standard_error,rollouts,diverged\n";
-
-void mo_training_csv_step(struct mo_text *text, const struct mo_training_step_row *row)
-{
-  mo_text_format(text, "%u", row->report.step);
-  mo_report_csv(text, &row->report, row->seconds);
-  mo_text_add(text, "\n");
-}
-
-void mo_training_csv_validation(struct mo_text *text, const struct mo_training_validation_row *row)
-{
-  mo_text_format(text, "%u", row->step);
-  mo_csv_number(text, row->mean_score);
-  mo_csv_number(text, row->standard_error);
-  mo_text_format(text, ",%u,%u\n", row->rollouts, row->diverged);
 }
 
 /* ---- held-out sets ---- */

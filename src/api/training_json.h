@@ -17,16 +17,8 @@ void mo_training_json_write(struct mo_text *text, const struct mo_training_statu
 void mo_training_json_job(struct mo_text *text, const struct mo_training_status *status,
                           const struct mo_training_live *live);
 
-/* Write rows of the curves as JSON objects, or as CSV lines under their heading. In CSV a number
- * that is not finite is an empty cell. */
-void mo_training_json_step(struct mo_text *text, const struct mo_training_step_row *row);
-void mo_training_json_validation(struct mo_text *text,
-                                 const struct mo_training_validation_row *row);
 void mo_training_json_checkpoint(struct mo_text *text,
                                  const struct mo_training_checkpoint_row *row);
-extern const char mo_training_csv_steps[], mo_training_csv_validations[];
-void mo_training_csv_step(struct mo_text *text, const struct mo_training_step_row *row);
-void mo_training_csv_validation(struct mo_text *text, const struct mo_training_validation_row *row);
 
 /* Writes designs and environments as the body of an evaluation request. physics nullable: the
  * default. genotypes: (n_designs), placed. */

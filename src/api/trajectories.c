@@ -85,34 +85,35 @@ static void reply_missing(struct mo_request *request, const struct mo_job *job, 
                      state);
 }
 
-void mo_api_get_trajectory(struct mo_request *request)
+/* Reads the trajectory that the path and `environment` name. array: "com" or "masses", which must
+ * have been recorded; NULL: any. NULL: the reply is made. */
+static struct mo_trajectory *read_trajectory(struct mo_request *request, const char *array,
+                                             int64_t *id, int64_t *n, int64_t *k)
 {
-  static const char *const types[] = {"application/json", "application/octet-stream"};
   struct mo_store *store = mo_api_of(request)->store;
-  const char *design = request->parameters[1], *array = mo_query(request, "array");
-  int64_t id, n, k = 0;
-  int form;
-  if (!mo_path_id(request, 0, &id) || !mo_accept(request, types, 2, &form))
-    return;
-  if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, &n)) {
+  const char *design = request->parameters[1];
+  *k = 0;
+  if (!mo_path_id(request, 0, id))
+    return NULL;
+  if (!mo_decimal(design, strlen(design), 0, MO_DESIGNS_MAX - 1, n)) {
     mo_reply_problem(request, 404, NULL,
                      "There is no such design: its place in the request, from 0, is expected.");
-    return;
+    return NULL;
   }
-  if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, &k))
-    return;
+  if (!mo_query_number(request, "environment", 0, MO_ENVIRONMENTS_MAX - 1, k))
+    return NULL;
   bool com = array != NULL && strcmp(array, "com") == 0,
        masses = array != NULL && strcmp(array, "masses") == 0;
   if (array != NULL && !com && !masses) {
     mo_reply_bad_parameter(request, "array", "com or masses is expected");
-    return;
+    return NULL;
   }
   struct mo_job *job = malloc(sizeof(*job));
   struct mo_trajectory *trajectory = NULL;
-  int error = job != NULL ? mo_store_job(store, id, job) : MO_ERR_NO_MEMORY;
+  int error = job != NULL ? mo_store_job(store, *id, job) : MO_ERR_NO_MEMORY;
   if (error != MO_OK)
     mo_reply_error(request, error, "evaluation");
-  else if ((uint32_t)n >= job->n_designs || (uint32_t)k >= job->n_environments)
+  else if ((uint32_t)*n >= job->n_designs || (uint32_t)*k >= job->n_environments)
     mo_reply_problem(request, 404, NULL, "The evaluation has %u designs and %u environments.",
                      job->n_designs, job->n_environments);
   else if (!job->record_com && !job->record_masses)
@@ -120,15 +121,41 @@ void mo_api_get_trajectory(struct mo_request *request)
   else if ((masses && !job->record_masses) || (com && !job->record_com))
     mo_reply_problem(request, 404, NULL,
                      "The evaluation did not ask for a recording of this array.");
-  else if ((error = mo_store_trajectory(store, id, (uint32_t)n, (uint32_t)k, &trajectory)) != MO_OK)
+  else if ((error = mo_store_trajectory(store, *id, (uint32_t)*n, (uint32_t)*k, &trajectory)) !=
+           MO_OK)
     reply_missing(request, job, error);
-  else if (form == 1)
-    reply_binary(request, trajectory, masses || (!com && trajectory->mass_m != NULL));
-  else
-    reply_trajectory(request, trajectory, id, n, k);
-  if (request->reply.status == 200)
-    mo_reply_etag(request, "%" PRIx64 "-trajectory-%lld-%lld-%lld-%d%s", mo_store_id(store),
-                  (long long)id, (long long)n, (long long)k, form, array != NULL ? array : "");
-  mo_trajectory_free(trajectory);
   free(job);
+  return trajectory;
+}
+
+void mo_api_get_trajectory(struct mo_request *request)
+{
+  int64_t id, n, k;
+  struct mo_trajectory *trajectory = read_trajectory(request, NULL, &id, &n, &k);
+  if (trajectory == NULL)
+    return;
+  reply_trajectory(request, trajectory, id, n, k);
+  mo_reply_etag(request, "%" PRIx64 "-trajectory-%lld-%lld-%lld",
+                mo_store_id(mo_api_of(request)->store), (long long)id, (long long)n, (long long)k);
+  mo_trajectory_free(trajectory);
+}
+
+void mo_api_get_trajectory_file(struct mo_request *request)
+{
+  static const char *const types[] = {"application/octet-stream"};
+  const char *array = mo_query(request, "array");
+  int64_t id, n, k;
+  int form;
+  if (!mo_accept(request, types, 1, &form))
+    return;
+  struct mo_trajectory *trajectory = read_trajectory(request, array, &id, &n, &k);
+  if (trajectory == NULL)
+    return;
+  bool com = array != NULL && strcmp(array, "com") == 0;
+  reply_binary(request, trajectory, !com && trajectory->mass_m != NULL);
+  if (request->reply.status == 200)
+    mo_reply_etag(request, "%" PRIx64 "-file-%lld-%lld-%lld-%s",
+                  mo_store_id(mo_api_of(request)->store), (long long)id, (long long)n, (long long)k,
+                  array != NULL ? array : "");
+  mo_trajectory_free(trajectory);
 }

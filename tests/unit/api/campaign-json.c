@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "api/campaign_json.h"
+#include "api/columns.h"
 #include "api/newick_pieces.h"
 
 static struct mo_campaign_status status;
@@ -153,13 +154,15 @@ static void ended(void)
              "restart");
   CHECK(json_number_value(json_object_get(at("settings", "learning"), "restart_weight")) == 0.5);
   struct mo_text text = {0};
-  mo_campaign_csv_generation(&text, &status.last);
+  mo_columns_csv(&text, &mo_generation_columns, &status.last);
   CHECK(strncmp(text.data, "7,2,0,14,,,,,,,,,2,0,0,0,", 25) == 0);
   unsigned commas = 0, columns = 0;
   for (size_t i = 0; i < text.size; i++)
     commas += text.data[i] == ',';
-  for (const char *c = mo_campaign_csv_generations; *c != '\0'; c++)
-    columns += *c == ',';
+  mo_text_free(&text);
+  mo_columns_heading(&text, &mo_generation_columns);
+  for (size_t i = 0; i < text.size; i++)
+    columns += text.data[i] == ',';
   CHECK_INT(commas, columns);
   mo_text_free(&text);
 }
@@ -208,13 +211,14 @@ static void replicates(void)
     one.stats.diversity = 0.1 * i;
     mo_replicate_add(&row, &one);
   }
-  mo_replicate_json(&text, &row);
+  mo_replicate_finish(&row);
+  mo_columns_json(&text, &mo_replicate_columns, &row);
   parse(&text);
   CHECK_INT(json_integer_value(at(NULL, "campaigns")), 3);
   CHECK(json_real_value(at("mean_score", "mean")) == 0.375 &&
         json_real_value(at("mean_score", "least")) == 0.25);
   CHECK(json_is_null(at("best_score", "mean")) && json_real_value(at("diversity", "most")) == 0.2);
-  mo_replicate_csv(&text, &row);
+  mo_columns_csv(&text, &mo_replicate_columns, &row);
   CHECK(strncmp(text.data, "3,3,0.25,0.375,0.5,,,,0,", 24) == 0);
   mo_text_free(&text);
 }

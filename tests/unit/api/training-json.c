@@ -4,6 +4,7 @@
 
 #include <jansson.h>
 
+#include "api/columns.h"
 #include "api/training_json.h"
 
 static struct mo_training_status status;
@@ -151,16 +152,18 @@ static void tables(void)
       {.step = 3, .mean_loss = NAN, .rate = 0.5, .diverged = 2, .skipped = true}, 0.25};
   const struct mo_training_validation_row validation = {
       .step = 0, .mean_score = 1, .standard_error = INFINITY, .rollouts = 8};
-  mo_training_csv_step(&text, &step);
-  mo_training_csv_validation(&text, &validation);
+  mo_columns_csv(&text, &mo_step_columns, &step);
+  mo_columns_csv(&text, &mo_validation_columns, &validation);
   REQUIRE(!text.failed);
   CHECK_TEXT(text.data, "3,,0.5,0,0,0,2,0,1,0,0.25\n0,1,,8,0\n");
   mo_text_free(&text);
   /* As many cells as headings. */
   size_t commas = 0;
-  for (const char *c = mo_training_csv_steps; *c != '\0'; c++)
-    commas += *c == ',';
+  mo_columns_heading(&text, &mo_step_columns);
+  for (size_t i = 0; i < text.size; i++)
+    commas += text.data[i] == ',';
   CHECK_INT(commas, 10);
+  mo_text_free(&text);
   json_decref(json);
   json = NULL;
 }
