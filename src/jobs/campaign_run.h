@@ -9,6 +9,7 @@
 
 #include "jobs/campaigns.h"
 #include "jobs/learner.h"
+#include "jobs/scoring.h"
 
 /* The candidates of a generation. */
 struct mo_campaign_rows {
@@ -58,11 +59,11 @@ struct mo_campaign_run {
   double first_loss, last_loss;
 
   /* Scores of the candidates from `first_scored` on (campaign_score.c). */
+  struct mo_scoring scoring;
   uint32_t first_scored, n_scored;
   struct mo_compute_controller
       *frozen;                     /* zero-shot: weights ready for the back end; NULL at first */
   struct mo_campaign_loss *losses; /* (n_scored) */
-  uint8_t *left;                   /* (n_scored) blocks of the candidate still to finish */
   uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
