@@ -30,23 +30,28 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
   free(active);
 }
 
-/* Frees the detached jobs that have no references and whose counts are saved. Returns whether there
- * was one, because the same job may be claimed again. */
-static bool sweep(struct mo_evaluations *all)
+/* Frees the detached jobs that have no references and whose counts are saved; after an error only
+ * when a delay has passed. Such a job may be claimed again. Returns when to look next; 0: at once.
+ */
+static int64_t sweep(struct mo_evaluations *all)
 {
+  const int64_t now = mo_clock_us();
+  int64_t next = INT64_MAX;
   struct mo_active **link = &all->actives;
-  bool freed = false;
   while (*link != NULL) {
     struct mo_active *active = *link;
-    if (active->detached && !active->failing && !active->changed && active->references == 0) {
+    if (!active->detached || active->failing || active->changed || active->references > 0) {
+      link = &active->next;
+    } else if (active->until_us > now) {
+      next = active->until_us < next ? active->until_us : next;
+      link = &active->next;
+    } else {
       *link = active->next;
       free_active(all, active);
-      freed = true;
-    } else {
-      link = &active->next;
+      next = 0;
     }
   }
-  return freed;
+  return next;
 }
 
 static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency priority)
@@ -64,14 +69,6 @@ static bool is_held(const struct mo_evaluations *all, int64_t id)
 {
   for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
     if (active->id == id)
-      return true;
-  return false;
-}
-
-static bool is_delayed(const struct mo_evaluations *all, int64_t id)
-{
-  for (unsigned i = 0; i < all->n_delayed; i++)
-    if (all->delayed[i].id == id)
       return true;
   return false;
 }
@@ -151,7 +148,7 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
   active->pass = all->pass[mo_lane_of(active)];
   active->next = all->actives;
   all->actives = active;
-  if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) != MO_OK) {
+  if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) == NULL) {
     active->detached = true;
     return false;
   }
@@ -167,7 +164,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
 {
   int64_t ids[CLAIMS_MAX];
   uint32_t n_active = count_active(all, priority);
-  size_t limit = (size_t)n_active + all->n_delayed + places;
+  size_t limit = (size_t)n_active + places;
   int64_t n;
   if (n_active >= places)
     return;
@@ -177,7 +174,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
   if (n < 0)
     all->look_again = true; /* within a second */
   for (int64_t i = 0; i < n && n_active < places; i++) {
-    if (is_held(all, ids[i]) || is_delayed(all, ids[i]))
+    if (is_held(all, ids[i]))
       continue;
     if (!claim_one(all, ids[i], priority))
       return;
@@ -185,34 +182,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
   }
 }
 
-/* Releases the jobs whose delay after an error is over. Returns the next such time. */
-static int64_t release_delayed(struct mo_evaluations *all)
-{
-  int64_t now = mo_clock_us(), next = INT64_MAX;
-  for (unsigned i = 0; i < all->n_delayed;) {
-    if (all->delayed[i].until_us <= now) {
-      all->delayed[i] = all->delayed[--all->n_delayed];
-      all->look_again = true;
-      continue;
-    }
-    if (all->delayed[i].until_us < next)
-      next = all->delayed[i].until_us;
-    i++;
-  }
-  return next;
-}
-
 /* ---- after a save ---- */
-
-static void delay(struct mo_evaluations *all, int64_t id)
-{
-  if (all->n_delayed == MO_DELAYED_MAX)
-    return; /* tried again at once */
-  all->delayed[all->n_delayed].id = id;
-  all->delayed[all->n_delayed].until_us =
-      mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
-  all->n_delayed++;
-}
 
 static void settle_update(struct mo_evaluations *all, struct mo_active *active,
                           const struct mo_job_update *update)
@@ -226,20 +196,20 @@ static void settle_update(struct mo_evaluations *all, struct mo_active *active,
   case MO_STEP_SUCCEED:
     active->detached = true;
     if (update->applied) {
-      atomic_fetch_add(&all->jobs->succeeded, 1);
+      atomic_fetch_add(&all->jobs->jobs_succeeded, 1);
       mo_jobs_closed(all->jobs, 1, active->total);
     }
     break;
   case MO_STEP_RETRY:
     active->failing = false;
     if (update->applied && update->state == MO_JOB_FAILED) {
-      atomic_fetch_add(&all->jobs->failed, 1);
+      atomic_fetch_add(&all->jobs->jobs_failed, 1);
       if (active->work != NULL)
         mo_jobs_closed(all->jobs, 1, active->total);
       else
         mo_jobs_recount(all->jobs);
     } else {
-      delay(all, active->id);
+      active->until_us = mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
     }
     break;
   case MO_STEP_HALT: active->failing = false; break;
@@ -259,17 +229,14 @@ static void settle(struct mo_evaluations *all, int status)
     for (struct mo_active *active = all->actives; active != NULL; active = active->next)
       if (!active->detached)
         mo_active_fail(all, active, status, "its losses could not be saved");
-  for (size_t i = 0; i < saving->save.n_updates; i++) {
-    struct mo_active *active = saving->owners[i];
-    if (status == MO_OK) {
-      settle_update(all, active, &saving->save.updates[i]);
-    } else if (saving->save.updates[i].step == MO_STEP_RETRY ||
-               saving->save.updates[i].step == MO_STEP_HALT) {
-      const struct mo_job_update *lost =
-          &saving->save.updates[i]; /* repeated without the lost results */
-      active->failing =
-          mo_pending_update(all, active, lost->step, lost->error, lost->error_text) == MO_OK;
-    }
+  for (size_t i = 0; i < saving->updates.n; i++) {
+    const struct mo_job_update *update = &saving->save.updates[i];
+    struct mo_active *active = ((struct mo_active **)saving->owners.rows)[i];
+    if (status == MO_OK)
+      settle_update(all, active, update);
+    else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
+      active->failing = mo_pending_update(all, active, update->step, update->error,
+                                          update->error_text) != NULL; /* without the results */
     active->references--;
   }
   mo_pending_clear(saving);
@@ -459,7 +426,7 @@ static void *serve(void *context)
   bool parked = false;
   for (;;) {
     struct inbox inbox;
-    int64_t due, retry;
+    int64_t due, next;
     bool more = false;
     take_inbox(all, until, &inbox);
     while (inbox.finished != NULL) {
@@ -473,7 +440,6 @@ static void *serve(void *context)
       end_save(all, inbox.save_error);
     if (all->visit_again)
       visit_again(all);
-    retry = release_delayed(all);
     inbox.look = inbox.look || all->look_again;
     all->look_again = false;
     if (inbox.stopping) {
@@ -483,14 +449,14 @@ static void *serve(void *context)
       more = go_on(all, inbox.look);
     }
     due = mo_saver_run(all, inbox.stopping);
-    if (sweep(all))
-      more = all->look_again = true;
+    next = sweep(all);
+    all->look_again = all->look_again || next == 0;
     publish(all);
     until = mo_clock_us() + (more ? 0 : ROUND_US);
     if (due < until)
       until = due;
-    if (retry < until)
-      until = retry;
+    if (next < until)
+      until = next;
   }
   publish(all);
   return NULL;

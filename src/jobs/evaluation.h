@@ -14,7 +14,6 @@
 #include "store/runner.h"
 
 #define MO_ROLLOUT_BUCKETS 4096
-#define MO_DELAYED_MAX     64
 
 /* A queue of jobs that wait for the same resource: workers, workers with priority, devices. Each
  * lane has its own window and virtual time. */
@@ -43,6 +42,7 @@ struct mo_active {
   bool finishing;      /* a save contains its end */
   bool changed;        /* counts differ from those last saved */
   int64_t last_event_us;
+  int64_t until_us;    /* after an error: the job is not claimed again before */
   uint32_t references; /* from flights and saves */
   struct mo_active *next;
 };
@@ -54,12 +54,17 @@ struct mo_rollout {
   struct mo_rollout *next_save; /* in pending or in the current save */
 };
 
-/* The growing arrays of one save. */
+/* A growing array. */
+struct mo_rows {
+  void *rows;
+  size_t n, room;
+};
+/* What one save writes. */
 struct mo_pending {
-  struct mo_save save;
-  size_t scores_room, trajectories_room, designs_room, updates_room, owners_room;
-  struct mo_active **owners;   /* (save.n_updates) the job of each update; each holds a reference */
+  struct mo_rows scores, trajectories, designs, updates;
+  struct mo_rows owners;       /* the active of each update, which holds a reference */
   struct mo_rollout *rollouts; /* to forget after the commit */
+  struct mo_save save;         /* points to the rows, while it is in progress */
   uint64_t recorded_bytes;
   int64_t since_us; /* time of the first entry; 0: empty */
   bool urgent;
@@ -88,18 +93,15 @@ struct mo_evaluations {
   bool look_again;       /* there may be queued jobs */
   bool review_again;     /* a job could not be read */
   bool visit_again;      /* rollouts were forgotten: deferred cells can be looked up */
-  struct {
-    int64_t id, until_us;
-  } delayed[MO_DELAYED_MAX];
-  unsigned n_delayed;
 };
 
 /* ---- evaluation_save.c ---- */
 int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score);
 int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design);
 int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory);
-int mo_pending_update(struct mo_evaluations *all, struct mo_active *active, enum mo_job_step step,
-                      int error, const char *text);
+/* Returns the update, valid until the next one, or NULL. */
+struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
+                                        enum mo_job_step step, int error, const char *text);
 void mo_pending_touch(struct mo_evaluations *all); /* marks that something must be saved */
 void mo_pending_clear(struct mo_pending *pending); /* empties it, but keeps its arrays */
 void mo_pending_free(struct mo_pending *pending);

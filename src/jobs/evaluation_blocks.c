@@ -52,7 +52,7 @@ void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int er
     config->warn(config->warn_context, active->id, error, text);
   active->failing =
       mo_pending_update(all, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error,
-                        text) == MO_OK;
+                        text) != NULL;
 }
 
 /* ---- the table of rollouts ---- */
@@ -143,7 +143,7 @@ static void finish_known(struct mo_evaluations *all, struct mo_active *active, u
     active->own_before--;
   else
     active->cached++;
-  atomic_fetch_add(was_deferred ? &all->jobs->shared : &all->jobs->cached, 1);
+  atomic_fetch_add(was_deferred ? &all->jobs->rollouts_shared : &all->jobs->rollouts_cached, 1);
   finish_cell(all, active, design, k, diverged_step);
 }
 
@@ -372,8 +372,8 @@ static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
     all->pending.rollouts = flight->rollouts[i];
     flight->rollouts[i] = NULL;
   }
-  atomic_fetch_add(&all->jobs->computed, 1);
-  atomic_fetch_add(&all->jobs->diverged, outcome->diverged_step != 0);
+  atomic_fetch_add(&all->jobs->rollouts_computed, 1);
+  atomic_fetch_add(&all->jobs->rollouts_diverged, outcome->diverged_step != 0);
   finish_cell(all, active, design, k, outcome->diverged_step);
   return MO_OK;
 }
