@@ -61,6 +61,10 @@ double bench_sgemm_best(const struct bench_sgemm *sgemm);
 /* Arithmetic of one step of the controller restricted to the body's masses and springs. */
 double bench_controller_flop(const struct mo_body *body);
 
+/* The index of a word; ends the program if the list, which ends with NULL, has none such. */
+int bench_word(const char *const *words, const char *word);
+enum mo_isa bench_isa(const char *name);
+
 double bench_now_s(void);
 double
 bench_thread_s(void); /* processor time of this thread: other work on the machine does not count */
@@ -72,8 +76,8 @@ void bench_check(int status, const char *what);            /* ends the program u
 /* One series of points (x, y > 0, logarithmic axes), joined by a line. */
 struct bench_series {
   char name[48];
-  const char *colour; /* NULL: by its place */
-  bool marks;         /* squares in place of the line */
+  const char *color; /* NULL: by its place */
+  bool marks;        /* squares in place of the line */
   size_t n;
   double x[BENCH_POINTS], y[BENCH_POINTS];
 };

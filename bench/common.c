@@ -1,6 +1,8 @@
 /* common.c: scene, clock, order statistics. */
 #include "bench.h"
 
+#include "base/words.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -26,6 +28,24 @@ void bench_check(int status, const char *what)
     return;
   fprintf(stderr, "morpho-bench: %s: %s\n", what, mo_error_text(status));
   exit(1);
+}
+
+int bench_word(const char *const *words, const char *word)
+{
+  const int i = mo_word_index(words, word);
+  if (i < 0) {
+    fprintf(stderr, "morpho-bench: unknown word \"%s\"\n", word);
+    exit(2);
+  }
+  return i;
+}
+
+enum mo_isa bench_isa(const char *name)
+{
+  const char *names[MO_ISA_COUNT + 1] = {NULL};
+  for (int i = 0; i < MO_ISA_COUNT; i++)
+    names[i] = mo_isa_name((enum mo_isa)i);
+  return (enum mo_isa)bench_word(names, name);
 }
 
 static int ascending(const void *a, const void *b)

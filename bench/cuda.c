@@ -323,7 +323,7 @@ static void check_sizes(uint32_t n_steps, int with_passive)
       }
       char name[128];
       snprintf(name, sizeof(name),
-               "1 to 144 voxels, %u steps, %s, %s, %s: centre of mass within %.1e m, start %.1e",
+               "1 to 144 voxels, %u steps, %s, %s, %s: center of mass within %.1e m, start %.1e",
                n_steps, kind == 3 ? "passive" : mo_sensor_name(golden.controller->sensor),
                kind == 1 ? "bisection8" : "exact impact", precision_names[precision], worst, start);
       expect(worst <= (precision == MO_DEVICE_EXACT || kind == 3 ? 2e-5 : 2e-3) && start == 0,

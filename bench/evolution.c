@@ -113,7 +113,7 @@ static void read_scores(struct evolution *evolution)
   }
 }
 
-/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbours in their order, of random weights. */
+/* 1 / (1 + e^f), f a sum over voxels and pairs of neighbors in their order, of random weights. */
 static double made_up_score(const uint64_t *genotype)
 {
   static double weights[2][MO_DEFAULT_VOXELS];
@@ -346,10 +346,8 @@ static int report(struct evolution *evolution)
          (double)counts->crossover_attempts / (counts->recombinants > 0 ? counts->recombinants : 1),
          counts->fallbacks);
   const double peak = status_mib("VmHWM:");
-  printf("memory: excluded forms %.1f MiB, designs of the campaign %.1f MiB, process at its "
-         "largest %.1f MiB\n",
-         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20,
-         (double)mo_seen_bytes(evolution->seen) / 0x1p20, peak);
+  printf("memory: excluded forms %.1f MiB, process at its largest %.1f MiB\n",
+         (double)mo_form_set_bytes(evolution->excluded) / 0x1p20, peak);
   const int good = worst <= BOUND_S && peak <= BOUND_MIB && !counts->exhausted;
   printf("bounds: worst generation %.1f s, %.0f MiB: %s\n", BOUND_S, BOUND_MIB,
          good ? "kept" : "MISSED");
@@ -392,10 +390,7 @@ static void read_options(struct evolution *evolution, int argc, char **argv)
     case 'f': evolution->n_forms = number(optarg, 0, MO_TRAINING_BODIES_MAX); break;
     case 'T': evolution->n_threads = (uint32_t)number(optarg, 1, 64); break;
     case 's':
-      if (mo_selection_from_name(optarg, &settings->selection.kind) != MO_OK) {
-        fprintf(stderr, "morpho-bench: unknown selection \"%s\"\n", optarg);
-        exit(2);
-      }
+      settings->selection.kind = (enum mo_selection_kind)bench_word(mo_selection_words, optarg);
       break;
     case 'r': evolution->scores_path = optarg; break;
     case 'S': settings->seed = number(optarg, 0, UINT64_MAX); break;

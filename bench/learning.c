@@ -43,7 +43,8 @@ static const char usage[] =
     "  --warmup N         steps of warm-up of the cosine (default 10)\n"
     "  --bound X          of the adjoint with --clip on (default 2)\n"
     "  --rule clip|restart  above the bound with --clip on (default clip)\n"
-    "  --restart-weight X  of what begins anew, with --rule restart (default 3)\n"
+    "  --restart-weight X  of what a restarted adjoint begins with, with --rule restart (default "
+    "3)\n"
     "  --norm-limit X     of the batch gradient (default 1; 0: none)\n"
     "  --beta1 X, --beta2 X  of Adam (default 0.9, 0.999)\n"
     "                     With none of these eight, inverse_square with one cosine and clipping is "
@@ -212,14 +213,40 @@ static struct mo_training *open_training(const struct learning_run *run, const c
 {
   struct mo_training *training = NULL;
   struct mo_message message = {""};
-  int code = mo_training_read(path, &training, &message);
-  if (code == MO_ERR_NOT_FOUND)
-    code = mo_training_create(&run->settings, NULL, NULL, 0, &training, &message);
-  if (code != MO_OK) {
+  FILE *file = fopen(path, "rb");
+  uint8_t *bytes = malloc(MO_CHECKPOINT_BYTES_MAX);
+  int error = bytes == NULL ? MO_ERR_NO_MEMORY : MO_OK;
+  if (error == MO_OK && file != NULL)
+    error = mo_training_decode(bytes, fread(bytes, 1, MO_CHECKPOINT_BYTES_MAX, file), &training,
+                               &message);
+  else if (error == MO_OK)
+    error = mo_training_create(&run->settings, NULL, NULL, 0, &training, &message);
+  if (error != MO_OK) {
     fprintf(stderr, "morpho-bench: %s: %s\n", path, message.text);
     exit(1);
   }
+  if (file != NULL)
+    fclose(file);
+  free(bytes);
   return training;
+}
+
+/* Saves a checkpoint in one step: a file that was being written when the program ended is not
+ * read. */
+static void save_training(const struct mo_training *training, const char *path)
+{
+  char temporary[1040];
+  uint8_t *bytes = NULL;
+  size_t size = 0;
+  bench_check(mo_training_encode(training, &bytes, &size), "a checkpoint");
+  snprintf(temporary, sizeof(temporary), "%s.tmp", path);
+  FILE *file = fopen(temporary, "wb");
+  if (file == NULL || fwrite(bytes, 1, size, file) != size || fclose(file) != 0 ||
+      rename(temporary, path) != 0) {
+    perror(temporary);
+    exit(1);
+  }
+  free(bytes);
 }
 
 static void run_one(struct learning_machine *machine, struct learning_run *run, const char *folder,
@@ -249,17 +276,14 @@ static void run_one(struct learning_machine *machine, struct learning_run *run, 
       run->seconds[report.step] = seconds;
     }
     if (report.step % SAVE_EVERY == 0 || report.step == n_steps) {
-      struct mo_message message = {""};
       printf("  step %4u  loss %.4f  norm %8.3f  rate %.2e  clipped %.1f %% of robots  diverged %u "
              " zeroed %u  %.1f "
              "bodies/s\n",
              report.step, report.mean_loss, report.gradient_norm, report.rate,
              100.0 * report.clipped_robots_share, report.diverged, report.zeroed,
              run->settings.batch / seconds);
-      if (report.step < n_steps && mo_training_write(training, path, &message) != MO_OK) {
-        fprintf(stderr, "morpho-bench: %s\n", message.text);
-        exit(1);
-      }
+      if (report.step < n_steps)
+        save_training(training, path);
     }
   }
   unlink(path); /* all its rows are there */
@@ -290,7 +314,7 @@ static struct learning_run make_run(const struct plan *plan, int sensor, int res
   if (s->learning.adjoint_rule == MO_ADJOINT_RESTART)
     snprintf(rule, sizeof(rule), "restart %g", s->learning.restart_weight);
   snprintf(run.key, sizeof(run.key), "%s,%s,%g,%u,%g,%s,%g,%g,%g,%u,%u,%llu",
-           mo_sensor_name(s->sensor), mo_schedule_name(s->learning.schedule.kind),
+           mo_sensor_name(s->sensor), mo_schedule_words[s->learning.schedule.kind],
            s->learning.schedule.peak, s->learning.schedule.warmup_steps, s->learning.adjoint_bound,
            rule, s->learning.norm_limit, s->learning.beta1, s->learning.beta2, s->batch, s->n_steps,
            (unsigned long long)seed);
@@ -331,7 +355,7 @@ static size_t make_runs(const struct plan *plan, struct learning_run runs[RUNS_M
         snprintf(group->name, sizeof(group->name), "%s, adjoint %s",
                  restarts ? "the paper's restarts" : "one cosine",
                  off                                ? "not clipped"
-                 : plan->rule == MO_ADJOINT_RESTART ? "begun anew"
+                 : plan->rule == MO_ADJOINT_RESTART ? "restarted"
                                                     : "clipped");
         n_groups++;
       }
@@ -542,8 +566,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
       break;
     case BOUND: plan->bound = own_recipe(name, optarg, plan); break;
     case RULE:
-      if (mo_adjoint_rule_from_name(optarg, &plan->rule) != MO_OK)
-        wrong(name, optarg);
+      plan->rule = (enum mo_adjoint_rule)bench_word(mo_adjoint_words, optarg);
       plan->own_recipe = true;
       break;
     case RESTART_WEIGHT: plan->restart_weight = own_recipe(name, optarg, plan); break;
@@ -552,10 +575,7 @@ static void read_options(int argc, char **argv, struct plan *plan, struct bench_
     case BETA2: plan->beta2 = own_recipe(name, optarg, plan); break;
     case MODULE: options->module = optarg; break;
     case WORKERS: options->workers = (uint32_t)whole(name, optarg, 1024); break;
-    case ISA:
-      if (mo_isa_from_name(optarg, &options->isa) != MO_OK)
-        wrong(name, optarg);
-      break;
+    case ISA: options->isa = bench_isa(optarg); break;
     case CSV: options->csv = optarg; break;
     case FOLDER: plan->folder = optarg; break;
     case SVG: options->svg = optarg; break;

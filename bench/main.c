@@ -84,12 +84,7 @@ int main(int argc, char **argv)
     case 'b': options.bodies = (uint32_t)number(optarg, 100000); break;
     case 's': options.seed = number(optarg, UINT64_MAX); break;
     case 'w': options.workers = (uint32_t)number(optarg, 1024); break;
-    case 'i':
-      if (mo_isa_from_name(optarg, &options.isa) != MO_OK) {
-        fprintf(stderr, "morpho-bench: unknown instruction set \"%s\"\n", optarg);
-        return 2;
-      }
-      break;
+    case 'i': options.isa = bench_isa(optarg); break;
     case 'c': options.controller = optarg; break;
     case 'C': options.csv = optarg; break;
     case 'S': options.svg = optarg; break;

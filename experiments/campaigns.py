@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from own_daemon import ENDED, Daemon, Deadline, cut_off
-from charts import COLOURS, Chart, Panel, Scale
+from charts import COLORS, Chart, Panel, Scale
 import records
 
 MODES = ("zero-shot", "few-shot", "simultaneous")
@@ -47,7 +47,8 @@ def rows_of(daemon, campaign):
 
 def survival(row, operator):
     """Share of the children of an operator, "mutants" or "recombinants", that live on."""
-    return row[f"{operator}_survived"] / row[f"{operator}_born"] if row[f"{operator}_born"] else None
+    born = row[f"{operator}_born"]
+    return row[f"{operator}_survived"] / born if born else None
 
 
 def follow(daemon, campaign, deadline):
@@ -60,14 +61,16 @@ def follow(daemon, campaign, deadline):
         newest, progress = campaign["newest"], campaign["progress"]
         left = progress["seconds_left"]
         print(f"{campaign['mode']} seed {campaign['settings']['seed']}: " + (
-            f"generation {newest['generation']} of {progress['generations']}, mean {newest['score']['mean']}, "
+            f"generation {newest['generation']} of {progress['generations']}, mean "
+            f"{newest['score']['mean']}, "
             if newest else "") + f"{campaign['phase']} {progress['done']} of {progress['total']}" +
               (f", {left:.0f} s left" if left is not None else ""),
               file=sys.stderr,
               flush=True)
     if campaign["state"] in ("failed", "cancelled", "paused"):
         sys.exit(
-            f"campaign {campaign['id']} {campaign['state']}: {campaign['error'] or campaign['reason']}"
+            f"campaign {campaign['id']} {campaign['state']}: "
+            f"{campaign['error'] or campaign['reason']}"
         )
     return campaign
 
@@ -115,14 +118,14 @@ def table(rows, population):
         ])
     heads = ("mode, seed", "mean at 0", "at the end", "better by", "best at 0", "at the end",
              "diversity at 0", "most", "at the end", "wall time")
-    return records.table(
-        heads, lines
-    ) + f"\n\nPopulation {population}, generations 0 to {int(max(row['generation'] for row in rows))}."
+    newest = int(max(row["generation"] for row in rows))
+    return (records.table(heads, lines) +
+            f"\n\nPopulation {population}, generations 0 to {newest}.")
 
 
 def draw(rows, path):
-    """Three panels against generations: mean and best score, diversity, share of children that survive.
-    """
+    """Three panels against generations: mean and best score, diversity, share of children that
+    survive."""
     panels = [("score: mean (line) and best (dashes)", [("mean", ""), ("best", "5 4")]),
               ("diversity", [("diversity", "")]),
               ("share of the children that live on: recombinants (line), mutants (dashes)",
@@ -149,13 +152,13 @@ def draw(rows, path):
         panel.axes()
         for i, ((mode, seed), group) in enumerate(curves(rows).items()):
             for key, dash in keys:
-                panel.line([(row["generation"], value(row, key)) for row in group], COLOURS[mode],
+                panel.line([(row["generation"], value(row, key)) for row in group], COLORS[mode],
                            dash)
             if p == 0:
                 chart.text(width - right + 14,
                            top + 18 * i + 12,
                            f"{mode}, seed {int(seed)}",
-                           fill=COLOURS[mode])
+                           fill=COLORS[mode])
     chart.text(left, height * len(panels) - 4, "generation")
     chart.save(path)
 

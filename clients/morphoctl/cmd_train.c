@@ -224,8 +224,7 @@ static void print_code(const struct ctl *ctl, const json_t *code)
   const json_t *entry;
   json_array_foreach(code, i, entry)
   {
-    const char *fingerprint =
-        *text_of(entry, "fingerprint") != 0 ? text_of(entry, "fingerprint") : "not recorded";
+    const char *fingerprint = text_of(entry, "fingerprint");
     if (i == 0)
       print_fact(ctl, "code", "%s", fingerprint);
     else

@@ -175,7 +175,6 @@ struct mo_gradient_batch {
                            that diverged or were zeroed count as 0 */
   struct mo_outcome *outcomes; /* (n) */
   struct mo_gradient_counts counts;
-  struct mo_gradient_profile profile;
 };
 #define MO_GRADIENT_BATCH_MAX 65536
 

@@ -102,10 +102,6 @@ int mo_controller_decode(const uint8_t *bytes, size_t size, struct mo_controller
 /* Encodes the file (malloc; the caller frees it). The same controller always gives the same bytes.
  * MO_ERR_NO_MEMORY; MO_ERR_LIMIT: the metadata exceeds MO_SAFETENSORS_HEADER_MAX. */
 int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes, size_t *size);
-/* Writes `path` through a temporary file beside it, fsync and rename. MO_ERR_IO,
- * MO_ERR_NO_SPACE. */
-int mo_controller_write(const struct mo_controller *controller, const char *path,
-                        struct mo_message *message);
 
 /* Computes the reference forward pass in float64 for the n springs listed in `springs` (NULL: all):
  * outputs[i] is the activation of springs[i]. inputs: (n_inputs). scratch: 2·MO_HIDDEN doubles. */

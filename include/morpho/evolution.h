@@ -68,7 +68,6 @@ enum mo_selection_kind {
 extern const char
     *const mo_selection_words[]; /* "truncation", "tournament", "novelty", "age-layered", NULL */
 const char *mo_selection_name(enum mo_selection_kind kind);
-int mo_selection_from_name(const char *name, enum mo_selection_kind *kind);
 
 struct mo_selection {
   enum mo_selection_kind kind;
@@ -140,11 +139,7 @@ void mo_seen_free(struct mo_seen *seen); /* NULL-safe */
 int mo_seen_add(struct mo_seen *seen,
                 const uint64_t *genotype); /* 1: new, added; 0: already present; MO_ERR_NO_MEMORY,
                                               MO_ERR_EMPTY */
-int mo_seen_has(
-    const struct mo_seen *seen,
-    const uint64_t *genotype); /* 1, 0; MO_ERR_NO_MEMORY: only for workspaces above 1024 voxels */
 uint64_t mo_seen_count(const struct mo_seen *seen); /* added by mo_seen_add */
-size_t mo_seen_bytes(const struct mo_seen *seen);   /* without `excluded` */
 
 /* Adds to `set` (of `workspace`) the forms of the first n_bodies that a pretraining of `seed`
  * learned from and that fit `workspace`. The bodies are those of mo_training_draw, without held-out

@@ -39,9 +39,7 @@ extern "C" {
 
 /* Stored by these numbers. */
 enum mo_adjoint_rule { MO_ADJOINT_CLIP = 0, MO_ADJOINT_RESTART = 1 };
-extern const char *const mo_adjoint_words[];                 /* "clip", "restart", NULL */
-const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule); /* "unknown" for another number */
-int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule); /* MO_ERR_NOT_FOUND */
+extern const char *const mo_adjoint_words[]; /* "clip", "restart", NULL */
 
 struct mo_gradient_options {
   double adjoint_bound; /* ≥ 0; 0: off */

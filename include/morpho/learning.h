@@ -43,8 +43,7 @@ enum mo_schedule_kind {
   MO_SCHEDULE_COSINE = 1, /* one cosine from peak to floor over all steps of the training */
   MO_SCHEDULE_CONSTANT = 2
 };
-const char *mo_schedule_name(enum mo_schedule_kind kind); /* "restarts", "cosine", "constant" */
-int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind); /* MO_ERR_NOT_FOUND */
+extern const char *const mo_schedule_words[]; /* "restarts", "cosine", "constant", NULL */
 
 struct mo_schedule {
   enum mo_schedule_kind kind;
@@ -65,12 +64,10 @@ struct mo_schedule mo_schedule_one_cosine(void); /* 2e-3 → 1e-5, warm-up 10 st
 struct mo_schedule
 mo_schedule_finetune(void); /* one cosine, 3e-4 → 1e-6: fully annealed at any length */
 /* Returns the learning rate of step `step` (from 0) of a training of n_steps, for a schedule that
- * passed mo_schedule_check. In step s of a cycle of n steps, or s of the n steps after the warm-up
- * of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes the peak
- * below the floor, the floor. Bit-exact on every machine. */
+ * passed mo_training_settings_check. In step s of a cycle of n steps, or s of the n steps after the
+ * warm-up of one cosine, the rate is floor + (peak − floor) (1 + cos(π s/n))/2; where decay takes
+ * the peak below the floor, the floor. Bit-exact on every machine. */
 double mo_schedule_rate(const struct mo_schedule *schedule, uint32_t step, uint32_t n_steps);
-int mo_schedule_check(const struct mo_schedule *schedule,
-                      struct mo_message *message); /* MO_ERR_INVALID, MO_ERR_RANGE */
 
 /* ---- settings ---- */
 
@@ -121,10 +118,8 @@ enum mo_learning_preset {
   MO_LEARNING_PRESET_PHOTOTAXIS = 1,
   MO_LEARNING_PRESET_PAPER = 2
 };
-const char *
-mo_learning_preset_name(enum mo_learning_preset preset); /* "workstation", "phototaxis", "paper" */
-int mo_learning_preset_from_name(const char *name,
-                                 enum mo_learning_preset *preset); /* MO_ERR_NOT_FOUND */
+/* "workstation", "phototaxis", "paper"; MO_ERR_NOT_FOUND. */
+int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset);
 struct mo_training_settings mo_training_preset(enum mo_training_kind kind,
                                                enum mo_learning_preset preset);
 struct mo_training_settings
@@ -166,13 +161,9 @@ void mo_training_free(struct mo_training *training); /* NULL-safe */
 
 uint32_t
 mo_training_step(const struct mo_training *training); /* steps applied so far; n_steps: finished */
-uint32_t mo_training_skipped(
-    const struct mo_training *training); /* steps that changed nothing, among those applied */
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training);
 const struct mo_controller *
 mo_training_controller(const struct mo_training *training); /* current weights; borrowed */
-size_t mo_training_bytes(
-    const struct mo_training *training); /* memory held, including the set of seen bodies */
 
 /* Draws the robots of the current step: (batch), borrowed until the next draw or apply. Robot i of
  * step t has mo_environment_training(seed, t, i). A restored pretraining first replays its stream:
@@ -239,11 +230,6 @@ int mo_training_encode(const struct mo_training *training, uint8_t **bytes, size
  * MO_ERR_NO_MEMORY. */
 int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **training,
                        struct mo_message *message);
-/* Write and read a checkpoint file: temporary file beside it, fsync, rename, fsync of the folder.
- * MO_ERR_IO, MO_ERR_NO_SPACE. */
-int mo_training_write(const struct mo_training *training, const char *path,
-                      struct mo_message *message);
-int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message);
 
 /* The code that computed a training's gradients from a step on: what its bits depend on besides its
  * inputs. */

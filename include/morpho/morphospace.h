@@ -67,12 +67,6 @@ int mo_genotype_from_text(struct mo_workspace workspace, const char *text, size_
 /* Writes one '0' or '1' per voxel and a NUL: voxels + 1 bytes. */
 void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, char *text);
 
-/* Writes the stored form: the bit string as ceil(voxels / 8) big-endian bytes (voxel 0 is the top
- * bit of byte 0). */
-void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, uint8_t *bytes);
-int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes,
-                           uint64_t *bits); /* MO_ERR_FORMAT */
-
 uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits); /* voxels */
 int mo_genotype_is_contiguous(struct mo_workspace workspace,
                               const uint64_t *bits); /* 1, 0 (also if empty), MO_ERR_NO_MEMORY */
@@ -110,8 +104,6 @@ int mo_genotype_from_id(struct mo_workspace workspace, const char *id, size_t le
  * way. MO_ERR_RANGE: it does not fit. `moved` must not overlap `bits`. Empty stays empty. */
 int mo_genotype_move(struct mo_workspace from, const uint64_t *bits, struct mo_workspace to,
                      uint64_t *moved);
-
-uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b);
 
 /* ---- sampling and variation: children are valid and placed ---- */
 
@@ -158,9 +150,6 @@ int mo_body_stream_next_form(struct mo_body_stream *stream, uint64_t *bits, uint
 int mo_body_stream_set_threads(struct mo_body_stream *stream, uint32_t n_threads);
 uint64_t mo_body_stream_draws(
     const struct mo_body_stream *stream); /* draws so far, including skipped ones */
-size_t mo_body_stream_bytes(const struct mo_body_stream *stream); /* memory held */
-/* Makes the stream skip a form from now on. */
-int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form);
 
 /* ---- phenotype ---- */
 

@@ -92,7 +92,6 @@ int mo_rollout_reference(const struct mo_body *body, const struct mo_controller 
 enum mo_isa { MO_ISA_BASELINE = 0, MO_ISA_AVX2 = 1, MO_ISA_AVX512 = 2, MO_ISA_COUNT };
 enum mo_isa mo_isa_best(void); /* the widest that this processor (and operating system) runs */
 const char *mo_isa_name(enum mo_isa isa); /* "x86-64", "avx2", "avx512" */
-int mo_isa_from_name(const char *name, enum mo_isa *isa);
 
 /* A controller laid out for one instruction set and precision. Const, shared by all workers. Keeps
  * no reference to the controller. controller NULL: a pack for passive bodies of any workspace.
@@ -101,7 +100,6 @@ struct mo_pack;
 int mo_pack_create(const struct mo_controller *controller, enum mo_isa isa,
                    enum mo_precision precision, struct mo_pack **pack);
 void mo_pack_free(struct mo_pack *pack);
-size_t mo_pack_bytes(const struct mo_pack *pack);
 
 /* Where time went, in seconds, summed over calls. */
 struct mo_rollout_profile {

@@ -1,4 +1,4 @@
-/* file.h: reads files with bounds and replaces them atomically. */
+/* file.h: reads files with bounds. */
 #ifndef MORPHO_BASE_FILE_H
 #define MORPHO_BASE_FILE_H
 
@@ -12,16 +12,6 @@
 int mo_file_open(const char *path, uint64_t *size, struct mo_message *message);
 /* Reads exactly `size` bytes at `offset`. MO_ERR_IO. */
 int mo_file_read_at(int fd, void *buffer, uint64_t size, uint64_t offset,
-                    struct mo_message *message);
-
-struct mo_file_piece {
-  const void *bytes;
-  size_t size;
-};
-/* Writes the pieces to `path`: to a temporary file, which is synced and renamed; then the folder is
- * synced. Readers see the whole old or the whole new file. MO_ERR_NO_SPACE, MO_ERR_IO,
- * MO_ERR_NO_MEMORY: the old file stays, unless only the sync of the folder failed. */
-int mo_file_replace(const char *path, const struct mo_file_piece *pieces, size_t n,
                     struct mo_message *message);
 
 #endif

@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include <morpho/error.h>
+
 #include "base/number.h"
 #include "base/utf8.h"
 
@@ -594,13 +596,6 @@ bool mo_json_member(struct mo_json *json, struct mo_json_slice *key)
   skip_space(json);
   *key = plain ? raw : (struct mo_json_slice){json->key, decode(raw, json->key, sizeof(json->key))};
   return true;
-}
-
-uint32_t mo_json_index(const struct mo_json *json)
-{
-  return json->depth == 0 || json->levels[json->depth - 1].index == 0
-             ? 0
-             : json->levels[json->depth - 1].index - 1;
 }
 
 /* Skips a value without recursion, by closing the levels that it opens. */

@@ -90,9 +90,6 @@ bool mo_json_object(struct mo_json *json);
 /* Moves to the next member. Escapes in the key are decoded; the key is valid until the next member
  * with an escaped key, in any object. */
 bool mo_json_member(struct mo_json *json, struct mo_json_slice *key);
-/* Returns the index of the current item of the innermost array; after the last, the number of
- * items. */
-uint32_t mo_json_index(const struct mo_json *json);
 
 void mo_json_skip(struct mo_json *json);
 

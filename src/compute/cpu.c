@@ -261,8 +261,8 @@ static int differentiate(struct worker *worker, struct mo_gradient_task *task, i
       .reached = look_up,
       .context = &visit};
   return mo_gradient_block(worker->gradient, task->pack, task->robots, task->n,
-                           &task->block.physics, &task->options, &pause, &task->profile,
-                           task->outcomes, task->d_parameters, &task->counts);
+                           &task->block.physics, &task->options, &pause, NULL, task->outcomes,
+                           task->d_parameters, &task->counts);
 }
 
 static void count(struct worker *worker, const struct mo_block *block)

@@ -195,7 +195,6 @@ static int submit(struct mo_gradient_state *state, const struct mo_gradient_batc
   task->options = options_of(batch);
   task->stop = &state->stop;
   task->counts = (struct mo_gradient_counts){0};
-  task->profile = (struct mo_gradient_profile){0};
   slot->finished = false;
   return mo_compute_submit_gradient(state->compute, task);
 }
@@ -234,22 +233,11 @@ static void add(const struct mo_gradient_state *state, const struct mo_gradient_
   for (uint32_t i = 0; i < task->n; i++)
     batch->outcomes[order[i]] = task->outcomes[i];
   mo_gradient_counts_add(&batch->counts, &task->counts);
-  struct mo_gradient_profile *profile = &batch->profile;
-  profile->pack_s += task->profile.pack_s;
-  profile->sense_s += task->profile.sense_s;
-  profile->control_s += task->profile.control_s;
-  profile->physics_s += task->profile.physics_s;
-  profile->physics_back_s += task->profile.physics_back_s;
-  profile->control_back_s += task->profile.control_back_s;
-  profile->parameters_s += task->profile.parameters_s;
-  profile->repeat_s += task->profile.repeat_s;
-  profile->robot_steps += task->profile.robot_steps;
 }
 
 static void clear(struct mo_gradient_batch *batch, enum mo_back_end back_end)
 {
   batch->counts = (struct mo_gradient_counts){0};
-  batch->profile = (struct mo_gradient_profile){0};
   batch->computed_on = back_end;
 }
 

@@ -30,11 +30,10 @@ struct mo_gradient_task {
   uint32_t n;
   struct mo_gradient_options options;
   const atomic_bool *stop; /* true: same as a set `cancel` */
-  /* Results; counts and profile are added to. */
+  /* Results; counts are added to. */
   struct mo_outcome outcomes[MO_GRADIENT_ROBOTS];
   float *d_parameters; /* (n_parameters) */
   struct mo_gradient_counts counts;
-  struct mo_gradient_profile profile;
 };
 /* A part of a batch for one device: shards of MO_DEVICE_SHARD robots. Its `block` stands in the
  * queue, like that of a gradient block. */

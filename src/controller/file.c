@@ -1,5 +1,5 @@
-/* file.c: reads and writes controllers as bytes and files. A file is read in pieces directly into
- * the parameters, so that a large controller is in memory only once. */
+/* file.c: reads controllers from bytes and files, and encodes them. A file is read in pieces
+ * directly into the parameters, so that a large controller is in memory only once. */
 #include "controller/internal.h"
 
 #include "base/file.h"
@@ -109,20 +109,4 @@ int mo_controller_encode(const struct mo_controller *controller, uint8_t **bytes
   *bytes = out;
   *size = header_size + data_size;
   return MO_OK;
-}
-
-int mo_controller_write(const struct mo_controller *controller, const char *path,
-                        struct mo_message *message)
-{
-  uint8_t *header = NULL;
-  size_t header_size = 0;
-  int r = mo_safetensors_format(controller, &header, &header_size);
-  if (r < 0)
-    return mo_fail(message, r, "cannot write %s: %s", path,
-                   r == MO_ERR_LIMIT ? "its metadata exceeds the largest header" : "out of memory");
-  const struct mo_file_piece pieces[] = {
-      {header, header_size}, {controller->parameters, controller->n_parameters * sizeof(float)}};
-  r = mo_file_replace(path, pieces, 2, message);
-  free(header);
-  return r;
 }

@@ -59,24 +59,7 @@ int mo_seen_add_own(struct mo_seen *seen, const uint64_t *genotype)
   return add(seen, NULL, genotype);
 }
 
-int mo_seen_has(const struct mo_seen *seen, const uint64_t *genotype)
-{
-  struct mo_scratch form;
-  if (mo_scratch_open(&form, mo_workspace_words(seen->workspace)) != MO_OK)
-    return MO_ERR_NO_MEMORY;
-  mo_genotype_canonical(seen->workspace, genotype, form.bits);
-  const int has = mo_form_set_has(seen->own, form.bits) ||
-                  (seen->excluded != NULL && mo_form_set_has(seen->excluded, form.bits));
-  mo_scratch_close(&form);
-  return has;
-}
-
 uint64_t mo_seen_count(const struct mo_seen *seen)
 {
   return mo_form_set_count(seen->own);
-}
-
-size_t mo_seen_bytes(const struct mo_seen *seen)
-{
-  return sizeof(*seen) + mo_form_set_bytes(seen->own);
 }

@@ -33,14 +33,6 @@ const char *mo_selection_name(enum mo_selection_kind kind)
   return mo_word(mo_selection_words, (unsigned)kind);
 }
 
-int mo_selection_from_name(const char *name, enum mo_selection_kind *kind)
-{
-  const int i = mo_word_index(mo_selection_words, name);
-  if (i >= 0)
-    *kind = (enum mo_selection_kind)i;
-  return i >= 0 ? MO_OK : i;
-}
-
 const char *mo_preset_name(enum mo_preset preset)
 {
   return mo_word(preset_words, (unsigned)preset);

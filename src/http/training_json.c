@@ -101,10 +101,7 @@ static void write_code(struct mo_text *text, const struct mo_training_lineage *l
   for (uint32_t i = 0; i < lineage->n; i++) {
     const struct mo_training_code *code = &lineage->codes[i];
     mo_text_format(text, "%s{\"from_step\":%u,\"fingerprint\":", i > 0 ? "," : "", code->from_step);
-    if (code->fingerprint[0] != '\0')
-      mo_text_json_string(text, code->fingerprint, strlen(code->fingerprint));
-    else
-      mo_text_add(text, "null");
+    mo_text_json_string(text, code->fingerprint, strlen(code->fingerprint));
     mo_text_add(text, "}");
   }
   mo_text_add(text, "]");

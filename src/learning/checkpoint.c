@@ -3,9 +3,8 @@
  * Little-endian, without padding: 8 bytes "morpho\r\n", the version (uint32), the fields in the
  * order of header() below, then designs (24 bytes each), weights (float32), first and second
  * moments (float64 each), and a CRC-64 of everything before it. One function writes and reads the
- * same list of fields. Version 1 is still read: it lacks the adjoint's rule and the restart weight,
- * so it clips, with the default weight. Decoding trusts nothing: sizes must agree to the byte,
- * settings must pass the checks of a new training, and numbers must be finite. */
+ * same list of fields. Decoding trusts nothing: sizes must agree to the byte, settings must pass
+ * the checks of a new training, and numbers must be finite. */
 #include "learning/internal.h"
 
 #include "base/file.h"
@@ -20,7 +19,6 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "checkpoints are littl
 
 #define VERSION      2
 #define HEADER_BYTES 240
-#define RULE_BYTES   (sizeof(int) + sizeof(double)) /* version 1 is shorter by this */
 #define SUM_BYTES    sizeof(uint64_t)
 
 static const uint8_t magic[8] = {'m', 'o', 'r', 'p', 'h', 'o', '\r', '\n'};
@@ -109,11 +107,9 @@ static void header(struct codec *codec, struct mo_training_settings *settings,
   field_f64(codec, &settings->learning.epsilon);
   field_f64(codec, &settings->learning.norm_limit);
   field_f64(codec, &settings->learning.adjoint_bound);
-  if (counters->version > 1) {
-    settings->learning.adjoint_rule =
-        (enum mo_adjoint_rule)field_kind(codec, (int)settings->learning.adjoint_rule);
-    field_f64(codec, &settings->learning.restart_weight);
-  }
+  settings->learning.adjoint_rule =
+      (enum mo_adjoint_rule)field_kind(codec, (int)settings->learning.adjoint_rule);
+  field_f64(codec, &settings->learning.restart_weight);
   physics_fields(codec, &settings->physics);
   settings->sensor = (enum mo_sensor)field_kind(codec, (int)settings->sensor);
   field_u32(codec, &settings->held_out_designs);
@@ -246,66 +242,24 @@ int mo_training_decode(const uint8_t *bytes, size_t size, struct mo_training **t
 {
   if (size < sizeof(magic) || memcmp(bytes, magic, sizeof(magic)) != 0)
     return mo_fail(message, MO_ERR_FORMAT, "not a checkpoint of a training");
-  if (size < sizeof(magic) + HEADER_BYTES - RULE_BYTES + SUM_BYTES)
+  if (size < sizeof(magic) + sizeof(uint32_t) + SUM_BYTES)
     return damaged(message, "it is too short");
   uint32_t version;
   memcpy(&version, bytes + sizeof(magic), sizeof(version));
-  if (version < 1 || version > VERSION)
+  if (version != VERSION)
     return mo_fail(message, MO_ERR_FORMAT,
-                   "the checkpoint is of version %" PRIu32 "; this program reads versions 1 to %d",
+                   "the checkpoint is of version %" PRIu32 "; this program reads version %d",
                    version, VERSION);
-  if (version == VERSION && size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
+  if (size < sizeof(magic) + HEADER_BYTES + SUM_BYTES)
     return damaged(message, "it is too short");
   uint64_t sum;
   memcpy(&sum, bytes + size - SUM_BYTES, SUM_BYTES);
   if (sum != mo_checksum(bytes, size - SUM_BYTES))
     return damaged(message, "its checksum is wrong");
   struct codec codec = {.from = bytes, .at = sizeof(magic)};
-  struct mo_training_settings settings = {.learning.adjoint_rule = MO_ADJOINT_CLIP,
-                                          .learning.restart_weight = MO_RESTART_WEIGHT};
+  struct mo_training_settings settings = {0};
   struct counters counters = {0};
   header(&codec, &settings, &counters);
   const int r = check_header(&settings, &counters, message);
   return r == MO_OK ? read_arrays(&codec, &settings, &counters, size, training, message) : r;
-}
-
-int mo_training_write(const struct mo_training *training, const char *path,
-                      struct mo_message *message)
-{
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int r = mo_training_encode(training, &bytes, &size);
-  if (r < 0)
-    return mo_fail(message, r, "cannot write %s: out of memory", path);
-  const struct mo_file_piece piece = {bytes, size};
-  r = mo_file_replace(path, &piece, 1, message);
-  free(bytes);
-  return r;
-}
-
-static int read_open(int fd, uint64_t size, struct mo_training **training,
-                     struct mo_message *message)
-{
-  if (size > MO_CHECKPOINT_BYTES_MAX)
-    return mo_fail(message, MO_ERR_FORMAT,
-                   "the file has %" PRIu64 " bytes, more than any checkpoint", size);
-  uint8_t *bytes = malloc(size + 1);
-  if (bytes == NULL)
-    return mo_fail(message, MO_ERR_NO_MEMORY, "the checkpoint does not fit in memory");
-  int r = mo_file_read_at(fd, bytes, size, 0, message);
-  if (r == MO_OK)
-    r = mo_training_decode(bytes, size, training, message);
-  free(bytes);
-  return r;
-}
-
-int mo_training_read(const char *path, struct mo_training **training, struct mo_message *message)
-{
-  uint64_t size = 0;
-  const int fd = mo_file_open(path, &size, message);
-  if (fd < 0)
-    return fd;
-  const int r = read_open(fd, size, training, message);
-  close(fd);
-  return r;
 }

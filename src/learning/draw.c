@@ -252,36 +252,6 @@ void mo_training_forget_designs(struct mo_training *training)
   training->n_bodies = 0;
 }
 
-static size_t bodies_bytes(struct mo_body *const *bodies, uint32_t n)
-{
-  size_t bytes = 0;
-  for (uint32_t i = 0; bodies != NULL && i < n; i++) {
-    const struct mo_body *body = bodies[i];
-    bytes += sizeof(struct mo_body *);
-    if (body !=
-        NULL) /* per mass: lattice index and three coordinates; per spring: index, two ends, kind */
-      bytes += sizeof(*body) + body->n_masses * (sizeof(uint32_t) + 3 * sizeof(uint16_t)) +
-               body->n_springs * (3 * sizeof(uint32_t) + sizeof(uint8_t));
-  }
-  return bytes;
-}
-
-size_t mo_training_draw_bytes(const struct mo_training *training)
-{
-  const uint32_t batch = training->settings.batch;
-  size_t bytes = training->stream != NULL ? mo_body_stream_bytes(training->stream) : 0;
-  bytes += bodies_bytes(training->bodies, training->n_bodies);
-  for (int h = 0; h < 2; h++) {
-    const struct mo_hand *hand = &training->hands[h];
-    bytes += bodies_bytes(hand->bodies, batch);
-    if (hand->drawn != NULL)
-      bytes += batch * MO_DEFAULT_WORDS * sizeof(*hand->drawn);
-    if (hand->environments != NULL)
-      bytes += batch * (sizeof(struct mo_environment) + sizeof(struct mo_robot));
-  }
-  return bytes;
-}
-
 void mo_training_draw_free(struct mo_training *training)
 {
   mo_training_forget_designs(training);

@@ -113,11 +113,6 @@ static int check_schedule(const char *name, const void *value, struct mo_message
   return error;
 }
 
-int mo_schedule_check(const struct mo_schedule *schedule, struct mo_message *message)
-{
-  return check_schedule("schedule", schedule, message);
-}
-
 /* ---- learning ---- */
 
 #define AT(member) offsetof(struct mo_learning, member)

@@ -14,6 +14,4 @@ extern const struct mo_fields mo_recipe_fields;
 /* The same with seed and sensor. */
 extern const struct mo_fields mo_training_fields;
 
-extern const char *const mo_schedule_words[]; /* of enum mo_schedule_kind; schedule.c */
-
 #endif

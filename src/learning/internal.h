@@ -50,7 +50,6 @@ struct mo_hand *mo_training_hand(struct mo_training *training, uint32_t step);
 void mo_training_forget_robots(
     struct mo_training *training); /* the current step is over: the next draw frees its bodies */
 void mo_training_forget_designs(struct mo_training *training); /* finetune: the designs changed */
-size_t mo_training_draw_bytes(const struct mo_training *training);
 void mo_training_draw_free(struct mo_training *training);
 
 /* adam.c */

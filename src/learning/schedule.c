@@ -11,19 +11,6 @@
 
 const char *const mo_schedule_words[] = {"restarts", "cosine", "constant", NULL};
 
-const char *mo_schedule_name(enum mo_schedule_kind kind)
-{
-  return mo_word(mo_schedule_words, (unsigned)kind);
-}
-
-int mo_schedule_from_name(const char *name, enum mo_schedule_kind *kind)
-{
-  const int i = mo_word_index(mo_schedule_words, name);
-  if (i >= 0)
-    *kind = (enum mo_schedule_kind)i;
-  return i >= 0 ? MO_OK : i;
-}
-
 struct mo_schedule mo_schedule_paper_pretrain(void)
 {
   return (struct mo_schedule){.kind = MO_SCHEDULE_RESTARTS,

@@ -12,11 +12,6 @@
 
 static const char *const preset_words[] = {"workstation", "phototaxis", "paper", NULL};
 
-const char *mo_learning_preset_name(enum mo_learning_preset preset)
-{
-  return mo_word(preset_words, (unsigned)preset);
-}
-
 int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset)
 {
   const int i = mo_word_index(preset_words, name);

@@ -180,11 +180,6 @@ uint32_t mo_training_step(const struct mo_training *training)
   return training->step;
 }
 
-uint32_t mo_training_skipped(const struct mo_training *training)
-{
-  return training->skipped;
-}
-
 const struct mo_training_settings *mo_training_settings_of(const struct mo_training *training)
 {
   return &training->settings;
@@ -193,14 +188,6 @@ const struct mo_training_settings *mo_training_settings_of(const struct mo_train
 const struct mo_controller *mo_training_controller(const struct mo_training *training)
 {
   return training->controller;
-}
-
-size_t mo_training_bytes(const struct mo_training *training)
-{
-  return sizeof(*training) +
-         training->controller->n_parameters * (sizeof(float) + 2 * sizeof(double)) +
-         (size_t)training->n_designs * MO_DEFAULT_WORDS * sizeof(uint64_t) +
-         mo_training_draw_bytes(training);
 }
 
 static double share(uint64_t part, uint64_t whole)

@@ -17,11 +17,6 @@ static inline void mo_bits_set(uint64_t *bits, uint32_t i)
   bits[i >> 6] |= UINT64_C(1) << (i & 63);
 }
 
-static inline void mo_bits_clear(uint64_t *bits, uint32_t i)
-{
-  bits[i >> 6] &= ~(UINT64_C(1) << (i & 63));
-}
-
 /* In words, because the baseline instruction set has no population count. */
 static inline uint32_t mo_bits_count_word(uint64_t word)
 {

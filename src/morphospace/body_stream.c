@@ -162,15 +162,3 @@ uint64_t mo_body_stream_draws(const struct mo_body_stream *stream)
 {
   return stream->draws;
 }
-
-size_t mo_body_stream_bytes(const struct mo_body_stream *stream)
-{
-  return sizeof(*stream) + stream->room * (2 * stream->words * sizeof(uint64_t) + sizeof(int)) +
-         mo_form_set_bytes(stream->seen);
-}
-
-int mo_body_stream_exclude(struct mo_body_stream *stream, const uint64_t *form)
-{
-  int code = mo_form_set_add(stream->seen, form);
-  return code < 0 ? code : MO_OK;
-}

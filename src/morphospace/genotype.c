@@ -160,50 +160,9 @@ void mo_genotype_to_text(struct mo_workspace workspace, const uint64_t *bits, ch
   text[voxels] = '\0';
 }
 
-static uint64_t reverse_bits_of_bytes(uint64_t word)
-{
-  word = (word >> 1 & UINT64_C(0x5555555555555555)) | (word & UINT64_C(0x5555555555555555)) << 1;
-  word = (word >> 2 & UINT64_C(0x3333333333333333)) | (word & UINT64_C(0x3333333333333333)) << 2;
-  return (word >> 4 & UINT64_C(0x0f0f0f0f0f0f0f0f)) | (word & UINT64_C(0x0f0f0f0f0f0f0f0f)) << 4;
-}
-
-void mo_genotype_to_bytes(struct mo_workspace workspace, const uint64_t *bits, uint8_t *bytes)
-{
-  uint32_t n = (mo_workspace_voxels(workspace) + 7) / 8;
-  uint64_t word = 0;
-  for (uint32_t i = 0; i < n; i++) {
-    word = i % 8 == 0 ? reverse_bits_of_bytes(bits[i / 8]) : word >> 8;
-    bytes[i] = (uint8_t)word;
-  }
-}
-
-int mo_genotype_from_bytes(struct mo_workspace workspace, const uint8_t *bytes, uint64_t *bits)
-{
-  uint32_t voxels = mo_workspace_voxels(workspace);
-  uint32_t n = (voxels + 7) / 8;
-  if (voxels % 8 != 0 && (bytes[n - 1] & (0xff >> voxels % 8)) != 0) {
-    return MO_ERR_FORMAT;
-  }
-  memset(bits, 0, mo_workspace_words(workspace) * sizeof(uint64_t));
-  for (uint32_t i = 0; i < n; i++) {
-    bits[i / 8] |= reverse_bits_of_bytes(bytes[i]) << i % 8 * 8;
-  }
-  return MO_OK;
-}
-
 uint32_t mo_genotype_count(struct mo_workspace workspace, const uint64_t *bits)
 {
   return mo_bits_count(bits, mo_workspace_words(workspace));
-}
-
-uint32_t mo_genotype_hamming(struct mo_workspace workspace, const uint64_t *a, const uint64_t *b)
-{
-  uint32_t words = mo_workspace_words(workspace);
-  uint32_t count = 0;
-  for (uint32_t w = 0; w < words; w++) {
-    count += mo_bits_count_word(a[w] ^ b[w]);
-  }
-  return count;
 }
 
 /* ---- ids ---- */

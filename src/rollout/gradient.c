@@ -15,19 +15,6 @@
 
 const char *const mo_adjoint_words[] = {"clip", "restart", NULL};
 
-const char *mo_adjoint_rule_name(enum mo_adjoint_rule rule)
-{
-  return mo_word(mo_adjoint_words, (unsigned)rule);
-}
-
-int mo_adjoint_rule_from_name(const char *name, enum mo_adjoint_rule *rule)
-{
-  const int i = mo_word_index(mo_adjoint_words, name);
-  if (i >= 0)
-    *rule = (enum mo_adjoint_rule)i;
-  return i >= 0 ? MO_OK : i;
-}
-
 struct mo_gradient_options mo_default_gradient_options(void)
 {
   return (struct mo_gradient_options){.adjoint_bound = MO_ADJOINT_BOUND,

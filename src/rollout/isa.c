@@ -3,7 +3,6 @@
 
 #include <cpuid.h>
 #include <stdbool.h>
-#include <string.h>
 
 static const char *const names[MO_ISA_COUNT] = {"x86-64", "avx2", "avx512"};
 
@@ -34,16 +33,6 @@ enum mo_isa mo_isa_best(void)
 const char *mo_isa_name(enum mo_isa isa)
 {
   return (unsigned)isa < MO_ISA_COUNT ? names[isa] : "unknown";
-}
-
-int mo_isa_from_name(const char *name, enum mo_isa *isa)
-{
-  for (int i = 0; i < MO_ISA_COUNT; i++)
-    if (strcmp(name, names[i]) == 0) {
-      *isa = (enum mo_isa)i;
-      return MO_OK;
-    }
-  return MO_ERR_NOT_FOUND;
 }
 
 uint32_t mo_isa_vector_bytes(enum mo_isa isa)

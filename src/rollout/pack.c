@@ -122,8 +122,3 @@ void mo_pack_free(struct mo_pack *pack)
 {
   free(pack);
 }
-
-size_t mo_pack_bytes(const struct mo_pack *pack)
-{
-  return pack->bytes;
-}

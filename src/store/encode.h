@@ -47,7 +47,7 @@ void mo_encode_campaign(const struct mo_campaign_settings *settings,
 int mo_decode_campaign(const uint8_t *bytes, size_t size,
                        struct mo_campaign_settings *settings); /* MO_ERR_CORRUPT */
 
-/* Encodes a genotype as mo_genotype_to_bytes does. */
+/* Encodes a genotype as ceil(voxels / 8) bytes, voxel 0 in the top bit of byte 0. */
 void mo_encode_bits(const struct mo_bits *bits, uint8_t bytes[MO_BITS_BYTES]);
 int mo_decode_bits(const uint8_t *bytes, size_t size, struct mo_bits *bits); /* MO_ERR_CORRUPT */
 

@@ -156,8 +156,8 @@ class Service:
         return self.request("POST", "/v1/evaluations", value, headers=fields)
 
     def raw(self, data, timeout=10, finish=False):
-        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes, ended).
-        """
+        """Sends bytes, reads until the other side ends or is silent for a moment; returns (bytes,
+        ended)."""
         with socket.create_connection((self.host, self.port), timeout=timeout) as sock:
             received, ended = b"", False
             try:
@@ -226,8 +226,8 @@ def tiny_controller(service):
 
 
 def split_replies(received):
-    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those with
-    Content-Length."""
+    """The replies in what a connection gave: [(status, headers in lower case, body)]. Only those
+    with Content-Length."""
     replies = []
     while received:
         head, separator, rest = received.partition(b"\r\n\r\n")

@@ -210,7 +210,9 @@ def test_want_of_memory(start, undisturbed, tmp_path):
             for kind, request in (("campaigns", CAMPAIGN), ("trainings", TRAINING),
                                   ("evaluations", {**LARGE, "physics": {"n_steps": 9}}))]
     for _, job in jobs:
-        assert job["state"] == "paused" and job["error"]["code"] == "device" and job["attempts"] == 0
+        assert job["state"] == "paused"
+        assert job["error"]["code"] == "device"
+        assert job["attempts"] == 0
         assert "no memory" in job["error"]["detail"] and "resume" in job["error"]["detail"]
     assert service.stop() == 0
     service = start(*FLAGS, state=state, environment=fake(devices=2))
@@ -288,8 +290,8 @@ def test_known_keys_are_answered_without_devices(start, tmp_path):
         again = service.request("POST", f"/v1/{kind}", request, headers=key)
         assert again.status == 202 and again.json()["id"] == known, again.body
         refused = service.request("POST", f"/v1/{kind}", request)
-        assert refused.status == 422 and "the service has no devices: ask for" in refused.body.decode(
-        )
+        assert refused.status == 422
+        assert "the service has no devices: ask for" in refused.body.decode()
 
 
 def test_another_code_is_told(start, tmp_path):

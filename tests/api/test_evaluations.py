@@ -191,8 +191,8 @@ def test_clients_that_left_do_not_wait(start):
     paused = running.request("POST", "/v1/evaluations",
                              {"designs": [DESIGN], "physics": {"n_steps": 1000000}}).json()["id"]
     assert running.request("POST", f"/v1/jobs/{paused}/pause").json()["state"] == "paused"
-    request = f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\nPrefer: wait=60\r\n\r\n".encode(
-    )
+    request = (f"GET /v1/jobs/{paused} HTTP/1.1\r\nHost: localhost\r\n"
+               "Prefer: wait=60\r\n\r\n").encode()
     waiting = [socket.create_connection((running.host, running.port)) for _ in range(4)]
     for sock in waiting:
         sock.sendall(request)
@@ -219,11 +219,11 @@ def test_recording(service):
     assert whole["frames"] == 5 == len(whole["com_m"]) == len(
         whole["masses_m"]) and whole["stride"] == 25
     assert whole["environment"] == 3 and len({len(frame) for frame in whole["masses_m"]}) == 1
-    centre = [
+    center = [
         sum(point[axis] for point in whole["masses_m"][2]) / len(whole["masses_m"][2])
         for axis in range(3)
     ]
-    assert all(math.isclose(a, b, abs_tol=1e-4) for a, b in zip(centre, whole["com_m"][2]))
+    assert all(math.isclose(a, b, abs_tol=1e-4) for a, b in zip(center, whole["com_m"][2]))
     binary = service.request("GET",
                              path + "?environment=3",
                              headers={"Accept": "application/octet-stream"})

@@ -204,8 +204,8 @@ def test_streams_end_with_the_service(start):
 
 
 def test_slow_reader_gets_everything_later(service):
-    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the service
-    do not notice."""
+    """More than fits into the sockets' buffers piles up while one reader sleeps; others and the
+    service do not notice."""
     sock = socket.socket()
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     sock.connect((service.host, service.port))

@@ -69,7 +69,7 @@ def test_not_found(service):
 
 @pytest.mark.parametrize("query", [
     "/v1/jobs?state=lost", "/v1/jobs?kind=magic", "/v1/jobs?limit=0", "/v1/jobs?limit=1001",
-    "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?colour=red",
+    "/v1/jobs?limit=ten", "/v1/jobs?cursor=x", "/v1/jobs?limit=1&limit=2", "/v1/jobs?color=red",
     "/v1/jobs?state=%zz", "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age",
     "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
     "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
@@ -209,8 +209,10 @@ def test_unix_socket(start, tmp_path):
     assert running.request("GET", "/v1/jobs", unix=True).status == 200
     if os.geteuid() == 0:  # another user is refused
         script = (
-            "import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
-            "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); print(s.recv(4096).decode())"
+            "import os, socket, sys; os.setgroups([]); os.setgid(65534); os.setuid(65534); s = "
+            "socket.socket(socket.AF_UNIX); s.connect(sys.argv[1]);"
+            "s.sendall(b'GET /v1/jobs HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n'); "
+            "print(s.recv(4096).decode())"
         )
         for folder in (tmp_path, *tmp_path.parents[:3]):
             if str(folder).startswith("/tmp/"):
@@ -319,7 +321,8 @@ def test_slow_clients_are_cut_off(start):
     beginnings = {
         "header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nX: ", 1),
         "line": (b"GET /heal", 1), "body": (
-            b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 1000\r\n\r\n{",
+            b"POST /v1/evaluations HTTP/1.1\r\nHost: localhost\r\nContent-Type: "
+            b"application/json\r\nContent-Length: 1000\r\n\r\n{",
             2), "idle": (b"", 1)
     }
     ended = {}

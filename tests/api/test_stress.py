@@ -13,7 +13,7 @@ BLOCK = {"voxels": "1" * 144}
 DESIGNS = [DESIGN, BLOCK, {"cells": [[x, 2, 0] for x in range(6)]}]
 WORLDS = [
     {"light_xy_m": [2.5, 2.5], "terrain_sigma_m": 0.05,
-     "seed": 1},  # the block's centre of mass: the loss itself has a pole there
+     "seed": 1},  # the block's center of mass: the loss itself has a pole there
     {"light_xy_m": [4.0, 2.5], "terrain_sigma_m": 1.0, "seed": 2},
     {"light_xy_m": [1.0, 1.5], "terrain_sigma_m": 0.05, "seed": 3}
 ]

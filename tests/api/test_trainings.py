@@ -256,7 +256,9 @@ def test_settings_are_told_with_their_defaults(trained):
     assert settings["adjoint_rule"] == "clip" and settings["restart_weight"] == 3
     assert settings["sensor"] == "inverse_sqrt" and settings["physics"][
         "n_steps"] == 30 and settings["physics"]["dt_s"] == 0.004
-    assert settings["seed"] == 1 and settings["n_designs"] is None and settings["population"] is None
+    assert settings["seed"] == 1
+    assert settings["n_designs"] is None
+    assert settings["population"] is None
     assert trained["name"] == "small" and trained["label"] == "première" and trained[
         "parent"] is None
 
@@ -359,8 +361,8 @@ def test_the_end(service, trained):
 
 
 def test_the_rule_of_the_adjoint(service):
-    """It and its weight are told, stand in the lineage, and decide what is learned: a bound this low is
-    passed at once."""
+    """It and its weight are told, stand in the lineage, and decide what is learned: a bound this
+    low is passed at once."""
     files = []
     for rule, weight in (("clip", 3), ("restart", 3), ("restart", None), ("restart", 0.5)):
         chosen = {"adjoint_rule": rule} | ({"restart_weight": weight} if weight else {})
@@ -673,8 +675,8 @@ def test_pause_resume_cancel(service):
 
 
 def test_lineage_of_the_code(start, tmp_path):
-    """A training that goes on under another instruction set goes on, and says so wherever it is asked.
-    """
+    """A training that goes on under another instruction set goes on, and says so wherever it is
+    asked."""
     first = start("--isa=x86-64", state=tmp_path)
     training = first.request("POST", "/v1/trainings", {**LONG, "name": "mixed"}).json()
     assert training["code"] == []
@@ -775,4 +777,5 @@ def test_metrics(service, trained):
         values["morphod_training_checkpoints_total"]) >= 3
     assert float(values["morphod_training_robots_total"]) >= 24 and float(
         values["morphod_training_step_seconds_total"]) > 0
-    assert "morphod_trainings_running" in values and "morphod_training_robots_zeroed_total" in values
+    assert "morphod_trainings_running" in values
+    assert "morphod_training_robots_zeroed_total" in values

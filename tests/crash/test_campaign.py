@@ -152,9 +152,12 @@ def kill_one_campaign(daemon, generator, value, round_name, n_kills):
     assert victim.stop()[0] == 0
     for part, what in expected.items():
         assert result[part] == what, f"{part} differ from those of an undisturbed run"
-    # What was counted before a kill and had no commit yet: about a block per worker, of 10 rollouts.
-    # A slow disk can hold back the commit of a generation, and the scores of the next wait for that.
-    # What came between the count and the kill is not counted: the unit test of kills counts exactly.
+    # What was counted before a kill and had no commit yet: about a block per worker, of 10
+    # rollouts.
+    # A slow disk can hold back the commit of a generation, and the scores of the next wait for
+    # that.
+    # What came between the count and the kill is not counted: the unit test of kills counts
+    # exactly.
     assert computed - needed <= (kills * 7 + 2 * value["population"]) * 10
     check_database(victim.state)
     return kills, kills_while_running
@@ -178,8 +181,8 @@ def test_kill_at_random_moments(daemon, soak, seed, mode):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_pauses_stops_and_extensions(daemon, seed, mode):
-    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked for
-    at once."""
+    """Paused, stopped, killed while paused, and extended: as if all its generations had been asked
+    for at once."""
     print(f"seed {seed}")
     quiet = daemon("at-once", workers=2)
     with quiet:

@@ -85,7 +85,8 @@ def curve(state, job):
     """Everything that a repeat must not change: steps without their times, and validations."""
     database = open_database(state)
     steps = database.execute(
-        "SELECT step, mean_loss, rate, gradient_norm, clipped_share, clipped_robots_share, diverged, zeroed, skipped, "
+        "SELECT step, mean_loss, rate, gradient_norm, clipped_share, clipped_robots_share, "
+        "diverged, zeroed, skipped, "
         "bounded FROM training_steps WHERE job = ? ORDER BY step", (job, )).fetchall()
     validations = database.execute("SELECT * FROM training_validations WHERE job = ? ORDER BY step",
                                    (job, )).fetchall()
@@ -109,8 +110,8 @@ def check_files(state):
 
 
 def test_kill_at_random_moments(daemon, soak, seed):
-    """Killed 20 times, with another number of workers in every life, against undisturbed runs with 1, 2
-    and 7 workers."""
+    """Killed 20 times, with another number of workers in every life, against undisturbed runs with
+    1, 2 and 7 workers."""
     print(f"seed {seed}")
     generator = random.Random(seed)
     n_kills, steps = (200, 1000) if soak else (20, 60)
@@ -165,7 +166,8 @@ def test_kill_at_random_moments(daemon, soak, seed):
                        job) == expected[0], "the weights are not those of an undisturbed run"
     assert victim.stop()[0] == 0
     print(
-        f"{kills} kills of {len(done)} trainings, {kills_while_running} of them while one ran; {all_work} blocks undisturbed"
+        f"{kills} kills of {len(done)} trainings, {kills_while_running} of them while one ran; "
+        f"{all_work} blocks undisturbed"
     )
     assert kills_while_running >= n_kills // 2
     for job in done:

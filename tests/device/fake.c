@@ -33,7 +33,7 @@ struct mo_device {
   struct mo_workspace_memory *memory;
   struct mo_gradient_memory *gradient;
   struct mo_pack *passive;
-  const volatile int *cancel; /* of the call under way */
+  const volatile int *cancel; /* of the call in flight */
 };
 
 struct mo_device_controller {

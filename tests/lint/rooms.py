@@ -85,7 +85,8 @@ def faults_of(room, top):
             for number, line in enumerate(bare.splitlines(), 1):
                 if SPEAKS.search(line):
                     faults.append(
-                        f"{name}:{number}: a library neither prints nor ends the process: {line.strip()}"
+                        f"{name}:{number}: a library neither prints nor ends the process: "
+                        f"{line.strip()}"
                     )
     return faults
 

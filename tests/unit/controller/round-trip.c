@@ -1,5 +1,6 @@
 /* round-trip.c: reads a controller and writes it again: for interop.py. */
 #include <stdio.h>
+#include <stdlib.h>
 
 #include <morpho/controller.h>
 
@@ -12,10 +13,15 @@ int main(int argc, char **argv)
   struct mo_controller *controller = NULL;
   struct mo_message message = {""};
   int r = mo_controller_read(argv[1], &controller, &message);
+  uint8_t *bytes = NULL;
+  size_t size = 0;
   if (r == MO_OK)
-    r = mo_controller_write(controller, argv[2], &message);
+    r = mo_controller_encode(controller, &bytes, &size);
   if (r < 0)
     fprintf(stderr, "%s: %s\n", argv[1], message.text);
+  FILE *out = r == MO_OK ? fopen(argv[2], "wb") : NULL;
+  const int failed = out == NULL || fwrite(bytes, 1, size, out) != size || fclose(out) != 0;
+  free(bytes);
   mo_controller_free(controller);
-  return r < 0;
+  return failed;
 }

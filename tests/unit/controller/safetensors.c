@@ -3,8 +3,6 @@
 #include "../check.h"
 
 #include <fcntl.h>
-#include <signal.h>
-#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -555,40 +553,6 @@ static void read_faults(void)
   CHECK(c == NULL);
 }
 
-static void write_faults(void)
-{
-  struct mo_controller *c = NULL, *back = NULL;
-  struct mo_message message = {""};
-  char path[64];
-  REQUIRE(mo_controller_create((struct mo_workspace){1, 1, 1}, MO_SENSOR_INVERSE_SQRT, &c) ==
-          MO_OK);
-  mo_controller_randomize(c, 1);
-  snprintf(path, sizeof(path), "%s/there", folder);
-  CHECK_INT(mo_controller_write(c, path, &message), MO_OK);
-  CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
-  CHECK(back != NULL &&
-        memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) == 0);
-  mo_controller_free(back);
-  /* A write that fails half way leaves the old file, and nothing beside it. */
-  back = NULL;
-  const struct rlimit unlimited = {RLIM_INFINITY, RLIM_INFINITY}, small = {1000, RLIM_INFINITY};
-  signal(SIGXFSZ, SIG_IGN);
-  REQUIRE(setrlimit(RLIMIT_FSIZE, &small) == 0);
-  mo_controller_randomize(c, 2);
-  CHECK_INT(mo_controller_write(c, path, &message), MO_ERR_IO);
-  setrlimit(RLIMIT_FSIZE, &unlimited);
-  CHECK(strstr(message.text, "cannot write") != NULL);
-  CHECK_INT(mo_controller_read(path, &back, &message), MO_OK);
-  CHECK(back != NULL &&
-        memcmp(back->parameters, c->parameters, c->n_parameters * sizeof(float)) != 0);
-  mo_controller_free(back);
-  unlink(path);
-  CHECK_INT(rmdir(folder), 0); /* empty */
-  CHECK_INT(mo_controller_write(c, path, &message), MO_ERR_IO);
-  REQUIRE(mkdir(folder, 0700) == 0);
-  mo_controller_free(c);
-}
-
 static void header_overflow(void)
 {
   struct mo_controller *c = NULL;
@@ -620,7 +584,6 @@ static const struct check_case cases[] = {
     {"values that are not finite or too large", values_not_finite},
     {"random damage", random_damage},
     {"files that cannot be read", read_faults},
-    {"files that cannot be written", write_faults},
     {"a header too long to write", header_overflow}};
 
 int main(int argc, char **argv)

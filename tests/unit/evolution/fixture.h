@@ -18,6 +18,14 @@ static inline struct mo_campaign_settings small_campaign(uint64_t seed, uint32_t
   return settings;
 }
 
+static inline uint32_t hamming(const uint64_t *a, const uint64_t *b)
+{
+  uint32_t n = 0;
+  for (int w = 0; w < W; w++)
+    n += (uint32_t)__builtin_popcountll(a[w] ^ b[w]);
+  return n;
+}
+
 static inline struct mo_random check_stream(uint32_t step, uint64_t index)
 {
   struct mo_random random;

@@ -5,7 +5,6 @@
 static void names(void)
 {
   enum mo_campaign_mode mode = MO_ZERO_SHOT;
-  enum mo_selection_kind kind = MO_SELECT_TRUNCATION;
   enum mo_preset preset = MO_PRESET_PAPER;
   for (int i = 0; i < 3; i++) {
     CHECK(mo_campaign_mode_from_name(mo_campaign_mode_name((enum mo_campaign_mode)i), &mode) ==
@@ -14,9 +13,6 @@ static void names(void)
     CHECK(mo_preset_from_name(mo_preset_name((enum mo_preset)i), &preset) == MO_OK &&
           (int)preset == i);
   }
-  for (int i = 0; i < 4; i++)
-    CHECK(mo_selection_from_name(mo_selection_name((enum mo_selection_kind)i), &kind) == MO_OK &&
-          (int)kind == i);
   CHECK_TEXT(mo_campaign_mode_name(MO_FEW_SHOT), "few-shot");
   CHECK_TEXT(mo_selection_name(MO_SELECT_AGE_LAYERED), "age-layered");
   CHECK_TEXT(mo_preset_name(MO_PRESET_WORKSTATION), "workstation");
@@ -26,7 +22,6 @@ static void names(void)
   CHECK_TEXT(mo_operator_name((enum mo_operator)MO_OPERATORS), "unknown");
   mode = MO_SIMULTANEOUS;
   CHECK(mo_campaign_mode_from_name("zero", &mode) == MO_ERR_NOT_FOUND && mode == MO_SIMULTANEOUS);
-  CHECK_INT(mo_selection_from_name("", &kind), MO_ERR_NOT_FOUND);
   CHECK_INT(mo_preset_from_name("Paper", &preset), MO_ERR_NOT_FOUND);
 }
 

@@ -154,8 +154,7 @@ static double mean_distance(const uint64_t *bodies, const uint32_t *picks, uint3
 {
   uint64_t sum = 0;
   for (uint32_t j = 0; j < m; j++)
-    sum += mo_genotype_hamming(MO_DEFAULT_WORKSPACE, bodies + (size_t)W * picks[i],
-                               bodies + (size_t)W * picks[j]);
+    sum += hamming(bodies + (size_t)W * picks[i], bodies + (size_t)W * picks[j]);
   return (double)sum;
 }
 

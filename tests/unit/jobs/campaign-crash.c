@@ -81,8 +81,8 @@ static void check_end(const char *path, int mode, int kills, const struct fake_c
          mo_campaign_mode_name((enum mo_campaign_mode)mode), kills,
          (double)rollouts / MO_PAPER_TEST_COUNT / kills,
          (double)robots / request.record.settings.population / kills);
-  /* Two blocks per worker are in flight or wait for their commit; a generation's learning begins
-   * anew. */
+  /* Two blocks per worker are in flight or wait for their commit; a generation's learning starts
+   * over. */
   CHECK(rollouts <= (uint64_t)kills * 2 * 7 * MO_PAPER_TEST_COUNT);
   CHECK(robots <=
         (uint64_t)kills * (PARENT_STEPS + CHILD_STEPS) * request.record.settings.population);

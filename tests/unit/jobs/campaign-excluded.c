@@ -403,7 +403,7 @@ static void hands_the_drawing_over(void)
     live = live_of(&service, ids[i]);
     CHECK(live.phase == MO_PHASE_PREPARE && live.done >= done); /* not from the beginning */
   }
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds it under way */
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[0]), MO_OK); /* it finds the drawing in progress */
   live = await_drawing(&service, ids[0]);
   CHECK(live.done >= done && live.reason[0] != '\0');
   CHECK_INT(mo_jobs_cancel(service.jobs, ids[live_of(&service, ids[1]).reason[0] == '\0' ? 1 : 2]),
@@ -450,7 +450,7 @@ static void draws_for_nobody(void)
   for (int i = 0; i < 2; i++)
     CHECK(await_phase(&service, ids[i], MO_PHASE_IDLE));
   CHECK(exclusions(&service) == NULL);
-  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* anew */
+  CHECK_INT(mo_jobs_resume(service.jobs, ids[1]), MO_OK); /* again */
   ids[0] = submit(&service, &request);
   for (int i = 0; i < 2; i++)
     CHECK(await_drawing(&service, ids[i]).done > 0);

@@ -122,7 +122,7 @@ static inline bool await_phase(struct service *service, int64_t id, enum mo_phas
   return true;
 }
 
-/* At least so far: a generation that is under way, or a later one, in this phase. */
+/* At least so far: the current generation, or a later one, in this phase. */
 static inline bool await_place(struct service *service, int64_t id, uint32_t generation,
                                enum mo_phase phase)
 {

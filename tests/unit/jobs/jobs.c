@@ -172,7 +172,7 @@ static void cancels_pauses_resumes(void)
     usleep(1000);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
-  usleep(300000); /* what was in flight lands */
+  usleep(300000); /* what was in flight ends */
   before = computed(&service);
   CHECK(before > 0 && before < 500);
   usleep(50000);
@@ -247,7 +247,7 @@ static void counts_through_pauses(void)
     CHECK(!mo_job_state_is_final(job.state));
     for (int k = 0; k < 4000 && computed(&service) == 0; k++)
       usleep(2500);
-    /* Paused for good: what was in flight lands and is counted. */
+    /* Paused for good: what was in flight ends and is counted. */
     CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
     usleep(400000);
     first = computed(&service);

@@ -1,5 +1,5 @@
-/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; whoever has
- * the process killed is found. */
+/* memory.c: jobs that do not fit into max_memory are refused, or wait with a reason; a job
+ * that gets the process killed is found. */
 #include <sqlite3.h>
 
 #include "jobs/campaigns.h"
@@ -87,7 +87,7 @@ static void waits_beside_others(void)
   second = submit(&service, &request);
   CHECK(await_reason(&service, second, "free of the 236 MiB"));
   CHECK_INT(state_of(&service, second), MO_JOB_QUEUED);
-  /* Those that fit go first, but not for ever. */
+  /* Those that fit go first, but not without end. */
   for (int i = 0; i < 8; i++) {
     id = submit(&service, &short_one);
     REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);

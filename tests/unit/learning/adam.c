@@ -79,7 +79,7 @@ static void against_plain(void)
   printf("# largest difference after 20 steps %g; %u steps clipped\n", worst, clipped);
   CHECK(worst < 20 * FLT_EPSILON && moved > 1e-4);
   CHECK(clipped > 0 && clipped < 20);
-  CHECK_INT(mo_training_skipped(training), 0);
+  CHECK_INT(training->skipped, 0);
   plain_free(&plain);
   made_up_free(&made_up);
   mo_training_free(training);
@@ -190,7 +190,7 @@ static void skipped(void)
                               &report) == MO_OK);
     CHECK(report.skipped && report.gradient_norm == 0.0 && report.bounded == 0);
     CHECK_INT(report.step, kind + 2);
-    CHECK_INT(mo_training_skipped(training), kind + 1);
+    CHECK_INT(training->skipped, kind + 1);
     CHECK(same_state(training, &before) && training->adam.beta2_power == power);
     CHECK_INT(report.diverged, kind == 4 ? 5 : kind == 5 ? 2 : 0);
     CHECK(kind == 4   ? isnan(report.mean_loss)

@@ -1,15 +1,10 @@
 /* checkpoint.c: a training saved at any step goes on to the same bytes; nothing damaged is read;
- * files; lineage. */
+ * lineage. */
 #include "fixture.h"
 
 #include "learning/internal.h"
 
-#include <dirent.h>
 #include <errno.h>
-#include <signal.h>
-#include <sys/resource.h>
-#include <sys/stat.h>
-#include <unistd.h>
 
 struct blob {
   uint8_t *bytes;
@@ -90,7 +85,7 @@ static void resume(void)
     struct blob a = encoded(whole), b = encoded(broken);
     CHECK(same(&a, &b));
     CHECK_INT(mo_training_step(broken), n);
-    CHECK_INT(mo_training_skipped(broken), 1);
+    CHECK_INT(broken->skipped, 1);
     CHECK(a.size < MO_CHECKPOINT_BYTES_MAX);
     free(a.bytes);
     free(b.bytes);
@@ -167,49 +162,6 @@ static void settings_kept(void)
   mo_training_free(training);
 }
 
-/* A checkpoint as version 1 wrote it: it had neither rule nor weight. */
-static void as_version_1(struct blob *blob)
-{
-  enum { VERSION = 8, RULE = 112 };
-  const uint32_t version = 1;
-  blob->size -= 12;
-  memmove(blob->bytes + RULE, blob->bytes + RULE + 12, blob->size - RULE);
-  memcpy(blob->bytes + VERSION, &version, 4);
-  const uint64_t sum = mo_checksum(blob->bytes, blob->size - 8);
-  memcpy(blob->bytes + blob->size - 8, &sum, 8);
-}
-
-/* One of version 1 goes on as what it was, and clips; what is written of it is of the new version.
- */
-static void first_version(void)
-{
-  for (int kind = MO_TRAINING_PRETRAIN; kind <= MO_TRAINING_FINETUNE; kind++) {
-    struct mo_training *training = begin((enum mo_training_kind)kind);
-    struct made_up made_up;
-    REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-    REQUIRE(advance_one(training, &made_up) == MO_OK);
-    struct blob now = encoded(training), old = encoded(training);
-    as_version_1(&old);
-    struct mo_training *read = decoded(&old);
-    REQUIRE(read != NULL);
-    CHECK_INT(mo_training_settings_of(read)->learning.adjoint_rule, MO_ADJOINT_CLIP);
-    CHECK(mo_training_settings_of(read)->learning.restart_weight == MO_RESTART_WEIGHT);
-    struct blob again = encoded(read);
-    CHECK(same(&now, &again));
-    CHECK(advance_one(training, &made_up) == MO_OK && advance_one(read, &made_up) == MO_OK);
-    free(now.bytes);
-    free(again.bytes);
-    now = encoded(training), again = encoded(read);
-    CHECK(same(&now, &again));
-    free(now.bytes);
-    free(again.bytes);
-    free(old.bytes);
-    made_up_free(&made_up);
-    mo_training_free(read);
-    mo_training_free(training);
-  }
-}
-
 static void expect_refused(const uint8_t *bytes, size_t size, const char *says)
 {
   struct mo_training *training = NULL;
@@ -232,7 +184,7 @@ static void damaged(void)
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
     expect_refused(blob.bytes, blob.size,
                    i < 8    ? "not a checkpoint"
-                   : i < 12 ? "this program reads versions 1 to 2"
+                   : i < 12 ? "this program reads version 2"
                             : "checksum is wrong");
     blob.bytes[i] ^= (uint8_t)(1 << i % 8);
   }
@@ -354,68 +306,6 @@ static void checksum(void)
   CHECK(bitwise_ok);
 }
 
-static int files_in(const char *folder)
-{
-  int n = 0;
-  DIR *dir = opendir(folder);
-  for (const struct dirent *e; dir != NULL && (e = readdir(dir)) != NULL;)
-    n += e->d_name[0] != '.';
-  if (dir != NULL)
-    closedir(dir);
-  return n;
-}
-
-static void files(void)
-{
-  const char *base = getenv("TMPDIR");
-  char folder[256], path[300], missing[300];
-  snprintf(folder, sizeof(folder), "%s/morpho-learning-XXXXXX", base != NULL ? base : "/tmp");
-  REQUIRE(mkdtemp(folder) != NULL);
-  snprintf(path, sizeof(path), "%s/a.checkpoint", folder);
-  snprintf(missing, sizeof(missing), "%s/none/a.checkpoint", folder);
-  struct mo_training *training = begin(MO_TRAINING_PRETRAIN), *read = NULL;
-  struct made_up made_up;
-  struct mo_message message = {""};
-  REQUIRE(training != NULL && made_up_create(&made_up, training) == 0);
-  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_NOT_FOUND);
-  CHECK(strstr(message.text, path) != NULL);
-  CHECK_INT(mo_training_read(folder, &read, &message), MO_ERR_IO);
-  CHECK_INT(mo_training_write(training, missing, &message), MO_ERR_IO);
-  REQUIRE(mo_training_write(training, path, &message) == MO_OK);
-  REQUIRE(advance_one(training, &made_up) == MO_OK);
-  struct blob now = encoded(training);
-  /* A write that fails half way leaves the old file, and nothing beside it. */
-  struct rlimit old, small = {.rlim_cur = 1 << 20};
-  REQUIRE(getrlimit(RLIMIT_FSIZE, &old) == 0);
-  small.rlim_max = old.rlim_max;
-  signal(SIGXFSZ, SIG_IGN);
-  REQUIRE(setrlimit(RLIMIT_FSIZE, &small) == 0);
-  CHECK_INT(mo_training_write(training, path, &message), MO_ERR_IO);
-  REQUIRE(setrlimit(RLIMIT_FSIZE, &old) == 0);
-  CHECK_INT(files_in(folder), 1);
-  REQUIRE(mo_training_read(path, &read, &message) == MO_OK);
-  CHECK_INT(mo_training_step(read), 0);
-  mo_training_free(read);
-  /* One that succeeds replaces it. */
-  REQUIRE(mo_training_write(training, path, &message) == MO_OK);
-  REQUIRE(mo_training_read(path, &read, &message) == MO_OK);
-  struct blob back = encoded(read);
-  CHECK(same(&now, &back));
-  CHECK_INT(files_in(folder), 1);
-  mo_training_free(read);
-  REQUIRE(truncate(path, 17 << 20) == 0);
-  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_FORMAT);
-  CHECK(strstr(message.text, "more than any checkpoint") != NULL);
-  REQUIRE(truncate(path, 1000) == 0);
-  CHECK_INT(mo_training_read(path, &read, &message), MO_ERR_FORMAT);
-  unlink(path);
-  rmdir(folder);
-  free(now.bytes);
-  free(back.bytes);
-  made_up_free(&made_up);
-  mo_training_free(training);
-}
-
 static void lineage(void)
 {
   struct mo_training *training = begin(MO_TRAINING_FINETUNE);
@@ -497,11 +387,9 @@ static void lineage(void)
 static const struct check_case cases[] = {
     {"saved and restored at every step, the same bytes at the end", resume},
     {"every setting survives", settings_kept},
-    {"the first version is read", first_version},
     {"the checksum", checksum},
     {"damaged bytes are refused", damaged},
     {"wrong contents under a right checksum are refused", wrong_contents},
-    {"files", files},
     {"lineage", lineage},
 };
 CHECK_MAIN(cases)

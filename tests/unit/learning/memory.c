@@ -73,10 +73,8 @@ static int export(void)
 static int set_designs(void)
 {
   uint64_t other[MO_DEFAULT_WORDS];
-  const size_t before = mo_training_bytes(shared);
   memcpy(other, designs, sizeof(other));
   const int r = mo_training_set_designs(shared, other, 1, NULL);
-  CHECK((mo_training_bytes(shared) == before) == (r != MO_OK));
   return r;
 }
 

@@ -171,19 +171,6 @@ static void stream_is_distinct(void)
   CHECK_INT(n, N);
   CHECK_INT(wrong, 0);
   mo_form_set_free(seen);
-
-  /* What is excluded does not come. */
-  REQUIRE(mo_body_stream_create(home, 1, &stream) == MO_OK);
-  for (int i = 0; i < N; i += 2) {
-    CHECK_INT(mo_body_stream_exclude(stream, forms[i]), MO_OK);
-  }
-  for (int i = 1; i < N; i += 2) {
-    uint64_t bits[3];
-    REQUIRE(mo_body_stream_next(stream, bits) == MO_OK);
-    wrong += memcmp(bits, bodies[i], sizeof(bits)) != 0;
-  }
-  CHECK_INT(wrong, 0);
-  mo_body_stream_free(stream);
   mo_body_stream_free(NULL);
 }
 

@@ -1,4 +1,4 @@
-/* genotype.c: cells, text, bytes and ids in and out, and what they refuse. */
+/* genotype.c: cells, text and ids in and out, and what they refuse. */
 #include "../check.h"
 
 #include <morpho/morphospace.h>
@@ -91,40 +91,6 @@ static void from_text(void)
   }
 }
 
-static void bytes(void)
-{
-  uint64_t bits[3] = {1 | UINT64_C(1) << 13, 0, UINT64_C(1) << 15};
-  uint64_t same[3];
-  uint8_t stored[18];
-  mo_genotype_to_bytes(home, bits, stored);
-  CHECK_INT(stored[0], 0x80);
-  CHECK_INT(stored[1], 0x04);
-  CHECK_INT(stored[17], 0x01);
-  struct mo_random random;
-  mo_random_init(&random, 4, MO_PURPOSE_CHECK, 0, 0);
-  static const struct mo_workspace several[] = {{6, 6, 4}, {3, 5, 2}, {1, 1, 1},
-                                                {2, 1, 1}, {4, 4, 4}, {3, 3, 3}};
-  for (size_t i = 0; i < sizeof(several) / sizeof(several[0]); i++) {
-    uint32_t voxels = mo_workspace_voxels(several[i]);
-    for (int round = 0; round < 100; round++) {
-      memset(bits, 0, sizeof(bits));
-      for (uint32_t v = 0; v < voxels; v++) {
-        bits[v / 64] |= (uint64_t)mo_random_below(&random, 2) << v % 64;
-      }
-      mo_genotype_to_bytes(several[i], bits, stored);
-      for (uint32_t v = 0; v < voxels; v++) {
-        CHECK_INT(stored[v / 8] >> (7 - v % 8) & 1, bits[v / 64] >> v % 64 & 1);
-      }
-      CHECK_INT(mo_genotype_from_bytes(several[i], stored, same), MO_OK);
-      CHECK(memcmp(bits, same, mo_workspace_words(several[i]) * sizeof(uint64_t)) == 0);
-      if (voxels % 8 != 0) {
-        stored[voxels / 8] |= 1;
-        CHECK_INT(mo_genotype_from_bytes(several[i], stored, same), MO_ERR_FORMAT);
-      }
-    }
-  }
-}
-
 static void ids(void)
 {
   struct mo_random random;
@@ -183,21 +149,10 @@ static void bad_ids(void)
   CHECK_INT(mo_genotype_from_id(odd, "f", 1, form), MO_ERR_FORMAT); /* a bit past the last voxel */
 }
 
-static void distance(void)
-{
-  const uint64_t a[3] = {0xf0, 1, 0x8000};
-  const uint64_t b[3] = {0x0f, 1, 0};
-  CHECK_INT(mo_genotype_hamming(home, a, b), 9);
-  CHECK_INT(mo_genotype_hamming(home, a, a), 0);
-  CHECK_INT(mo_genotype_count(home, a), 6);
-}
-
 static const struct check_case test_cases[] = {
     {"cells are read or refused with the place of the fault", from_cells},
     {"text is read or refused with the place of the fault", from_text},
-    {"bytes have voxel 0 in their top bit", bytes},
     {"ids spell canonical forms and come back", ids},
     {"ids that are not canonical are refused", bad_ids},
-    {"counts and distances", distance},
 };
 CHECK_MAIN(test_cases)

@@ -60,7 +60,7 @@ static void free_fall(void)
   close_scene(&s);
 }
 
-/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed settles at −g
+/* Without gravity: v = eⁿ v0, x = x0 + dt v0 (e − eⁿ⁺¹)/(1 − e). With it, the speed converges to −g
  * dt/(1 − e). */
 static void drag_decay(void)
 {
