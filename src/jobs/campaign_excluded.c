@@ -117,7 +117,7 @@ static struct mo_exclusion *find_or_add(struct mo_campaign_run *run,
   if (made == NULL)
     return NULL;
   *made = (struct mo_exclusion){.jobs = jobs,
-                                .workspace = run->status.record.settings.workspace,
+                                .workspace = run->settings->workspace,
                                 .lineage = *lineage,
                                 .first = run->id,
                                 .drawer = run->id,
@@ -221,7 +221,7 @@ static int join(struct mo_campaign_run *run, const struct mo_lineage *lineage,
   int error;
   if (exclusion == NULL)
     return MO_ERR_NO_MEMORY;
-  (void)mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
+  mo_campaign_enter(run, MO_PHASE_PREPARE, exclusion->n_bodies);
   if (is_new)
     begin(exclusion);
   error = await(run, exclusion);

@@ -28,6 +28,7 @@ struct mo_campaign_run {
   struct mo_jobs *jobs;
   int64_t id;
   struct mo_campaign_status status; /* from the start of the generation; may be extended since */
+  const struct mo_campaign_settings *settings; /* of the status */
   struct mo_compute_share *share;
   struct mo_controller *controller; /* as submitted; NULL: random weights */
   struct mo_environment *environments;
@@ -73,7 +74,7 @@ struct mo_campaign_run {
 };
 
 /* ---- campaign_live.c ---- */
-enum mo_phase mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
+void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
 /* Sets the progress that the live figures show for the phase. */
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done);
 /* Progress of drawing the bodies of pretrainings again. */

@@ -30,12 +30,12 @@ static int allocate(struct mo_campaign_run *run)
 {
   struct mo_grid *grid = &run->scoring.grid;
   mo_campaign_free_scores(run);
-  run->first_scored = run->status.record.settings.mode == MO_ZERO_SHOT ? run->n_parents : 0;
+  run->first_scored = run->settings->mode == MO_ZERO_SHOT ? run->n_parents : 0;
   run->n_scored = run->n_parents + run->n_children - run->first_scored;
   run->losses = calloc((size_t)run->n_scored + 1, sizeof(*run->losses));
   run->unsaved = calloc((size_t)run->n_scored + 1, sizeof(*run->unsaved));
   *grid = (struct mo_grid){.block = {.lattice = run->jobs->lattice,
-                                     .physics = run->status.record.settings.physics,
+                                     .physics = run->settings->physics,
                                      .precision = MO_FLOAT32,
                                      .urgency = run->status.job.priority,
                                      .back_end = run->status.job.back_end,
@@ -254,11 +254,11 @@ int mo_campaign_score(struct mo_campaign_run *run)
   int error = allocate(run);
   if (error == MO_OK)
     error = read_saved(run);
-  if (error == MO_OK && run->status.record.settings.mode == MO_ZERO_SHOT)
+  if (error == MO_OK && run->settings->mode == MO_ZERO_SHOT)
     error = read_known(run);
   if (error != MO_OK)
     return error;
-  (void)mo_campaign_enter(run, MO_PHASE_SCORE, run->n_scored);
+  mo_campaign_enter(run, MO_PHASE_SCORE, run->n_scored);
   mo_campaign_advance(run, run->n_done);
   error = compute(run);
   if (error == MO_OK)

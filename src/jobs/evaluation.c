@@ -326,7 +326,7 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
 
 /* Reads the weight of a job again, and whether it was paused or cancelled: a request says no more
  * than that some job has changed. Keeps the job's lead or lag in rollout steps. If the job is
- * resumed before a save under way has written its start, the database says "running" although no
+ * resumed before a save in progress has written its start, the database says "running" although no
  * thread runs it, so requeue it. Requeueing a paused or cancelled job is a no-op. */
 static int review(struct mo_evaluations *all, struct mo_active *active)
 {

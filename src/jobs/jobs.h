@@ -100,7 +100,8 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
  * found and diverged rollouts of committed generations; campaign_designs: born in them. */
 #define MO_JOBS_COUNTS(X)                                                                          \
   X(open_jobs)                                                                                     \
-  X(open_rollouts) X(active_batch) X(active_interactive) X(blocks_in_flight) X(rollouts_computed)  \
+  X(open_rollouts)                                                                                 \
+  X(active_batch) X(active_interactive) X(blocks_in_flight) X(rollouts_computed)                   \
       X(rollouts_cached) X(rollouts_shared) X(rollouts_diverged) X(jobs_submitted)                 \
           X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)               \
               X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)     \

@@ -178,14 +178,15 @@ static void blames_who_has_saved_nothing(void)
 {
   struct service service;
   struct mo_training_request request = pretraining("");
+  struct mo_live live = {.position = 0};
   struct mo_job job;
   int64_t proven, other;
   REQUIRE(start(&service, 2) == MO_OK);
   fake_plan.gradient_delay_us = 20000;
   request.record.settings.n_steps = 100000;
   proven = submit(&service, &request);
-  REQUIRE(await_state(&service, proven, MO_JOB_RUNNING, 10));
-  usleep(200000);
+  for (double end = now_s() + 20; live.position == 0 && now_s() < end; usleep(1000))
+    mo_jobs_live(service.jobs, proven, &live);
   CHECK_INT(mo_jobs_pause(service.jobs, proven), MO_OK); /* writes a checkpoint */
   REQUIRE(await_state(&service, proven, MO_JOB_PAUSED, 10));
   CHECK_INT(mo_jobs_resume(service.jobs, proven), MO_OK);
