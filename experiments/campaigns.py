@@ -23,7 +23,7 @@ COLUMNS = ("mode", "seed", "generation", "mean", "best", "median", "diversity", 
 def rows_of(daemon, campaign):
     """A flat row per generation. Quantiles of the score are p0 (the best) to p100, sizes have their
     mean."""
-    for row in daemon.rows(f"/v1/campaigns/{campaign['id']}/generations"):
+    for row in daemon.items(f"/v1/campaigns/{campaign['id']}/generations"):
         operators, learning, score = row["operators"], row.get("learning") or {}, row["score"]
         yield {
             "mode": campaign["mode"], "seed": campaign["settings"]["seed"],

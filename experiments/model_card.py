@@ -193,8 +193,7 @@ def card(arguments):
                             [environment for group in light.values() for environment in group])
         machine = daemon.machine()
         description = json.loads(
-            daemon.fetch(f"/v1/controllers/{arguments.name}",
-                         headers={"Accept": "application/json"}))
+            daemon.fetch(f"/v1/controllers/{arguments.name}"))
     computed = ", ".join(sorted(set(
         machine["gpus"]))) if machine["gpus"] and arguments.device != "cpu" else "processors"
     count = arguments.environments

@@ -114,12 +114,12 @@ def rows_of(daemon, training, recipe):
         "seed": training["settings"]["seed"]
     }
     path = f"/v1/trainings/{training['id']}"
-    for row in daemon.rows(f"{path}/steps"):
+    for row in daemon.items(f"{path}/steps"):
         yield {
             **same, **row, "row": "step", "loss": row["mean_loss"],
             "clipped_robots": row["clipped_robots_share"], "skipped": int(row["skipped"])
         }
-    for row in daemon.rows(f"{path}/validations"):
+    for row in daemon.items(f"{path}/validations"):
         yield {
             **same, "row": "validation", "step": row["step"], "loss": row["mean_score"],
             "standard_error": row["standard_error"], "diverged": row["diverged"]
