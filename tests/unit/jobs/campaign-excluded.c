@@ -119,7 +119,7 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
   }
   CHECK(ends_as_plain(&service, ids[0], &origin));
   CHECK(ends_as_plain(&service, ids[1], &origin));
-  REQUIRE(mo_jobs_wait(service.jobs, ids[2], 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, ids[2], 120000, &job) == MO_OK);
   {
     struct history *stored = stored_history(service.fixture.store, ids[2]);
     CHECK(same_history(stored, without));

@@ -64,7 +64,7 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.fail_word = word_of(&origin);
   fake_plan.fail_times = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_IO);
@@ -96,12 +96,12 @@ __attribute__((unused)) static void tries_three_times_to_learn(void)
   CHECK(ends_as_plain(&service, id, &origin));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_IO);
   fake_plan.gradient_status = 0;
   fake_plan.poison = true;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "not a number") != NULL);
   service_end(&service);
 }
@@ -225,7 +225,7 @@ __attribute__((unused)) static void reports_damaged_checkpoints(void)
       CHECK_INT(warnings, 1);
       CHECK(strstr(warned, "learns again") != NULL);
     } else {
-      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
       CHECK(strstr(job.error_text, "cannot be used (it is missing, or its bytes") != NULL &&
             strstr(job.error_text, "backup") != NULL);
@@ -249,7 +249,7 @@ __attribute__((unused)) static void needs_its_controller(void)
            default_digits());
   REQUIRE(truncate(path, 1000) == 0);
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK(job.state == MO_JOB_FAILED && strstr(job.error_text, "store the same file again") != NULL);
   service_end(&service);
 }

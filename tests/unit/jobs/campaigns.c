@@ -77,7 +77,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   evaluation = service_request(genotypes, POPULATION);
   evaluation.physics = request.record.settings.physics;
   id = service_submit(&service, &evaluation);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.rollouts_cached, POPULATION * MO_PAPER_TEST_COUNT);
   /* A campaign that learns asks its own controller. */
   request = campaign(MO_FEW_SHOT);
@@ -131,7 +131,7 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   origin.given = inherited;
   origin.n_given = 4;
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 120000, &(struct mo_job){.id = 0}) == MO_OK);
   history = plain_history(&fake_plain, &origin);
   for (int i = 0; i < 4; i++)
     history->designs[i].descent.op = MO_BORN_INHERITED;
@@ -166,7 +166,7 @@ __attribute__((unused)) static void reports_its_generations(void)
   CHECK(live_of(&service, id).total == 2 * POPULATION ||
         live_of(&service, id).phase != MO_PHASE_SCORE);
   CHECK_TEXT(mo_phase_name(MO_PHASE_SCORE), "scoring");
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   n = mo_store_events(service.fixture.store, 0, id, events, 80, NULL, NULL);
   for (int64_t i = 0; i < n; i++) {
@@ -236,7 +236,7 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_jobs_campaign_record_champions(service.jobs, id, 4, 5, NULL, &evaluation,
                                                   &service.fixture.message),
                 MO_OK);
-      REQUIRE(mo_jobs_wait(service.jobs, evaluation, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, evaluation, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
       REQUIRE(mo_store_results(service.fixture.store, evaluation, &results) == MO_OK);
       for (uint32_t i = 0; i < n; i++)
@@ -245,7 +245,7 @@ __attribute__((unused)) static void shows_its_champions(void)
       CHECK_INT(mo_store_trajectory(service.fixture.store, evaluation, 3, 9, &trajectory), MO_OK);
       mo_trajectory_free(trajectory);
       CHECK_INT(mo_jobs_resume(service.jobs, id), round == 0 ? MO_OK : MO_ERR_CONFLICT);
-      REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+      REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     }
     CHECK_INT(mo_jobs_campaign_champions(service.jobs, id, 0, 20, rows, distinctiveness, &n),
               MO_OK);
@@ -288,10 +288,10 @@ __attribute__((unused)) static void gives_its_population_to_a_training(void)
             MO_ERR_CONFLICT);
   CHECK(strstr(service.fixture.message.text, "no generation yet") != NULL);
   fake_plan.delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
   REQUIRE(mo_jobs_submit_training(service.jobs, &training, &tuning, &replayed,
                                   &service.fixture.message) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, tuning, 120000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, tuning, 120000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   REQUIRE(mo_store_training_designs(service.fixture.store, tuning, &genotypes, &n) == MO_OK);
   CHECK_INT(n, 3);

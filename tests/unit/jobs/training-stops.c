@@ -37,7 +37,7 @@ static void pauses_and_resumes(void)
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
     usleep(5000 * i);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_ERR_CONFLICT);
@@ -68,7 +68,7 @@ static void stops_and_goes_on(void)
     service_close(&service);
     REQUIRE(service_open(&service) == MO_OK);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   CHECK_INT(warnings, 0);
@@ -109,7 +109,7 @@ static void reports_other_code(void)
       CHECK_INT(status.code.codes[status.code.n - 1].from_step, status.checkpoint_step);
     }
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(expect(&request, NULL, NULL, NULL, 0, &lineage, &expected));
   CHECK(has_result(&service, id, &expected));
   n = mo_store_events(service.fixture.store, 0, id, events, 60, NULL, NULL);
