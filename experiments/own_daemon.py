@@ -213,17 +213,8 @@ class Daemon:
                              for key in ("started_at", "finished_at"))
         return (finished - started).total_seconds()
 
-    def rows(self, path, after=None):
-        """All rows of a curve."""
-        while True:
-            page = self.call(f"{path}?limit=1000" + ("" if after is None else f"&after={after}"))
-            yield from page["items"]
-            if not page["more"]:
-                return
-            after = page["next_after"]
-
     def items(self, path):
-        """All items of a list that is paged by cursor."""
+        """All items of a list, or all rows of a curve."""
         cursor = ""
         while True:
             page = self.call(f"{path}{'&' if '?' in path else '?'}limit=1000{cursor}")
@@ -235,15 +226,15 @@ class Daemon:
     def put_controller(self, name, file):
         data = Path(file).read_bytes()
         return json.loads(
-            self.fetch(f"/v1/controllers/{name}", data,
+            self.fetch(f"/v1/controllers/{name}/file", data,
                        {"Content-Type": "application/octet-stream"}, "PUT"))
 
     def machine(self):
         """What computes: names of the GPUs that work, and the number of threads."""
-        devices = self.call("/v1/devices")["devices"]
+        devices = self.call("/v1/devices")["items"]
         return {
             "gpus": [device["name"] for device in devices if device["state"] == "working"],
-            "workers": self.call("/v1/workers")["n_workers"]
+            "workers": self.call("/v1/threads")["n_threads"]
         }
 
     def stop(self):

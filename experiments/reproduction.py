@@ -108,7 +108,7 @@ def result_of(daemon, campaign, request, count):
     last = campaign["newest"]["generation"]
     learning = {}
     if campaign["mode"] != "zero-shot":
-        for row in daemon.rows(f"/v1/campaigns/{campaign['id']}/learning"):
+        for row in daemon.items(f"/v1/campaigns/{campaign['id']}/learning"):
             learning.setdefault(
                 row["generation"],
                 []).append(None if row["mean_loss"] is None else float(f"{row['mean_loss']:.6g}"))

@@ -218,7 +218,7 @@ def tiny_controller(service):
     text = json.dumps(header).encode()
     body = struct.pack("<Q", len(text)) + text + bytes(at)
     put = service.request("PUT",
-                          "/v1/controllers/tiny",
+                          "/v1/controllers/tiny/file",
                           body=body,
                           headers={"Content-Type": "application/octet-stream"})
     assert put.status in (200, 201), put.body

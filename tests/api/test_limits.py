@@ -80,7 +80,7 @@ def test_rate_covers_whatever_submits_or_stores(start):
     upload = {
         "body": BOOTSTRAP.read_bytes(), "headers": {"Content-Type": "application/octet-stream"}
     }
-    asked = [("PUT", "/v1/controllers/again", upload),
+    asked = [("PUT", "/v1/controllers/again/file", upload),
              ("POST", "/v1/evaluations", {"value": EVALUATION}),
              ("POST", "/v1/campaigns/1/extend", {"value": {"generations": 2}}),
              ("POST", "/v1/campaigns/1/champions", {"value": {}})]
@@ -134,7 +134,7 @@ def test_waiting_takes_no_place(start):
                               "/v1/jobs").status != 200:  # until at most one is not parked yet
             assert time.monotonic() < deadline
         connection.request("GET", f"/v1/evaluations/{job}", headers={"Prefer": "wait=60"})
-    assert service.request("DELETE", f"/v1/jobs/{job}").status in (200, 202)
+    assert service.request("POST", f"/v1/jobs/{job}/cancel").status in (200, 202)
     # All are answered, more than may be in flight.
     for connection in waiting:
         reply = connection.getresponse()

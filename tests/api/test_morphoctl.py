@@ -256,7 +256,7 @@ def test_training_from_start_to_export(service, ctl, tmp_path):
                "4") == (0, f"training {job}: 1 checkpoint deleted, 12.4 MB\n", "")
     assert ctl("train", "prune", job, "--step", "4")[0] == 3 and ctl("train", "prune", "x")[0] == 2
     status, out, _ = ctl("train", "prune", job, "--json")
-    assert status == 0 and json.loads(out)["removed"] == [6, 2], out
+    assert status == 0 and json.loads(out)["items"] == [{"step": 6}, {"step": 2}], out
     assert ctl("train", "prune", job)[1] == f"training {job}: 0 checkpoints deleted, 0.0 MB\n"
     status, out, err = ctl("train", "compare", "default", "ctl-walker", "--designs", "6",
                            "--environments", "2", "--physics", "n_steps=50")
@@ -463,7 +463,7 @@ def test_campaigns_that_learn_and_replicates(service, ctl):
         f"campaign {ids[1]}: 1 checkpoint deleted, 12.4 MB\n"
         f"campaign {ids[1]}: 0 checkpoints deleted, 0.0 MB\n")
     assert json.loads(ctl("campaign", "prune", ids[1],
-                          "--json")[1]) == {"removed": [], "bytes": 0} and ctl(
+                          "--json")[1]) == {"items": [], "bytes": 0} and ctl(
                               "campaign", "prune", "999999")[0] == 3
     assert "was deleted" in ctl("campaign", "extend", ids[1], "1")[2]
     job = ctl("campaign", "start", "few-shot", *SMALL, "-n", "1", *learn, "--from", ids[0],

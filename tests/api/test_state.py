@@ -312,17 +312,15 @@ def test_files_of_unused_controllers(start, tmp_path):
     for method in ("GET", "DELETE"):
         assert running.request(method, path).status == 404
     assert tiny_controller(running) == body and file.read_bytes() == body
-    assert running.request("GET", path).body == body
-    default = running.request("GET",
-                              "/v1/controllers/default",
-                              headers={"Accept": "application/json"}).json()["sha256"]
+    assert running.request("GET", path + "/file").body == body
+    default = running.request("GET", "/v1/controllers/default").json()["sha256"]
     evaluation = running.evaluate({"designs": [DESIGN], "physics": SHORT}).json()["id"]
     assert running.request("PUT",
-                           "/v1/controllers/default",
+                           "/v1/controllers/default/file",
                            body=BOOTSTRAP.read_bytes(),
                            headers={"Content-Type": "application/octet-stream"}).status == 200
     assert running.request("PUT",
-                           "/v1/controllers/default",
+                           "/v1/controllers/default/file",
                            body=body,
                            headers={"Content-Type": "application/octet-stream"}).status == 200
     assert running.request("DELETE", "/v1/controllers/bootstrap").status == 204

@@ -75,7 +75,7 @@ def history(daemon, job):
     result = campaign(daemon, job)["result"]
     weights = None
     if result is not None:
-        reply = daemon.get(f"/v1/controllers/{result['controller']['name']}")
+        reply = daemon.get(f"/v1/controllers/{result['controller']['name']}/file")
         assert reply.status_code == 200 and hashlib.sha256(
             reply.content).hexdigest() == result["controller"]["sha256"]
         weights = result["controller"]["sha256"]
@@ -194,13 +194,13 @@ def test_pauses_stops_and_extensions(daemon, seed, mode):
     one.start()
     job = post(one, "/v1/campaigns", request(mode, seed % 100000, 2))["id"]
     await_campaign(one, job, lambda now: now["phase"] in ("learning", "scoring"))
-    post(one, f"/v1/campaigns/{job}/pause")
+    post(one, f"/v1/jobs/{job}/pause")
     await_campaign(one, job, lambda now: now["state"] == "paused" and now["phase"] == "idle")
     one.kill()
     one.start()
     assert campaign(one, job)["state"] == "paused"
     post(one, f"/v1/campaigns/{job}/extend", {"generations": 1})
-    post(one, f"/v1/campaigns/{job}/resume")
+    post(one, f"/v1/jobs/{job}/resume")
     await_campaign(one, job, lambda now: now["progress"]["generation"] is not None)
     status, seconds = one.stop()
     assert status == 0 and seconds < 10, (status, seconds)

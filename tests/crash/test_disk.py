@@ -118,7 +118,7 @@ def test_campaigns_wait_on_a_full_disk(one, small_disk, seed):
         return reply.json()["state"], reply.json()["reason"]
 
     def ask(verb, job, *expected):
-        reply = one.session.post(f"{one.address}/v1/campaigns/{job}/{verb}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{job}/{verb}")
         assert reply.status_code in expected, f"{verb} {job}: {reply.text}\n{one.tail()}"
         if reply.status_code == 507:
             assert "full" in reply.json()["detail"], reply.text
@@ -180,7 +180,7 @@ def test_killed_on_a_full_disk(one, small_disk, seed):
     reserve = one.state / "reserve"
 
     def cancel(job):
-        reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{job}/cancel")
         assert reply.status_code in (200, 202), f"{reply.text}\n{one.tail()}"
 
     def submit():

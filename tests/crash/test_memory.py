@@ -92,7 +92,7 @@ def saying(content, **said):
 
 
 def put(daemon, name, content):
-    reply = daemon.session.put(f"{daemon.address}/v1/controllers/{name}",
+    reply = daemon.session.put(f"{daemon.address}/v1/controllers/{name}/file",
                                data=content,
                                headers={"Content-Type": "application/octet-stream"})
     assert reply.status_code in (200, 201), reply.text

@@ -39,7 +39,7 @@ def test_sigterm_while_saturated(daemon, seed):
     assert before["state"] in ("queued", "running")
     assert before["rollouts_done"] > 0
     assert before["attempts"] == 0
-    reply = one.session.delete(f"{one.address}/v1/jobs/{job}")
+    reply = one.session.post(f"{one.address}/v1/jobs/{job}/cancel")
     assert reply.status_code in (200, 202)
     assert one.finish(job)["state"] == "cancelled"
     assert one.stop()[0] == 0

@@ -75,7 +75,7 @@ def finish(daemon, job, timeout_s=60):
 def weights(daemon, job):
     """The file of a training's result; fails when it is not what its name says."""
     result = training(daemon, job)["controller"]
-    reply = daemon.get(f"/v1/controllers/{result['name']}")
+    reply = daemon.get(f"/v1/controllers/{result['name']}/file")
     assert reply.status_code == 200, reply.text
     assert hashlib.sha256(reply.content).hexdigest() == result["sha256"]
     return reply.content
@@ -257,7 +257,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
             }
             assert found == {"running": [], "paused": [first]}, found
         second = train(one, request)
-        assert one.session.delete(f"{one.address}/v1/jobs/{first}").status_code in (200, 202)
+        assert one.session.post(f"{one.address}/v1/jobs/{first}/cancel").status_code in (200, 202)
         await_training(one, first, lambda now: now["state"] == "cancelled")
         await_training(one, second, lambda now: now["state"] == "paused")
         # Not a byte is left: the service lives, and a cancellation is still possible.
@@ -266,7 +266,7 @@ def test_full_disk_at_a_checkpoint(training_disk, daemon, seed, device):
         time.sleep(1.5)
         assert one.process.poll() is None, one.tail()
         assert one.get("/healthz").status_code == 200
-        reply = one.session.delete(f"{one.address}/v1/jobs/{third}")
+        reply = one.session.post(f"{one.address}/v1/jobs/{third}/cancel")
         assert reply.status_code in (200, 202), reply.text
         assert refill > 0
         filler.unlink()

@@ -393,7 +393,7 @@ def test_trajectories_are_numpy_files():
                              folder + "/out",
                              input_text=ID)
         assert status == 0, err
-        assert server.seen[1][1] == "/v1/evaluations/7/trajectories/0?environment=0&array=com"
+        assert server.seen[1][1] == "/v1/evaluations/7/trajectories/0/file?environment=0&array=com"
         with open(folder + "/out/design-0000-environment-01-com.npy", "rb") as file:
             content = file.read()
         assert content[:8] == b"\x93NUMPY\x01\x00"
@@ -456,7 +456,7 @@ def test_controller_files():
             assert run(server, "controller", "get", "c", "-o", path + ".copy")[0] == 0
             assert run(server, "controller", "delete", "c")[0] == 0
             assert server.seen[0][:2] == (
-                "PUT", "/v1/controllers/c") and server.seen[0][3] == bytes(range(256)) * 100
+                "PUT", "/v1/controllers/c/file") and server.seen[0][3] == bytes(range(256)) * 100
             with open(path + ".copy", "rb") as file:
                 assert file.read() == bytes(range(256)) * 100
 
@@ -480,8 +480,8 @@ TRAINING = {
         "seconds_left": 3600.0, "replayed": 0, "replay_total": 0
     }
 }
-NEWEST = reply(200, {"items": [], "next_after": "41", "reset": True})
-NO_ROWS = reply(200, {"items": [], "next_after": 0, "more": False})
+NEWEST = reply(200, {"items": [], "next_cursor": None, "newest": "41", "reset": True})
+NO_ROWS = reply(200, {"items": [], "next_cursor": None})
 DONE = {
     **TRAINING, "state": "succeeded", "phase": "idle",
     "controller": {"name": "walker",
@@ -491,7 +491,7 @@ DONE = {
 
 def step_rows(first, last, more=False):
     rows = [{"step": n, "mean_loss": 1 / n} for n in range(first, last + 1)]
-    return reply(200, {"items": rows, "next_after": last, "more": more})
+    return reply(200, {"items": rows, "next_cursor": str(last) if more else None})
 
 
 def test_train_start_sends_what_was_asked_for():
@@ -667,7 +667,7 @@ def test_train_watch_draws_on_a_terminal():
             stream(rows + event(60, "job.finished", state="succeeded")),
             reply(200, {**DONE, "name": "w"}),
             step_rows(3, 500),
-            reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "more": False})
+            reply(200, {"items": [{"step": 0, "mean_score": 0.9}], "next_cursor": None})
     ]) as server:
         child, terminal = pty.fork()
         if child == 0:
@@ -728,10 +728,8 @@ def test_train_export():
     head = b"step,mean_loss\n"
     with tempfile.TemporaryDirectory() as folder, \
             Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
-                    reply(200, head + b"1,0.5\n2,0.25\n", "text/csv"),
-                    reply(200, head + b"3,0.125\n", "text/csv"), reply(200, head, "text/csv"),
-                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv"),
-                    reply(200, b"step,mean_score\n", "text/csv")]) as server:
+                    reply(200, head + b"1,0.5\n2,0.25\n3,0.125\n", "text/csv"),
+                    reply(200, b"step,mean_score\n0,1.5\n", "text/csv")]) as server:
         status, out, err = run(server, "train", "export", "7", "--step", "4", "-o", folder + "/c",
                                "--curve", folder + "/curve", "--validations", "-")
         assert status == 0 and out == "step,mean_score\n0,1.5\n", (out, err)
@@ -741,8 +739,7 @@ def test_train_export():
             assert file.read() == head + b"1,0.5\n2,0.25\n3,0.125\n"
         assert [path for _, path, _, _ in server.seen] == [
             "/v1/trainings/7/controller?step=4", "/v1/trainings/7/steps",
-            "/v1/trainings/7/steps?after=2", "/v1/trainings/7/steps?after=3",
-            "/v1/trainings/7/validations", "/v1/trainings/7/validations?after=0"
+            "/v1/trainings/7/validations"
         ]
     with Server([reply(404, {"title": "Not Found", "detail": "no checkpoint yet"})]) as server:
         assert run(server, "train", "export", "7")[0] == 3
@@ -840,10 +837,10 @@ def test_campaign_whose_generation_is_committed_between_two_requests():
         "id": "7", "mode": "zero-shot", "state": "running", "phase": "scoring",
         "progress": {"generation": None, "generations": 3}
     }
-    rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "more": False}
+    rows = {"items": [{"generation": 0, "score": {"mean": 0.5}}], "next_cursor": None}
     with Server([reply(200, campaign),
                  reply(200, rows),
-                 reply(200, {"items": [], "more": False})]) as server:
+                 reply(200, {"items": [], "next_cursor": None})]) as server:
         status, out, err = run(server, "campaign", "show", "7")
         assert status == 0 and "generation 0 of 3" in out and "before generation" not in out, (
             status, out, err)
