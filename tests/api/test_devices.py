@@ -89,7 +89,7 @@ def test_ranks_a_class(start):
         assert page.status == 200, page.body
         return len(page.json()["items"])
 
-    processors = service.request("GET", "/v1/workers").json()["fingerprints"]["float32"]
+    processors = service.request("GET", "/v1/threads").json()["fingerprints"]["float32"]
     run(service, "evaluations", {"designs": DESIGNS[:3], "device": "cuda"})
     assert (ranked(""), ranked("&class=" + urllib.parse.quote(processors))) == (3, 0)
     run(service, "evaluations", {"designs": DESIGNS[:2], "device": "cpu"})
