@@ -252,18 +252,6 @@ void campaign_event_text(const char *type, const json_t *data, char *text, size_
   }
 }
 
-int campaign_outcome(const json_t *campaign)
-{
-  const char *state = text_of(campaign, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(campaign, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "campaign %s %s: %s", text_of(campaign, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "campaign %s is %s", text_of(campaign, "id"), state);
-}
-
 /* ---- the view ---- */
 
 struct curve {

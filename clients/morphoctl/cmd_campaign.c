@@ -176,45 +176,36 @@ int run_campaign_start(struct ctl *ctl)
 
 /* ---- list, show ---- */
 
+static void add_campaign(struct table *table, const json_t *item)
+{
+  const json_t *progress = json_object_get(item, "progress"),
+               *newest = json_object_get(item, "newest");
+  const json_t *score = json_object_get(newest, "score"),
+               *settings = json_object_get(item, "settings");
+  char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32], time[32];
+  const char *cells[] = {
+      text_of(item, "id"),
+      text_of(item, "mode"),
+      text_of(item, "state"),
+      count_text(number_of(settings, "population"), designs),
+      json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
+      count_text(number_of(progress, "generations"), generations),
+      score_text(json_object_get(score, "mean"), mean),
+      score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
+      score_text(json_object_get(newest, "diversity"), diversity),
+      time_text(json_object_get(item, "created_at"), time),
+      text_of(item, "label")};
+  table_add(table, cells);
+}
+
 int run_campaign_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/campaigns", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *item;
-    table_open(
-        &table,
-        ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label");
-    json_array_foreach(items, i, item)
-    {
-      const json_t *progress = json_object_get(item, "progress"),
-                   *newest = json_object_get(item, "newest");
-      const json_t *score = json_object_get(newest, "score"),
-                   *settings = json_object_get(item, "settings");
-      char designs[32], generation[32], generations[32], mean[32], best[32], diversity[32],
-          time[32];
-      const char *cells[] = {
-          text_of(item, "id"),
-          text_of(item, "mode"),
-          text_of(item, "state"),
-          count_text(number_of(settings, "population"), designs),
-          json_is_object(newest) ? count_text(number_of(newest, "generation"), generation) : NULL,
-          count_text(number_of(progress, "generations"), generations),
-          score_text(json_object_get(score, "mean"), mean),
-          score_text(json_object_get(json_object_get(score, "quantiles"), "p0"), best),
-          score_text(json_object_get(newest, "diversity"), diversity),
-          time_text(json_object_get(item, "created_at"), time),
-          text_of(item, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(
+      ctl, status, items,
+      ">campaign|mode|state|>designs|>generation|>of|>mean|>best|>diversity|created|label",
+      add_campaign);
 }
 
 static void print_campaign(const struct ctl *ctl, const json_t *campaign)
@@ -222,30 +213,15 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   char a[32], b[32], text[256];
   const json_t *settings = json_object_get(campaign, "settings"),
                *group = json_object_get(campaign, "group");
-  const json_t *controller = json_object_get(campaign, "controller"),
-               *error = json_object_get(campaign, "error");
   const json_t *mutation = json_object_get(settings, "mutation"),
                *learning = json_object_get(settings, "learning");
   const json_t *progress = json_object_get(campaign, "progress");
   const json_t *result = json_object_get(json_object_get(campaign, "result"), "controller");
   print_fact(ctl, "campaign", "%s (%s%s%s)", text_of(campaign, "id"), text_of(campaign, "mode"),
              *text_of(campaign, "preset") != 0 ? ", " : "", text_of(campaign, "preset"));
-  print_state(ctl, text_of(campaign, "state"));
-  if (*text_of(campaign, "reason") != 0)
-    print_fact(ctl, "reason", "%s", text_of(campaign, "reason"));
-  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(campaign, "weight")));
-  print_fact(ctl, "device", "%s", text_of(campaign, "device"));
-  if (*text_of(campaign, "label") != 0)
-    print_fact(ctl, "label", "%s", text_of(campaign, "label"));
-  if (json_is_object(error))
-    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
-  if (number_of(campaign, "attempts") > 0)
-    print_fact(ctl, "attempts", "%" PRId64, number_of(campaign, "attempts"));
-  if (json_is_object(controller))
-    print_fact(ctl, "controller", "%s%ssha256:%s", text_of(controller, "name"),
-               *text_of(controller, "name") != 0 ? ", " : "", text_of(controller, "sha256"));
-  else
-    print_fact(ctl, "controller", "random weights, sensor %s", text_of(learning, "sensor"));
+  print_job_state(ctl, campaign, "");
+  print_controller_fact(ctl, "controller", json_object_get(campaign, "controller"),
+                        text_of(learning, "sensor"));
   print_fact(ctl, "population", "%s designs, seed %" PRId64,
              count_text(number_of(settings, "population"), a), number_of(settings, "seed"));
   if (number_of(group, "replicates") > 1)
@@ -276,7 +252,7 @@ static void print_campaign(const struct ctl *ctl, const json_t *campaign)
   if (*text_of(campaign, "end") != 0)
     print_fact(ctl, "end", "%s", text_of(campaign, "end"));
   if (json_is_object(result))
-    print_fact(ctl, "result", "%s, sha256:%s", text_of(result, "name"), text_of(result, "sha256"));
+    print_controller_fact(ctl, "result", result, "");
   print_job_times(ctl, campaign);
 }
 

@@ -56,7 +56,7 @@ static int record_champions(struct ctl *ctl, const char *id, int64_t count, cons
     status = evaluation_wait(ctl, evaluation_id, &evaluation);
   }
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK)
     status = save_trajectories(ctl, evaluation, folder);
   json_decref(evaluation);

@@ -200,7 +200,7 @@ int run_eval(struct ctl *ctl)
                        count_text(number_of(evaluation, "rollouts_total"), a),
                        count_text(number_of(evaluation, "rollouts_cached"), b));
     }
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
     if (status == STATUS_OK && output != NULL)
       status = save_trajectories(ctl, evaluation, output);
   }
@@ -242,7 +242,7 @@ static int add_evaluation(struct ctl *ctl, struct designs *designs, json_t *requ
   snprintf(path, sizeof(path), "/v1/evaluations/%s", id);
   int status = transport_get_json(ctl, path, 0, &evaluation);
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK && !json_is_string(json_object_get(evaluation, "environments")) &&
       !option_is_set(ctl, "environments"))
     status = complain(
@@ -294,7 +294,7 @@ int run_verify(struct ctl *ctl)
     status = evaluate(ctl, request, true, &evaluation);
   }
   if (status == STATUS_OK)
-    status = evaluation_outcome(evaluation);
+    status = job_outcome("job", evaluation);
   if (status == STATUS_OK) {
     size_t agree = 0, differ = 0, absent = 0, i;
     json_t *result;

@@ -9,55 +9,47 @@
 #include "table.h"
 #include "transport.h"
 
+static void add_job(struct table *table, const json_t *job)
+{
+  char designs[32], count[32], work[48], done[16], time[32];
+  const json_t *training = json_object_get(job, "training"),
+               *campaign = json_object_get(job, "campaign");
+  int64_t total, so_far,
+      n_designs =
+          campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
+  const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
+  if (training != NULL) {
+    total = number_of(training, "steps");
+    so_far = number_of(training, "step");
+  } else if (campaign != NULL) {
+    total = number_of(campaign, "generations");
+    so_far = number_of(campaign, "generation");
+  } else {
+    total = number_of(job, "rollouts_total");
+    so_far = number_of(job, "rollouts_done");
+  }
+  snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
+  snprintf(work, sizeof(work), "%s %s", count_text(total, count), unit);
+  const char *cells[] = {text_of(job, "id"),
+                         training != NULL   ? text_of(training, "kind")
+                         : campaign != NULL ? text_of(campaign, "mode")
+                                            : text_of(job, "kind"),
+                         text_of(job, "state"),
+                         text_of(job, "priority"),
+                         training != NULL ? "" : count_text(n_designs, designs),
+                         work,
+                         done,
+                         time_text(json_object_get(job, "created_at"), time),
+                         text_of(job, "label")};
+  table_add(table, cells);
+}
+
 int run_job_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/jobs", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *job;
-    table_open(&table, ">job|kind|state|priority|>designs|>work|>done|created|label");
-    json_array_foreach(items, i, job)
-    {
-      char designs[32], count[32], work[48], done[16], time[32];
-      const json_t *training = json_object_get(job, "training"),
-                   *campaign = json_object_get(job, "campaign");
-      int64_t total, so_far,
-          n_designs =
-              campaign != NULL ? number_of(campaign, "population") : number_of(job, "n_designs");
-      const char *unit = training != NULL ? "steps" : campaign != NULL ? "generations" : "rollouts";
-      if (training != NULL) {
-        total = number_of(training, "steps");
-        so_far = number_of(training, "step");
-      } else if (campaign != NULL) {
-        total = number_of(campaign, "generations");
-        so_far = number_of(campaign, "generation");
-      } else {
-        total = number_of(job, "rollouts_total");
-        so_far = number_of(job, "rollouts_done");
-      }
-      snprintf(done, sizeof(done), "%d %%", total > 0 ? (int)(100 * so_far / total) : 0);
-      snprintf(work, sizeof(work), "%s %s", count_text(total, count), unit);
-      const char *cells[] = {text_of(job, "id"),
-                             training != NULL   ? text_of(training, "kind")
-                             : campaign != NULL ? text_of(campaign, "mode")
-                                                : text_of(job, "kind"),
-                             text_of(job, "state"),
-                             text_of(job, "priority"),
-                             training != NULL ? "" : count_text(n_designs, designs),
-                             work,
-                             done,
-                             time_text(json_object_get(job, "created_at"), time),
-                             text_of(job, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(ctl, status, items,
+                    ">job|kind|state|priority|>designs|>work|>done|created|label", add_job);
 }
 
 int run_job_show(struct ctl *ctl)

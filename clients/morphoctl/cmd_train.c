@@ -134,38 +134,31 @@ int run_train_start(struct ctl *ctl)
 
 /* ---- list, show ---- */
 
+static void add_training(struct table *table, const json_t *item)
+{
+  const json_t *progress = json_object_get(item, "progress");
+  char step[32], steps[32], loss[32], score[32], time[32];
+  const char *cells[] = {
+      text_of(item, "id"),
+      text_of(item, "kind"),
+      text_of(item, "name"),
+      text_of(item, "state"),
+      count_text(number_of(progress, "step"), step),
+      count_text(number_of(progress, "steps"), steps),
+      score_text(json_object_get(progress, "mean_loss"), loss),
+      score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
+      time_text(json_object_get(item, "created_at"), time),
+      text_of(item, "label")};
+  table_add(table, cells);
+}
+
 int run_train_list(struct ctl *ctl)
 {
-  json_t *items;
+  json_t *items = NULL;
   int status = collect_states(ctl, "/v1/trainings", &items);
-  if (status != STATUS_OK)
-    return status;
-  if (!print_page(ctl, items)) {
-    struct table table;
-    size_t i;
-    const json_t *item;
-    table_open(&table, ">training|kind|name|state|>step|>of|>loss|>validation|created|label");
-    json_array_foreach(items, i, item)
-    {
-      const json_t *progress = json_object_get(item, "progress");
-      char step[32], steps[32], loss[32], score[32], time[32];
-      const char *cells[] = {
-          text_of(item, "id"),
-          text_of(item, "kind"),
-          text_of(item, "name"),
-          text_of(item, "state"),
-          count_text(number_of(progress, "step"), step),
-          count_text(number_of(progress, "steps"), steps),
-          score_text(json_object_get(progress, "mean_loss"), loss),
-          score_text(json_object_get(json_object_get(item, "validation"), "mean_score"), score),
-          time_text(json_object_get(item, "created_at"), time),
-          text_of(item, "label")};
-      table_add(&table, cells);
-    }
-    table_print(&table, stdout, ctl);
-  }
-  json_decref(items);
-  return STATUS_OK;
+  return print_list(ctl, status, items,
+                    ">training|kind|name|state|>step|>of|>loss|>validation|created|label",
+                    add_training);
 }
 
 static void print_settings(const struct ctl *ctl, const json_t *settings)
@@ -236,31 +229,15 @@ static void print_code(const struct ctl *ctl, const json_t *code)
 static void print_training(const struct ctl *ctl, const json_t *training)
 {
   char text[256];
-  const json_t *parent = json_object_get(training, "parent"),
+  const json_t *settings = json_object_get(training, "settings"),
                *progress = json_object_get(training, "progress");
   print_fact(ctl, "training", "%s (%s)", text_of(training, "id"), text_of(training, "kind"));
   print_fact(ctl, "name", "%s", text_of(training, "name"));
-  print_state(ctl, text_of(training, "state"));
-  if (*text_of(training, "reason") != 0)
-    print_fact(ctl, "reason", "%s", text_of(training, "reason"));
-  else if (strcmp(text_of(training, "phase"), "idle") != 0)
-    print_fact(ctl, "phase", "%s", text_of(training, "phase"));
-  print_fact(ctl, "weight", "%g", json_number_value(json_object_get(training, "weight")));
-  print_fact(ctl, "device", "%s", text_of(training, "device"));
-  if (*text_of(training, "label") != 0)
-    print_fact(ctl, "label", "%s", text_of(training, "label"));
-  const json_t *error = json_object_get(training, "error");
-  if (json_is_object(error))
-    print_fact(ctl, "error", "%s: %s", text_of(error, "code"), text_of(error, "detail"));
-  if (number_of(training, "attempts") > 0)
-    print_fact(ctl, "attempts", "%" PRId64, number_of(training, "attempts"));
-  if (json_is_object(parent))
-    print_fact(ctl, "from", "%s%ssha256:%s", text_of(parent, "name"),
-               *text_of(parent, "name") != 0 ? ", " : "", text_of(parent, "sha256"));
-  else
-    print_fact(ctl, "from", "random weights, sensor %s",
-               text_of(json_object_get(training, "settings"), "sensor"));
-  print_settings(ctl, json_object_get(training, "settings"));
+  const char *phase = text_of(training, "phase");
+  print_job_state(ctl, training, strcmp(phase, "idle") != 0 ? phase : "");
+  print_controller_fact(ctl, "from", json_object_get(training, "parent"),
+                        text_of(settings, "sensor"));
+  print_settings(ctl, settings);
   training_step_text(number_of(progress, "step"), number_of(progress, "steps"), text, sizeof(text));
   print_fact(ctl, "progress", "%s", text);
   if (number_of(progress, "step") > 0) {
@@ -277,8 +254,7 @@ static void print_training(const struct ctl *ctl, const json_t *training)
   print_code(ctl, json_object_get(training, "code"));
   const json_t *controller = json_object_get(training, "controller");
   if (json_is_object(controller))
-    print_fact(ctl, "controller", "%s, sha256:%s", text_of(controller, "name"),
-               text_of(controller, "sha256"));
+    print_controller_fact(ctl, "controller", controller, "");
   print_job_times(ctl, training);
 }
 

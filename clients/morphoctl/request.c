@@ -202,15 +202,3 @@ int evaluate(struct ctl *ctl, const json_t *request, bool wait, json_t **evaluat
   json_decref(*evaluation);
   return evaluation_wait(ctl, id, evaluation);
 }
-
-int evaluation_outcome(const json_t *evaluation)
-{
-  const char *state = text_of(evaluation, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(evaluation, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "job %s %s: %s", text_of(evaluation, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "job %s is %s", text_of(evaluation, "id"), state);
-}

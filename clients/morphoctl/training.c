@@ -226,15 +226,3 @@ void training_event_text(const char *type, const json_t *data, char *text, size_
              *before != 0 ? before : "unknown");
   }
 }
-
-int training_outcome(const json_t *training)
-{
-  const char *state = text_of(training, "state");
-  if (strcmp(state, "succeeded") == 0)
-    return STATUS_OK;
-  const json_t *error = json_object_get(training, "error");
-  if (json_is_object(error))
-    return complain(STATUS_NEGATIVE, "training %s %s: %s", text_of(training, "id"), state,
-                    text_of(error, "detail"));
-  return complain(STATUS_NEGATIVE, "training %s is %s", text_of(training, "id"), state);
-}
