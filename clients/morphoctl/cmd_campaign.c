@@ -12,56 +12,20 @@
 
 /* ---- start ---- */
 
-static const struct field fields[] = {
-    {"preset", "preset", FIELD_WORD},
-    {"population", "population", FIELD_WHOLE},
-    {"generations", "generations", FIELD_WHOLE},
-    {"seed", "seed", FIELD_WHOLE},
-    {"replicates", "replicates", FIELD_WHOLE},
-    {"mutation-share", "mutation.share", FIELD_REAL},
-    {"mutation-rate", "mutation.rate", FIELD_REAL},
-    {"mutation-growth", "mutation.growth", FIELD_REAL},
-    {"collapse-share", "collapse_share", FIELD_REAL},
-    {"name", "name", FIELD_WORD},
-    {"label", "label", FIELD_WORD},
-    {"priority", "priority", FIELD_WORD},
-    {"weight", "weight", FIELD_REAL},
-    {"device", "device", FIELD_WORD},
-};
-static const struct field learning_fields[] = {
-    {"parent-steps", "parent_steps", FIELD_WHOLE},
-    {"child-steps", "child_steps", FIELD_WHOLE},
-    {"batch", "batch", FIELD_WHOLE},
-    {"sensor", "sensor", FIELD_WORD},
-    {"checkpoint-seconds", "checkpoint_every_s", FIELD_WHOLE},
-};
-#define N_OF(array) (sizeof(array) / sizeof((array)[0]))
-
-/* Adds --selection NAME with the options of that kind. */
+/* Adds --selection NAME. The options of a kind need it. */
 static int fill_selection(const struct ctl *ctl, json_t *request)
 {
-  static const struct {
-    const char *kind;
-    struct field field;
-  } options[] = {
-      {"tournament", {"tournament-size", "selection.size", FIELD_WHOLE}},
-      {"novelty", {"novelty-weight", "selection.weight", FIELD_REAL}},
-      {"age-layered", {"layers", "selection.layers", FIELD_WHOLE}},
-      {"age-layered", {"age-gap", "selection.age_gap", FIELD_WHOLE}},
-  };
+  static const char *const options[][2] = {{"tournament", "tournament-size"},
+                                           {"novelty", "novelty-weight"},
+                                           {"age-layered", "layers"},
+                                           {"age-layered", "age-gap"}};
   const char *kind = option_text(ctl, "selection", NULL);
-  int status = STATUS_OK;
+  for (size_t i = 0; i < sizeof(options) / sizeof(options[0]); i++)
+    if (option_is_set(ctl, options[i][1]) && (kind == NULL || strcmp(kind, options[i][0]) != 0))
+      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i][1], options[i][0]);
   if (kind != NULL)
     json_object_set_new(request, "selection", json_pack("{s:s}", "kind", kind));
-  for (size_t i = 0; i < N_OF(options) && status == STATUS_OK; i++) {
-    if (!option_is_set(ctl, options[i].field.option))
-      continue;
-    if (kind == NULL || strcmp(kind, options[i].kind) != 0)
-      return complain(STATUS_USAGE, "--%s needs --selection %s", options[i].field.option,
-                      options[i].kind);
-    status = fill_fields(ctl, request, &options[i].field, 1);
-  }
-  return status;
+  return STATUS_OK;
 }
 
 /* Adds --workspace X,Y,Z. */
@@ -76,22 +40,6 @@ static int fill_workspace(const struct ctl *ctl, json_t *request)
     return complain(STATUS_USAGE, "--workspace: \"%s\" is not X,Y,Z, e.g. 6,6,4", text);
   json_object_set_new(request, "workspace", json_pack("[i, i, i]", x, y, z));
   return STATUS_OK;
-}
-
-static int fill_learning(const struct ctl *ctl, json_t *request)
-{
-  json_t *learning = json_object();
-  int status = learning != NULL ? STATUS_OK : complain(STATUS_ERROR, "out of memory");
-  if (status == STATUS_OK)
-    status = fill_fields(ctl, learning, learning_fields, N_OF(learning_fields));
-  if (status == STATUS_OK)
-    status = fill_optimizer(ctl, learning);
-  if (status == STATUS_OK)
-    status = fill_schedule(ctl, learning);
-  if (status == STATUS_OK && json_object_size(learning) > 0)
-    json_object_set(request, "learning", learning);
-  json_decref(learning);
-  return status;
 }
 
 /* Adds the initial population: the operands, or that of another campaign. */
@@ -121,13 +69,13 @@ static int fill_initial(struct ctl *ctl, json_t *request)
 
 static int fill_request(struct ctl *ctl, json_t *request)
 {
-  int status = fill_fields(ctl, request, fields, N_OF(fields));
-  if (status == STATUS_OK)
-    status = fill_selection(ctl, request);
+  int status = fill_selection(ctl, request);
   if (status == STATUS_OK)
     status = fill_workspace(ctl, request);
   if (status == STATUS_OK)
-    status = fill_learning(ctl, request);
+    status = fill_schedule(ctl, request, "learning.schedule");
+  if (status == STATUS_OK)
+    status = fill_fields(ctl, request);
   if (status == STATUS_OK)
     status = fill_initial(ctl, request);
   if (status == STATUS_OK)

@@ -150,9 +150,7 @@ int run_eval(struct ctl *ctl)
   json_t *request = json_object(), *evaluation = NULL;
   bool wait = !option_is_set(ctl, "no-wait");
   int64_t top = 0;
-  const char *sort = option_text(ctl, "sort", "input"),
-             *priority = option_text(ctl, "priority", NULL);
-  const char *label = option_text(ctl, "label", NULL), *output = option_text(ctl, "output", NULL);
+  const char *sort = option_text(ctl, "sort", "input"), *output = option_text(ctl, "output", NULL);
   int status = read_designs(ctl, &designs);
   if (status == STATUS_OK && !option_number(ctl, "top", 1, DESIGNS_MAX, &top))
     status = STATUS_USAGE;
@@ -166,13 +164,7 @@ int run_eval(struct ctl *ctl)
     status = fill_record(ctl, request);
   if (status == STATUS_OK) {
     json_object_set(request, "designs", designs.list);
-    if (label != NULL)
-      json_object_set_new(request, "label", json_string(label));
-    if (priority != NULL)
-      json_object_set_new(request, "priority", json_string(priority));
-    static const struct field fields[] = {{"weight", "weight", FIELD_REAL},
-                                          {"device", "device", FIELD_WORD}};
-    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
+    status = fill_fields(ctl, request);
   }
   if (status == STATUS_OK)
     status = evaluate(ctl, request, wait, &evaluation);

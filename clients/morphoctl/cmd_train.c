@@ -12,26 +12,6 @@
 
 /* ---- start ---- */
 
-static const struct field fields[] = {
-    {"preset", "preset", FIELD_WORD},
-    {"name", "name", FIELD_WORD},
-    {"controller", "controller", FIELD_WORD},
-    {"sensor", "sensor", FIELD_WORD},
-    {"steps", "steps", FIELD_WHOLE},
-    {"batch", "batch", FIELD_WHOLE},
-    {"seed", "seed", FIELD_WHOLE},
-    {"validate-every", "validation.every_steps", FIELD_WHOLE},
-    {"validation-designs", "validation.designs", FIELD_WHOLE},
-    {"validation-environments", "validation.environments", FIELD_WHOLE},
-    {"checkpoint-steps", "checkpoint.every_steps", FIELD_WHOLE},
-    {"checkpoint-seconds", "checkpoint.every_s", FIELD_WHOLE},
-    {"checkpoint-keep", "checkpoint.keep", FIELD_WHOLE},
-    {"priority", "priority", FIELD_WORD},
-    {"weight", "weight", FIELD_REAL},
-    {"device", "device", FIELD_WORD},
-    {"label", "label", FIELD_WORD},
-};
-
 /* Makes {"campaign": id} or {"evaluation": id}, depending on the kind of the job. */
 static int name_population(struct ctl *ctl, const char *id, json_t **object)
 {
@@ -101,11 +81,9 @@ int run_train_start(struct ctl *ctl)
   int status = request != NULL ? fill_designs(ctl, finetune, request)
                                : complain(STATUS_ERROR, "out of memory");
   if (status == STATUS_OK)
-    status = fill_fields(ctl, request, fields, sizeof(fields) / sizeof(fields[0]));
+    status = fill_schedule(ctl, request, "schedule");
   if (status == STATUS_OK)
-    status = fill_optimizer(ctl, request);
-  if (status == STATUS_OK)
-    status = fill_schedule(ctl, request);
+    status = fill_fields(ctl, request);
   if (status == STATUS_OK)
     status = request_fill_physics(ctl, request);
   if (status == STATUS_OK)
