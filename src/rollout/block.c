@@ -2,11 +2,9 @@
  *
  * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
  * allocates nothing. */
-#include "base/clock.h"
 #include "rollout/fast.h"
 
 #include <stdlib.h>
-#include <x86intrin.h>
 
 enum { ALIGNMENT = 64 };
 
@@ -84,30 +82,11 @@ static int reserve(struct mo_workspace_memory *memory, size_t bytes)
   return MO_OK;
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
- * length of a tick. */
-static int run_profiled(struct mo_fast_run *run, mo_fast_function *function)
-{
-  struct mo_rollout_profile *total = run->profile, block = {0};
-  run->profile = &block;
-  const uint64_t start_ns = mo_clock_ns();
-  const uint64_t start = __rdtsc();
-  const int status = function(run);
-  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
-  total->pack_s += block.pack_s * tick_s;
-  total->sense_s += block.sense_s * tick_s;
-  total->control_s += block.control_s * tick_s;
-  total->spring_s += block.spring_s * tick_s;
-  total->contact_s += block.contact_s * tick_s;
-  total->rollout_steps += block.rollout_steps;
-  return status;
-}
-
 int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *pack,
                      const struct mo_body *body, const struct mo_environment *const *environments,
                      uint32_t n_environments, const struct mo_physics *physics,
                      const struct mo_recording *recordings, const struct mo_pause_point *pause,
-                     struct mo_rollout_profile *profile, struct mo_outcome *outcomes)
+                     struct mo_outcome *outcomes)
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
@@ -122,12 +101,10 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
                             .physics = physics,
                             .recordings = recordings,
                             .pause = pause,
-                            .profile = profile,
                             .outcomes = outcomes};
   const int status = reserve(memory, lay_out(&run, NULL));
   if (status < 0)
     return status;
   lay_out(&run, memory->base);
-  mo_fast_function *const function = mo_fast_find(pack->isa, pack->precision);
-  return profile != NULL ? run_profiled(&run, function) : function(&run);
+  return mo_fast_find(pack->isa, pack->precision)(&run);
 }

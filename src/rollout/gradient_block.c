@@ -1,6 +1,5 @@
 /* gradient_block.c: packs, the scratch of one worker, and the code between mo_gradient_block and
  * the kernels. */
-#include "base/clock.h"
 #include "rollout/fast.h"
 #include "rollout/gradient_fast.h"
 
@@ -8,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
-#include <x86intrin.h>
 
 enum { ALIGNMENT = 64 };
 #define HUGE_PAGE ((size_t)2 << 20)
@@ -217,33 +215,11 @@ mo_gradient_function *mo_gradient_find(enum mo_isa isa)
   return functions[isa];
 }
 
-/* The kernels count ticks of the time stamp counter; the whole block, measured both ways, gives the
- * length of a tick. */
-static int run_profiled(struct mo_gradient_run *run, mo_gradient_function *function)
-{
-  struct mo_gradient_profile *total = run->profile, block = {0};
-  run->profile = &block;
-  const uint64_t start_ns = mo_clock_ns();
-  const uint64_t start = __rdtsc();
-  const int status = function(run);
-  const double tick_s = 1e-9 * (double)(mo_clock_ns() - start_ns) / (double)(__rdtsc() - start);
-  total->pack_s += block.pack_s * tick_s;
-  total->sense_s += block.sense_s * tick_s;
-  total->control_s += block.control_s * tick_s;
-  total->physics_s += block.physics_s * tick_s;
-  total->physics_back_s += block.physics_back_s * tick_s;
-  total->control_back_s += block.control_back_s * tick_s;
-  total->parameters_s += block.parameters_s * tick_s;
-  total->repeat_s += block.repeat_s * tick_s;
-  total->robot_steps += block.robot_steps;
-  return status;
-}
-
 int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradient_pack *pack,
                       const struct mo_robot *robots, uint32_t n, const struct mo_physics *physics,
                       const struct mo_gradient_options *options, const struct mo_pause_point *pause,
-                      struct mo_gradient_profile *profile, struct mo_outcome *outcomes,
-                      float *d_parameters, struct mo_gradient_counts *counts)
+                      struct mo_outcome *outcomes, float *d_parameters,
+                      struct mo_gradient_counts *counts)
 {
   if (n < 1 || n > MO_GRADIENT_ROBOTS || mo_gradient_options_check(options) != MO_OK)
     return MO_ERR_INVALID;
@@ -258,12 +234,10 @@ int mo_gradient_block(struct mo_gradient_memory *memory, const struct mo_gradien
                                 .physics = physics,
                                 .options = options,
                                 .pause = pause,
-                                .profile = profile,
                                 .outcomes = outcomes,
                                 .d_parameters = d_parameters,
                                 .counts = &block};
-  mo_gradient_function *const function = mo_gradient_find(pack->isa);
-  const int status = profile != NULL ? run_profiled(&run, function) : function(&run);
+  const int status = mo_gradient_find(pack->isa)(&run);
   if (status == MO_OK && counts != NULL)
     mo_gradient_counts_add(counts, &block);
   return status;
