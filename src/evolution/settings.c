@@ -22,10 +22,7 @@ const char *mo_campaign_mode_name(enum mo_campaign_mode mode)
 
 int mo_campaign_mode_from_name(const char *name, enum mo_campaign_mode *mode)
 {
-  const int i = mo_word_index(mode_words, name);
-  if (i >= 0)
-    *mode = (enum mo_campaign_mode)i;
-  return i >= 0 ? MO_OK : i;
+  return mo_word_find(mode_words, name, mode);
 }
 
 const char *mo_selection_name(enum mo_selection_kind kind)
@@ -40,10 +37,7 @@ const char *mo_preset_name(enum mo_preset preset)
 
 int mo_preset_from_name(const char *name, enum mo_preset *preset)
 {
-  const int i = mo_word_index(preset_words, name);
-  if (i >= 0)
-    *preset = (enum mo_preset)i;
-  return i >= 0 ? MO_OK : i;
+  return mo_word_find(preset_words, name, preset);
 }
 
 const char *mo_operator_name(enum mo_operator birth)

@@ -2,11 +2,10 @@
  *
  * The scratch is one allocation that grows to the largest body seen; a block of a body that fits
  * allocates nothing. */
+#include "rollout/carve.h"
 #include "rollout/fast.h"
 
 #include <stdlib.h>
-
-enum { ALIGNMENT = 64 };
 
 struct mo_workspace_memory {
   char *base;
@@ -35,13 +34,6 @@ size_t mo_workspace_memory_bytes(const struct mo_workspace_memory *memory)
   return memory->size + sizeof(*memory);
 }
 
-static void *carve(char *base, size_t *used, size_t n, size_t size)
-{
-  void *piece = base != NULL ? base + *used : NULL;
-  *used += (n * size + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
-  return piece;
-}
-
 /* Places the scratch arrays of `run` from `base` on (NULL: only counts). Returns their size in
  * bytes. */
 static size_t lay_out(struct mo_fast_run *run, char *base)
@@ -50,30 +42,30 @@ static size_t lay_out(struct mo_fast_run *run, char *base)
   const size_t real = pack->real_bytes, panel = pack->panel, n_masses = run->body->n_masses;
   const size_t n_springs = run->body->n_springs,
                springs_padded = (n_springs + panel - 1) / panel * panel;
-  size_t used = 0;
+  struct carver carver = {base, 0};
   for (int i = 0; i < 2; i++)
-    run->position[i] = carve(base, &used, n_masses * 3 * MO_LANES, real);
-  run->velocity = carve(base, &used, n_masses * 3 * MO_LANES, real);
-  run->start = carve(base, &used, n_masses * 3, sizeof(double));
-  run->spring_ends = carve(base, &used, n_springs * 2, sizeof(uint32_t));
-  run->spring_rest = carve(base, &used, n_springs, real);
-  run->activation = carve(base, &used, 2 * MO_LANES * panel, real);
-  run->terrain = carve(base, &used, (size_t)MO_LANES * MO_CELLS * 4, real);
+    run->position[i] = carve(&carver, n_masses * 3 * MO_LANES, real);
+  run->velocity = carve(&carver, n_masses * 3 * MO_LANES, real);
+  run->start = carve(&carver, n_masses * 3, sizeof(double));
+  run->spring_ends = carve(&carver, n_springs * 2, sizeof(uint32_t));
+  run->spring_rest = carve(&carver, n_springs, real);
+  run->activation = carve(&carver, 2 * MO_LANES * panel, real);
+  run->terrain = carve(&carver, (size_t)MO_LANES * MO_CELLS * 4, real);
   if (!pack->passive) {
-    run->sensor = carve(base, &used, n_masses * MO_LANES, real);
-    run->hidden = carve(base, &used, (size_t)2 * MO_LANES * MO_HIDDEN, real);
-    run->input_weight = carve(base, &used, n_masses * MO_HIDDEN, real);
-    run->output_weight = carve(base, &used, springs_padded * MO_HIDDEN, real);
-    run->output_bias = carve(base, &used, springs_padded, real);
+    run->sensor = carve(&carver, n_masses * MO_LANES, real);
+    run->hidden = carve(&carver, (size_t)2 * MO_LANES * MO_HIDDEN, real);
+    run->input_weight = carve(&carver, n_masses * MO_HIDDEN, real);
+    run->output_weight = carve(&carver, springs_padded * MO_HIDDEN, real);
+    run->output_bias = carve(&carver, springs_padded, real);
   }
-  return used;
+  return carver.used;
 }
 
 static int reserve(struct mo_workspace_memory *memory, size_t bytes)
 {
   if (bytes <= memory->size)
     return MO_OK;
-  char *larger = aligned_alloc(ALIGNMENT, bytes);
+  char *larger = aligned_alloc(MO_ALIGNMENT, bytes);
   if (larger == NULL)
     return MO_ERR_NO_MEMORY;
   free(memory->base);
@@ -90,9 +82,7 @@ int mo_rollout_block(struct mo_workspace_memory *memory, const struct mo_pack *p
 {
   if (n_environments < 1 || n_environments > MO_BLOCK_LANES)
     return MO_ERR_RANGE;
-  if (!pack->passive &&
-      (pack->workspace.nx != body->workspace.nx || pack->workspace.ny != body->workspace.ny ||
-       pack->workspace.nz != body->workspace.nz))
+  if (!pack->passive && !mo_workspace_equal(pack->workspace, body->workspace))
     return MO_ERR_INVALID;
   struct mo_fast_run run = {.pack = pack,
                             .body = body,
