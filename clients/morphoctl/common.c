@@ -182,7 +182,7 @@ int job_outcome(const char *noun, const json_t *job)
 
 static void print_name(const struct ctl *ctl, const char *name)
 {
-  printf("%s%s%s%*s ", ctl->colour ? "\033[1m" : "", name, ctl->colour ? "\033[0m" : "",
+  printf("%s%s%s%*s ", ctl->color ? "\033[1m" : "", name, ctl->color ? "\033[0m" : "",
          (int)(14 - strlen(name)), "");
 }
 
@@ -198,15 +198,15 @@ void print_fact(const struct ctl *ctl, const char *name, const char *format, ...
 
 void print_state(const struct ctl *ctl, const char *state)
 {
-  const char *colour = strcmp(state, "succeeded") == 0 ? "\033[32m"
-                       : strcmp(state, "failed") == 0  ? "\033[31m"
-                                                       : NULL;
-  if (!ctl->colour)
-    colour = NULL;
+  const char *color = strcmp(state, "succeeded") == 0 ? "\033[32m"
+                      : strcmp(state, "failed") == 0  ? "\033[31m"
+                                                      : NULL;
+  if (!ctl->color)
+    color = NULL;
   print_name(ctl, "state");
-  fputs(colour != NULL ? colour : "", stdout);
+  fputs(color != NULL ? color : "", stdout);
   print_plain(stdout, "%s", state);
-  puts(colour != NULL ? "\033[0m" : "");
+  puts(color != NULL ? "\033[0m" : "");
 }
 
 void print_job_state(const struct ctl *ctl, const json_t *job, const char *phase)

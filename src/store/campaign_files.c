@@ -34,36 +34,33 @@ static char *path_of(const struct mo_store *store, int64_t id, uint32_t generati
 }
 
 struct found {
-  uint32_t generation, step;
+  uint32_t step;
   uint64_t size;
   struct mo_sha256 sha256;
 };
 
-/* Finds the newest checkpoint of generations `from` … `to`; step UINT32_MAX: of any step. */
-static int find_checkpoint(struct mo_store *store, int64_t id, int64_t from, int64_t to,
-                           uint32_t step, struct found *found)
+/* Finds the newest checkpoint of a generation; step UINT32_MAX: of any step. */
+static int find_checkpoint(struct mo_store *store, int64_t id, uint32_t generation, uint32_t step,
+                           struct found *found)
 {
   static const char sql[] =
-      "SELECT generation,step,sha256,size FROM campaign_checkpoints WHERE job=?1"
-      " AND generation BETWEEN CASE WHEN ?2<0 THEN (SELECT generation FROM campaigns WHERE job=?1)"
-      " ELSE ?2 END AND ?3 AND (?4<0 OR step=?4) ORDER BY generation DESC,step DESC LIMIT 1";
+      "SELECT step,sha256,size FROM campaign_checkpoints WHERE job=?1 AND generation=?2"
+      " AND (?3<0 OR step=?3) ORDER BY step DESC LIMIT 1";
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = MO_OK;
   sqlite3_stmt *statement = mo_sql(reader, sql, &error);
   if (statement != NULL) {
     int result;
     sqlite3_bind_int64(statement, 1, id);
-    sqlite3_bind_int64(statement, 2, from);
-    sqlite3_bind_int64(statement, 3, to);
-    sqlite3_bind_int64(statement, 4, step == UINT32_MAX ? -1 : (int64_t)step);
+    sqlite3_bind_int64(statement, 2, generation);
+    sqlite3_bind_int64(statement, 3, step == UINT32_MAX ? -1 : (int64_t)step);
     result = mo_sql_step(reader, statement);
-    error = result > 0   ? mo_column_hash(statement, 2, &found->sha256)
+    error = result > 0   ? mo_column_hash(statement, 1, &found->sha256)
             : result < 0 ? result
                          : MO_ERR_NOT_FOUND;
     if (result > 0) {
-      found->generation = (uint32_t)sqlite3_column_int64(statement, 0);
-      found->step = (uint32_t)sqlite3_column_int64(statement, 1);
-      found->size = (uint64_t)sqlite3_column_int64(statement, 3);
+      found->step = (uint32_t)sqlite3_column_int64(statement, 0);
+      found->size = (uint64_t)sqlite3_column_int64(statement, 2);
     }
   }
   mo_reader_release(store, reader);
@@ -85,8 +82,7 @@ int mo_campaign_checkpoint_begin(struct mo_store *store, const uint8_t *bytes,
     return MO_ERR_NO_MEMORY;
   }
   mo_sha256_of(bytes, checkpoint->size, &checkpoint->sha256);
-  error = find_checkpoint(store, checkpoint->id, checkpoint->generation, checkpoint->generation,
-                          checkpoint->step, &known);
+  error = find_checkpoint(store, checkpoint->id, checkpoint->generation, checkpoint->step, &known);
   checkpoint->was_there = error == MO_OK;
   if (error == MO_ERR_NOT_FOUND)
     error = MO_OK;
@@ -241,57 +237,33 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
 /* ---- reading ---- */
 
 /* Reads the bytes that a row refers to. MO_ERR_CORRUPT: the file is missing, or is another one. */
-static int read_checkpoint(const struct mo_store *store, int64_t id, const struct found *row,
-                           uint8_t **ret)
+static int read_checkpoint(const struct mo_store *store, int64_t id, uint32_t generation,
+                           const struct found *row, uint8_t **ret)
 {
-  char *path = path_of(store, id, row->generation, row->step);
+  char *path = path_of(store, id, generation, row->step);
   int error = path == NULL ? MO_ERR_NO_MEMORY
                            : mo_file_read_checked(path, (size_t)row->size, &row->sha256, ret);
   free(path);
   return error;
 }
 
-static int read_newest(struct mo_store *store, int64_t id, int64_t from, int64_t to,
-                       struct found *row, uint8_t **bytes)
+int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
+                                    uint32_t *step, uint8_t **bytes, size_t *size)
 {
-  struct found again = {0};
-  int error = find_checkpoint(store, id, from, to, UINT32_MAX, row);
+  struct found row = {0}, again = {0};
+  uint8_t *found = NULL;
+  int error = find_checkpoint(store, id, generation, UINT32_MAX, &row);
   while (error == MO_OK) {
-    error = read_checkpoint(store, id, row, bytes);
+    error = read_checkpoint(store, id, generation, &row, &found);
     if (error != MO_ERR_CORRUPT)
       break;
     /* The file is damaged, unless a newer checkpoint has replaced it meanwhile: then its row went
      * first. */
-    error = find_checkpoint(store, id, from, to, UINT32_MAX, &again);
-    if (error == MO_OK && again.generation == row->generation && again.step == row->step &&
-        mo_sha256_equal(&again.sha256, &row->sha256))
+    error = find_checkpoint(store, id, generation, UINT32_MAX, &again);
+    if (error == MO_OK && again.step == row.step && mo_sha256_equal(&again.sha256, &row.sha256))
       error = MO_ERR_CORRUPT;
-    *row = again;
+    row = again;
   }
-  return error;
-}
-
-int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation,
-                                       uint32_t *step, uint8_t **bytes, size_t *size)
-{
-  struct found row = {0};
-  uint8_t *found = NULL;
-  int error = read_newest(store, id, -1, INT64_MAX, &row, &found);
-  if (error != MO_OK)
-    return error;
-  *generation = row.generation;
-  *step = row.step;
-  *bytes = found;
-  *size = (size_t)row.size;
-  return MO_OK;
-}
-
-int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
-                                    uint32_t *step, uint8_t **bytes, size_t *size)
-{
-  struct found row = {0};
-  uint8_t *found = NULL;
-  int error = read_newest(store, id, generation, generation, &row, &found);
   if (error != MO_OK)
     return error;
   *step = row.step;

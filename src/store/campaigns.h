@@ -256,10 +256,6 @@ int64_t mo_store_campaign_known(struct mo_store *store, int64_t id, int64_t fing
 int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t generation,
                                  uint32_t step, const uint8_t *bytes, size_t size,
                                  const struct mo_campaign_step *steps, size_t n_steps);
-/* Reads the newest checkpoint of the newest committed generation or the current one (malloc).
- * MO_ERR_NOT_FOUND; MO_ERR_CORRUPT. */
-int mo_store_campaign_checkpoint_bytes(struct mo_store *store, int64_t id, uint32_t *generation,
-                                       uint32_t *step, uint8_t **bytes, size_t *size);
 /* Reads the newest checkpoint of one generation. For the newest committed generation it is the
  * state that scored its population, whatever was learned since. Earlier ones are not kept. */
 int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,

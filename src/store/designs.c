@@ -7,21 +7,6 @@
 
 #define ROLLOUTS_MAX 1000 /* the most that are reported of one design */
 
-int mo_store_design_count(struct mo_store *store, uint64_t *n)
-{
-  static const char sql[] = "SELECT count(*) FROM designs";
-  struct mo_connection *reader = mo_reader_acquire(store);
-  int64_t count = 0;
-  int error = MO_OK;
-  sqlite3_stmt *statement = mo_sql(reader, sql, &error);
-  if (statement != NULL)
-    error = mo_sql_integer(reader, statement, &count);
-  mo_reader_release(store, reader);
-  if (error == MO_OK)
-    *n = (uint64_t)count;
-  return error;
-}
-
 /* ---- lists ---- */
 
 static int64_t list_by_row(struct mo_connection *reader, const struct mo_design_query *query,

@@ -133,26 +133,21 @@ int mo_decode_physics(const uint8_t *bytes, size_t size, struct mo_physics *phys
 }
 
 /* Encodes the end of settings: the rule of the adjoint, a 32-bit word, and the restart weight, a
- * double. Settings of version 1 lack it: they clip, with the usual restart weight. */
+ * double. */
 static void encode_rule(enum mo_adjoint_rule rule, double weight, uint8_t bytes[MO_RULE_BYTES])
 {
   mo_encode_u32((uint32_t)rule, bytes);
   mo_encode_double(weight, bytes + 4);
 }
 
-/* `now`: the size of version 2. */
-static int decode_rule(const uint8_t *bytes, size_t size, size_t now, enum mo_adjoint_rule *rule,
-                       double *weight)
+static int decode_rule(const uint8_t *bytes, size_t size, size_t expected,
+                       enum mo_adjoint_rule *rule, double *weight)
 {
-  const bool first = size == now - MO_RULE_BYTES;
-  uint32_t word = MO_ADJOINT_CLIP;
-  if (bytes == NULL || (!first && size != now) || bytes[0] != (first ? 1 : 2))
+  uint32_t word;
+  if (bytes == NULL || size != expected || bytes[0] != 2)
     return MO_ERR_CORRUPT;
-  *weight = MO_RESTART_WEIGHT;
-  if (!first) {
-    word = mo_decode_u32(bytes + size - MO_RULE_BYTES);
-    *weight = mo_decode_double(bytes + size - MO_RULE_BYTES + 4);
-  }
+  word = mo_decode_u32(bytes + size - MO_RULE_BYTES);
+  *weight = mo_decode_double(bytes + size - MO_RULE_BYTES + 4);
   *rule = (enum mo_adjoint_rule)word;
   return word > MO_ADJOINT_RESTART ? MO_ERR_CORRUPT : MO_OK;
 }

@@ -97,10 +97,10 @@ static int system_close(void *context, int fd)
   return close(fd);
 }
 
-static int system_rename(void *context, const char *from, const char *to, bool replace)
+static int system_rename(void *context, const char *from, const char *to)
 {
   (void)context;
-  return replace ? rename(from, to) : renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE);
+  return rename(from, to);
 }
 
 static int system_unlink(void *context, const char *path)
@@ -160,19 +160,6 @@ static int write_and_sync(const struct mo_store *store, int fd, const uint8_t *b
   return files->sync(files->context, fd) == 0 ? MO_OK : write_error();
 }
 
-int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder)
-{
-  const struct mo_file_operations *files = store->files;
-  int fd = files->open(files->context, path, O_RDONLY | O_CLOEXEC | (is_folder ? O_DIRECTORY : 0));
-  int error = MO_OK;
-  if (fd < 0)
-    return open_error();
-  if (files->sync(files->context, fd) != 0)
-    error = MO_ERR_IO;
-  (void)files->close(files->context, fd);
-  return error;
-}
-
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size)
 {
@@ -195,7 +182,7 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
   error = write_and_sync(store, fd, bytes, size);
   if (files->close(files->context, fd) != 0 && error == MO_OK)
     error = write_error();
-  if (error == MO_OK && files->rename(files->context, temporary, path, true) != 0)
+  if (error == MO_OK && files->rename(files->context, temporary, path) != 0)
     error = write_error();
   if (error != MO_OK)
     (void)files->unlink(files->context, temporary);
@@ -207,7 +194,15 @@ int mo_file_write(struct mo_store *store, const char *folder, const char *path,
  * although the file is visible until then. */
 int mo_folder_sync(struct mo_store *store, const char *path)
 {
-  int error = mo_path_sync(store, path, true);
+  const struct mo_file_operations *files = store->files;
+  int fd = files->open(files->context, path, O_RDONLY | O_CLOEXEC | O_DIRECTORY);
+  int error = MO_OK;
+  if (fd < 0)
+    error = open_error();
+  else if (files->sync(files->context, fd) != 0)
+    error = MO_ERR_IO;
+  if (fd >= 0)
+    (void)files->close(files->context, fd);
   if (error == MO_ERR_IO)
     mo_store_declare_fatal(store, "a folder of files cannot be synced");
   return error;

@@ -1,5 +1,4 @@
-/* files.h: the system calls that change the store's own files: weights, checkpoints, names of
- * backups.
+/* files.h: the system calls that change the store's own files: weights and checkpoints.
  *
  * They are in a table, so that tests can simulate a disk, as they do for SQLite with a VFS. The
  * lock and the reserve do not use it: their content means nothing. */
@@ -17,8 +16,7 @@ struct mo_file_operations {
   ssize_t (*write)(void *context, int fd, const void *bytes, size_t size);
   int (*sync)(void *context, int fd); /* of a file or folder */
   int (*close)(void *context, int fd);
-  int (*rename)(void *context, const char *from, const char *to,
-                bool replace); /* replace false: EEXIST if `to` exists */
+  int (*rename)(void *context, const char *from, const char *to);
   int (*unlink)(void *context, const char *path);
   int (*mkdir)(void *context, const char *path); /* mode 0700 */
   int (*rmdir)(void *context, const char *path);

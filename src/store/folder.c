@@ -134,7 +134,7 @@ int mo_state_folder_lock(int fd, const char *path, int *file_fd, struct mo_messa
 {
   if (flock(fd, LOCK_EX | LOCK_NB) != 0)
     return refuse_lock(path, message);
-  /* Version 0.1 knows only this lock. */
+  /* Making this file also shows that the folder can be written to. */
   *file_fd = openat(fd, "lock", O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, 0600);
   if (*file_fd < 0)
     return mo_fail(message, errno == ENOSPC ? MO_ERR_NO_SPACE : MO_ERR_IO,

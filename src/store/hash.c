@@ -63,13 +63,6 @@ int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b)
   return memcmp(a->bytes, b->bytes, sizeof(a->bytes)) == 0;
 }
 
-void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash)
-{
-  uint8_t bytes[MO_ENVIRONMENT_BYTES];
-  mo_encode_environment(environment, bytes);
-  mo_sha256_of(bytes, sizeof(bytes), hash);
-}
-
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,
                      enum mo_sensor sensor, struct mo_sha256 *hash)
 {

@@ -21,8 +21,6 @@ int mo_sha256_from_hex(const char *digits, size_t length,
                        struct mo_sha256 *hash);                            /* MO_ERR_FORMAT */
 int mo_sha256_equal(const struct mo_sha256 *a, const struct mo_sha256 *b); /* 1 or 0 */
 
-/* Hashes an environment's 66 doubles (light x, y, then the heights), little-endian. */
-void mo_environment_hash(const struct mo_environment *environment, struct mo_sha256 *hash);
 /* Hashes all that a score depends on besides body, environment and weights: every physics value,
  * the precision, the sensor. Bisections count only when the impact mode uses them. */
 void mo_physics_hash(const struct mo_physics *physics, enum mo_precision precision,

@@ -78,8 +78,7 @@ struct mo_operation {
   int (*run)(struct mo_store *store, void *arguments);
   void *arguments;
   void (*done)(void *arguments, int status); /* NULL: the caller waits */
-  bool is_urgent;                            /* may use the reserve ... */
-  bool is_opening; /* ... but only in small pieces, at most PIECES_MAX per opening */
+  bool is_urgent;                            /* may use the reserve */
   int status;
   bool finished;
   size_t first_event; /* index of the operation's first event in the batch */
@@ -120,8 +119,8 @@ struct mo_store {
   struct mo_event *events; /* of this batch */
   size_t n_events, events_capacity;
   uint64_t events_since_prune;
-  int64_t last_prune_us, last_probe_us, last_restart_us, reserve_us;
-  int wal_frames, checkpoint_frames, pieces_cut;
+  int64_t last_prune_us, last_probe_us, last_restart_us, next_reserve_us;
+  int wal_frames, checkpoint_frames;
   bool reserve_whole;
 
   pthread_mutex_t checkpoints_mutex; /* guards checkpoint files and their rows; locked before
@@ -148,13 +147,10 @@ struct mo_store {
 /* Runs `run` on the writer's thread and waits for its commit. */
 int mo_write(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
              void *arguments);
-/* Like mo_write, but may use the reserve, for requests that clients need on a full disk. Only for
- * small writes that no job makes or repeats by itself. */
+/* Like mo_write, but may use the reserve: for requests that clients need on a full disk, and for
+ * what every start writes. Only for small writes that no job makes or repeats by itself. */
 int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                     void *arguments);
-/* Like mo_write, for what every opening writes: may use a little of the reserve. */
-int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
-                     void *arguments);
 /* Like mo_write, but does not wait. `done` frees what is to be freed. */
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
                    void *arguments, void (*done)(void *arguments, int status));
@@ -180,14 +176,10 @@ void mo_reader_release(struct mo_store *store, struct mo_connection *connection)
 /* ---- the reserve (reserve.c) ---- */
 
 /* Only the writer's thread calls these, and opening before that thread starts. */
-/* Makes the reserve whole again, at most every few seconds. If there is no space for it, the store
- * is short of space. */
+/* Makes the reserve whole again. If there is no space for it, the store is short of space. */
 void mo_reserve_make(struct mo_store *store);
-/* Frees a slice of the reserve. true: there is some space now, and the store is short of space. */
-bool mo_reserve_cut(struct mo_store *store);
-/* Frees a small piece for a write of the opening. false also when the opening has used its part, or
- * only the last slice, kept for clients, is left. */
-bool mo_reserve_cut_piece(struct mo_store *store);
+/* Frees the reserve. true: the store is short of space, and there may be some space now. */
+bool mo_reserve_free(struct mo_store *store);
 
 /* ---- shared queries ---- */
 
@@ -338,11 +330,10 @@ int mo_file_read_checked(const char *path, size_t size, const struct mo_sha256 *
  */
 int mo_file_write(struct mo_store *store, const char *folder, const char *path,
                   const uint8_t *bytes, size_t size);
-int mo_folder_sync(struct mo_store *store, const char *path); /* MO_ERR_IO is fatal to the store */
+/* MO_ERR_NO_MEMORY: the folder cannot be opened now; MO_ERR_IO is fatal to the store. */
+int mo_folder_sync(struct mo_store *store, const char *path);
 /* Makes a folder if it is missing and makes its name durable in any case. */
 int mo_folder_make(struct mo_store *store, const char *parent, const char *path);
-/* Syncs a file or folder. MO_ERR_NO_MEMORY: it cannot be opened now; MO_ERR_IO. */
-int mo_path_sync(const struct mo_store *store, const char *path, bool is_folder);
 /* Counts files without rows in store->orphans, and removes those that this program left behind.
  * connection NULL: recognizes only unfinished files as such. Called before the writer starts. */
 int mo_files_sort_out(struct mo_store *store, struct mo_connection *connection, bool removes);

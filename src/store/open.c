@@ -1,9 +1,8 @@
-/* open.c: opens, migrates and closes a state folder; the pool of readers.
+/* open.c: opens and closes a state folder, and brings its schema up to date.
  *
  * Order: folder and its lock (folder.c), database, application id and version, quick_check after an
- * unclean stop, migrations, epoch, readers, reserve, writer. Only SQLite opens the database file:
- * closing it elsewhere would drop SQLite's locks. On a full disk the log's index and the epoch use
- * the reserve; a migration does not. */
+ * unclean stop, schema, epoch, readers, reserve, writer. Only SQLite opens the database file:
+ * closing it elsewhere would drop SQLite's locks. On a full disk an opening uses the reserve. */
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
@@ -13,8 +12,12 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "migrations.h"
+#include "schema.h"
 #include "store/internal.h"
+
+/* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
+#define FIRST_SCHEMA  9
+#define NEWEST_SCHEMA (FIRST_SCHEMA + schema_count - 1)
 
 static char *join(const char *folder, const char *name)
 {
@@ -110,22 +113,23 @@ static int run_check(struct mo_connection *connection, const char *sql, struct m
   return mo_fail(message, MO_ERR_CORRUPT, "the database is damaged: %s", text);
 }
 
+/* Makes a new database (from = 0), or brings one of an older schema up to date. */
 static int migrate(struct mo_connection *writer, int64_t from, struct mo_message *message)
 {
   char sql[64];
   int error = mo_sql_exec(writer, "BEGIN EXCLUSIVE");
-  for (size_t i = (size_t)from; i < migration_count && error == MO_OK; i++) {
-    error = mo_sql_exec(writer, (const char *)migration_files[i].bytes);
+  for (int64_t i = from == 0 ? 0 : from - FIRST_SCHEMA + 1; i < schema_count && error == MO_OK;
+       i++) {
+    error = mo_sql_exec(writer, (const char *)schema_files[i].bytes);
     if (error != MO_OK)
-      mo_fail(message, error, "migration %s failed: %s", migration_files[i].name,
-              sqlite3_errmsg(writer->db));
+      mo_fail(message, error, "%s failed: %s", schema_files[i].name, sqlite3_errmsg(writer->db));
   }
   /* In the same transaction, so that the database opens after a kill between this commit and the
    * first opening's. */
   if (error == MO_OK && from == 0)
     error = mo_sql_exec(writer, "INSERT INTO meta(key,value) VALUES('epoch',0),('clean',1)");
   if (error == MO_OK) {
-    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", migration_count);
+    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", NEWEST_SCHEMA);
     error = mo_sql_exec(writer, sql);
   }
   if (error == MO_OK) {
@@ -207,7 +211,7 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
   struct header header = {.version = 0};
   int64_t clean = 1;
   int error = read_header(store, &header);
-  while (error == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
+  if (error == MO_ERR_NO_SPACE && mo_reserve_free(store))
     error = read_header(store, &header);
   if (error == MO_ERR_CORRUPT)
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod, or it is damaged",
@@ -219,11 +223,16 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     return mo_fail(message, MO_ERR_FORMAT, "%s is not a database of morphod", store->database_path);
   if (header.version == 0 && header.tables == 0 && store->orphans.n > 0)
     return refuse_without_database(store, message);
-  if (header.version > migration_count || header.version < 0)
+  if (header.version > NEWEST_SCHEMA || header.version < 0)
     return mo_fail(
         message, MO_ERR_UNSUPPORTED,
         "%s has schema %lld, this program knows up to %d: use the newer program that wrote it",
-        store->database_path, (long long)header.version, migration_count);
+        store->database_path, (long long)header.version, NEWEST_SCHEMA);
+  if (header.version > 0 && header.version < FIRST_SCHEMA)
+    return mo_fail(message, MO_ERR_UNSUPPORTED,
+                   "the state folder %s was written by morphod 0.1, which this version does not "
+                   "read: start with an empty folder, and store the files of %s again there",
+                   store->path, store->controllers_path);
   error = use_log(store, writer, message);
   if (error == MO_OK && header.version > 0) {
     error = get_pragma(writer, "SELECT value FROM meta WHERE key='clean'", &clean);
@@ -235,11 +244,11 @@ static int prepare_database(struct mo_store *store, struct mo_message *message)
     if (error == MO_ERR_CORRUPT)
       return error;
   }
-  if (error == MO_OK && header.version < migration_count)
+  if (error == MO_OK && header.version < NEWEST_SCHEMA)
     error = migrate(writer, header.version, message);
   if (error == MO_OK) {
     error = count_opening(writer);
-    while (error == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
+    if (error == MO_ERR_NO_SPACE && mo_reserve_free(store))
       error = count_opening(writer);
   }
   if (error == MO_OK)
@@ -443,11 +452,6 @@ void mo_store_close(struct mo_store *store)
   free_store(store);
 }
 
-int64_t mo_store_epoch(const struct mo_store *store)
-{
-  return store->epoch;
-}
-
 uint64_t mo_store_id(const struct mo_store *store)
 {
   return (uint64_t)store->id;
@@ -479,73 +483,5 @@ int mo_store_check(struct mo_store *store, struct mo_message *message)
   struct mo_connection *reader = mo_reader_acquire(store);
   int error = check_connection(reader, message);
   mo_reader_release(store, reader);
-  return error;
-}
-
-/* Copies the database into `copy` and checks the copy. */
-static int copy_database(struct mo_store *store, const char *copy, struct mo_message *message)
-{
-  struct mo_connection source;
-  struct mo_store target = {.database_path = (char *)copy, .vfs = store->vfs};
-  sqlite3_stmt *statement = NULL;
-  int result, error;
-  result = sqlite3_open_v2(store->database_path, &source.db,
-                           SQLITE_OPEN_READONLY | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE,
-                           store->vfs);
-  if (result == SQLITE_OK)
-    result = sqlite3_prepare_v2(source.db, "VACUUM INTO ?1", -1, &statement, NULL);
-  if (result == SQLITE_OK) {
-    sqlite3_bind_text(statement, 1, copy, -1, SQLITE_STATIC);
-    result = sqlite3_step(statement);
-  }
-  error = mo_sql_error(source.db, result);
-  sqlite3_finalize(statement);
-  if (error != MO_OK)
-    mo_fail(message, error, "the copy failed: %s", sqlite3_errmsg(source.db));
-  (void)sqlite3_close(source.db);
-  if (error != MO_OK)
-    return error;
-  error = mo_connection_open(&target, false, &source);
-  if (error != MO_OK)
-    return mo_fail(message, error, "the copy cannot be opened");
-  error = check_connection(&source, message);
-  mo_connection_close(&source);
-  return error;
-}
-
-int mo_store_backup(struct mo_store *store, const char *path, struct mo_message *message)
-{
-  const struct mo_file_operations *files = store->files;
-  size_t size = strlen(path) + sizeof(".partial");
-  char *copy, *folder, *slash;
-  int error;
-  if (access(path, F_OK) == 0)
-    return mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path);
-  copy = malloc(size);
-  folder = strdup(path);
-  if (copy == NULL || folder == NULL) {
-    free(copy);
-    free(folder);
-    return MO_ERR_NO_MEMORY;
-  }
-  snprintf(copy, size, "%s.partial", path);
-  (void)files->unlink(files->context, copy); /* left by an interrupted backup */
-  error = copy_database(store, copy, message);
-  if (error == MO_OK)
-    error = mo_path_sync(store, copy, false);
-  if (error == MO_OK && files->rename(files->context, copy, path, false) != 0)
-    error = errno == EEXIST ? mo_fail(message, MO_ERR_CONFLICT, "%s exists already", path)
-                            : mo_fail(message, MO_ERR_IO, "cannot name the copy %s: %s", path,
-                                      strerrordesc_np(errno));
-  if (error != MO_OK) {
-    (void)files->unlink(files->context, copy);
-  } else {
-    slash = strrchr(folder, '/');
-    if (slash != NULL)
-      slash[slash == folder ? 1 : 0] = '\0';
-    error = mo_path_sync(store, slash != NULL ? folder : ".", true);
-  }
-  free(copy);
-  free(folder);
   return error;
 }

@@ -196,7 +196,7 @@ int mo_store_requeue(struct mo_store *store, int64_t crashed, uint32_t max_attem
                      const char *text)
 {
   struct requeue_arguments call = {crashed, max_attempts, text};
-  return mo_write_opening(store, requeue, &call);
+  return mo_write_urgent(store, requeue, &call);
 }
 
 int mo_store_running(struct mo_store *store, int64_t since_us, int64_t *id, uint32_t *n_idle,
@@ -257,7 +257,7 @@ static int fingerprint(struct mo_store *store, void *arguments)
 int mo_store_fingerprint(struct mo_store *store, const char *text, int64_t *id)
 {
   struct fingerprint_arguments call = {.text = text};
-  int error = mo_write_opening(store, fingerprint, &call);
+  int error = mo_write_urgent(store, fingerprint, &call);
   if (error == MO_OK)
     *id = call.id;
   return error;

@@ -70,10 +70,8 @@ int mo_connection_open(const struct mo_store *store, bool writable,
                        struct mo_connection *connection)
 {
   int flags = (writable ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READONLY) |
-              SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE;
+              SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_EXRESCODE | SQLITE_OPEN_NOFOLLOW;
   int result, error;
-  if (store->path != NULL) /* not for the copy of a backup, whose path the caller chooses */
-    flags |= SQLITE_OPEN_NOFOLLOW;
   memset(connection, 0, sizeof(*connection));
   result = sqlite3_open_v2(store->database_path, &connection->db, flags, store->vfs);
   if (result == SQLITE_OK) {

@@ -1,6 +1,6 @@
 /* store.h: the durable state: one SQLite database and the files beside it, in one folder.
  *
- *   <path>/morphod.db (+ -wal, -shm)             all tables (schema/migrations)
+ *   <path>/morphod.db (+ -wal, -shm)             all tables (schema/schema.sql)
  *   <path>/controllers/<sha256>.safetensors      weights, named by content
  *   <path>/trainings/<job>/<step>.checkpoint     states of trainings (store/trainings.h)
  *   <path>/campaigns/<job>/<generation>-<step>.checkpoint
@@ -8,9 +8,8 @@
  *   <path>/reserve                               4 MiB set aside for a full disk
  *   <path>/lock                                  locked, like the folder, by the process using it
  *
- * When the disk is full, pausing, cancelling and deleting may use the reserve, and opening may use
- * a little of it. Until the reserve is whole again, all other writes return MO_ERR_NO_SPACE, also
- * after a restart.
+ * When the disk is full, pausing, cancelling, deleting and opening may use the reserve. Until it is
+ * whole again, all other writes return MO_ERR_NO_SPACE, also after a restart.
  *
  * One connection, on its own thread, writes. Callers submit operations to it. Each operation runs
  * in a savepoint; all waiting operations commit together with one fsync; then their callers return.
@@ -58,8 +57,8 @@ struct mo_store_config {
 int mo_state_folder_open(const char *path, char **real, struct mo_message *message);
 
 /* Opens or creates a store. MO_ERR_INVALID: as mo_state_folder_open; MO_ERR_BUSY: another process
- * uses the folder; MO_ERR_UNSUPPORTED: a newer version wrote it, or the file system has no shared
- * memory; MO_ERR_FORMAT: not a database of morphod; MO_ERR_NOT_FOUND: no such folder;
+ * uses the folder; MO_ERR_UNSUPPORTED: a newer version or 0.1 wrote it, or the file system has no
+ * shared memory; MO_ERR_FORMAT: not a database of morphod; MO_ERR_NOT_FOUND: no such folder;
  * MO_ERR_CONFLICT: there are files but no database, so the database is missing; MO_ERR_IO: not
  * writable; MO_ERR_NO_SPACE: the reserve does not suffice either. After an unclean stop it runs
  * SQLite's quick_check (MO_ERR_CORRUPT). Stores the paper's test set if it is missing. */
@@ -82,7 +81,6 @@ const struct mo_orphans *mo_store_orphans(const struct mo_store *store);
  * NULL: removes all of them. No other call may use the store meanwhile. */
 int mo_store_clean(struct mo_store *store,
                    void (*tell)(void *context, const char *name, uint64_t bytes), void *context);
-int64_t mo_store_epoch(const struct mo_store *store); /* number of openings: 1 for the first */
 /* Random, chosen when the database was made: unique to this store. */
 uint64_t mo_store_id(const struct mo_store *store);
 
@@ -98,13 +96,6 @@ struct mo_store_stats {
 };
 void mo_store_get_stats(struct mo_store *store, struct mo_store_stats *stats); /* lock-free */
 
-/* Writes a consistent copy of the database to `path` (must not exist): VACUUM INTO beside it,
- * integrity_check, fsync, rename. Runs on the caller's thread. MO_ERR_CONFLICT: path exists.
- *
- * Copy the folder controllers/ after this call; its files never change. Files of trainings/ come
- * and go: a copy made earlier may lack the newest checkpoints, and a training then resumes from an
- * older one or from its start. Files of campaigns/ must be of the database's generation. */
-int mo_store_backup(struct mo_store *store, const char *path, struct mo_message *message);
 /* Runs SQLite's integrity_check and foreign_key_check. MO_ERR_CORRUPT: `message` holds the first
  * finding. */
 int mo_store_check(struct mo_store *store, struct mo_message *message);
@@ -178,7 +169,6 @@ struct mo_design_query {
 };
 int64_t mo_store_designs(struct mo_store *store, const struct mo_design_query *query,
                          struct mo_design_row *rows, size_t limit);
-int mo_store_design_count(struct mo_store *store, uint64_t *n);
 
 /* ---- controllers ---- */
 

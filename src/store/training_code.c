@@ -15,9 +15,8 @@
 int mo_training_code_load(struct mo_connection *connection, int64_t id,
                           struct mo_training_lineage *lineage)
 {
-  static const char sql[] =
-      "SELECT c.from_step,f.text FROM training_code c LEFT JOIN fingerprints f ON"
-      " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
+  static const char sql[] = "SELECT c.from_step,f.text FROM training_code c JOIN fingerprints f ON"
+                            " f.id=c.fingerprint WHERE c.job=?1 ORDER BY c.from_step LIMIT ?2";
   int error = MO_OK;
   int step;
   sqlite3_stmt *statement = mo_sql(connection, sql, &error);
@@ -70,12 +69,10 @@ struct code_arguments {
 
 static int announce(struct mo_store *store, const struct code_arguments *call, const char *before)
 {
-  char data[320], quoted[MO_FINGERPRINT_BYTES + 2] = "null";
-  if (before[0] != '\0')
-    snprintf(quoted, sizeof(quoted), "\"%s\"", before);
+  char data[320];
   snprintf(data, sizeof(data),
-           "{\"id\":\"%lld\",\"from_step\":%u,\"before\":%s,\"fingerprint\":\"%s\"}",
-           (long long)call->id, (unsigned)call->step, quoted, call->fingerprint);
+           "{\"id\":\"%lld\",\"from_step\":%u,\"before\":\"%s\",\"fingerprint\":\"%s\"}",
+           (long long)call->id, (unsigned)call->step, before, call->fingerprint);
   return mo_writer_event(store, call->id, "training.code_changed", data);
 }
 

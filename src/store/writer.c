@@ -26,7 +26,6 @@
 #define SPACE_PROBE_US  INT64_C(1000000)
 #define RESTART_US      INT64_C(5000000)
 #define RESTART_WAIT_MS 250
-#define SLICES_MAX      4
 
 int mo_writer_event(struct mo_store *store, int64_t job, const char *type, const char *data)
 {
@@ -222,19 +221,6 @@ static void finish_alone(struct mo_store *store, struct mo_operation *operation)
   tell(store);
 }
 
-/* Runs an urgent operation again with space from the reserve, slice by slice: others may take some
- * of it before the store refuses their writes. */
-static void finish_urgent(struct mo_store *store, struct mo_operation *operation)
-{
-  if (operation->is_opening)
-    while (operation->status == MO_ERR_NO_SPACE && mo_reserve_cut_piece(store))
-      finish_alone(store, operation);
-  else
-    for (int n = 0; n < SLICES_MAX && operation->status == MO_ERR_NO_SPACE && mo_reserve_cut(store);
-         n++)
-      finish_alone(store, operation);
-}
-
 /* Runs a batch. A single operation needs no savepoint, which would copy every page that a large one
  * changes. While the store is short of space each operation runs alone, because a commit also
  * writes pages that a rolled-back operation had changed. */
@@ -259,8 +245,8 @@ static void run_batch(struct mo_store *store, struct mo_operation *first)
   tell(store);
   for (operation = first; operation != NULL; operation = next) {
     next = operation->next;
-    if (operation->is_urgent)
-      finish_urgent(store, operation);
+    if (operation->is_urgent && operation->status == MO_ERR_NO_SPACE && mo_reserve_free(store))
+      finish_alone(store, operation);
     release(store, operation);
   }
 }
@@ -495,14 +481,6 @@ int mo_write_urgent(struct mo_store *store, int (*run)(struct mo_store *store, v
 {
   return write_and_wait(
       store, (struct mo_operation){.run = run, .arguments = arguments, .is_urgent = true});
-}
-
-int mo_write_opening(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),
-                     void *arguments)
-{
-  return write_and_wait(
-      store, (struct mo_operation){
-                 .run = run, .arguments = arguments, .is_urgent = true, .is_opening = true});
 }
 
 int mo_write_later(struct mo_store *store, int (*run)(struct mo_store *store, void *arguments),

@@ -78,9 +78,6 @@ static bool fits(struct life *life, struct act *act)
     act->index = life_some(life, model->n_trainings);
     training = &model->trainings[act->index];
     return training->n_checkpoints > (mo_job_state_is_final(training->state) ? 0 : 1);
-  case ACT_BACKUP:
-    act->index = model->n_backups;
-    return model->n_backups < BACKUPS_MAX && life_some(life, 4) == 0;
   case ACT_REQUEUE:
   case ACT_KINDS: return false;
   default: return campaign_fits(life, act);
@@ -244,7 +241,6 @@ void life_apply(struct model *model, const struct act *act, uint32_t parts)
     model->n_trainings++;
     model->events++;
     break;
-  case ACT_BACKUP: model->backups[model->n_backups++] = model->jobs; break;
   default:
     if (act->kind >= ACT_CAMPAIGN)
       campaign_apply(model, act);
@@ -522,7 +518,6 @@ void life_settle(struct life *life)
 
 uint32_t life_do(struct life *life, const struct act *act, int *error)
 {
-  struct mo_message message;
   char text[512];
   switch (act->kind) {
   case ACT_REQUEUE:
@@ -542,10 +537,6 @@ uint32_t life_do(struct life *life, const struct act *act, int *error)
                                  (enum mo_job_change)act->n, NULL);
     break;
   case ACT_TRAIN: *error = do_train(life, act); break;
-  case ACT_BACKUP:
-    life_backup_path(life, act->index, text);
-    *error = mo_store_backup(life->store, text, &message);
-    break;
   default:
     *error = act->kind >= ACT_CAMPAIGN ? campaign_do(life, act) : do_training(life, act);
     break;

@@ -41,9 +41,9 @@ static ssize_t faulty_write(void *context, int fd, const void *bytes, size_t siz
   return file_fails() ? -1 : mo_file_operations_system()->write(context, fd, bytes, size);
 }
 
-static int faulty_rename(void *context, const char *from, const char *to, bool replace)
+static int faulty_rename(void *context, const char *from, const char *to)
 {
-  return file_fails() ? -1 : mo_file_operations_system()->rename(context, from, to, replace);
+  return file_fails() ? -1 : mo_file_operations_system()->rename(context, from, to);
 }
 
 static int faulty_mkdir(void *context, const char *path)

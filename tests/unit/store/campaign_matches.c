@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "fixture.h"
 #include "life.h"
 
 static bool same_double(double a, double b)
@@ -93,7 +94,7 @@ static bool designs_match(const struct life *life, const struct campaign_model *
   return true;
 }
 
-/* What is saved of the generation under way. */
+/* What is saved of the unfinished generation. */
 static bool losses_match(const struct life *life, const struct campaign_model *campaign,
                          char text[300])
 {
@@ -162,8 +163,8 @@ static bool checkpoints_match(const struct life *life, const struct campaign_mod
   uint8_t *bytes = NULL;
   size_t size = 0;
   uint32_t generation = 0, step = 0;
-  int error = mo_store_campaign_checkpoint_bytes(life->store, campaign->id, &generation, &step,
-                                                 &bytes, &size);
+  int error =
+      fixture_campaign_checkpoint(life->store, campaign->id, &generation, &step, &bytes, &size);
   bool same =
       state_is(campaign, error, bytes, size, newest, inside ? campaign->inside : LEARNING) &&
       (newest < 0 || (generation == newest && step == (inside ? campaign->inside : LEARNING)));

@@ -125,7 +125,7 @@ static int read_all(const struct life *life)
   if (found == MO_OK)
     found = mo_store_campaign_losses(store, life->id, status.job.steps_done + 1, &losses, &size);
   if (found == MO_OK)
-    found = mo_store_campaign_checkpoint_bytes(store, life->id, &generation, &step, &bytes, &size);
+    found = fixture_campaign_checkpoint(store, life->id, &generation, &step, &bytes, &size);
   if (found == MO_OK)
     found = mo_store_population(store, life->id, 0, &best, &n);
   if (found == MO_OK)

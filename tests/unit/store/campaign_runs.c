@@ -247,7 +247,7 @@ static void keeps_losses_of_a_generation(void)
 
 /* What the workers computed for a campaign of devices goes into `scores` as theirs, also after a
  * restart. */
-static void tells_who_computed(void)
+static void names_who_computed(void)
 {
   static const char sql[] = "SELECT count(*) FROM scores WHERE fingerprint=(SELECT id FROM "
                             "fingerprints WHERE text='workers')";
@@ -284,8 +284,8 @@ static void tells_who_computed(void)
   fixture_end(&fixture);
 }
 
-/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once, whoever
- * was first. */
+/* Scores of a zero-shot campaign are those of evaluations: found by both, inserted once,
+ * whichever was first. */
 static void shares_scores(void)
 {
   struct fixture fixture;
@@ -403,8 +403,8 @@ static bool newest_is(struct fixture *fixture, int64_t id, uint32_t generation, 
   uint32_t found_generation = 99, found_step = 99;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  bool same = mo_store_campaign_checkpoint_bytes(fixture->store, id, &found_generation, &found_step,
-                                                 &bytes, &size) == MO_OK &&
+  bool same = fixture_campaign_checkpoint(fixture->store, id, &found_generation, &found_step,
+                                          &bytes, &size) == MO_OK &&
               found_generation == generation && found_step == step && size == strlen(text) &&
               memcmp(bytes, text, size) == 0;
   free(bytes);
@@ -445,9 +445,8 @@ static void keeps_checkpoints(void)
   size_t size = 0;
   int64_t id = begin(&fixture, &made, MO_SIMULTANEOUS);
   REQUIRE(id > 0);
-  CHECK_INT(
-      mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size),
-      MO_ERR_NOT_FOUND);
+  CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(put_checkpoint(&fixture, id, 1, 1, "out of turn"), MO_ERR_CONFLICT);
   CHECK_INT(files_of(&fixture, id), -1); /* no folder */
   CHECK_INT(put_checkpoint(&fixture, id, 0, 1, "zero one"), MO_OK);
@@ -505,22 +504,19 @@ static void keeps_checkpoints(void)
   CHECK_INT(files_of(&fixture, id), 2); /* and the one that is not ours */
   /* Without one, what is older than the generation goes. */
   REQUIRE(made_generation(&made) == MO_OK);
-  CHECK_INT(
-      mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size),
-      MO_ERR_NOT_FOUND);
+  CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
+            MO_ERR_NOT_FOUND);
   CHECK_INT(files_of(&fixture, id), 1);
   /* Damage is found. */
   CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
   snprintf(path, sizeof(path), "%s/campaigns/%lld/3-1.checkpoint", fixture.path, (long long)id);
   file = fopen(path, "w");
   REQUIRE(file != NULL && fputs("three ONE", file) >= 0 && fclose(file) == 0);
-  CHECK_INT(
-      mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size),
-      MO_ERR_CORRUPT);
+  CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
+            MO_ERR_CORRUPT);
   REQUIRE(unlink(path) == 0);
-  CHECK_INT(
-      mo_store_campaign_checkpoint_bytes(fixture.store, id, &generation, &step, &bytes, &size),
-      MO_ERR_CORRUPT);
+  CHECK_INT(fixture_campaign_checkpoint(fixture.store, id, &generation, &step, &bytes, &size),
+            MO_ERR_CORRUPT);
   CHECK_INT(put_checkpoint(&fixture, id, 3, 1, "three one"), MO_OK);
   CHECK(newest_is(&fixture, id, 3, 1, "three one"));
   made_free(&made);
@@ -572,7 +568,7 @@ static const struct check_case cases[] = {
     {"commits in every mode", commits_in_every_mode},
     {"refuses what is wrong", refuses_what_is_wrong},
     {"keeps losses of a generation", keeps_losses_of_a_generation},
-    {"tells who computed a score", tells_who_computed},
+    {"names who computed a score", names_who_computed},
     {"shares scores", shares_scores},
     {"keeps checkpoints", keeps_checkpoints},
     {"removes checkpoints", removes_checkpoints},

@@ -14,7 +14,7 @@ static int fail(int error)
   return -1;
 }
 
-/* Ends a change that was made: the last one is not heard of. */
+/* Ends a change that was made: the caller of the last one gets no result. */
 static int end(enum turn turn, int result)
 {
   return turn == TURN_LAST ? fail(EIO) : result;
@@ -117,7 +117,7 @@ static int disk_close(void *context, int fd)
   return close(fd);
 }
 
-static int disk_rename(void *context, const char *from, const char *to, bool replace)
+static int disk_rename(void *context, const char *from, const char *to)
 {
   struct disk *disk = context;
   enum turn turn;
@@ -125,7 +125,7 @@ static int disk_rename(void *context, const char *from, const char *to, bool rep
   pthread_mutex_lock(&disk->mutex);
   turn = disk_change(disk, false);
   if (turn != TURN_OFF)
-    result = replace ? rename(from, to) : renameat2(AT_FDCWD, from, AT_FDCWD, to, RENAME_NOREPLACE);
+    result = rename(from, to);
   else
     errno = EIO;
   if (result == 0)

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "store/campaigns.h"
 #include "store/runner.h"
 
 struct fixture {
@@ -118,6 +119,19 @@ static inline struct mo_submission fixture_submission(const struct mo_bits *form
                                 .precision = MO_FLOAT32,
                                 .priority = MO_BATCH,
                                 .record_stride = 10};
+}
+
+/* Reads the newest checkpoint of the newest generation that has one. */
+static inline int fixture_campaign_checkpoint(struct mo_store *store, int64_t id,
+                                              uint32_t *generation, uint32_t *step, uint8_t **bytes,
+                                              size_t *size)
+{
+  struct mo_campaign_checkpoint_row row;
+  const int64_t n = mo_store_campaign_checkpoints(store, id, &row, 1);
+  if (n <= 0)
+    return n < 0 ? (int)n : MO_ERR_NOT_FOUND;
+  *generation = row.generation;
+  return mo_store_campaign_checkpoint_of(store, id, row.generation, step, bytes, size);
 }
 
 #endif

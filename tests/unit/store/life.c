@@ -72,11 +72,6 @@ void life_key(char kind, int index, char key[32])
   snprintf(key, 32, "%c%d", kind, index);
 }
 
-void life_backup_path(const struct life *life, int index, char path[512])
-{
-  snprintf(path, 512, "%s/backup-%d", disk_folder(life->disk), index);
-}
-
 void life_found(struct life *life, const char *format, ...)
 {
   va_list arguments;

@@ -24,8 +24,7 @@ enum {
   BODIES_OF_CAMPAIGNS = EVALUATIONS_MAX * DESIGNS_MAX,
   BODIES = BODIES_OF_CAMPAIGNS + CAMPAIGNS_MAX * GENERATIONS_MAX * MEMBERS,
   TRAININGS_MAX = 20,
-  KEPT_MAX = 3,
-  BACKUPS_MAX = 2
+  KEPT_MAX = 3
 };
 
 struct evaluation_model { /* its id is `id`; its designs are bodies from index · DESIGNS_MAX */
@@ -38,7 +37,7 @@ struct training_model {
   int64_t id;
   uint64_t seed;
   enum mo_job_state state;
-  uint32_t position; /* of the run that is under way */
+  uint32_t position; /* of the current run */
   uint32_t step, n_validations, last_validation;
   uint32_t checkpoints[KEPT_MAX], n_checkpoints; /* ascending */
   uint32_t attempts;
@@ -68,8 +67,6 @@ struct model {
   int n_trainings;
   struct campaign_model campaigns[CAMPAIGNS_MAX];
   int n_campaigns;
-  int64_t backups[BACKUPS_MAX]; /* jobs in each */
-  int n_backups;
   int64_t jobs, events, epoch;
 };
 
@@ -87,7 +84,6 @@ enum act_kind {
   ACT_TRAIN_PARK,
   ACT_TRAIN_FINISH,
   ACT_TRAIN_REMOVE, /* checkpoints that are not needed */
-  ACT_BACKUP,
   ACT_CAMPAIGN,
   ACT_CAMPAIGN_START,
   ACT_CAMPAIGN_LOSSES,
@@ -99,7 +95,7 @@ enum act_kind {
 };
 struct act {
   enum act_kind kind;
-  int index; /* of the name, evaluation, training or backup */
+  int index; /* of the name, evaluation, or training */
   uint64_t seed;
   uint32_t
       n; /* of what it has several of: parts of ACT_SAVE, steps, checkpoints kept; change; error */
@@ -126,7 +122,6 @@ double life_loss(uint64_t seed, uint32_t design, uint32_t environment, int32_t *
 struct mo_training_step_row life_step(uint64_t seed, uint32_t step);
 void life_name(int index, char name[16]);
 void life_key(char kind, int index, char key[32]);
-void life_backup_path(const struct life *life, int index, char path[512]);
 
 /* A controller as it is put. */
 struct put {

@@ -57,9 +57,10 @@ static int fill(struct fixture *fixture)
              "BEGIN;"
              "WITH RECURSIVE n(i) AS (SELECT 0 UNION ALL SELECT i+1 FROM n LIMIT %d)"
              " INSERT INTO "
-             "jobs(kind,state,priority,version,epoch,attempts,created_us,started_us,finished_us,"
+             "jobs(kind,state,priority,weight,back_end,version,epoch,attempts,created_us,started_"
+             "us,finished_us,"
              "error,label)"
-             " SELECT %d,iif(i<24,i%%6,%d),0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual') FROM n;"
+             " SELECT %d,iif(i<24,i%%6,%d),0,1,0,1,1,0,1,1,1,0,iif(i%%100=0,'rare','usual') FROM n;"
              "INSERT INTO %s(job,%s) SELECT copy,%s FROM (SELECT id copy FROM jobs WHERE kind=%d "
              "AND id>3),"
              "(SELECT * FROM %s WHERE job=%d);"
@@ -170,7 +171,7 @@ static void pages_of_jobs(void)
 
 /* What a page shows is right whichever statement finds it: newest first, of the kind, those that
  * wait as paused. */
-static void pages_tell_the_states_that_are_shown(void)
+static void pages_name_the_states_that_are_shown(void)
 {
   struct fixture fixture;
   struct mo_job jobs[40];
@@ -247,7 +248,7 @@ static void pages_of_everything_else(void)
 
 static const struct check_case cases[] = {
     {"pages of jobs cost what they show", pages_of_jobs},
-    {"pages tell the states that are shown", pages_tell_the_states_that_are_shown},
+    {"pages name the states that are shown", pages_name_the_states_that_are_shown},
     {"other pages cost what they show", pages_of_everything_else},
 };
 CHECK_MAIN(cases)

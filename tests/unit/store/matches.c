@@ -342,35 +342,6 @@ static sqlite3 *open_database(const char *path)
   return db;
 }
 
-/* A backup is whole or not there. */
-static bool backups_match(const struct life *life, const struct model *model, char text[300])
-{
-  bool same = true;
-  char path[512];
-  for (int i = 0; i < BACKUPS_MAX && same; i++) {
-    sqlite3_stmt *statement = NULL;
-    sqlite3 *db;
-    life_backup_path(life, i, path);
-    if (i >= model->n_backups) {
-      same = access(path, F_OK) != 0 || life_differs(text, "backup %d is there", i);
-      continue;
-    }
-    db = open_database(path);
-    same = db != NULL &&
-           sqlite3_prepare_v2(
-               db, "SELECT count(*),(SELECT integrity_check FROM pragma_integrity_check) FROM jobs",
-               -1, &statement, NULL) == SQLITE_OK &&
-           sqlite3_step(statement) == SQLITE_ROW &&
-           sqlite3_column_int64(statement, 0) == model->backups[i] &&
-           strcmp((const char *)sqlite3_column_text(statement, 1), "ok") == 0;
-    sqlite3_finalize(statement);
-    sqlite3_close(db);
-    if (!same)
-      (void)life_differs(text, "backup %d is missing or damaged", i);
-  }
-  return same;
-}
-
 bool life_matches(const struct life *life, const struct model *model, char text[300])
 {
   char path[512];
@@ -387,5 +358,5 @@ bool life_matches(const struct life *life, const struct model *model, char text[
     same = training_matches(life, &model->trainings[i], text);
   for (int i = 0; i < model->n_campaigns && same; i++)
     same = campaign_matches(life, &model->campaigns[i], i, text);
-  return same && controllers_match(life, model, text) && backups_match(life, model, text);
+  return same && controllers_match(life, model, text);
 }

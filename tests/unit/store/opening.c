@@ -1,5 +1,4 @@
-/* opening.c: which databases the store opens, how it notices damage, and the way there from older
- * ones; backups. */
+/* opening.c: which databases the store opens, and how it notices damage. */
 #include "by_hand.h"
 #include "campaign_fixture.h"
 #include "store/internal.h"
@@ -11,17 +10,17 @@ static void opens_and_locks(void)
   struct mo_store_config config;
   struct mo_store *second = NULL;
   REQUIRE(fixture_start(&fixture) == 0);
-  CHECK_INT(mo_store_epoch(fixture.store), 1);
+  CHECK_INT(fixture.store->epoch, 1);
   config = (struct mo_store_config){.path = fixture.path};
   CHECK_INT(mo_store_open(&config, &second, &fixture.message), MO_ERR_BUSY);
   CHECK(strstr(fixture.message.text, "another process") != NULL);
   CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
   REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(mo_store_epoch(fixture.store), 2);
+  CHECK_INT(fixture.store->epoch, 2);
   mo_store_close(fixture.store);
   fixture.store = NULL;
   CHECK_INT(outside_integer(&fixture, "PRAGMA application_id"), 0x6D727068);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 8);
+  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 9);
   CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='clean'"), 1);
   CHECK_INT(outside_integer(
                 &fixture,
@@ -45,7 +44,7 @@ static void refuses_what_is_not_ours(void)
   REQUIRE(outside(&fixture, "PRAGMA user_version=99") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
   CHECK(strstr(fixture.message.text, "99") != NULL);
-  REQUIRE(outside(&fixture, "PRAGMA user_version=8; PRAGMA application_id=7") == SQLITE_OK);
+  REQUIRE(outside(&fixture, "PRAGMA user_version=9; PRAGMA application_id=7") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
   REQUIRE(outside(&fixture, "PRAGMA application_id=1836216424") == SQLITE_OK);
   CHECK_INT(fixture_reopen(&fixture), MO_OK);
@@ -58,6 +57,28 @@ static void refuses_what_is_not_ours(void)
     fputs("this is no database, whatever its name says\n", file);
   fclose(file);
   CHECK_INT(fixture_reopen(&fixture), MO_ERR_FORMAT);
+  fixture_end(&fixture);
+}
+
+/* The folder is refused, says so, and is left as it was. */
+static void refuses_version_0_1(void)
+{
+  struct fixture fixture;
+  REQUIRE(fixture_start(&fixture) == 0);
+  mo_store_close(fixture.store);
+  fixture.store = NULL;
+  for (int version = 1; version <= 8; version++) {
+    char sql[64];
+    snprintf(sql, sizeof(sql), "PRAGMA user_version=%d", version);
+    REQUIRE(outside(&fixture, sql) == SQLITE_OK);
+    CHECK_INT(fixture_reopen(&fixture), MO_ERR_UNSUPPORTED);
+    CHECK(strstr(fixture.message.text, "was written by morphod 0.1") != NULL);
+    CHECK(strstr(fixture.message.text, fixture.path) != NULL);
+    CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), version);
+    CHECK_INT(outside_integer(&fixture, "SELECT value FROM meta WHERE key='epoch'"), 1);
+  }
+  REQUIRE(outside(&fixture, "PRAGMA user_version=9") == SQLITE_OK);
+  CHECK_INT(fixture_reopen(&fixture), MO_OK);
   fixture_end(&fixture);
 }
 
@@ -160,230 +181,6 @@ static void names_damaged_pages(void)
   }
 }
 
-static char *read_text(const char *path)
-{
-  FILE *file = fopen(path, "r");
-  char *text = calloc(1, 1 << 16);
-  if (file == NULL || text == NULL || fread(text, 1, (1 << 16) - 1, file) == 0) {
-    free(text);
-    text = NULL;
-  }
-  if (file != NULL)
-    fclose(file);
-  return text;
-}
-
-/* Makes the database one of schema `version` with the same data: the first migrations alone, and of
- * every row what it had then. */
-static int downgrade(const struct fixture *fixture, int version)
-{
-  static const char *const files[] = {"0001_initial",       "0002_trainings", "0003_weights",
-                                      "0004_training_code", "0005_campaigns", "0006_devices"};
-  static const char *const settings_of[] = {"trainings", "campaigns"};
-  char now[512], old[512], migration[512], sql[2048];
-  sqlite3 *db = NULL;
-  sqlite3_stmt *tables = NULL;
-  int result;
-  snprintf(now, sizeof(now), "%s/morphod.db", fixture->path);
-  snprintf(old, sizeof(old), "%s/old.db", fixture->path);
-  result = sqlite3_open(old, &db);
-  for (int i = 0; i < version && result == SQLITE_OK; i++) {
-    snprintf(migration, sizeof(migration), "%s/schema/migrations/%s.sql",
-             getenv("MORPHO_SOURCE_DIR"), files[i]);
-    char *schema = read_text(migration);
-    result = schema != NULL ? sqlite3_exec(db, schema, NULL, NULL, NULL) : SQLITE_CANTOPEN;
-    free(schema);
-  }
-  snprintf(sql, sizeof(sql), "PRAGMA application_id=%d; PRAGMA user_version=%d; ATTACH '%s' AS new",
-           0x6D727068, version, now);
-  if (result == SQLITE_OK)
-    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
-  if (result == SQLITE_OK)
-    result =
-        sqlite3_prepare_v2(db,
-                           "SELECT t.name,group_concat(c.name) FROM main.sqlite_schema t, "
-                           "pragma_table_info(t.name,'main') c"
-                           " WHERE t.type='table' AND t.name NOT LIKE 'sqlite%' GROUP BY t.name",
-                           -1, &tables, NULL);
-  while (result == SQLITE_OK && sqlite3_step(tables) == SQLITE_ROW) {
-    const char *table = (const char *)sqlite3_column_text(tables, 0);
-    const char *columns = (const char *)sqlite3_column_text(tables, 1);
-    snprintf(sql, sizeof(sql), "INSERT INTO main.%s(%s) SELECT %s FROM new.%s", table, columns,
-             columns, table);
-    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
-  }
-  sqlite3_finalize(tables);
-  /* Settings of version 1: without the twelve bytes of the rule and its weight at their end. */
-  for (int i = 0; i < (version >= 5 ? 2 : version >= 2 ? 1 : 0) && result == SQLITE_OK; i++) {
-    snprintf(
-        sql, sizeof(sql),
-        "UPDATE main.%s SET settings=CAST(x'01'||substr(settings,2,length(settings)-13) AS BLOB)",
-        settings_of[i]);
-    result = sqlite3_exec(db, sql, NULL, NULL, NULL);
-  }
-  sqlite3_close(db);
-  return result == SQLITE_OK && rename(old, now) == 0 ? SQLITE_OK : SQLITE_ERROR;
-}
-
-static void migrates_an_old_database(void)
-{
-  struct fixture fixture;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission evaluation;
-  struct mo_training_submission training = submission_of(10);
-  struct mo_training_status status;
-  struct mo_evaluation_results *results = NULL;
-  struct mo_job job;
-  uint64_t n_designs = 0;
-  int64_t id = 0, trained;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_bodies(5, 20, &forms, &genotypes) == MO_OK);
-  evaluation = fixture_submission(forms, genotypes, 20);
-  evaluation.label = "from before";
-  REQUIRE(mo_store_submit(fixture.store, &evaluation, &id, &replayed) == MO_OK);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(downgrade(&fixture, 1) == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  CHECK_INT(mo_store_job(fixture.store, id, &job), MO_OK);
-  CHECK_TEXT(job.label, "from before");
-  CHECK(job.weight == 1);
-  CHECK_INT(job.n_designs, 20);
-  CHECK_INT(job.kind, MO_JOB_EVALUATION);
-  CHECK_INT(mo_store_design_count(fixture.store, &n_designs), MO_OK);
-  CHECK_INT(n_designs, 20);
-  CHECK_INT(mo_store_results(fixture.store, id, &results), MO_OK);
-  CHECK(results != NULL && memcmp(results->genotypes, genotypes, 20 * sizeof(*genotypes)) == 0);
-  mo_evaluation_results_free(results);
-  trained = submit(&fixture, &training);
-  CHECK(trained > id);
-  CHECK_INT(mo_store_training(fixture.store, trained, &status), MO_OK);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_ERR_NOT_FOUND);
-  free(forms);
-  free(genotypes);
-  fixture_end(&fixture);
-}
-
-/* A training that was begun before fingerprints were kept goes on, and says that it does not know.
- */
-static void migrates_a_training(void)
-{
-  struct fixture fixture;
-  struct mo_training_submission submission = submission_of(100);
-  struct mo_training_step_row row = row_of(1);
-  struct mo_training_lineage lineage;
-  struct mo_training_status status;
-  struct mo_event event;
-  uint8_t *bytes = NULL;
-  size_t size = 0;
-  int64_t id, fresh, newest = 0;
-  REQUIRE(fixture_start(&fixture) == 0);
-  id = submit(&fixture, &submission);
-  fresh = submit(&fixture, &submission);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  REQUIRE(mo_store_training_progress(fixture.store, id, &row, 1, NULL, NULL) == MO_OK);
-  REQUIRE(mo_store_training_checkpoint(fixture.store, id, 1, (const uint8_t *)"one", 3, 2) ==
-          MO_OK);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(downgrade(&fixture, 2) == SQLITE_OK);
-  CHECK_INT(fixture_reopen(&fixture), MO_OK);
-  CHECK_INT(mo_store_check(fixture.store, &fixture.message), MO_OK);
-  CHECK_INT(mo_store_training_checkpoint_bytes(fixture.store, id, 0, &bytes, &size), MO_OK);
-  CHECK(size == 3 && memcmp(bytes, "one", 3) == 0);
-  free(bytes);
-  CHECK_INT(mo_store_training(fixture.store, id, &status), MO_OK);
-  CHECK(status.code.n == 1 && status.code.codes[0].from_step == 0 &&
-        status.code.codes[0].fingerprint[0] == '\0');
-  CHECK_INT(mo_store_training(fixture.store, fresh, &status), MO_OK);
-  CHECK_INT(status.code.n, 0);
-  CHECK_INT(mo_store_requeue(fixture.store, 0, 3, ""), MO_OK);
-  REQUIRE(mo_store_training_start(fixture.store, id) == MO_OK);
-  CHECK_INT(mo_store_training_code(fixture.store, id, 1, "now", &lineage), MO_OK);
-  CHECK(lineage.n == 2 && lineage.codes[1].from_step == 1 &&
-        strcmp(lineage.codes[1].fingerprint, "now") == 0);
-  for (int64_t after = 0; mo_store_events(fixture.store, after, id, &event, 1, NULL, NULL) == 1;
-       after = newest)
-    newest = event.sequence;
-  CHECK_TEXT(event.type, "training.code_changed");
-  CHECK(strstr(event.data, "\"before\":null") != NULL);
-  fixture_end(&fixture);
-}
-
-/* Settings from before there were rules of the adjoint are read: they clip, with the usual weight.
- * Those that come to them keep theirs. */
-static void migrates_settings(void)
-{
-  struct fixture fixture;
-  struct mo_training_submission training = submission_of(100);
-  struct mo_campaign_submission campaign = campaign_submission(MO_SIMULTANEOUS, 10, 30);
-  struct mo_training_status status;
-  struct mo_campaign_status evolved;
-  int64_t trained[2], bred[2];
-  REQUIRE(fixture_start(&fixture) == 0);
-  trained[0] = submit(&fixture, &training);
-  bred[0] = campaign_submit(&fixture, &campaign);
-  REQUIRE(trained[0] > 0 && bred[0] > 0);
-  mo_store_close(fixture.store);
-  fixture.store = NULL;
-  REQUIRE(downgrade(&fixture, 6) == SQLITE_OK);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  trained[1] = submit(&fixture, &training);
-  bred[1] = campaign_submit(&fixture, &campaign);
-  REQUIRE(fixture_reopen(&fixture) == MO_OK);
-  CHECK_INT(outside_integer(&fixture, "PRAGMA user_version"), 8);
-  CHECK_INT(
-      outside_integer(&fixture, "SELECT count(*) FROM trainings WHERE substr(settings,1,1)=x'01'"),
-      1);
-  for (int i = 0; i < 2; i++) {
-    const enum mo_adjoint_rule rule = i == 0 ? MO_ADJOINT_CLIP : MO_ADJOINT_RESTART;
-    const double weight = i == 0 ? MO_RESTART_WEIGHT : 2.5;
-    CHECK_INT(mo_store_training(fixture.store, trained[i], &status), MO_OK);
-    CHECK_INT(status.record.settings.learning.adjoint_rule, rule);
-    CHECK(status.record.settings.learning.restart_weight == weight);
-    CHECK(status.record.settings.learning.adjoint_bound == 2 &&
-          status.record.settings.n_steps == 100);
-    CHECK_INT(mo_store_campaign(fixture.store, bred[i], &evolved), MO_OK);
-    CHECK_INT(evolved.record.settings.learning.adjoint_rule, rule);
-    CHECK(evolved.record.settings.learning.restart_weight == weight);
-    CHECK(evolved.record.settings.learning.adjoint_bound == 2 &&
-          evolved.record.settings.population == 10);
-  }
-  fixture_end(&fixture);
-}
-
-static void backs_up(void)
-{
-  struct fixture fixture, copy;
-  struct mo_bits *forms, *genotypes;
-  struct mo_submission submission;
-  struct mo_evaluation_results *results = NULL;
-  char path[512];
-  int64_t id;
-  bool replayed;
-  REQUIRE(fixture_start(&fixture) == 0);
-  REQUIRE(fixture_folder(&copy) == 0);
-  REQUIRE(fixture_bodies(7, 4, &forms, &genotypes) == MO_OK);
-  submission = fixture_submission(forms, genotypes, 4);
-  REQUIRE(mo_store_submit(fixture.store, &submission, &id, &replayed) == MO_OK);
-  REQUIRE(run_by_hand(fixture.store, id, made_up_loss) == MO_OK);
-  snprintf(path, sizeof(path), "%s/morphod.db", copy.path);
-  CHECK_INT(mo_store_backup(fixture.store, path, &fixture.message), MO_OK);
-  CHECK_INT(mo_store_backup(fixture.store, path, &fixture.message), MO_ERR_CONFLICT);
-  CHECK_INT(fixture_reopen(&copy), MO_OK);
-  REQUIRE(mo_store_results(copy.store, id, &results) == MO_OK);
-  CHECK(results->losses[13] == made_up_loss(1, 3));
-  mo_evaluation_results_free(results);
-  CHECK_INT(mo_store_backup(fixture.store, "/nonexistent/folder/copy.db", &fixture.message),
-            MO_ERR_IO);
-  free(forms);
-  free(genotypes);
-  fixture_end(&copy);
-  fixture_end(&fixture);
-}
-
 static void reports_what_contradicts_itself(void)
 {
   struct fixture fixture;
@@ -447,10 +244,7 @@ static const struct check_case cases[] = {
     {"checks rows after one", checks_rows_after_an_unclean_stop},
     {"makes the paper's test set once", makes_the_paper_test_once},
     {"names damaged pages", names_damaged_pages},
-    {"migrates an old database", migrates_an_old_database},
-    {"migrates a training", migrates_a_training},
-    {"migrates settings", migrates_settings},
-    {"backs up", backs_up},
+    {"refuses a folder of version 0.1", refuses_version_0_1},
     {"reports what contradicts itself", reports_what_contradicts_itself},
 };
 CHECK_MAIN(cases)

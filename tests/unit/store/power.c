@@ -1,5 +1,5 @@
 /* power.c: the power fails at any moment, again and again. What was acknowledged is there
- * afterwards, bit for bit; of what was under way nothing or all.
+ * afterwards, bit for bit; of what was in flight nothing or all.
  *
  * A folder lives through several cuts: in the middle of its work, while it is idle, while it is
  * opened, in a row. Between some of them the process alone is killed, and the next one goes on with
@@ -8,6 +8,7 @@
 #include "../check.h"
 #include "fixture.h"
 #include "life.h"
+#include "store/internal.h"
 
 enum { CUTS_OF_A_LIFE = 5, ACTS_MAX = 60 };
 
@@ -26,11 +27,11 @@ static void open_store(struct life *life, int *error, struct mo_message *message
                                    .checkpoint_frames = 200};
   life->store = NULL;
   *error = mo_store_open(&config, &life->store, message);
-  if (*error == MO_OK && mo_store_epoch(life->store) <= life->model.epoch)
-    life_found(life, "opening %lld came after %lld", (long long)mo_store_epoch(life->store),
+  if (*error == MO_OK && life->store->epoch <= life->model.epoch)
+    life_found(life, "opening %lld came after %lld", (long long)life->store->epoch,
                (long long)life->model.epoch);
   if (*error == MO_OK)
-    life->model.epoch = mo_store_epoch(life->store);
+    life->model.epoch = life->store->epoch;
 }
 
 /* What was in doubt has come through as far as can be told now: `doing` keeps the parts that have

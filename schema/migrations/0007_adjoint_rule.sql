@@ -1,4 +1,0 @@
--- Schema 7: the rule of the adjoint. Settings of trainings and campaigns are written in version 2,
--- which ends with the rule and the restart weight; version 1 is still read. No table changes: the
--- new schema number keeps out programs that know only version 1 and would call such settings
--- damaged.

@@ -1,0 +1,463 @@
+-- The schema of a new database: version 9. Versions 1 to 8 were those of morphod 0.1, whose state
+-- folders are refused. A later version adds a file here (src/store/open.c applies them in order, in
+-- one transaction that also sets user_version).
+--
+-- Numbers whose bits matter are BLOBs of 8-byte little-endian doubles, because REAL turns NaN into
+-- NULL and −0 into 0. Times are microseconds since 1970 UTC. Hashes are the 32 bytes of a SHA-256.
+-- Genotypes are bit strings with voxel 0 in the top bit of byte 0.
+
+CREATE TABLE meta(
+  key TEXT PRIMARY KEY NOT NULL,
+  value INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
+
+-- A design: all orientations of one body. `form` is canonical.
+CREATE TABLE designs(
+  id INTEGER PRIMARY KEY,
+  form BLOB NOT NULL UNIQUE CHECK(length(form) = 18),
+  first_seen_us INTEGER NOT NULL
+) STRICT;
+
+-- An oriented genotype, placed in the workspace. This is what rollouts score.
+CREATE TABLE genotypes(
+  id INTEGER PRIMARY KEY,
+  bits BLOB NOT NULL UNIQUE CHECK(length(bits) = 18),
+  design INTEGER NOT NULL REFERENCES designs(id)
+) STRICT;
+CREATE INDEX genotypes_of_design ON genotypes(design);
+
+-- Weights, by content. The file controllers/<sha256>.safetensors is written before its row.
+CREATE TABLE controllers(
+  id INTEGER PRIMARY KEY,
+  sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
+  size INTEGER NOT NULL,
+  sensor INTEGER NOT NULL,
+  nx INTEGER NOT NULL,
+  ny INTEGER NOT NULL,
+  nz INTEGER NOT NULL,
+  n_parameters INTEGER NOT NULL,
+  metadata TEXT NOT NULL,
+  stored_us INTEGER NOT NULL
+) STRICT;
+
+CREATE TABLE controller_names(
+  name TEXT PRIMARY KEY NOT NULL,
+  controller INTEGER NOT NULL REFERENCES controllers(id),
+  version INTEGER NOT NULL,
+  stored_us INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
+
+-- `data`: 66 doubles: light x, y, then the heights. `sha256` is the hash of `data`.
+CREATE TABLE environments(
+  id INTEGER PRIMARY KEY,
+  sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
+  data BLOB NOT NULL CHECK(length(data) = 528)
+) STRICT;
+
+CREATE TABLE environment_sets(
+  id INTEGER PRIMARY KEY,
+  name TEXT NOT NULL UNIQUE,
+  n INTEGER NOT NULL
+) STRICT;
+
+CREATE TABLE environment_set_members(
+  environment_set INTEGER NOT NULL REFERENCES environment_sets(id),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL REFERENCES environments(id),
+  PRIMARY KEY(environment_set, position)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX environment_sets_of ON environment_set_members(environment);
+
+-- `encoding`: the hashed bytes (src/store/hash.c): all physics values, precision, sensor.
+CREATE TABLE physics(
+  id INTEGER PRIMARY KEY,
+  sha256 BLOB NOT NULL UNIQUE CHECK(length(sha256) = 32),
+  encoding BLOB NOT NULL
+) STRICT;
+
+-- What the bits of a score depend on besides its key: back end, instruction set, version of the
+-- code.
+CREATE TABLE fingerprints(
+  id INTEGER PRIMARY KEY,
+  text TEXT NOT NULL UNIQUE
+) STRICT;
+
+-- One rollout. Rows are never changed or deleted.
+CREATE TABLE scores(
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  controller INTEGER NOT NULL REFERENCES controllers(id),
+  physics INTEGER NOT NULL REFERENCES physics(id),
+  environment INTEGER NOT NULL REFERENCES environments(id),
+  loss BLOB NOT NULL CHECK(length(loss) = 8),
+  diverged_step INTEGER NOT NULL,
+  fingerprint INTEGER NOT NULL REFERENCES fingerprints(id),
+  computed_us INTEGER NOT NULL,
+  PRIMARY KEY(genotype, controller, physics, environment)
+) STRICT, WITHOUT ROWID;
+
+-- The mean loss of a genotype over a whole named set; +infinity when a rollout diverged. `score` is
+-- for sorting; `bits` is exact.
+CREATE TABLE set_scores(
+  controller INTEGER NOT NULL REFERENCES controllers(id),
+  physics INTEGER NOT NULL REFERENCES physics(id),
+  environment_set INTEGER NOT NULL REFERENCES environment_sets(id),
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  score REAL NOT NULL,
+  bits BLOB NOT NULL CHECK(length(bits) = 8),
+  PRIMARY KEY(controller, physics, environment_set, genotype)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX set_scores_best ON set_scores(controller, physics, environment_set, score, genotype);
+
+-- kind: 0 evaluation, 1 training, 2 campaign; the job's row in the table of its kind has the same
+-- id. state: 0 queued, 1 running, 2 paused, 3 succeeded, 4 failed, 5 cancelled.
+-- priority: 0 batch, 1 interactive. weight: the job's share of the cores is its weight over the sum
+-- of the weights of all running jobs. back_end: what computes the job, chosen once, so that it
+-- resumes with the same bits: 0 processor, 1 devices. epoch: the opening of the store whose process
+-- runs the job; updates from other epochs are refused.
+CREATE TABLE jobs(
+  id INTEGER PRIMARY KEY AUTOINCREMENT,
+  kind INTEGER NOT NULL,
+  state INTEGER NOT NULL,
+  priority INTEGER NOT NULL,
+  weight REAL NOT NULL,
+  back_end INTEGER NOT NULL,
+  version INTEGER NOT NULL,
+  epoch INTEGER NOT NULL,
+  attempts INTEGER NOT NULL,
+  label TEXT,
+  created_us INTEGER NOT NULL,
+  started_us INTEGER NOT NULL,
+  finished_us INTEGER NOT NULL,
+  error INTEGER NOT NULL,
+  error_text TEXT
+) STRICT;
+CREATE INDEX jobs_by_state ON jobs(state, id);
+CREATE INDEX jobs_queued ON jobs(priority, id) WHERE state = 0;
+-- Indexes of lists, so that reading a page visits only the rows that it shows.
+CREATE INDEX jobs_of_kind ON jobs(kind, id);
+CREATE INDEX jobs_of_kind_by_state ON jobs(kind, state, id);
+-- One label can be on nearly all jobs or on few, so each combination of filters has its own index.
+CREATE INDEX jobs_by_label ON jobs(label, id) WHERE label IS NOT NULL;
+CREATE INDEX jobs_by_label_and_state ON jobs(label, state, id) WHERE label IS NOT NULL;
+CREATE INDEX jobs_by_label_and_kind ON jobs(label, kind, id) WHERE label IS NOT NULL;
+CREATE INDEX jobs_by_label_kind_and_state ON jobs(label, kind, state, id) WHERE label IS NOT NULL;
+
+CREATE TABLE evaluations(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id),
+  controller INTEGER NOT NULL REFERENCES controllers(id),
+  controller_name TEXT NOT NULL,
+  physics INTEGER NOT NULL REFERENCES physics(id),
+  environment_set INTEGER REFERENCES environment_sets(id),
+  n_designs INTEGER NOT NULL,
+  n_environments INTEGER NOT NULL,
+  verify INTEGER NOT NULL,
+  record INTEGER NOT NULL, -- bit 0: center of mass, bit 1: masses
+  record_stride INTEGER NOT NULL,
+  done INTEGER NOT NULL,
+  cached INTEGER NOT NULL,
+  diverged INTEGER NOT NULL
+) STRICT;
+
+CREATE TABLE evaluation_designs(
+  job INTEGER NOT NULL REFERENCES evaluations(job),
+  position INTEGER NOT NULL,
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+CREATE TABLE evaluation_environments(
+  job INTEGER NOT NULL REFERENCES evaluations(job),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL REFERENCES environments(id),
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+-- The loss that a verify job computed, and the one stored before (NULL: none); 8-byte doubles.
+CREATE TABLE recomputed(
+  job INTEGER NOT NULL REFERENCES evaluations(job),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL, -- position
+  loss BLOB NOT NULL CHECK(length(loss) = 8),
+  diverged_step INTEGER NOT NULL,
+  stored BLOB CHECK(length(stored) = 8),
+  PRIMARY KEY(job, position, environment)
+) STRICT, WITHOUT ROWID;
+
+-- com: doubles (frames, 3). masses: float32 (frames, n_masses, 3). Little-endian.
+CREATE TABLE trajectories(
+  id INTEGER PRIMARY KEY,
+  job INTEGER NOT NULL REFERENCES evaluations(job),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL, -- position
+  stride INTEGER NOT NULL,
+  frames INTEGER NOT NULL,
+  n_masses INTEGER NOT NULL,
+  com BLOB,
+  masses BLOB,
+  UNIQUE(job, position, environment)
+) STRICT;
+
+CREATE TABLE idempotency_keys(
+  key TEXT PRIMARY KEY NOT NULL,
+  body_sha256 BLOB NOT NULL CHECK(length(body_sha256) = 32),
+  job INTEGER NOT NULL REFERENCES jobs(id),
+  created_us INTEGER NOT NULL
+) STRICT, WITHOUT ROWID;
+CREATE INDEX idempotency_keys_age ON idempotency_keys(created_us);
+
+CREATE TABLE events(
+  sequence INTEGER PRIMARY KEY AUTOINCREMENT,
+  time_us INTEGER NOT NULL,
+  job INTEGER NOT NULL, -- 0: none
+  type TEXT NOT NULL,
+  data TEXT NOT NULL
+) STRICT;
+CREATE INDEX events_of_job ON events(job, sequence);
+
+-- ---- trainings ----
+
+-- `settings`: struct mo_training_settings as src/store/encode.c writes it: every bit of every
+-- setting. Learning curves use REAL, which keeps the bits of all their numbers; NaN (all robots of
+-- the step diverged) is NULL.
+CREATE TABLE trainings(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id),
+  kind INTEGER NOT NULL, -- 0 pretrain, 1 finetune
+  settings BLOB NOT NULL,
+  name TEXT NOT NULL, -- of the resulting controller; '': training-<job>
+  parent INTEGER REFERENCES controllers(id), -- NULL: random weights
+  parent_name TEXT NOT NULL, -- as requested; '': by hash, or none
+  n_designs INTEGER NOT NULL,
+  population INTEGER NOT NULL, -- the job whose designs are used; 0: none
+  n_steps INTEGER NOT NULL,
+  validate_every_steps INTEGER NOT NULL,
+  checkpoint_every_steps INTEGER NOT NULL,
+  checkpoint_every_s INTEGER NOT NULL,
+  checkpoints_kept INTEGER NOT NULL,
+  step INTEGER NOT NULL, -- newest row of training_steps
+  result INTEGER REFERENCES controllers(id)
+) STRICT;
+
+CREATE TABLE training_designs(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  position INTEGER NOT NULL,
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+CREATE TABLE training_steps(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  step INTEGER NOT NULL, -- from 1
+  mean_loss REAL,
+  rate REAL NOT NULL,
+  gradient_norm REAL,
+  clipped_share REAL NOT NULL,
+  clipped_robots_share REAL NOT NULL,
+  diverged INTEGER NOT NULL,
+  zeroed INTEGER NOT NULL,
+  skipped INTEGER NOT NULL,
+  bounded INTEGER NOT NULL,
+  seconds REAL NOT NULL, -- wall time
+  PRIMARY KEY(job, step)
+) STRICT, WITHOUT ROWID;
+
+CREATE TABLE training_validations(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  step INTEGER NOT NULL, -- steps that the weights had learned
+  rollouts INTEGER NOT NULL,
+  diverged INTEGER NOT NULL,
+  mean_score REAL,
+  standard_error REAL,
+  PRIMARY KEY(job, step)
+) STRICT, WITHOUT ROWID;
+
+-- The file trainings/<job>/<step>.checkpoint is written before its row.
+CREATE TABLE training_checkpoints(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  step INTEGER NOT NULL,
+  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
+  size INTEGER NOT NULL,
+  stored_us INTEGER NOT NULL,
+  PRIMARY KEY(job, step)
+) STRICT, WITHOUT ROWID;
+
+-- Which code computed a training's gradients, so that a training that resumed under other code says
+-- so.
+CREATE TABLE training_code(
+  job INTEGER NOT NULL REFERENCES trainings(job),
+  from_step INTEGER NOT NULL, -- steps learned before this code
+  fingerprint INTEGER NOT NULL REFERENCES fingerprints(id),
+  PRIMARY KEY(job, from_step)
+) STRICT, WITHOUT ROWID;
+
+-- ---- campaigns ----
+
+-- `settings`: struct mo_campaign_settings as src/store/encode.c writes it: every bit of every
+-- setting. `generations` replaces its number of generations, which extensions change. Replicates
+-- are campaigns of one group, which has the id of its first campaign; initial designs and
+-- environments are stored only with that one. Designs are numbered 0, 1, … in order of birth.
+CREATE TABLE campaigns(
+  job INTEGER PRIMARY KEY REFERENCES jobs(id),
+  settings BLOB NOT NULL,
+  generations INTEGER NOT NULL,
+  name TEXT NOT NULL, -- of the resulting controller; '': campaign-<job>
+  preset TEXT NOT NULL, -- as requested; '': none
+  controller INTEGER REFERENCES controllers(id), -- NULL: random weights
+  controller_name TEXT NOT NULL, -- as requested; '': by hash, or none
+  physics INTEGER NOT NULL REFERENCES physics(id),
+  environment_set INTEGER REFERENCES environment_sets(id),
+  n_environments INTEGER NOT NULL,
+  n_listed INTEGER NOT NULL,
+  initial_campaign INTEGER NOT NULL, -- 0: none
+  replicates_of INTEGER NOT NULL, -- the first of the group
+  replicate INTEGER NOT NULL,
+  replicates INTEGER NOT NULL,
+  checkpoint_every_s INTEGER NOT NULL,
+  generation INTEGER NOT NULL, -- newest committed; -1: none
+  n_designs INTEGER NOT NULL, -- ever born
+  best_score REAL, -- of the newest population; NULL: none
+  diversity_max REAL NOT NULL,
+  ended INTEGER NOT NULL, -- 0 open, 1 completed, 2 exhausted
+  scored_generation INTEGER NOT NULL, -- the generation of campaign_losses
+  scored INTEGER NOT NULL, -- rows in campaign_losses
+  result INTEGER REFERENCES controllers(id)
+) STRICT;
+CREATE INDEX campaigns_of_group ON campaigns(replicates_of, job);
+
+CREATE TABLE campaign_environments(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  position INTEGER NOT NULL,
+  environment INTEGER NOT NULL REFERENCES environments(id),
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+-- Listed designs first (campaigns.n_listed), then those of initial_campaign's population, best
+-- first.
+CREATE TABLE campaign_initial(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  position INTEGER NOT NULL,
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  PRIMARY KEY(job, position)
+) STRICT, WITHOUT ROWID;
+
+-- operator: 0 random, 1 listed, 2 inherited, 3 mutation, 4 crossover. parents: numbers; NULL: none.
+-- died: the first generation whose population lacks the design; NULL: it lives. size: springs +
+-- 2^16 masses + 2^26 voxels + 2^36 footprint.
+CREATE TABLE campaign_designs(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  number INTEGER NOT NULL,
+  genotype INTEGER NOT NULL REFERENCES genotypes(id),
+  operator INTEGER NOT NULL,
+  parent INTEGER,
+  other_parent INTEGER,
+  born INTEGER NOT NULL,
+  died INTEGER,
+  score BLOB NOT NULL CHECK(length(score) = 8), -- its last score
+  size INTEGER NOT NULL,
+  PRIMARY KEY(job, number)
+) STRICT, WITHOUT ROWID;
+CREATE INDEX campaigns_of_genotype ON campaign_designs(genotype, job);
+
+-- One row per generation, for lists. REAL keeps the bits of every number but NaN, which is NULL.
+CREATE TABLE campaign_generations(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  generation INTEGER NOT NULL,
+  born_before INTEGER NOT NULL, -- number of its first child
+  n_children INTEGER NOT NULL,
+  n INTEGER NOT NULL,
+  n_diverged INTEGER NOT NULL,
+  mean_score REAL,
+  least_score REAL,
+  score_5 REAL,
+  score_25 REAL,
+  median_score REAL,
+  score_75 REAL,
+  score_95 REAL,
+  most_score REAL,
+  diversity REAL,
+  species INTEGER NOT NULL,
+  least_voxels REAL,
+  mean_voxels REAL,
+  most_voxels REAL,
+  least_footprint REAL,
+  mean_footprint REAL,
+  most_footprint REAL,
+  least_masses REAL,
+  mean_masses REAL,
+  most_masses REAL,
+  least_springs REAL,
+  mean_springs REAL,
+  most_springs REAL,
+  mean_parents REAL,
+  mean_children REAL,
+  mutation_attempts INTEGER NOT NULL,
+  crossover_attempts INTEGER NOT NULL,
+  mutants INTEGER NOT NULL,
+  recombinants INTEGER NOT NULL,
+  fallbacks INTEGER NOT NULL,
+  exhausted INTEGER NOT NULL,
+  survived_mutants INTEGER NOT NULL,
+  survived_recombinants INTEGER NOT NULL,
+  turnover REAL,
+  rollouts INTEGER NOT NULL,
+  rollouts_cached INTEGER NOT NULL,
+  rollouts_diverged INTEGER NOT NULL,
+  learning_steps INTEGER NOT NULL,
+  first_loss REAL,
+  last_loss REAL,
+  collapse INTEGER NOT NULL,
+  seconds REAL, -- wall time
+  stored_us INTEGER NOT NULL,
+  PRIMARY KEY(job, generation)
+) STRICT, WITHOUT ROWID;
+
+-- births: 9 bytes per child: operator, parents as 32-bit numbers (2^32 − 1: none). population: 12
+-- bytes per design, best first: 32-bit number, score. Little-endian. A table of its own keeps the
+-- rows above small, and lets a phylogeny be read in one pass.
+CREATE TABLE campaign_populations(
+  id INTEGER PRIMARY KEY,
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  generation INTEGER NOT NULL,
+  births BLOB NOT NULL,
+  population BLOB NOT NULL,
+  UNIQUE(job, generation)
+) STRICT;
+
+CREATE TABLE campaign_steps(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  generation INTEGER NOT NULL,
+  step INTEGER NOT NULL, -- from 1 within the generation
+  on_children INTEGER NOT NULL,
+  training_step INTEGER NOT NULL,
+  mean_loss REAL,
+  rate REAL NOT NULL,
+  gradient_norm REAL,
+  clipped_share REAL NOT NULL,
+  clipped_robots_share REAL NOT NULL,
+  diverged INTEGER NOT NULL,
+  zeroed INTEGER NOT NULL,
+  skipped INTEGER NOT NULL,
+  bounded INTEGER NOT NULL,
+  seconds REAL NOT NULL, -- wall time
+  PRIMARY KEY(job, generation, step)
+) STRICT, WITHOUT ROWID;
+
+-- Losses of the current generation; deleted when it commits. losses: doubles; diverged: 32-bit
+-- steps; one per environment.
+CREATE TABLE campaign_losses(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  place INTEGER NOT NULL,
+  losses BLOB NOT NULL,
+  diverged BLOB NOT NULL,
+  PRIMARY KEY(job, place)
+) STRICT, WITHOUT ROWID;
+
+-- The file campaigns/<job>/<generation>-<step>.checkpoint is written before its row.
+CREATE TABLE campaign_checkpoints(
+  job INTEGER NOT NULL REFERENCES campaigns(job),
+  generation INTEGER NOT NULL,
+  step INTEGER NOT NULL,
+  sha256 BLOB NOT NULL CHECK(length(sha256) = 32),
+  size INTEGER NOT NULL,
+  stored_us INTEGER NOT NULL,
+  PRIMARY KEY(job, generation, step)
+) STRICT, WITHOUT ROWID;
