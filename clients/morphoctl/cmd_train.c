@@ -298,16 +298,8 @@ static int export_controller(struct ctl *ctl, const char *id)
 static int export_curve(struct ctl *ctl, const char *id, const char *what, const char *output)
 {
   char path[96];
-  struct reply reply;
   snprintf(path, sizeof(path), "/v1/trainings/%s/%s", id, what);
-  int status = transport_send(
-      ctl, &(struct request){.method = "GET", .path = path, .accept = "text/csv"}, &reply);
-  if (status == STATUS_OK)
-    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
-  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
-    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
-  reply_free(&reply);
-  return status;
+  return save_reply(ctl, path, "text/csv", output);
 }
 
 int run_train_export(struct ctl *ctl)

@@ -106,6 +106,8 @@ void print_controller_fact(const struct ctl *ctl, const char *fact, const json_t
 void print_state(const struct ctl *ctl, const char *state);
 /* Writes the bytes of a reply to a file, or to standard output ("-"). */
 int save_output(const char *path, const void *bytes, size_t n);
+/* Saves the reply to a GET in the same way, and reports its size. */
+int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output);
 
 /* ---- dump.c ---- */
 
@@ -122,6 +124,10 @@ int show_json(struct ctl *ctl, const char *path);
 
 /* Collects the items of a paged list up to `limit` (0: all) in the array *items, in order. */
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items);
+/* Fetches the rows of a numbered list behind `after` (−1: from the first), page by page. path: with
+ * its query. take: false: no memory. */
+int walk_rows(struct ctl *ctl, const char *path, int64_t after,
+              bool (*take)(void *context, const json_t *row), void *context);
 /* Checks the options --state, --limit and --all, and collects items by them. */
 int collect_states(struct ctl *ctl, const char *list, json_t **items);
 /* Prints the items as one page if JSON was requested; else prints nothing and returns false. */

@@ -74,6 +74,19 @@ int save_output(const char *path, const void *bytes, size_t n)
   return ok ? STATUS_OK : complain(STATUS_ERROR, "%s: %s", path, strerror(error));
 }
 
+int save_reply(struct ctl *ctl, const char *path, const char *accept, const char *output)
+{
+  struct reply reply;
+  int status = transport_send(
+      ctl, &(struct request){.method = "GET", .path = path, .accept = accept}, &reply);
+  if (status == STATUS_OK)
+    status = save_output(output, reply.body != NULL ? reply.body : "", reply.body_bytes);
+  if (status == STATUS_OK && !ctl->quiet && strcmp(output, "-") != 0)
+    print_plain_line(stderr, "%s: %zu bytes", output, reply.body_bytes);
+  reply_free(&reply);
+  return status;
+}
+
 int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
 {
   json_t *all = json_array();
@@ -107,6 +120,31 @@ int collect(struct ctl *ctl, const char *path, size_t limit, json_t **items)
     all = NULL;
   }
   *items = all;
+  return status;
+}
+
+int walk_rows(struct ctl *ctl, const char *path, int64_t after,
+              bool (*take)(void *context, const json_t *row), void *context)
+{
+  int status = STATUS_OK;
+  for (bool more = true; status == STATUS_OK && more;) {
+    char page_path[192];
+    int n = snprintf(page_path, sizeof(page_path), "%s", path);
+    if (after >= 0)
+      snprintf(page_path + n, sizeof(page_path) - (size_t)n, "&cursor=%" PRId64, after);
+    json_t *page, *row;
+    size_t i;
+    status = transport_get_json(ctl, page_path, 0, &page);
+    json_array_foreach(json_object_get(page, "items"), i, row)
+    {
+      if (status == STATUS_OK && !take(context, row))
+        status = complain(STATUS_ERROR, "out of memory");
+    }
+    const int64_t next = strtoll(text_of(page, "next_cursor"), NULL, 10);
+    more = json_is_string(json_object_get(page, "next_cursor")) && next > after;
+    after = next;
+    json_decref(page);
+  }
   return status;
 }
 
