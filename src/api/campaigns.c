@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 #include "api/campaign_json.h"
-#include "api/campaign_request.h"
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 
 /* ---- the kind ---- */

@@ -2,9 +2,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "api/evaluation_request.h"
 #include "api/job_json.h"
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 
 /* ---- the kind ---- */

@@ -3,9 +3,9 @@
 #include <string.h>
 
 #include "api/job_reply.h"
+#include "api/requests.h"
 #include "api/submission.h"
 #include "api/training_json.h"
-#include "api/training_request.h"
 
 /* ---- the kind ---- */
 
