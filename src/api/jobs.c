@@ -2,6 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "api/job_json.h"
 #include "api/job_reply.h"
 #include "api/requests.h"
 #include "api/submission.h"
@@ -40,7 +41,7 @@ static int write_item(struct mo_api *api, struct mo_text *text, const struct mo_
     error = mo_status_read(api, kind, job->id, &read, &live);
     status = read;
   }
-  if (error == MO_OK && (state < 0 || (int)kind->state(status, &live) == state)) {
+  if (error == MO_OK && (state < 0 || (int)mo_job_state_shown(status, &live) == state)) {
     if (text->data != NULL && text->data[text->size - 1] == '}')
       mo_text_add(text, ",");
     kind->write_job(text, status, &live);
