@@ -17,17 +17,12 @@
 #define HISTORY_ROWS        64
 #define CHILDREN_PER_THREAD 1024 /* take about a millisecond */
 
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
-
 /* ---- resumption ---- */
 
 /* Allocates the rows of one generation. */
 static int create_rows(struct mo_campaign_run *run, struct mo_campaign_rows *rows)
 {
-  const size_t n = settings_of(run)->population;
+  const size_t n = run->settings->population;
   rows->genotypes = calloc(2 * n * run->words, sizeof(*rows->genotypes));
   rows->bits = calloc(2 * n, sizeof(*rows->bits));
   rows->sizes = calloc(2 * n, sizeof(*rows->sizes));
@@ -60,7 +55,7 @@ static void free_rows(struct mo_campaign_rows *rows)
 static int allocate(struct mo_campaign_run *run)
 {
   int error;
-  run->words = mo_workspace_words(settings_of(run)->workspace);
+  run->words = mo_workspace_words(run->settings->workspace);
   run->rows = &run->all_rows[0];
   run->other_rows = &run->all_rows[1];
   error = create_rows(run, run->rows);
@@ -105,7 +100,7 @@ static int read_population(struct mo_campaign_run *run)
   int error = mo_store_campaign_state(run->jobs->store, run->id, &state);
   if (error == MO_ERR_NOT_FOUND) /* nothing is committed yet */
     return MO_OK;
-  if (error == MO_OK && state->n > settings_of(run)->population)
+  if (error == MO_OK && state->n > run->settings->population)
     error = MO_ERR_CORRUPT;
   for (uint32_t i = 0; error == MO_OK && i < state->n; i++) {
     run->rows->bits[i] = state->genotypes[i];
@@ -113,7 +108,7 @@ static int read_population(struct mo_campaign_run *run)
     run->rows->born[i] = state->born[i];
     run->rows->scores[i] = state->scores[i];
     error = mo_genotype_move(MO_DEFAULT_WORKSPACE, state->genotypes[i].words,
-                             settings_of(run)->workspace, genotype(run, i));
+                             run->settings->workspace, genotype(run, i));
     if (error == MO_OK)
       error = mo_design_size(run->jobs->lattice, run->rows->bits[i].words, &run->rows->sizes[i]);
   }
@@ -136,7 +131,7 @@ static int remember(void *context, const struct mo_bits *born)
 {
   const struct remembering *remembering = context;
   struct mo_campaign_run *run = remembering->run;
-  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, settings_of(run)->workspace,
+  int error = mo_genotype_move(MO_DEFAULT_WORKSPACE, born->words, run->settings->workspace,
                                remembering->moved);
   if (error == MO_OK)
     error = mo_seen_add(run->seen, remembering->moved);
@@ -148,11 +143,11 @@ static int read_seen(struct mo_campaign_run *run)
 {
   struct remembering remembering = {run, calloc(run->words, sizeof(uint64_t))};
   int error = remembering.moved == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  if (error == MO_OK && settings_of(run)->exclude_pretraining)
+  if (error == MO_OK && run->settings->exclude_pretraining)
     error = mo_exclusion_acquire(run, &run->exclusion);
   if (error == MO_OK)
     error =
-        mo_seen_create(settings_of(run)->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
+        mo_seen_create(run->settings->workspace, mo_exclusion_forms(run->exclusion), &run->seen);
   if (error == MO_OK)
     error = mo_store_campaign_each(run->jobs->store, run->id, remember, &remembering);
   free(remembering.moved);
@@ -165,7 +160,7 @@ static int prepare(struct mo_campaign_run *run)
   if (error != MO_OK)
     return mo_runner_fail_unreadable(run->runner, error);
   run->generation = (uint32_t)(run->status.generation + 1);
-  (void)mo_campaign_enter(run, MO_PHASE_PREPARE, 0);
+  mo_campaign_enter(run, MO_PHASE_PREPARE, 0);
   error = mo_back_end_check(run->jobs, run->status.job.back_end);
   if (error == MO_OK && run->status.record.has_controller)
     error = mo_runner_load(run->runner, &run->status.record.controller_sha256, &run->controller);
@@ -178,7 +173,7 @@ static int prepare(struct mo_campaign_run *run)
                                            &run->n_environments);
   if (error == MO_OK)
     error = read_population(run);
-  if (error == MO_OK && run->generation <= settings_of(run)->generations)
+  if (error == MO_OK && run->generation <= run->settings->generations)
     error = read_seen(run);
   return error;
 }
@@ -187,7 +182,7 @@ static int prepare(struct mo_campaign_run *run)
 
 static int make_first(struct mo_campaign_run *run, uint32_t *n)
 {
-  const struct mo_campaign_settings *settings = settings_of(run);
+  const struct mo_campaign_settings *settings = run->settings;
   const uint32_t n_listed = run->status.record.n_listed;
   struct mo_bits *given = NULL;
   uint32_t n_given = 0;
@@ -221,7 +216,7 @@ static void describe_some(void *context, size_t first, size_t end)
   struct mo_campaign_run *run = describing->run;
   for (uint32_t i = (uint32_t)first; i < end; i++) {
     const uint32_t place = run->n_parents + i;
-    int error = mo_genotype_move(settings_of(run)->workspace, genotype(run, place),
+    int error = mo_genotype_move(run->settings->workspace, genotype(run, place),
                                  MO_DEFAULT_WORKSPACE, run->rows->bits[place].words);
     if (error != MO_OK) {
       atomic_store(&describing->error, error);
@@ -251,12 +246,12 @@ static int vary(struct mo_campaign_run *run)
 {
   int error;
   uint32_t n = 0;
-  (void)mo_campaign_enter(run, MO_PHASE_VARY, 0);
+  mo_campaign_enter(run, MO_PHASE_VARY, 0);
   run->variation = (struct mo_variation_counts){.mutants = 0};
   if (run->generation == 0)
     error = make_first(run, &n);
   else
-    error = mo_variation(settings_of(run), run->generation, run->rows->genotypes, run->n_parents,
+    error = mo_variation(run->settings, run->generation, run->rows->genotypes, run->n_parents,
                          run->seen, genotype(run, run->n_parents), run->rows->births, &n,
                          &run->variation, &run->runner->interrupt);
   run->n_children = error == MO_OK ? n : 0;
@@ -274,7 +269,7 @@ static int select_survivors(struct mo_campaign_run *run)
     candidates[i] =
         (struct mo_candidate){run->rows->scores[i], run->rows->numbers[i], run->rows->born[i]};
   if (error == MO_OK)
-    error = mo_select(settings_of(run), run->generation, run->rows->genotypes, candidates, n,
+    error = mo_select(run->settings, run->generation, run->rows->genotypes, candidates, n,
                       run->rows->survivors, &run->n_survivors);
   free(candidates);
   return error;
@@ -372,7 +367,7 @@ static int finish(struct mo_campaign_run *run, enum mo_campaign_end end)
 {
   struct ending ending = {run, end};
   int error = MO_OK;
-  if (settings_of(run)->mode != MO_ZERO_SHOT && run->generation > 0) {
+  if (run->settings->mode != MO_ZERO_SHOT && run->generation > 0) {
     /* The result is the state of the last committed generation. This run has that state unless it
      * has committed no generation, or has found no children since. */
     if (run->learner.training == NULL)
@@ -392,14 +387,14 @@ static int evolve(struct mo_campaign_run *run)
   bool exhausted = false;
   int error = MO_OK;
   while (error == MO_OK) {
-    const uint32_t generations = settings_of(run)->generations;
+    const uint32_t generations = run->settings->generations;
     const bool is_over = exhausted || run->generation > generations;
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     if (!is_over && run->seen == NULL) /* complete at first, extended since */
       error = read_seen(run);
     if (is_over && error == MO_OK) {
-      (void)mo_campaign_enter(run, MO_PHASE_SAVE, 0);
+      mo_campaign_enter(run, MO_PHASE_SAVE, 0);
       error = mo_campaign_settle(run);
       if (error != MO_OK)
         return error;
@@ -411,7 +406,7 @@ static int evolve(struct mo_campaign_run *run)
       return error;
     exhausted = exhausted || error == MO_ERR_EXHAUSTED;
     error = mo_store_campaign(run->jobs->store, run->id, &run->status);
-    if (error == MO_OK && is_over && settings_of(run)->generations == generations)
+    if (error == MO_OK && is_over && run->settings->generations == generations)
       error = MO_ERR_CONFLICT; /* paused or cancelled */
   }
   return error;
@@ -452,6 +447,7 @@ static int run_campaign(struct mo_runner *runner, void *context)
   run->runner = runner;
   run->jobs = runner->jobs;
   run->id = runner->id;
+  run->settings = &run->status.record.settings;
   run->begin_us = run->progress_us = mo_clock_us();
   error = prepare(run);
   if (run->generation == 0)

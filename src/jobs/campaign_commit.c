@@ -29,11 +29,6 @@ struct mo_campaign_writing {
   int status;
 };
 
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
-
 /* ---- what a generation came to ---- */
 
 static double mean_of(const double *scores, uint32_t n)
@@ -74,7 +69,7 @@ static void count_rollouts(const struct mo_campaign_run *run, struct mo_campaign
 /* Warns once each time that diversity falls below its share of the maximum so far. */
 static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const double share = settings_of(run)->collapse_share;
+  const double share = run->settings->collapse_share;
   if (row->stats.diversity > run->diversity_max) {
     run->diversity_max = row->stats.diversity;
     run->is_warned = false;
@@ -86,7 +81,7 @@ static void watch_diversity(struct mo_campaign_run *run, struct mo_campaign_gene
 /* Describes the generation; the survivors are in the other rows. */
 static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_generation *row)
 {
-  const bool learns = settings_of(run)->mode != MO_ZERO_SHOT;
+  const bool learns = run->settings->mode != MO_ZERO_SHOT;
   const struct mo_campaign_rows *survivors = run->other_rows;
   int error;
   *row = (struct mo_campaign_generation){
@@ -99,7 +94,7 @@ static int describe_generation(struct mo_campaign_run *run, struct mo_campaign_g
       .learning_steps = learns ? run->step : 0,
       .first_loss = learns ? run->first_loss : NAN,
       .last_loss = learns ? run->last_loss : NAN};
-  error = mo_population_stats(settings_of(run)->workspace, survivors->genotypes, survivors->scores,
+  error = mo_population_stats(run->settings->workspace, survivors->genotypes, survivors->scores,
                               survivors->sizes, run->n_survivors, &row->stats);
   if (error != MO_OK)
     return error;
@@ -118,7 +113,7 @@ static void tell_generation(const struct mo_campaign_run *run,
            "{\"id\":\"%lld\",\"generation\":%u,\"generations\":%u,\"mean\":%s,\"best\":%s,"
            "\"diversity\":%s,"
            "\"turnover\":%s,\"seconds_left\":%s}",
-           (long long)run->id, (unsigned)row->generation, (unsigned)settings_of(run)->generations,
+           (long long)run->id, (unsigned)row->generation, (unsigned)run->settings->generations,
            MO_FIGURE(row->stats.mean_score), MO_FIGURE(row->stats.quantiles[0]),
            MO_FIGURE(row->stats.diversity), MO_FIGURE(row->turnover),
            MO_FIGURE(left < 0 ? NAN : left));
@@ -168,7 +163,7 @@ static int take_learning(const struct mo_campaign_run *run, struct mo_campaign_w
 /* Describes the generation for the store. Only the losses are taken from the run. */
 static int take(struct mo_campaign_run *run, struct mo_campaign_writing *writing)
 {
-  const bool is_zero_shot = settings_of(run)->mode == MO_ZERO_SHOT;
+  const bool is_zero_shot = run->settings->mode == MO_ZERO_SHOT;
   const struct mo_campaign_rows *rows = run->rows;
   writing->commit = (struct mo_campaign_commit){
       .births = rows->births,
@@ -246,7 +241,7 @@ int mo_campaign_commit(struct mo_campaign_run *run)
     return MO_ERR_NO_MEMORY;
   writing->jobs = run->jobs;
   writing->id = run->id;
-  (void)mo_campaign_enter(run, MO_PHASE_SAVE, 0);
+  mo_campaign_enter(run, MO_PHASE_SAVE, 0);
   error = take(run, writing);
   if (error != MO_OK) {
     drop(writing);

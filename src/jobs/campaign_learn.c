@@ -16,25 +16,20 @@
 
 #include "base/clock.h"
 
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
-
 static uint32_t parent_steps(const struct mo_campaign_run *run, uint32_t generation)
 {
-  return generation == 0 ? 0 : settings_of(run)->parent_steps;
+  return generation == 0 ? 0 : run->settings->parent_steps;
 }
 
 static uint32_t steps_of(const struct mo_campaign_run *run, uint32_t generation)
 {
-  return parent_steps(run, generation) + settings_of(run)->child_steps;
+  return parent_steps(run, generation) + run->settings->child_steps;
 }
 
 /* Returns the steps of the training before a generation. */
 static uint32_t steps_before(const struct mo_campaign_run *run, uint32_t generation)
 {
-  if (settings_of(run)->mode == MO_FEW_SHOT || generation == 0)
+  if (run->settings->mode == MO_FEW_SHOT || generation == 0)
     return 0;
   return steps_of(run, 0) + (generation - 1) * steps_of(run, 1);
 }
@@ -128,7 +123,7 @@ static const uint64_t *children(const struct mo_campaign_run *run)
 
 static int begin_training(struct mo_campaign_run *run)
 {
-  struct mo_training_settings settings = mo_campaign_training(settings_of(run), run->generation);
+  struct mo_training_settings settings = mo_campaign_training(run->settings, run->generation);
   struct mo_controller *random = NULL;
   struct mo_message message = {.text = ""};
   int error = MO_OK;
@@ -155,7 +150,7 @@ static int restore(struct mo_campaign_run *run)
   if (error != MO_ERR_CORRUPT)
     return error;
   mo_runner_warn(run->runner, error,
-                 "a checkpoint inside a generation is damaged: the generation learns anew");
+                 "a checkpoint inside a generation is damaged: the generation learns again");
   run->runner->text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }
@@ -163,7 +158,7 @@ static int restore(struct mo_campaign_run *run)
 /* Prepares the training at the step where this generation's learning continues. */
 static int prepare_training(struct mo_campaign_run *run)
 {
-  const bool inherits = settings_of(run)->mode == MO_SIMULTANEOUS && run->generation > 0;
+  const bool inherits = run->settings->mode == MO_SIMULTANEOUS && run->generation > 0;
   const bool is_new = run->learner.training == NULL; /* in this process */
   int error = MO_OK;
   run->step = run->steps_saved = 0;
@@ -175,9 +170,9 @@ static int prepare_training(struct mo_campaign_run *run)
       error = inherits ? mo_campaign_load_learning(run) : begin_training(run);
   }
   if (error == MO_OK &&
-      settings_of(run)->mode == MO_SIMULTANEOUS) /* generations may have been added */
+      run->settings->mode == MO_SIMULTANEOUS) /* generations may have been added */
     error = mo_training_set_steps(run->learner.training,
-                                  mo_campaign_training(settings_of(run), 0).n_steps);
+                                  mo_campaign_training(run->settings, 0).n_steps);
   if (error == MO_OK)
     error = mo_learner_prepare(run->jobs, run->status.job.back_end, &run->learner);
   return error;
@@ -273,9 +268,9 @@ int mo_campaign_learn(struct mo_campaign_run *run)
 {
   const uint32_t n_steps = steps_of(run, run->generation);
   int error;
-  if (settings_of(run)->mode == MO_ZERO_SHOT)
+  if (run->settings->mode == MO_ZERO_SHOT)
     return MO_OK;
-  (void)mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
+  mo_campaign_enter(run, MO_PHASE_LEARN, n_steps);
   run->first_loss = run->last_loss = NAN;
   free(run->steps);
   run->steps = calloc((size_t)n_steps + 1, sizeof(*run->steps));

@@ -4,29 +4,24 @@
 
 #define PROGRESS_EVERY_US INT64_C(1000000)
 
-static const struct mo_campaign_settings *settings_of(const struct mo_campaign_run *run)
-{
-  return &run->status.record.settings;
-}
-
-enum mo_phase mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total)
+void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total)
 {
   struct mo_runner *runner = run->runner;
-  const uint32_t last = settings_of(run)->generations;
+  const uint32_t last = run->settings->generations;
   pthread_mutex_lock(&runner->runners->mutex);
   runner->live.position =
       run->generation < last ? run->generation : last; /* no generation is current at the end */
   runner->live.done = 0;
   runner->live.total = total;
   pthread_mutex_unlock(&runner->runners->mutex);
-  return mo_runner_enter(runner, phase);
+  (void)mo_runner_enter(runner, phase);
 }
 
 /* Estimates the rest of the campaign: from the remaining rollouts if only scoring takes time, else
  * from the last whole generation. Negative: unknown. */
 static double seconds_left(const struct mo_campaign_run *run, const struct mo_live *live)
 {
-  const struct mo_campaign_settings *settings = settings_of(run);
+  const struct mo_campaign_settings *settings = run->settings;
   const double after =
       run->generation < settings->generations ? settings->generations - run->generation : 0;
   const double passed = (double)(mo_clock_us() - run->begin_us) * 1e-6;
@@ -51,7 +46,7 @@ void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done)
 /* Estimates all remaining generations from the newest one; 0: unknown. */
 static double generations_s(const struct mo_campaign_run *run)
 {
-  const uint32_t generations = settings_of(run)->generations;
+  const uint32_t generations = run->settings->generations;
   return run->generation <= generations ? (generations - run->generation + 1.0) * run->generation_s
                                         : 0;
 }

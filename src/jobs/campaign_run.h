@@ -9,6 +9,7 @@
 
 #include "jobs/campaigns.h"
 #include "jobs/learner.h"
+#include "jobs/scoring.h"
 
 /* The candidates of a generation. */
 struct mo_campaign_rows {
@@ -27,6 +28,7 @@ struct mo_campaign_run {
   struct mo_jobs *jobs;
   int64_t id;
   struct mo_campaign_status status; /* from the start of the generation; may be extended since */
+  const struct mo_campaign_settings *settings; /* of the status */
   struct mo_compute_share *share;
   struct mo_controller *controller; /* as submitted; NULL: random weights */
   struct mo_environment *environments;
@@ -58,11 +60,11 @@ struct mo_campaign_run {
   double first_loss, last_loss;
 
   /* Scores of the candidates from `first_scored` on (campaign_score.c). */
+  struct mo_scoring scoring;
   uint32_t first_scored, n_scored;
   struct mo_compute_controller
       *frozen;                     /* zero-shot: weights ready for the back end; NULL at first */
   struct mo_campaign_loss *losses; /* (n_scored) */
-  uint8_t *left;                   /* (n_scored) blocks of the candidate still to finish */
   uint32_t *unsaved;               /* (n_scored) places whose losses are not saved yet */
   uint32_t n_unsaved;
   uint32_t n_done;   /* of n_scored */
@@ -72,7 +74,7 @@ struct mo_campaign_run {
 };
 
 /* ---- campaign_live.c ---- */
-enum mo_phase mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
+void mo_campaign_enter(struct mo_campaign_run *run, enum mo_phase phase, uint64_t total);
 /* Sets the progress that the live figures show for the phase. */
 void mo_campaign_advance(struct mo_campaign_run *run, uint64_t done);
 /* Progress of drawing the bodies of pretrainings again. */

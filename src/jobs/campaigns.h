@@ -39,7 +39,6 @@ int mo_jobs_submit_campaign(struct mo_jobs *jobs, const struct mo_campaign_reque
  * when the queue is full. */
 int mo_jobs_extend_campaign(struct mo_jobs *jobs, int64_t id, uint32_t generations,
                             const struct mo_request_key *key, struct mo_message *message);
-/* mo_jobs_cancel, mo_jobs_pause, mo_jobs_resume and mo_jobs_wait work on campaigns, too. */
 
 /* Selects the champions of a generation's population with mo_champions (generation −1: the newest).
  * rows: space for m; *n: the number of champions. MO_ERR_NOT_FOUND. */

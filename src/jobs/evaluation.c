@@ -26,33 +26,32 @@ static void free_active(struct mo_evaluations *all, struct mo_active *active)
 {
   mo_loaded_release(&all->controllers, active->controller);
   mo_work_free(active->work);
-  free(active->cells);
-  free(active->left);
+  mo_grid_free(&active->grid);
   free(active);
 }
 
-/* Frees the detached jobs that have no references and whose counts are saved. Returns whether there
- * was one, because the same job may be claimed again. */
-static bool sweep(struct mo_evaluations *all)
+/* Frees the detached jobs that have no references and whose counts are saved; after an error only
+ * when a delay has passed. Such a job may be claimed again. Returns when to look next; 0: at once.
+ */
+static int64_t sweep(struct mo_evaluations *all)
 {
+  const int64_t now = mo_clock_us();
+  int64_t next = INT64_MAX;
   struct mo_active **link = &all->actives;
-  bool freed = false;
   while (*link != NULL) {
     struct mo_active *active = *link;
-    if (active->detached && !active->failing && !active->changed && active->references == 0) {
+    if (!active->detached || active->failing || active->changed || active->references > 0) {
+      link = &active->next;
+    } else if (active->until_us > now) {
+      next = active->until_us < next ? active->until_us : next;
+      link = &active->next;
+    } else {
       *link = active->next;
       free_active(all, active);
-      freed = true;
-    } else {
-      link = &active->next;
+      next = 0;
     }
   }
-  return freed;
-}
-
-static enum mo_lane lane_of(const struct mo_active *active)
-{
-  return mo_lane_of(active->priority, active->back_end);
+  return next;
 }
 
 static uint32_t count_active(const struct mo_evaluations *all, enum mo_urgency priority)
@@ -74,19 +73,10 @@ static bool is_held(const struct mo_evaluations *all, int64_t id)
   return false;
 }
 
-static bool is_delayed(const struct mo_evaluations *all, int64_t id)
-{
-  for (unsigned i = 0; i < all->n_delayed; i++)
-    if (all->delayed[i].id == id)
-      return true;
-  return false;
-}
-
 /* Marks what earlier claims of the job have done. */
 static void mark_finished(struct mo_active *active)
 {
   const struct mo_work *work = active->work;
-  memset(active->left, (int)work->n_environments, work->n_designs);
   active->total = work->job.rollouts_total;
   active->private_runs = work->finished != NULL;
   if (!active->private_runs) {
@@ -97,32 +87,45 @@ static void mark_finished(struct mo_active *active)
       active->own_before = work->job.rollouts_done - work->job.rollouts_cached;
     return;
   }
-  for (size_t cell = 0; cell < active->total; cell++)
-    if (work->finished[cell]) {
-      active->cells[cell] = MO_CELL_DONE;
-      active->left[cell / work->n_environments]--;
-    }
+  for (uint32_t design = 0; design < work->n_designs; design++)
+    for (uint32_t k = 0; k < work->n_environments; k++)
+      if (work->finished[(size_t)design * work->n_environments + k])
+        (void)mo_grid_finish(&active->grid, design, k);
   active->done = work->n_finished;
   active->diverged = work->n_finished_diverged;
 }
 
 static int load_active(struct mo_evaluations *all, struct mo_active *active, char text[256])
 {
+  const struct mo_work *work;
   int error = mo_store_load_work(all->jobs->store, active->id, &active->work);
-  snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(error));
+  snprintf(text, 256, "the job could not be prepared: %s",
+           mo_error_text(error != MO_OK ? error : MO_ERR_NO_MEMORY));
   if (error != MO_OK)
     return error;
-  active->cells = calloc(active->work->job.rollouts_total, 1);
-  active->left = calloc(active->work->n_designs, 1);
-  if (active->cells == NULL || active->left == NULL) {
-    snprintf(text, 256, "the job could not be prepared: %s", mo_error_text(MO_ERR_NO_MEMORY));
-    return MO_ERR_NO_MEMORY;
-  }
-  active->weight = active->work->job.weight;
-  active->back_end = active->work->job.back_end;
+  work = active->work;
+  active->weight = work->job.weight;
+  active->back_end = work->job.back_end;
+  active->grid = (struct mo_grid){.block = {.lattice = all->jobs->lattice,
+                                            .physics = work->job.physics,
+                                            .precision = work->job.precision,
+                                            .urgency = work->job.priority,
+                                            .back_end = work->job.back_end,
+                                            .cancel = &active->cancel,
+                                            .tag = active->id,
+                                            .share = all->jobs->evaluation_share},
+                                  .genotypes = work->genotypes,
+                                  .environments = work->environments,
+                                  .n_designs = work->n_designs,
+                                  .n_environments = work->n_environments};
+  error = mo_grid_create(&active->grid);
+  if (error != MO_OK)
+    return error;
   mark_finished(active);
   error = mo_loaded_acquire(&all->controllers, &active->work->job.controller_sha256,
                             &active->controller);
+  if (error == MO_OK)
+    active->grid.block.controller = active->controller->ready;
   if (mo_controller_is_unusable(error))
     mo_controller_describe_fault(&active->work->job.controller_sha256, "submit again", text);
   else
@@ -142,10 +145,10 @@ static bool claim_one(struct mo_evaluations *all, int64_t id, enum mo_urgency pr
   active->weight = 1;
   active->last_event_us = mo_clock_us();
   error = load_active(all, active, text);
-  active->pass = all->pass[lane_of(active)];
+  active->pass = all->pass[mo_lane_of(active)];
   active->next = all->actives;
   all->actives = active;
-  if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) != MO_OK) {
+  if (mo_pending_update(all, active, MO_STEP_START, MO_OK, NULL) == NULL) {
     active->detached = true;
     return false;
   }
@@ -161,7 +164,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
 {
   int64_t ids[CLAIMS_MAX];
   uint32_t n_active = count_active(all, priority);
-  size_t limit = (size_t)n_active + all->n_delayed + places;
+  size_t limit = (size_t)n_active + places;
   int64_t n;
   if (n_active >= places)
     return;
@@ -171,7 +174,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
   if (n < 0)
     all->look_again = true; /* within a second */
   for (int64_t i = 0; i < n && n_active < places; i++) {
-    if (is_held(all, ids[i]) || is_delayed(all, ids[i]))
+    if (is_held(all, ids[i]))
       continue;
     if (!claim_one(all, ids[i], priority))
       return;
@@ -179,34 +182,7 @@ static void claim_priority(struct mo_evaluations *all, enum mo_urgency priority,
   }
 }
 
-/* Releases the jobs whose delay after an error is over. Returns the next such time. */
-static int64_t release_delayed(struct mo_evaluations *all)
-{
-  int64_t now = mo_clock_us(), next = INT64_MAX;
-  for (unsigned i = 0; i < all->n_delayed;) {
-    if (all->delayed[i].until_us <= now) {
-      all->delayed[i] = all->delayed[--all->n_delayed];
-      all->look_again = true;
-      continue;
-    }
-    if (all->delayed[i].until_us < next)
-      next = all->delayed[i].until_us;
-    i++;
-  }
-  return next;
-}
-
 /* ---- after a save ---- */
-
-static void delay(struct mo_evaluations *all, int64_t id)
-{
-  if (all->n_delayed == MO_DELAYED_MAX)
-    return; /* tried again at once */
-  all->delayed[all->n_delayed].id = id;
-  all->delayed[all->n_delayed].until_us =
-      mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
-  all->n_delayed++;
-}
 
 static void settle_update(struct mo_evaluations *all, struct mo_active *active,
                           const struct mo_job_update *update)
@@ -215,25 +191,25 @@ static void settle_update(struct mo_evaluations *all, struct mo_active *active,
   case MO_STEP_START:
   case MO_STEP_PROGRESS:
     if (!update->applied)
-      active->detached = true; /* paused or cancelled by a request */
+      mo_active_detach(active); /* paused or cancelled by a request */
     break;
   case MO_STEP_SUCCEED:
     active->detached = true;
     if (update->applied) {
-      atomic_fetch_add(&all->jobs->succeeded, 1);
+      atomic_fetch_add(&all->jobs->jobs_succeeded, 1);
       mo_jobs_closed(all->jobs, 1, active->total);
     }
     break;
   case MO_STEP_RETRY:
     active->failing = false;
     if (update->applied && update->state == MO_JOB_FAILED) {
-      atomic_fetch_add(&all->jobs->failed, 1);
+      atomic_fetch_add(&all->jobs->jobs_failed, 1);
       if (active->work != NULL)
         mo_jobs_closed(all->jobs, 1, active->total);
       else
         mo_jobs_recount(all->jobs);
     } else {
-      delay(all, active->id);
+      active->until_us = mo_clock_us() + (int64_t)all->jobs->config.retry_ms * 1000;
     }
     break;
   case MO_STEP_HALT: active->failing = false; break;
@@ -253,17 +229,14 @@ static void settle(struct mo_evaluations *all, int status)
     for (struct mo_active *active = all->actives; active != NULL; active = active->next)
       if (!active->detached)
         mo_active_fail(all, active, status, "its losses could not be saved");
-  for (size_t i = 0; i < saving->save.n_updates; i++) {
-    struct mo_active *active = saving->owners[i];
-    if (status == MO_OK) {
-      settle_update(all, active, &saving->save.updates[i]);
-    } else if (saving->save.updates[i].step == MO_STEP_RETRY ||
-               saving->save.updates[i].step == MO_STEP_HALT) {
-      const struct mo_job_update *lost =
-          &saving->save.updates[i]; /* repeated without the lost results */
-      active->failing =
-          mo_pending_update(all, active, lost->step, lost->error, lost->error_text) == MO_OK;
-    }
+  for (size_t i = 0; i < saving->updates.n; i++) {
+    const struct mo_job_update *update = &saving->save.updates[i];
+    struct mo_active *active = ((struct mo_active **)saving->owners.rows)[i];
+    if (status == MO_OK)
+      settle_update(all, active, update);
+    else if (update->step == MO_STEP_RETRY || update->step == MO_STEP_HALT)
+      active->failing = mo_pending_update(all, active, update->step, update->error,
+                                          update->error_text) != NULL; /* without the results */
     active->references--;
   }
   mo_pending_clear(saving);
@@ -293,9 +266,9 @@ static struct mo_active *pick(struct mo_evaluations *all, enum mo_lane lane)
   const bool is_full = mo_saver_is_full(all);
   struct mo_active *best = NULL;
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
-    if (!active->detached && !active->finishing && lane_of(active) == lane &&
+    if (!active->detached && !active->finishing && mo_lane_of(active) == lane &&
         !(is_full && (active->work->job.record_com || active->work->job.record_masses)) &&
-        active->cursor < active->work->n_designs && (best == NULL || active->pass < best->pass))
+        active->grid.cursor < active->grid.n_designs && (best == NULL || active->pass < best->pass))
       best = active;
   return best;
 }
@@ -326,7 +299,7 @@ struct inbox {
 
 static bool is_empty(const struct mo_evaluations *all)
 {
-  return all->finished == NULL && !all->saved && all->runners->look == all->seen &&
+  return all->landing.finished == NULL && !all->saved && all->runners->look == all->seen &&
          all->runners->requests == all->seen_requests;
 }
 
@@ -338,13 +311,13 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
   while (is_empty(all))
     if (pthread_cond_timedwait(&runners->news, &runners->mutex, &deadline) == ETIMEDOUT)
       break;
-  *inbox = (struct inbox){.finished = all->finished,
+  *inbox = (struct inbox){.finished = all->landing.finished,
                           .look = runners->look != all->seen,
                           .requests = runners->requests != all->seen_requests,
                           .saved = all->saved,
                           .stopping = runners->stopping,
                           .save_error = all->save_error};
-  all->finished = NULL;
+  all->landing.finished = NULL;
   all->saved = false;
   all->seen = runners->look;
   all->seen_requests = runners->requests;
@@ -353,11 +326,11 @@ static void take_inbox(struct mo_evaluations *all, int64_t until_us, struct inbo
 
 /* Reads the weight of a job again, and whether it was paused or cancelled: a request says no more
  * than that some job has changed. Keeps the job's lead or lag in rollout steps. If the job is
- * resumed before a save under way has written its start, the database says "running" although no
+ * resumed before a save in progress has written its start, the database says "running" although no
  * thread runs it, so requeue it. Requeueing a paused or cancelled job is a no-op. */
 static int review(struct mo_evaluations *all, struct mo_active *active)
 {
-  const double pass = all->pass[lane_of(active)];
+  const double pass = all->pass[mo_lane_of(active)];
   struct mo_job job;
   const int error = mo_store_job(all->jobs->store, active->id, &job);
   if (error != MO_OK)
@@ -366,7 +339,7 @@ static int review(struct mo_evaluations *all, struct mo_active *active)
     active->pass = pass + (active->pass - pass) * active->weight / job.weight;
   active->weight = job.weight;
   if (job.state != MO_JOB_RUNNING && job.state != MO_JOB_QUEUED) { /* its start may be unsaved */
-    active->detached = true;
+    mo_active_detach(active); /* a block may take minutes; it is computed again after a pause */
     (void)mo_pending_update(all, active, MO_STEP_PARK, MO_OK, NULL);
   }
   return MO_OK;
@@ -377,9 +350,19 @@ static void review_all(struct mo_evaluations *all)
   all->review_again = false;
   for (struct mo_active *active = all->actives; active != NULL; active = active->next)
     if (!active->detached && review(all, active) != MO_OK)
-      all->review_again = true;  /* within a second */
-  mo_flights_cancel(all, false); /* a block may take minutes; it is computed again after a pause */
+      all->review_again = true; /* within a second */
   all->look_again = true;
+}
+
+/* Lets the jobs look up again what they have deferred. */
+static void visit_again(struct mo_evaluations *all)
+{
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (active->has_deferred) {
+      active->has_deferred = false;
+      active->grid.cursor = 0;
+    }
+  all->visit_again = false;
 }
 
 static void weigh_evaluations(struct mo_evaluations *all)
@@ -413,9 +396,11 @@ static bool go_on(struct mo_evaluations *all, bool look)
 /* Runs one round of stopping. true: all is done. */
 static bool wind_down(struct mo_evaluations *all, bool *parked)
 {
-  mo_flights_cancel(all, true);
-  if (all->flights != NULL)
-    return false;
+  for (struct mo_active *active = all->actives; active != NULL; active = active->next)
+    __atomic_store_n(&active->cancel, 1, __ATOMIC_RELAXED);
+  for (int lane = 0; lane < MO_LANES; lane++)
+    if (all->n_flights[lane] > 0)
+      return false;
   if (!*parked) {
     for (struct mo_active *active = all->actives; active != NULL; active = active->next)
       if (!active->detached && !active->finishing && active->done < active->total)
@@ -441,19 +426,20 @@ static void *serve(void *context)
   bool parked = false;
   for (;;) {
     struct inbox inbox;
-    int64_t due, retry;
+    int64_t due, next;
     bool more = false;
     take_inbox(all, until, &inbox);
     while (inbox.finished != NULL) {
       struct mo_flight *flight = inbox.finished;
-      inbox.finished = flight->next_inbox;
-      mo_flight_land(all, flight);
+      inbox.finished = flight->next;
+      mo_active_land(all, flight);
     }
     if (inbox.requests || all->review_again)
       review_all(all);
     if (inbox.saved)
       end_save(all, inbox.save_error);
-    retry = release_delayed(all);
+    if (all->visit_again)
+      visit_again(all);
     inbox.look = inbox.look || all->look_again;
     all->look_again = false;
     if (inbox.stopping) {
@@ -463,14 +449,14 @@ static void *serve(void *context)
       more = go_on(all, inbox.look);
     }
     due = mo_saver_run(all, inbox.stopping);
-    if (sweep(all))
-      more = all->look_again = true;
+    next = sweep(all);
+    all->look_again = all->look_again || next == 0;
     publish(all);
     until = mo_clock_us() + (more ? 0 : ROUND_US);
     if (due < until)
       until = due;
-    if (retry < until)
-      until = retry;
+    if (next < until)
+      until = next;
   }
   publish(all);
   return NULL;
@@ -485,6 +471,7 @@ static int open_all(struct mo_jobs *jobs)
     return MO_ERR_NO_MEMORY;
   all->jobs = jobs;
   all->runners = &jobs->runners[MO_JOB_EVALUATION];
+  all->landing = (struct mo_landing){.mutex = &all->runners->mutex, .news = &all->runners->news};
   all->look_again = true;
   all->controllers = (struct mo_controller_cache){
       .store = jobs->store, .compute = jobs->compute, .kept = jobs->config.controllers_kept};

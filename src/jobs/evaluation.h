@@ -2,10 +2,9 @@
  *
  * One thread serves all evaluations and owns what is here; other threads only add to the inbox.
  *
- * - active: a running job; each cell (design × environment) is to do, in flight, or done
+ * - active: a running job and the grid of its cells
  * - rollout: one (genotype, controller, physics, environment) that is being computed or waits for
- * its commit. All cells of all jobs that need the rollout wait for it, so it is computed once.
- * - flight: one block in the back end, up to MO_BLOCK_LANES rollouts of one genotype
+ *   its commit; other jobs that need it defer the cell until the store has the score
  * - pending: what the next save will write; at most one save is in progress */
 #ifndef MORPHO_JOBS_EVALUATION_H
 #define MORPHO_JOBS_EVALUATION_H
@@ -15,13 +14,10 @@
 #include "store/runner.h"
 
 #define MO_ROLLOUT_BUCKETS 4096
-#define MO_DELAYED_MAX     64
 
 /* A queue of jobs that wait for the same resource: workers, workers with priority, devices. Each
  * lane has its own window and virtual time. */
 enum mo_lane { MO_LANE_BATCH = 0, MO_LANE_INTERACTIVE = 1, MO_LANE_DEVICE = 2, MO_LANES };
-
-enum mo_cell { MO_CELL_TO_DO = 0, MO_CELL_IN_FLIGHT = 1, MO_CELL_DONE = 2 };
 
 struct mo_active {
   struct mo_work *work; /* NULL: could not be loaded */
@@ -30,9 +26,7 @@ struct mo_active {
   enum mo_back_end back_end;
   double weight;
   struct mo_loaded *controller;
-  uint8_t *cells;  /* (n_designs, n_environments) enum mo_cell */
-  uint8_t *left;   /* (n_designs) cells that are not done */
-  uint32_t cursor; /* no earlier design has a cell to do */
+  struct mo_grid grid;
   uint64_t total, done, cached, diverged;
   /* Counts reported before this claim of a job that shares rollouts. The job finds its cells in the
    * store again, in any order; meanwhile the reported counts never decrease. */
@@ -41,47 +35,36 @@ struct mo_active {
                           as cached */
   double pass;         /* virtual time: rollout steps / weight; the job with the least goes next */
   bool private_runs;   /* verify or recording: shares no rollouts and skips look-ups */
-  bool detached;  /* cancelled, paused or failed: makes no new blocks; finished ones still count */
-  bool failing;   /* detached, and its error is not committed yet */
-  bool finishing; /* a save contains its end */
-  bool changed;   /* counts differ from those last saved */
+  bool has_deferred;   /* cells; they are visited again after the next save */
+  bool detached; /* cancelled, paused or failed: makes no new blocks; finished ones still count */
+  volatile int cancel; /* set when detached: ends its blocks */
+  bool failing;        /* detached, and its error is not committed yet */
+  bool finishing;      /* a save contains its end */
+  bool changed;        /* counts differ from those last saved */
   int64_t last_event_us;
-  uint32_t references; /* from waiting cells and saves */
+  int64_t until_us;    /* after an error: the job is not claimed again before */
+  uint32_t references; /* from flights and saves */
   struct mo_active *next;
 };
 
 struct mo_rollout {
   int64_t genotype, controller, physics, environment;
-  struct mo_flight *flight; /* NULL: computed, waits for its commit */
-  int32_t diverged_step;
-  struct mo_waiter *waiters;
+  bool on_device;               /* being computed there */
   struct mo_rollout *next;      /* in its bucket */
   struct mo_rollout *next_save; /* in pending or in the current save */
 };
 
-struct mo_flight {
-  struct mo_block block;
-  struct mo_evaluations *all;
-  struct mo_rollout *rollouts[MO_BLOCK_LANES];
-  struct mo_bits genotype;
-  volatile int cancel;
-  /* The job that launched the flight; in private runs also its cells and recordings. */
-  struct mo_active *owner;
-  size_t cells[MO_BLOCK_LANES];
-  struct mo_body *body;
-  struct mo_recording recordings[MO_BLOCK_LANES];
-  uint32_t frames;
-  uint64_t recorded_bytes;
-  struct mo_flight *next, *previous; /* among all flights */
-  struct mo_flight *next_inbox;      /* among the finished */
+/* A growing array. */
+struct mo_rows {
+  void *rows;
+  size_t n, room;
 };
-
-/* The growing arrays of one save. */
+/* What one save writes. */
 struct mo_pending {
-  struct mo_save save;
-  size_t scores_room, trajectories_room, designs_room, updates_room, owners_room;
-  struct mo_active **owners;   /* (save.n_updates) the job of each update; each holds a reference */
+  struct mo_rows scores, trajectories, designs, updates;
+  struct mo_rows owners;       /* the active of each update, which holds a reference */
   struct mo_rollout *rollouts; /* to forget after the commit */
+  struct mo_save save;         /* points to the rows, while it is in progress */
   uint64_t recorded_bytes;
   int64_t since_us; /* time of the first entry; 0: empty */
   bool urgent;
@@ -91,13 +74,12 @@ struct mo_evaluations {
   struct mo_jobs *jobs;
   struct mo_runners *runners;
   /* The inbox, under the mutex of the runners. */
-  struct mo_flight *finished;
+  struct mo_landing landing;
   bool saved;
   int save_error;
 
   uint64_t seen, seen_requests; /* of runners->look and ->requests */
   struct mo_active *actives;
-  struct mo_flight *flights;
   uint32_t n_flights[MO_LANES];
   uint64_t recording_bytes; /* of recordings in flight */
   struct mo_rollout *buckets[MO_ROLLOUT_BUCKETS];
@@ -110,18 +92,16 @@ struct mo_evaluations {
   bool broken;           /* the store is lost: no more work is started */
   bool look_again;       /* there may be queued jobs */
   bool review_again;     /* a job could not be read */
-  struct {
-    int64_t id, until_us;
-  } delayed[MO_DELAYED_MAX];
-  unsigned n_delayed;
+  bool visit_again;      /* rollouts were forgotten: deferred cells can be looked up */
 };
 
 /* ---- evaluation_save.c ---- */
 int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score);
 int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design);
 int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory);
-int mo_pending_update(struct mo_evaluations *all, struct mo_active *active, enum mo_job_step step,
-                      int error, const char *text);
+/* Returns the update, valid until the next one, or NULL. */
+struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
+                                        enum mo_job_step step, int error, const char *text);
 void mo_pending_touch(struct mo_evaluations *all); /* marks that something must be saved */
 void mo_pending_clear(struct mo_pending *pending); /* empties it, but keeps its arrays */
 void mo_pending_free(struct mo_pending *pending);
@@ -135,17 +115,17 @@ bool mo_saver_is_full(const struct mo_evaluations *all);
 bool mo_saver_is_behind(const struct mo_evaluations *all);
 
 /* ---- evaluation_blocks.c ---- */
-enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end);
+enum mo_lane mo_lane_of(const struct mo_active *active);
 /* Visits designs of `active` until a block is submitted (1), `budget` designs were visited (0), or
  * no cell is to do (−1). */
 int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget);
+/* Makes no new blocks of the job, and ends those in flight. */
+void mo_active_detach(struct mo_active *active);
 /* Requeues the job with one more attempt; with MO_ERR_DEVICE, pauses it. */
 void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int error,
                     const char *text);
 /* Stores the results of a finished block and frees it. */
-void mo_flight_land(struct mo_evaluations *all, struct mo_flight *flight);
-/* Cancels the flights for which only detached jobs wait; every: all flights. */
-void mo_flights_cancel(struct mo_evaluations *all, bool every);
+void mo_active_land(struct mo_evaluations *all, struct mo_flight *flight);
 void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout);
 
 #endif

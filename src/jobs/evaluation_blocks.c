@@ -2,107 +2,106 @@
  * results.
  *
  * The look-up for a cell to do checks first the rollouts that are being computed or wait for their
- * commit (the cell waits, too), then the store (the cell is done). Otherwise the cell joins a new
- * block. Only the scheduler adds and removes rollouts, and removes a rollout only after its commit.
- * So a score is always in one of the two places and is never computed twice. The exception is an
- * interactive job, which does not wait for a device. Verify and recording jobs compute every cell
- * in their own blocks. */
+ * commit (the cell is deferred), then the store (the cell is done). Otherwise the cell joins a new
+ * block. Only the scheduler adds and removes rollouts, and removes a rollout only after its commit,
+ * or when its block fails. So a score is always in one of the two places and is never computed
+ * twice. The exception is an interactive job, which does not wait for a device. Verify and
+ * recording jobs compute every cell in their own blocks. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "jobs/evaluation.h"
 
-struct mo_waiter {
-  struct mo_active *active;
-  size_t cell;
-  bool owner; /* the block was made for this cell */
-  struct mo_waiter *next;
+/* A block of an evaluation. */
+struct flight {
+  struct mo_flight flight; /* first */
+  struct mo_active *owner;
+  struct mo_rollout *rollouts[MO_BLOCK_LANES]; /* of jobs that share them */
+  struct mo_body *body;                        /* recorded */
+  struct mo_recording recordings[MO_BLOCK_LANES];
+  uint32_t frames;
+  uint64_t recorded_bytes;
 };
 
-/* ---- lanes and failures ---- */
-
-enum mo_lane mo_lane_of(enum mo_urgency priority, enum mo_back_end back_end)
+enum mo_lane mo_lane_of(const struct mo_active *active)
 {
-  return back_end == MO_ON_DEVICE     ? MO_LANE_DEVICE
-         : priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE
-                                      : MO_LANE_BATCH;
+  return active->back_end == MO_ON_DEVICE     ? MO_LANE_DEVICE
+         : active->priority == MO_INTERACTIVE ? MO_LANE_INTERACTIVE
+                                              : MO_LANE_BATCH;
 }
 
-void mo_flights_cancel(struct mo_evaluations *all, bool every)
+void mo_active_detach(struct mo_active *active)
 {
-  for (struct mo_flight *flight = all->flights; flight != NULL; flight = flight->next) {
-    bool wanted = flight->rollouts[0] == NULL && !flight->owner->detached;
-    for (uint32_t i = 0; i < MO_BLOCK_LANES && flight->rollouts[i] != NULL; i++)
-      for (const struct mo_waiter *waiter = flight->rollouts[i]->waiters; waiter != NULL;
-           waiter = waiter->next)
-        wanted = wanted || !waiter->active->detached;
-    if (every || !wanted)
-      __atomic_store_n(&flight->cancel, 1, __ATOMIC_RELAXED);
-  }
+  active->detached = true;
+  __atomic_store_n(&active->cancel, 1, __ATOMIC_RELAXED);
 }
 
 void mo_active_fail(struct mo_evaluations *all, struct mo_active *active, int error,
                     const char *text)
 {
+  const struct mo_jobs_config *config = &all->jobs->config;
   char loss[256];
   if (active->detached)
     return;
-  active->detached = true;
+  mo_active_detach(active);
   if (error == MO_ERR_DEVICE) {
     mo_back_end_describe_loss(all->jobs, loss, sizeof(loss));
     text = loss;
   }
-  if (all->jobs->config.warn != NULL)
-    all->jobs->config.warn(all->jobs->config.warn_context, active->id, error, text);
+  if (config->warn != NULL)
+    config->warn(config->warn_context, active->id, error, text);
   active->failing =
       mo_pending_update(all, active, error == MO_ERR_DEVICE ? MO_STEP_HALT : MO_STEP_RETRY, error,
-                        text) == MO_OK;
-  mo_flights_cancel(all, false);
+                        text) != NULL;
 }
 
 /* ---- the table of rollouts ---- */
 
-static size_t bucket_of(int64_t genotype, int64_t controller, int64_t physics, int64_t environment)
+static struct mo_rollout **bucket_of(struct mo_evaluations *all, const struct mo_rollout *key)
 {
-  uint64_t h = (uint64_t)genotype * UINT64_C(0x9E3779B97F4A7C15);
-  h = (h ^ (uint64_t)environment) * UINT64_C(0xBF58476D1CE4E5B9);
-  h = (h ^ (uint64_t)controller ^ ((uint64_t)physics << 20)) * UINT64_C(0x94D049BB133111EB);
-  return (size_t)(h >> 40) % MO_ROLLOUT_BUCKETS;
+  uint64_t h = (uint64_t)key->genotype * UINT64_C(0x9E3779B97F4A7C15);
+  h = (h ^ (uint64_t)key->environment) * UINT64_C(0xBF58476D1CE4E5B9);
+  h = (h ^ (uint64_t)key->controller ^ ((uint64_t)key->physics << 20)) *
+      UINT64_C(0x94D049BB133111EB);
+  return &all->buckets[(size_t)(h >> 40) % MO_ROLLOUT_BUCKETS];
 }
 
-static struct mo_rollout *find_rollout(struct mo_evaluations *all, const struct mo_work *work,
-                                       int64_t genotype, int64_t environment)
+static struct mo_rollout key_of(const struct mo_work *work, uint32_t design, uint32_t k)
 {
-  struct mo_rollout *rollout =
-      all->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  return (struct mo_rollout){.genotype = work->genotype_rows[design],
+                             .controller = work->controller,
+                             .physics = work->physics,
+                             .environment = work->environment_rows[k]};
+}
+
+/* Defers a cell whose rollout another block computes. An interactive job does not wait for a
+ * device, whose queue may be seconds long: it computes the rollout again, and the store keeps the
+ * result that is saved first. */
+static bool defer(struct mo_evaluations *all, struct mo_active *active, uint32_t design, uint32_t k)
+{
+  const struct mo_rollout key = key_of(active->work, design, k);
+  const struct mo_rollout *rollout = *bucket_of(all, &key);
   while (rollout != NULL &&
-         (rollout->genotype != genotype || rollout->environment != environment ||
-          rollout->controller != work->controller || rollout->physics != work->physics))
+         (rollout->genotype != key.genotype || rollout->environment != key.environment ||
+          rollout->controller != key.controller || rollout->physics != key.physics ||
+          (rollout->on_device && active->priority == MO_INTERACTIVE)))
     rollout = rollout->next;
-  return rollout;
+  if (rollout == NULL)
+    return false;
+  *mo_grid_cell(&active->grid, design, k) = MO_CELL_DEFERRED;
+  active->has_deferred = true;
+  return true;
 }
 
-/* Returns whether the job may wait for the rollout. An interactive job does not wait for a device,
- * whose queue may be seconds long: it computes the rollout again, and the store keeps the result
- * that is saved first. */
-static bool may_wait_at(const struct mo_rollout *rollout, const struct mo_active *active)
+static struct mo_rollout *add_rollout(struct mo_evaluations *all, const struct mo_active *active,
+                                      uint32_t design, uint32_t k)
 {
-  return active->priority != MO_INTERACTIVE || rollout->flight == NULL ||
-         rollout->flight->block.back_end != MO_ON_DEVICE;
-}
-
-static struct mo_rollout *add_rollout(struct mo_evaluations *all, const struct mo_work *work,
-                                      int64_t genotype, int64_t environment)
-{
-  struct mo_rollout *rollout = calloc(1, sizeof(*rollout));
-  struct mo_rollout **bucket =
-      &all->buckets[bucket_of(genotype, work->controller, work->physics, environment)];
+  struct mo_rollout *rollout = malloc(sizeof(*rollout)), **bucket;
   if (rollout == NULL)
     return NULL;
-  rollout->genotype = genotype;
-  rollout->controller = work->controller;
-  rollout->physics = work->physics;
-  rollout->environment = environment;
+  *rollout = key_of(active->work, design, k);
+  rollout->on_device = active->back_end == MO_ON_DEVICE;
+  bucket = bucket_of(all, rollout);
   rollout->next = *bucket;
   *bucket = rollout;
   return rollout;
@@ -110,156 +109,96 @@ static struct mo_rollout *add_rollout(struct mo_evaluations *all, const struct m
 
 void mo_rollout_forget(struct mo_evaluations *all, struct mo_rollout *rollout)
 {
-  struct mo_rollout **link = &all->buckets[bucket_of(rollout->genotype, rollout->controller,
-                                                     rollout->physics, rollout->environment)];
-  while (*link != NULL && *link != rollout)
+  struct mo_rollout **link = bucket_of(all, rollout);
+  while (*link != rollout)
     link = &(*link)->next;
-  if (*link == rollout)
-    *link = rollout->next;
+  *link = rollout->next;
   free(rollout);
-}
-
-static bool wait_at(struct mo_rollout *rollout, struct mo_active *active, size_t cell, bool owner)
-{
-  struct mo_waiter *waiter = malloc(sizeof(*waiter));
-  if (waiter == NULL)
-    return false;
-  *waiter = (struct mo_waiter){active, cell, owner, rollout->waiters};
-  rollout->waiters = waiter;
-  active->references++;
-  active->cells[cell] = MO_CELL_IN_FLIGHT;
-  return true;
+  all->visit_again = true;
 }
 
 /* ---- cells ---- */
 
-enum origin { COMPUTED, SHARED, STORED };
-
-static void finish_cell(struct mo_evaluations *all, struct mo_active *active, size_t cell,
-                        int32_t diverged_step, enum origin origin)
+static void finish_cell(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                        uint32_t k, int32_t diverged_step)
 {
-  uint32_t design = (uint32_t)(cell / active->work->n_environments);
-  active->cells[cell] = MO_CELL_DONE;
-  active->left[design]--;
+  const struct mo_work *work = active->work;
+  const struct mo_saved_design saved = {work->genotype_rows[design], work->controller,
+                                        work->physics, work->environment_set};
+  const bool is_whole = mo_grid_finish(&active->grid, design, k);
   active->done++;
+  active->diverged += diverged_step != 0;
   active->changed = true;
   mo_pending_touch(all);
-  if (diverged_step != 0)
-    active->diverged++;
-  if (origin == STORED && active->own_before > 0)
-    active->own_before--;
-  else if (origin != COMPUTED)
-    active->cached++;
-  if (origin == STORED)
-    atomic_fetch_add(&all->jobs->cached, 1);
-  if (origin == SHARED)
-    atomic_fetch_add(&all->jobs->shared, 1);
-  if (active->left[design] == 0 && active->work->environment_set != 0) {
-    struct mo_saved_design saved = {active->work->genotype_rows[design], active->work->controller,
-                                    active->work->physics, active->work->environment_set};
-    if (mo_pending_design(all, &saved) != MO_OK)
-      mo_active_fail(all, active, MO_ERR_NO_MEMORY, "out of memory");
-  }
+  if (is_whole && work->environment_set != 0 && mo_pending_design(all, &saved) != MO_OK)
+    mo_active_fail(all, active, MO_ERR_NO_MEMORY, "out of memory");
 }
 
-static void return_cell(struct mo_active *active, size_t cell)
+/* Finishes a cell whose score the store has. */
+static void finish_known(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                         uint32_t k, int32_t diverged_step)
 {
-  uint32_t design = (uint32_t)(cell / active->work->n_environments);
-  active->cells[cell] = MO_CELL_TO_DO;
-  if (design < active->cursor)
-    active->cursor = design;
+  const bool was_deferred = *mo_grid_cell(&active->grid, design, k) == MO_CELL_DEFERRED;
+  if (!was_deferred && active->own_before > 0)
+    active->own_before--;
+  else
+    active->cached++;
+  atomic_fetch_add(was_deferred ? &all->jobs->rollouts_shared : &all->jobs->rollouts_cached, 1);
+  finish_cell(all, active, design, k, diverged_step);
 }
 
 /* ---- making blocks ---- */
 
-static void free_flight(struct mo_flight *flight)
+static void free_flight(struct mo_evaluations *all, struct flight *flight)
 {
-  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+  for (uint32_t i = 0; i < flight->flight.block.n_environments; i++) {
     free(flight->recordings[i].com_m);
     free(flight->recordings[i].mass_m);
   }
-  flight->all->recording_bytes -= flight->recorded_bytes;
+  all->recording_bytes -= flight->recorded_bytes;
   mo_body_free(flight->body);
   free(flight);
 }
 
-static void flight_done(struct mo_block *block, void *context)
+static struct flight *new_flight(struct mo_evaluations *all, struct mo_active *active,
+                                 uint32_t design)
 {
-  struct mo_flight *flight = context;
-  struct mo_evaluations *all = flight->all;
-  (void)block;
-  pthread_mutex_lock(&all->runners->mutex);
-  flight->next_inbox = all->finished;
-  all->finished = flight;
-  pthread_cond_broadcast(&all->runners->news);
-  pthread_mutex_unlock(&all->runners->mutex);
-}
-
-static struct mo_flight *new_flight(struct mo_evaluations *all, struct mo_active *active,
-                                    uint32_t design)
-{
-  const struct mo_work *work = active->work;
-  struct mo_flight *flight = calloc(1, sizeof(*flight));
+  struct flight *flight = calloc(1, sizeof(*flight));
   if (flight == NULL)
     return NULL;
-  flight->all = all;
-  flight->genotype = work->genotypes[design];
-  flight->block = (struct mo_block){.lattice = all->jobs->lattice,
-                                    .genotype = flight->genotype.words,
-                                    .controller = active->controller->ready,
-                                    .physics = work->job.physics,
-                                    .precision = work->job.precision,
-                                    .urgency = work->job.priority,
-                                    .back_end = active->back_end,
-                                    .cancel = &flight->cancel,
-                                    .tag = active->id,
-                                    .share = all->jobs->evaluation_share,
-                                    .done = flight_done,
-                                    .context = flight};
+  flight->owner = active;
+  mo_flight_begin(&flight->flight, &active->grid, design, &all->landing);
   return flight;
 }
 
-static enum mo_lane lane_of(const struct mo_flight *flight)
+/* Submits the block. The job must outlive the block, which uses its grid and controller. */
+static void launch(struct mo_evaluations *all, struct flight *flight)
 {
-  return mo_lane_of(flight->block.urgency, flight->block.back_end);
-}
-
-/* Submits the block. The job must outlive the block, which uses its environments and controller. */
-static void launch(struct mo_evaluations *all, struct mo_active *active, struct mo_flight *flight)
-{
-  double cost = (double)flight->block.n_environments * flight->block.physics.n_steps;
-  int error;
-  active->pass += cost / active->weight;
+  const struct mo_block *block = &flight->flight.block;
+  struct mo_active *active = flight->owner;
+  active->pass += (double)block->n_environments * block->physics.n_steps / active->weight;
   active->references++;
-  flight->owner = active;
-  flight->next = all->flights;
-  if (all->flights != NULL)
-    all->flights->previous = flight;
-  all->flights = flight;
-  all->n_flights[lane_of(flight)]++;
+  all->n_flights[mo_lane_of(active)]++;
   atomic_fetch_add(&all->jobs->blocks_in_flight, 1);
-  error = mo_compute_submit(all->jobs->compute, &flight->block);
-  if (error != MO_OK) {
-    flight->block.status = error;
-    flight_done(&flight->block, flight);
-  }
+  mo_flight_launch(all->jobs->compute, &flight->flight);
 }
 
 static int prepare_recording(struct mo_evaluations *all, const struct mo_job *job,
-                             struct mo_flight *flight)
+                             struct flight *flight)
 {
+  struct mo_block *block = &flight->flight.block;
   uint32_t frames = mo_recording_frames(&job->physics, job->record_stride);
-  int error = mo_body_create(all->jobs->lattice, flight->genotype.words, &flight->body);
+  int error = mo_body_create(all->jobs->lattice, block->genotype, &flight->body);
   if (error != MO_OK)
     return error;
   flight->frames = frames;
-  flight->block.body = flight->body;
-  flight->block.recordings = flight->recordings;
+  block->body = flight->body;
+  block->recordings = flight->recordings;
   flight->recorded_bytes =
-      (uint64_t)flight->block.n_environments * frames *
+      (uint64_t)block->n_environments * frames *
       ((job->record_com ? 24 : 0) + (job->record_masses ? flight->body->n_masses * 12 : 0));
   all->recording_bytes += flight->recorded_bytes;
-  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
+  for (uint32_t i = 0; i < block->n_environments; i++) {
     struct mo_recording *recording = &flight->recordings[i];
     recording->stride = job->record_stride;
     if (job->record_com)
@@ -276,272 +215,199 @@ static int prepare_recording(struct mo_evaluations *all, const struct mo_job *jo
 /* Launches the next cells of a design of a verify or recording job, without look-ups. */
 static int launch_private(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
 {
-  const struct mo_work *work = active->work;
-  struct mo_flight *flight = new_flight(all, active, design);
+  const struct mo_job *job = &active->work->job;
+  struct flight *flight = new_flight(all, active, design);
   int error = flight == NULL ? MO_ERR_NO_MEMORY : MO_OK;
-  if (error == MO_OK)
-    for (uint32_t k = 0; k < work->n_environments && flight->block.n_environments < MO_BLOCK_LANES;
-         k++) {
-      size_t cell = (size_t)design * work->n_environments + k;
-      if (active->cells[cell] != MO_CELL_TO_DO)
-        continue;
-      flight->block.environments[flight->block.n_environments] = &work->environments[k];
-      flight->cells[flight->block.n_environments++] = cell;
-    }
-  if (error == MO_OK && (work->job.record_com || work->job.record_masses))
-    error = prepare_recording(all, &work->job, flight);
-  if (error != MO_OK) {
-    if (flight != NULL)
-      free_flight(flight);
-    mo_active_fail(all, active, error, mo_error_text(error));
-    return -1;
+  for (uint32_t k = 0; k < active->grid.n_environments && error == MO_OK; k++)
+    if (*mo_grid_cell(&active->grid, design, k) == MO_CELL_TO_DO &&
+        !mo_flight_add(&flight->flight, k))
+      break;
+  if (error == MO_OK && (job->record_com || job->record_masses))
+    error = prepare_recording(all, job, flight);
+  if (error == MO_OK) {
+    launch(all, flight);
+    return 1;
   }
-  for (uint32_t i = 0; i < flight->block.n_environments; i++)
-    active->cells[flight->cells[i]] = MO_CELL_IN_FLIGHT;
-  launch(all, active, flight);
-  return 1;
+  if (flight != NULL)
+    free_flight(all, flight);
+  mo_active_fail(all, active, error, mo_error_text(error));
+  return -1;
 }
 
-/* Adds a cell that neither the table nor the store knows to the block. false: out of memory. */
-static bool join_flight(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
-                        uint32_t k, struct mo_flight **flight)
+/* Adds a cell that neither the table nor the store knows to the block. *is_full: to none. */
+static int join_flight(struct mo_evaluations *all, struct mo_active *active, uint32_t design,
+                       uint32_t k, struct flight **flight)
 {
-  const struct mo_work *work = active->work;
-  size_t cell = (size_t)design * work->n_environments + k;
   struct mo_rollout *rollout;
   if (*flight == NULL)
     *flight = new_flight(all, active, design);
   if (*flight == NULL)
-    return false;
-  rollout = add_rollout(all, work, work->genotype_rows[design], work->environment_rows[k]);
+    return MO_ERR_NO_MEMORY;
+  if ((*flight)->flight.block.n_environments == MO_BLOCK_LANES)
+    return MO_OK;
+  rollout = add_rollout(all, active, design, k);
   if (rollout == NULL)
-    return false;
-  rollout->flight = *flight;
-  if (!wait_at(rollout, active, cell, true)) {
-    mo_rollout_forget(all, rollout);
-    return false;
-  }
-  (*flight)->block.environments[(*flight)->block.n_environments] = &work->environments[k];
-  (*flight)->rollouts[(*flight)->block.n_environments++] = rollout;
-  return true;
+    return MO_ERR_NO_MEMORY;
+  (*flight)->rollouts[(*flight)->flight.block.n_environments] = rollout;
+  (void)mo_flight_add(&(*flight)->flight, k);
+  return MO_OK;
 }
 
-/* Finishes the known cells of one design and launches at most one block. 1: launched; 0: not; −1:
- * the job failed. */
+static bool is_open(const struct mo_active *active, uint32_t design, uint32_t k)
+{
+  const uint8_t cell = *mo_grid_cell(&active->grid, design, k);
+  return cell == MO_CELL_TO_DO || cell == MO_CELL_DEFERRED;
+}
+
+/* Defers cells of a design. Returns how many open ones are left. */
+static uint32_t defer_all(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
+{
+  uint32_t n = 0;
+  for (uint32_t k = 0; k < active->grid.n_environments; k++)
+    n += is_open(active, design, k) && !defer(all, active, design, k);
+  return n;
+}
+
+/* Finishes the known cells of one design and launches at most one block. 1: launched; 0: nothing is
+ * to do; −1: the job failed. */
 static int advance_design(struct mo_evaluations *all, struct mo_active *active, uint32_t design)
 {
   const struct mo_work *work = active->work;
   struct mo_score scores[MO_ENVIRONMENTS_MAX];
-  struct mo_flight *flight = NULL;
-  bool whole = true;
-  int error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
-                              work->physics, work->environment_rows, work->n_environments, scores);
+  struct flight *flight = NULL;
+  int error;
+  if (defer_all(all, active, design) == 0)
+    return 0; /* without a look-up */
+  error = mo_store_scores(all->jobs->store, work->genotype_rows[design], work->controller,
+                          work->physics, work->environment_rows, work->n_environments, scores);
+  for (uint32_t k = 0; k < work->n_environments && error == MO_OK; k++) {
+    if (!is_open(active, design, k))
+      continue;
+    if (scores[k].known)
+      finish_known(all, active, design, k, scores[k].diverged_step);
+    else if (!defer(all, active, design, k)) /* the block itself may have the same environment */
+      error = join_flight(all, active, design, k, &flight);
+  }
+  if (flight != NULL && flight->flight.block.n_environments > 0)
+    launch(all, flight);
+  else if (flight != NULL)
+    free_flight(all, flight);
   if (error != MO_OK) {
     mo_active_fail(all, active, error, mo_error_text(error));
-    return -1;
-  }
-  for (uint32_t k = 0; k < work->n_environments && whole; k++) {
-    size_t cell = (size_t)design * work->n_environments + k;
-    struct mo_rollout *rollout;
-    if (active->cells[cell] != MO_CELL_TO_DO)
-      continue;
-    if (scores[k].known) {
-      finish_cell(all, active, cell, scores[k].diverged_step, STORED);
-      continue;
-    }
-    rollout = find_rollout(all, work, work->genotype_rows[design], work->environment_rows[k]);
-    if (rollout != NULL && !may_wait_at(rollout, active))
-      rollout = NULL;
-    if (rollout != NULL && rollout->flight == NULL)
-      finish_cell(all, active, cell, rollout->diverged_step, SHARED);
-    else if (rollout != NULL)
-      whole = wait_at(rollout, active, cell, false);
-    else if (flight == NULL || flight->block.n_environments < MO_BLOCK_LANES)
-      whole = join_flight(all, active, design, k, &flight);
-  }
-  if (flight != NULL && flight->block.n_environments > 0)
-    launch(all, active, flight);
-  else if (flight != NULL)
-    free_flight(flight);
-  if (!whole) {
-    mo_active_fail(all, active, MO_ERR_NO_MEMORY, mo_error_text(MO_ERR_NO_MEMORY));
     return -1;
   }
   return flight != NULL ? 1 : 0;
 }
 
-static bool has_cell_to_do(const struct mo_active *active, uint32_t design)
-{
-  const uint8_t *cells = active->cells + (size_t)design * active->work->n_environments;
-  return active->left[design] > 0 &&
-         memchr(cells, MO_CELL_TO_DO, active->work->n_environments) != NULL;
-}
-
 int mo_active_advance(struct mo_evaluations *all, struct mo_active *active, unsigned *budget)
 {
-  while (active->cursor < active->work->n_designs) {
-    int result;
-    if (!has_cell_to_do(active, active->cursor)) {
-      active->cursor++;
-      continue;
+  struct mo_grid *grid = &active->grid;
+  while (grid->cursor < grid->n_designs) {
+    const uint8_t *cells = mo_grid_cell(grid, grid->cursor, 0);
+    int result = 0;
+    if (memchr(cells, MO_CELL_TO_DO, grid->n_environments) != NULL ||
+        memchr(cells, MO_CELL_DEFERRED, grid->n_environments) != NULL) {
+      if (*budget == 0)
+        return 0;
+      (*budget)--;
+      result = active->private_runs ? launch_private(all, active, grid->cursor)
+                                    : advance_design(all, active, grid->cursor);
     }
-    if (*budget == 0)
-      return 0;
-    (*budget)--;
-    result = active->private_runs ? launch_private(all, active, active->cursor)
-                                  : advance_design(all, active, active->cursor);
     if (result != 0)
       return result;
+    grid->cursor++; /* what is left of the design is deferred */
   }
   return -1;
 }
 
 /* ---- taking blocks back ---- */
 
-static void drop_flight(struct mo_evaluations *all, struct mo_flight *flight)
+static int save_recording(struct mo_evaluations *all, struct flight *flight, uint32_t i)
 {
-  if (flight->previous != NULL)
-    flight->previous->next = flight->next;
-  else
-    all->flights = flight->next;
-  if (flight->next != NULL)
-    flight->next->previous = flight->previous;
-  all->n_flights[lane_of(flight)]--;
-  atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
-}
-
-/* Reports the outcome to all cells that wait for the rollout, and frees the list. */
-static void tell_waiters(struct mo_evaluations *all, struct mo_rollout *rollout, int status)
-{
-  char text[128];
-  while (rollout->waiters != NULL) {
-    struct mo_waiter *waiter = rollout->waiters;
-    struct mo_active *active = waiter->active;
-    rollout->waiters = waiter->next;
-    if (status == MO_OK) {
-      finish_cell(all, active, waiter->cell, rollout->diverged_step,
-                  waiter->owner ? COMPUTED : SHARED);
-    } else if (!active->detached) {
-      return_cell(active, waiter->cell);
-      /* A job that only waited for another job's rollout computes the rollout itself. */
-      if (status != MO_ERR_CANCELLED &&
-          (status != MO_ERR_DEVICE || active->back_end == MO_ON_DEVICE)) {
-        mo_block_describe(status, text);
-        mo_active_fail(all, active, status, text);
-      }
-    }
-    free(waiter);
-    active->references--;
+  struct mo_saved_trajectory saved = {.job = flight->owner->id,
+                                      .design_position = flight->flight.design,
+                                      .environment_position = flight->flight.places[i],
+                                      .stride = flight->recordings[i].stride,
+                                      .frames = flight->frames,
+                                      .n_masses = flight->body->n_masses,
+                                      .com_m = flight->recordings[i].com_m,
+                                      .mass_m = flight->recordings[i].mass_m};
+  const int error = mo_pending_trajectory(all, &saved);
+  if (error == MO_OK) { /* the save owns the arrays now */
+    flight->recordings[i].com_m = NULL;
+    flight->recordings[i].mass_m = NULL;
   }
+  return error;
 }
 
-static int64_t fingerprint_of(const struct mo_evaluations *all, const struct mo_block *block)
+static int take(struct mo_evaluations *all, struct flight *flight, uint32_t i)
 {
-  return block->computed_on == MO_ON_DEVICE ? all->jobs->device_fingerprint
-                                            : all->jobs->fingerprints[block->precision];
-}
-
-static void land_shared(struct mo_evaluations *all, struct mo_flight *flight)
-{
-  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    struct mo_rollout *rollout = flight->rollouts[i];
-    const struct mo_outcome *outcome = &flight->block.outcomes[i];
-    struct mo_saved_score score = {.genotype = rollout->genotype,
-                                   .controller = rollout->controller,
-                                   .physics = rollout->physics,
-                                   .environment = rollout->environment,
-                                   .fingerprint = fingerprint_of(all, &flight->block),
-                                   .loss = outcome->loss,
-                                   .diverged_step = outcome->diverged_step};
-    int status = mo_block_check(&flight->block, i);
-    if (status == MO_OK)
-      status = mo_pending_score(all, &score);
-    if (status == MO_OK) {
-      rollout->flight = NULL;
-      rollout->diverged_step = outcome->diverged_step;
-      rollout->next_save = all->pending.rollouts;
-      all->pending.rollouts = rollout;
-      atomic_fetch_add(&all->jobs->computed, 1);
-      atomic_fetch_add(&all->jobs->diverged, outcome->diverged_step != 0);
-      tell_waiters(all, rollout, MO_OK);
-    } else {
-      tell_waiters(all, rollout, status);
-      mo_rollout_forget(all, rollout);
-    }
-  }
-}
-
-static int land_private_cell(struct mo_evaluations *all, struct mo_flight *flight, uint32_t i)
-{
+  const struct mo_block *block = &flight->flight.block;
+  const struct mo_outcome *outcome = &block->outcomes[i];
   struct mo_active *active = flight->owner;
   const struct mo_work *work = active->work;
-  uint32_t design = (uint32_t)(flight->cells[i] / work->n_environments);
-  uint32_t k = (uint32_t)(flight->cells[i] % work->n_environments);
-  const struct mo_outcome *outcome = &flight->block.outcomes[i];
-  struct mo_saved_score score = {.genotype = work->genotype_rows[design],
-                                 .controller = work->controller,
-                                 .physics = work->physics,
-                                 .environment = work->environment_rows[k],
-                                 .fingerprint = fingerprint_of(all, &flight->block),
-                                 .loss = outcome->loss,
-                                 .diverged_step = outcome->diverged_step,
-                                 .verify_job = work->job.verify ? active->id : 0,
-                                 .design_position = design,
-                                 .environment_position = k};
-  int error = MO_OK;
-  if (flight->block.recordings != NULL) {
-    struct mo_saved_trajectory saved = {.job = active->id,
-                                        .design_position = design,
-                                        .environment_position = k,
-                                        .stride = flight->recordings[i].stride,
-                                        .frames = flight->frames,
-                                        .n_masses = flight->body->n_masses,
-                                        .com_m = flight->recordings[i].com_m,
-                                        .mass_m = flight->recordings[i].mass_m};
-    error = mo_pending_trajectory(all, &saved);
-    if (error == MO_OK) { /* the save owns the arrays now */
-      flight->recordings[i].com_m = NULL;
-      flight->recordings[i].mass_m = NULL;
-    }
-  }
+  const uint32_t design = flight->flight.design, k = flight->flight.places[i];
+  const struct mo_saved_score score = {
+      .genotype = work->genotype_rows[design],
+      .controller = work->controller,
+      .physics = work->physics,
+      .environment = work->environment_rows[k],
+      .fingerprint = block->computed_on == MO_ON_DEVICE ? all->jobs->device_fingerprint
+                                                        : all->jobs->fingerprints[block->precision],
+      .loss = outcome->loss,
+      .diverged_step = outcome->diverged_step,
+      .verify_job = work->job.verify ? active->id : 0,
+      .design_position = design,
+      .environment_position = k};
+  int error = mo_flight_check(&flight->flight, i);
+  if (error == MO_OK && block->recordings != NULL)
+    error = save_recording(all, flight, i);
   if (error == MO_OK)
     error = mo_pending_score(all, &score);
   if (error != MO_OK)
     return error;
-  atomic_fetch_add(&all->jobs->computed, 1);
-  atomic_fetch_add(&all->jobs->diverged, outcome->diverged_step != 0);
-  finish_cell(all, active, flight->cells[i], outcome->diverged_step, COMPUTED);
+  if (flight->rollouts[i] != NULL) { /* forgotten after the commit */
+    flight->rollouts[i]->on_device = false;
+    flight->rollouts[i]->next_save = all->pending.rollouts;
+    all->pending.rollouts = flight->rollouts[i];
+    flight->rollouts[i] = NULL;
+  }
+  atomic_fetch_add(&all->jobs->rollouts_computed, 1);
+  atomic_fetch_add(&all->jobs->rollouts_diverged, outcome->diverged_step != 0);
+  finish_cell(all, active, design, k, outcome->diverged_step);
   return MO_OK;
 }
 
-static void land_private(struct mo_evaluations *all, struct mo_flight *flight)
+/* Returns whether an interactive job waits for scores that a block computes. */
+static bool somebody_waits(const struct mo_evaluations *all)
 {
-  struct mo_active *active = flight->owner;
-  char text[128];
-  for (uint32_t i = 0; i < flight->block.n_environments; i++) {
-    int status = mo_block_check(&flight->block, i);
-    if (status == MO_OK)
-      status = land_private_cell(all, flight, i);
-    if (status == MO_OK || active->detached)
-      continue;
-    return_cell(active, flight->cells[i]);
-    if (status != MO_ERR_CANCELLED) {
-      mo_block_describe(status, text);
-      mo_active_fail(all, active, status, text);
-    }
-  }
+  for (const struct mo_active *active = all->actives; active != NULL; active = active->next)
+    if (active->priority == MO_INTERACTIVE && active->has_deferred && !active->detached)
+      return true;
+  return false;
 }
 
-void mo_flight_land(struct mo_evaluations *all, struct mo_flight *flight)
+void mo_active_land(struct mo_evaluations *all, struct mo_flight *landed)
 {
-  struct mo_active *owner = flight->owner;
-  drop_flight(all, flight);
-  if (flight->rollouts[0] != NULL)
-    land_shared(all, flight);
-  else
-    land_private(all, flight);
-  if (flight->block.urgency == MO_INTERACTIVE)
+  struct flight *flight = (struct flight *)landed;
+  struct mo_active *active = flight->owner;
+  char text[128];
+  all->n_flights[mo_lane_of(active)]--;
+  atomic_fetch_sub(&all->jobs->blocks_in_flight, 1);
+  for (uint32_t i = 0; i < landed->block.n_environments; i++) {
+    const int error = take(all, flight, i);
+    if (error == MO_OK)
+      continue;
+    if (flight->rollouts[i] != NULL)
+      mo_rollout_forget(all, flight->rollouts[i]);
+    mo_grid_return(&active->grid, landed->design, landed->places[i]);
+    if (error != MO_ERR_CANCELLED) {
+      mo_flight_describe(error, text);
+      mo_active_fail(all, active, error, text);
+    }
+  }
+  if (landed->block.urgency == MO_INTERACTIVE || somebody_waits(all))
     all->pending.urgent = true;
-  free_flight(flight);
-  owner->references--;
+  free_flight(all, flight);
+  active->references--;
 }

@@ -21,86 +21,68 @@ static uint64_t larger(uint64_t a, uint64_t b)
   return a > b ? a : b;
 }
 
-/* Grows an array for one more element. */
-static bool grow(void **array, size_t n, size_t *room, size_t size)
-{
-  size_t more;
-  void *grown;
-  if (n < *room)
-    return true;
-  more = *room > 0 ? *room * 2 : 64;
-  grown = realloc(*array, more * size);
-  if (grown == NULL)
-    return false;
-  *array = grown;
-  *room = more;
-  return true;
-}
-
 void mo_pending_touch(struct mo_evaluations *all)
 {
   if (all->pending.since_us == 0)
     all->pending.since_us = mo_clock_us();
 }
 
+/* Returns space for one more row, or NULL. */
+static void *add(struct mo_evaluations *all, struct mo_rows *rows, size_t size)
+{
+  if (rows->n == rows->room) {
+    const size_t more = rows->room > 0 ? rows->room * 2 : 64;
+    void *grown = realloc(rows->rows, more * size);
+    if (grown == NULL)
+      return NULL;
+    rows->rows = grown;
+    rows->room = more;
+  }
+  mo_pending_touch(all);
+  return (uint8_t *)rows->rows + size * rows->n++;
+}
+
 int mo_pending_score(struct mo_evaluations *all, const struct mo_saved_score *score)
 {
-  struct mo_pending *pending = &all->pending;
-  void *array = pending->save.scores;
-  bool grown = grow(&array, pending->save.n_scores, &pending->scores_room, sizeof(*score));
-  pending->save.scores = array;
-  if (!grown)
+  struct mo_saved_score *row = add(all, &all->pending.scores, sizeof(*row));
+  if (row == NULL)
     return MO_ERR_NO_MEMORY;
-  pending->save.scores[pending->save.n_scores++] = *score;
-  mo_pending_touch(all);
+  *row = *score;
   return MO_OK;
 }
 
 int mo_pending_design(struct mo_evaluations *all, const struct mo_saved_design *design)
 {
-  struct mo_pending *pending = &all->pending;
-  void *array = pending->save.designs;
-  bool grown = grow(&array, pending->save.n_designs, &pending->designs_room, sizeof(*design));
-  pending->save.designs = array;
-  if (!grown)
+  struct mo_saved_design *row = add(all, &all->pending.designs, sizeof(*row));
+  if (row == NULL)
     return MO_ERR_NO_MEMORY;
-  pending->save.designs[pending->save.n_designs++] = *design;
-  mo_pending_touch(all);
+  *row = *design;
   return MO_OK;
 }
 
 int mo_pending_trajectory(struct mo_evaluations *all, const struct mo_saved_trajectory *trajectory)
 {
-  struct mo_pending *pending = &all->pending;
-  void *array = pending->save.trajectories;
-  bool grown =
-      grow(&array, pending->save.n_trajectories, &pending->trajectories_room, sizeof(*trajectory));
-  pending->save.trajectories = array;
-  if (!grown)
+  struct mo_saved_trajectory *row = add(all, &all->pending.trajectories, sizeof(*row));
+  if (row == NULL)
     return MO_ERR_NO_MEMORY;
-  pending->save.trajectories[pending->save.n_trajectories++] = *trajectory;
-  pending->recorded_bytes +=
+  *row = *trajectory;
+  all->pending.recorded_bytes +=
       (uint64_t)trajectory->frames * ((trajectory->com_m != NULL ? 24 : 0) +
                                       (trajectory->mass_m != NULL ? trajectory->n_masses * 12 : 0));
-  mo_pending_touch(all);
   return MO_OK;
 }
 
-int mo_pending_update(struct mo_evaluations *all, struct mo_active *active, enum mo_job_step step,
-                      int error, const char *text)
+struct mo_job_update *mo_pending_update(struct mo_evaluations *all, struct mo_active *active,
+                                        enum mo_job_step step, int error, const char *text)
 {
-  struct mo_pending *pending = &all->pending;
-  size_t n = pending->save.n_updates;
-  void *updates = pending->save.updates, *owners = pending->owners;
-  struct mo_job_update *update;
-  bool grown = grow(&updates, n, &pending->updates_room, sizeof(*update));
-  pending->save.updates = updates;
-  if (grown)
-    grown = grow(&owners, n, &pending->owners_room, sizeof(struct mo_active *));
-  pending->owners = owners;
-  if (!grown)
-    return MO_ERR_NO_MEMORY;
-  update = &pending->save.updates[n];
+  struct mo_active **owner = add(all, &all->pending.owners, sizeof(struct mo_active *));
+  struct mo_job_update *update =
+      owner != NULL ? add(all, &all->pending.updates, sizeof(*update)) : NULL;
+  if (update == NULL) {
+    all->pending.owners.n = all->pending.updates.n;
+    return NULL;
+  }
+  *owner = active;
   *update = (struct mo_job_update){.job = active->id,
                                    .step = step,
                                    .total = active->total,
@@ -112,22 +94,20 @@ int mo_pending_update(struct mo_evaluations *all, struct mo_active *active, enum
                                    .max_attempts = all->jobs->config.max_attempts};
   if (text != NULL)
     snprintf(update->error_text, sizeof(update->error_text), "%s", text);
-  pending->owners[n] = active;
-  pending->save.n_updates++;
   active->references++;
-  mo_pending_touch(all);
-  return MO_OK;
+  return update;
 }
 
 /* Empties the batch but keeps its arrays. */
 void mo_pending_clear(struct mo_pending *pending)
 {
-  for (size_t i = 0; i < pending->save.n_trajectories; i++) {
-    free((void *)pending->save.trajectories[i].com_m);
-    free((void *)pending->save.trajectories[i].mass_m);
+  const struct mo_saved_trajectory *trajectories = pending->trajectories.rows;
+  for (size_t i = 0; i < pending->trajectories.n; i++) {
+    free((void *)trajectories[i].com_m);
+    free((void *)trajectories[i].mass_m);
   }
-  pending->save.n_scores = pending->save.n_trajectories = pending->save.n_designs =
-      pending->save.n_updates = 0;
+  pending->scores.n = pending->trajectories.n = pending->designs.n = 0;
+  pending->updates.n = pending->owners.n = 0;
   pending->rollouts = NULL;
   pending->recorded_bytes = 0;
   pending->since_us = 0;
@@ -137,12 +117,11 @@ void mo_pending_clear(struct mo_pending *pending)
 void mo_pending_free(struct mo_pending *pending)
 {
   mo_pending_clear(pending);
-  free(pending->save.scores);
-  free(pending->save.trajectories);
-  free(pending->save.designs);
-  free(pending->save.updates);
-  free(pending->owners);
-  memset(pending, 0, sizeof(*pending));
+  free(pending->scores.rows);
+  free(pending->trajectories.rows);
+  free(pending->designs.rows);
+  free(pending->updates.rows);
+  free(pending->owners.rows);
 }
 
 bool mo_saver_idle(const struct mo_evaluations *all)
@@ -155,7 +134,7 @@ bool mo_saver_is_behind(const struct mo_evaluations *all)
   const struct mo_pending *pending = &all->pending;
   if (all->saving.since_us != 0 && !all->is_saving)
     return true; /* the save failed and will be tried again */
-  return pending->save.n_scores + pending->save.n_designs >= SCORES_BEHIND ||
+  return pending->scores.n + pending->designs.n >= SCORES_BEHIND ||
          pending->recorded_bytes >= BYTES_BEHIND;
 }
 
@@ -179,13 +158,22 @@ static void save_done(struct mo_save *save, int status)
 
 static void start(struct mo_evaluations *all)
 {
+  struct mo_pending *saving = &all->saving;
   int error;
   all->is_saving = true;
-  all->saving.save.done = save_done;
-  all->saving.save.context = all;
-  error = mo_store_save(all->jobs->store, &all->saving.save);
+  saving->save = (struct mo_save){.scores = saving->scores.rows,
+                                  .n_scores = saving->scores.n,
+                                  .trajectories = saving->trajectories.rows,
+                                  .n_trajectories = saving->trajectories.n,
+                                  .designs = saving->designs.rows,
+                                  .n_designs = saving->designs.n,
+                                  .updates = saving->updates.rows,
+                                  .n_updates = saving->updates.n,
+                                  .done = save_done,
+                                  .context = all};
+  error = mo_store_save(all->jobs->store, &saving->save);
   if (error != MO_OK)
-    save_done(&all->saving.save, error);
+    save_done(&saving->save, error);
 }
 
 /* Adds the counts and ends of the jobs whose losses are pending. */
@@ -194,20 +182,18 @@ static void add_counts(struct mo_evaluations *all)
   int64_t now = mo_clock_us();
   for (struct mo_active *active = all->actives; active != NULL; active = active->next) {
     bool ended = !active->detached && active->done == active->total;
-    int error;
+    struct mo_job_update *update;
     if (active->finishing || !(active->changed || ended))
       continue;
-    error = mo_pending_update(all, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
-    if (error != MO_OK)
+    update =
+        mo_pending_update(all, active, ended ? MO_STEP_SUCCEED : MO_STEP_PROGRESS, MO_OK, NULL);
+    if (update == NULL)
       continue; /* retried with the next save */
     active->changed = false;
     active->finishing = ended;
-    if (!ended) {
-      bool loud = now - active->last_event_us >= EVENT_EVERY_US;
-      all->pending.save.updates[all->pending.save.n_updates - 1].quiet = !loud;
-      if (loud)
-        active->last_event_us = now;
-    }
+    update->quiet = !ended && now - active->last_event_us < EVENT_EVERY_US;
+    if (!ended && !update->quiet)
+      active->last_event_us = now;
   }
 }
 
@@ -236,8 +222,8 @@ int64_t mo_saver_run(struct mo_evaluations *all, bool at_once)
   if (all->pending.since_us == 0)
     return INT64_MAX;
   due = all->pending.since_us + (int64_t)all->jobs->config.save_interval_ms * 1000;
-  if (!at_once && now < due && !all->pending.urgent &&
-      all->pending.save.n_scores < SCORES_AT_ONCE && !interactive_ended(all))
+  if (!at_once && now < due && !all->pending.urgent && all->pending.scores.n < SCORES_AT_ONCE &&
+      !interactive_ended(all))
     return due;
   add_counts(all);
   swap = all->saving;

@@ -9,8 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define BLOCKS_AT_ONCE        64
-#define DEVICE_BLOCKS_AT_ONCE 4096
+#include "jobs/scoring.h"
 
 void mo_held_out_free(struct mo_held_out *held_out)
 {
@@ -53,36 +52,41 @@ int mo_held_out_load(struct mo_store *store, const struct mo_training_status *st
 
 /* ---- scores ---- */
 
-/* Sums so far. */
-struct tally {
-  double sum, sum_of_squares;
-  uint32_t n;
-  /* Of the current design. */
-  double losses;
-  bool diverged;
-};
-
-static void end_design(struct tally *tally, uint32_t n_environments)
+static void take(void *context, const struct mo_flight *flight, bool is_done)
 {
-  double score = tally->losses / n_environments;
-  if (!tally->diverged) {
-    tally->sum += score;
-    tally->sum_of_squares += score * score;
-    tally->n++;
-  }
-  tally->losses = 0;
-  tally->diverged = false;
+  struct mo_outcome *outcomes = context;
+  (void)is_done;
+  for (uint32_t i = 0; i < flight->block.n_environments; i++)
+    outcomes[(size_t)flight->design * flight->grid->n_environments + flight->places[i]] =
+        flight->block.outcomes[i];
 }
 
-static void take(struct tally *tally, const struct mo_block *block,
-                 struct mo_training_validation_row *row)
+static void summarize(const struct mo_held_out *held_out, const struct mo_outcome *outcomes,
+                      struct mo_training_validation_row *row)
 {
-  for (uint32_t i = 0; i < block->n_environments; i++) {
-    bool diverged = block->outcomes[i].diverged_step != 0 || !isfinite(block->outcomes[i].loss);
-    row->rollouts++;
-    row->diverged += diverged;
-    tally->diverged = tally->diverged || diverged;
-    tally->losses += block->outcomes[i].loss;
+  double sum = 0, sum_of_squares = 0;
+  uint32_t n = 0;
+  row->rollouts = held_out->n_designs * held_out->n_environments;
+  row->diverged = 0;
+  for (uint32_t design = 0; design < held_out->n_designs; design++) {
+    const uint32_t before = row->diverged;
+    double score = 0;
+    for (uint32_t k = 0; k < held_out->n_environments; k++, outcomes++) {
+      row->diverged += outcomes->diverged_step != 0 || !isfinite(outcomes->loss);
+      score += outcomes->loss;
+    }
+    score /= held_out->n_environments;
+    if (row->diverged > before)
+      continue;
+    sum += score;
+    sum_of_squares += score * score;
+    n++;
+  }
+  row->mean_score = n > 0 ? sum / n : NAN;
+  row->standard_error = NAN;
+  if (n > 1) {
+    double variance = (sum_of_squares - sum * row->mean_score) / (n - 1);
+    row->standard_error = sqrt(variance > 0 ? variance / n : 0);
   }
 }
 
@@ -91,50 +95,34 @@ int mo_held_out_score(struct mo_runner *runner, const struct mo_held_out *held_o
                       const struct mo_training_status *status, struct mo_compute_share *share,
                       struct mo_training_validation_row *row)
 {
-  const enum mo_back_end back_end = status->job.back_end;
-  struct mo_jobs *jobs = runner->jobs;
-  uint32_t per_design = (held_out->n_environments + MO_BLOCK_LANES - 1) / MO_BLOCK_LANES;
-  size_t total = (size_t)per_design * held_out->n_designs;
-  size_t at_once = back_end == MO_ON_DEVICE ? DEVICE_BLOCKS_AT_ONCE : BLOCKS_AT_ONCE;
+  const size_t n = (size_t)held_out->n_designs * held_out->n_environments;
+  struct mo_outcome *outcomes = calloc(n + 1, sizeof(*outcomes));
   struct mo_compute_controller *ready = NULL;
-  struct mo_block *blocks = calloc(at_once, sizeof(*blocks));
-  struct tally tally = {0};
-  int error = blocks == NULL ? MO_ERR_NO_MEMORY
-                             : mo_compute_controller_create(jobs->compute, controller, &ready);
-  row->rollouts = row->diverged = 0;
-  for (size_t first = 0; first < total && error == MO_OK; first += at_once) {
-    size_t n = total - first < at_once ? total - first : at_once;
-    for (size_t b = 0; b < n; b++) {
-      uint32_t from = (uint32_t)((first + b) % per_design) * MO_BLOCK_LANES;
-      uint32_t left = held_out->n_environments - from;
-      blocks[b] = (struct mo_block){.lattice = jobs->lattice,
-                                    .genotype = held_out->genotypes[(first + b) / per_design].words,
-                                    .controller = ready,
-                                    .n_environments = left < MO_BLOCK_LANES ? left : MO_BLOCK_LANES,
-                                    .physics = status->record.settings.physics,
-                                    .precision = MO_FLOAT32,
-                                    .urgency = MO_BATCH,
-                                    .back_end = back_end,
-                                    .cancel = &runner->interrupt,
-                                    .tag = runner->id,
-                                    .share = share};
-      for (uint32_t i = 0; i < blocks[b].n_environments; i++)
-        blocks[b].environments[i] = &held_out->environments[from + i];
-    }
-    error = mo_back_end_error(back_end, mo_compute_run(jobs->compute, blocks, n));
-    for (size_t b = 0; b < n && error == MO_OK; b++) {
-      take(&tally, &blocks[b], row);
-      if ((first + b) % per_design == per_design - 1)
-        end_design(&tally, held_out->n_environments);
-    }
-  }
+  struct mo_scoring scoring = {.runner = runner,
+                               .grid = {.block = {.lattice = runner->jobs->lattice,
+                                                  .physics = status->record.settings.physics,
+                                                  .precision = MO_FLOAT32,
+                                                  .urgency = MO_BATCH,
+                                                  .back_end = status->job.back_end,
+                                                  .cancel = &runner->interrupt,
+                                                  .tag = runner->id,
+                                                  .share = share},
+                                        .genotypes = held_out->genotypes,
+                                        .environments = held_out->environments,
+                                        .n_designs = held_out->n_designs,
+                                        .n_environments = held_out->n_environments},
+                               .context = outcomes,
+                               .take = take};
+  int error = outcomes == NULL ? MO_ERR_NO_MEMORY : mo_grid_create(&scoring.grid);
+  if (error == MO_OK)
+    error = mo_compute_controller_create(runner->jobs->compute, controller, &ready);
+  scoring.grid.block.controller = ready;
+  if (error == MO_OK)
+    error = mo_score(&scoring);
+  if (error == MO_OK)
+    summarize(held_out, outcomes, row);
   mo_compute_controller_free(ready);
-  free(blocks);
-  row->mean_score = tally.n > 0 ? tally.sum / tally.n : NAN;
-  row->standard_error = NAN;
-  if (tally.n > 1) {
-    double variance = (tally.sum_of_squares - tally.sum * row->mean_score) / (tally.n - 1);
-    row->standard_error = sqrt(variance > 0 ? variance / tally.n : 0);
-  }
+  mo_grid_free(&scoring.grid);
+  free(outcomes);
   return error;
 }

@@ -128,20 +128,6 @@ static int recover(struct mo_jobs *jobs, const char *marker)
 
 /* ---- start and stop ---- */
 
-/* Wakes the threads that wait for the end of a job. */
-static void hear(void *context, const struct mo_event *events, size_t n)
-{
-  struct mo_jobs *jobs = context;
-  for (size_t i = 0; i < n; i++)
-    if (strcmp(events[i].type, "job.finished") == 0) {
-      pthread_mutex_lock(&jobs->wait_mutex);
-      jobs->endings++;
-      pthread_cond_broadcast(&jobs->ended);
-      pthread_mutex_unlock(&jobs->wait_mutex);
-      return;
-    }
-}
-
 /* Composes the code versions, on which the bits of a trained controller depend besides its
  * settings. */
 static int name_code(struct mo_jobs *jobs, const char *version)
@@ -176,8 +162,6 @@ static int prepare(struct mo_jobs *jobs, const char *marker, const char *version
     error = recover(jobs, marker);
   if (error == MO_OK)
     error = mo_jobs_recount(jobs);
-  if (error == MO_OK)
-    error = mo_store_subscribe(jobs->store, hear, jobs, &jobs->listener);
   return error;
 }
 
@@ -187,11 +171,9 @@ static void init(struct mo_jobs *jobs)
   pthread_condattr_init(&monotonic);
   pthread_condattr_setclock(&monotonic, CLOCK_MONOTONIC);
   pthread_mutex_init(&jobs->admission_mutex, NULL);
-  pthread_mutex_init(&jobs->wait_mutex, NULL);
   pthread_mutex_init(&jobs->exclusions_mutex, NULL);
   pthread_mutex_init(&jobs->weigh_mutex, NULL);
   pthread_mutex_init(&jobs->shares_mutex, NULL);
-  pthread_cond_init(&jobs->ended, &monotonic);
   mo_memory_init(jobs);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     mo_runners_init(&jobs->runners[kind], mo_kinds[kind], &monotonic);
@@ -210,8 +192,6 @@ static void free_jobs(struct mo_jobs *jobs)
 {
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
     mo_runners_free(&jobs->runners[kind]);
-  if (jobs->listener != 0)
-    mo_store_unsubscribe(jobs->store, jobs->listener);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++) {
     if (mo_kinds[kind]->close != NULL)
       mo_kinds[kind]->close(jobs);
@@ -222,11 +202,9 @@ static void free_jobs(struct mo_jobs *jobs)
   free(jobs->code_versions[MO_ON_DEVICE]);
   mo_memory_free(jobs);
   pthread_mutex_destroy(&jobs->admission_mutex);
-  pthread_mutex_destroy(&jobs->wait_mutex);
   pthread_mutex_destroy(&jobs->exclusions_mutex);
   pthread_mutex_destroy(&jobs->weigh_mutex);
   pthread_mutex_destroy(&jobs->shares_mutex);
-  pthread_cond_destroy(&jobs->ended);
   free(jobs);
 }
 
@@ -259,22 +237,11 @@ int mo_jobs_create(struct mo_store *store, struct mo_compute *compute,
   return MO_OK;
 }
 
-static struct timespec after_ms(uint32_t ms)
-{
-  struct timespec time;
-  clock_gettime(CLOCK_MONOTONIC, &time);
-  time.tv_sec += ms / 1000;
-  time.tv_nsec += (long)(ms % 1000) * 1000000;
-  if (time.tv_nsec >= 1000000000) {
-    time.tv_sec++;
-    time.tv_nsec -= 1000000000;
-  }
-  return time;
-}
-
 int mo_jobs_stop(struct mo_jobs *jobs, uint32_t deadline_ms)
 {
-  struct timespec deadline = after_ms(deadline_ms);
+  const int64_t end_us = mo_clock_us() + (int64_t)deadline_ms * 1000;
+  const struct timespec deadline = {.tv_sec = end_us / 1000000,
+                                    .tv_nsec = (end_us % 1000000) * 1000};
   bool is_saved = true;
   stop(jobs);
   for (int kind = 0; kind < MO_JOB_KINDS; kind++)
@@ -325,7 +292,7 @@ static int change(struct mo_jobs *jobs, int64_t id, enum mo_job_change change_to
   if (error != MO_OK)
     return error;
   if (change_to == MO_CHANGE_CANCEL) {
-    atomic_fetch_add(&jobs->cancelled, 1);
+    atomic_fetch_add(&jobs->jobs_cancelled, 1);
     mo_jobs_closed(jobs, 1, job.rollouts_total);
   }
   mo_memory_forget(jobs, id);
@@ -366,59 +333,17 @@ int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight)
   return MO_OK;
 }
 
-/* ---- waiting and figures ---- */
-
-int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job)
-{
-  struct timespec deadline = after_ms(timeout_ms);
-  bool late = false;
-  for (;;) {
-    uint64_t endings;
-    int error;
-    pthread_mutex_lock(&jobs->wait_mutex);
-    endings = jobs->endings;
-    pthread_mutex_unlock(&jobs->wait_mutex);
-    error = mo_store_job(jobs->store, id, job);
-    if (error != MO_OK || late || mo_job_state_is_final(job->state))
-      return error;
-    pthread_mutex_lock(&jobs->wait_mutex);
-    while (jobs->endings == endings && !late)
-      late = pthread_cond_timedwait(&jobs->ended, &jobs->wait_mutex, &deadline) == ETIMEDOUT;
-    pthread_mutex_unlock(&jobs->wait_mutex);
-  }
-}
+/* ---- figures ---- */
 
 void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats)
 {
   *stats = (struct mo_jobs_stats){
-      .open_jobs = atomic_load(&jobs->open_jobs),
-      .open_rollouts = atomic_load(&jobs->open_rollouts),
-      .active_batch = atomic_load(&jobs->active_batch),
-      .active_interactive = atomic_load(&jobs->active_interactive),
-      .blocks_in_flight = atomic_load(&jobs->blocks_in_flight),
-      .rollouts_computed = atomic_load(&jobs->computed),
-      .rollouts_cached = atomic_load(&jobs->cached),
-      .rollouts_shared = atomic_load(&jobs->shared),
-      .rollouts_diverged = atomic_load(&jobs->diverged),
-      .jobs_submitted = atomic_load(&jobs->submitted),
-      .jobs_succeeded = atomic_load(&jobs->succeeded),
-      .jobs_failed = atomic_load(&jobs->failed),
-      .jobs_cancelled = atomic_load(&jobs->cancelled),
-      .active_trainings = atomic_load(&jobs->runners[MO_JOB_TRAINING].active),
-      .training_steps = atomic_load(&jobs->training_steps),
-      .training_robots = atomic_load(&jobs->training_robots),
-      .training_diverged = atomic_load(&jobs->training_diverged),
-      .training_zeroed = atomic_load(&jobs->training_zeroed),
-      .training_validations = atomic_load(&jobs->training_validations),
-      .training_checkpoints = atomic_load(&jobs->training_checkpoints),
-      .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
+#define MO_JOBS_COUNT(name) .name = atomic_load(&jobs->name),
+      MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+          .active_trainings = atomic_load(&jobs->runners[MO_JOB_TRAINING].active),
       .active_campaigns = atomic_load(&jobs->runners[MO_JOB_CAMPAIGN].active),
-      .campaign_generations = atomic_load(&jobs->campaign_generations),
-      .campaign_designs = atomic_load(&jobs->campaign_designs),
-      .campaign_rollouts = atomic_load(&jobs->campaign_rollouts),
-      .campaign_cached = atomic_load(&jobs->campaign_cached),
-      .campaign_diverged = atomic_load(&jobs->campaign_diverged),
-      .campaign_steps = atomic_load(&jobs->campaign_steps),
+      .training_step_s = (double)atomic_load(&jobs->training_ns) * 1e-9,
       .heartbeat_us = atomic_load(&jobs->heartbeat_us),
       .no_space = atomic_load(&jobs->no_space),
       .stopping = atomic_load(&jobs->is_stopping),

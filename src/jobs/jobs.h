@@ -93,33 +93,28 @@ int mo_jobs_resume(struct mo_jobs *jobs, int64_t id);
  * MO_ERR_CONFLICT: the job has ended. */
 int mo_jobs_set_weight(struct mo_jobs *jobs, int64_t id, double weight);
 
-/* ---- waiting: mo_store_subscribe reports every change (event type "job.finished", …); the
- * function below is for a thread that may block ---- */
-/* Waits until the job is final or `timeout_ms` has passed, and fills *job with its last state.
- * MO_ERR_NOT_FOUND. */
-int mo_jobs_wait(struct mo_jobs *jobs, int64_t id, uint32_t timeout_ms, struct mo_job *job);
-
 /* ---- what is going on ---- */
+/* Counts, each kept by the threads that know it. Active: being cut into blocks; all others but
+ * those of open jobs and blocks are since the start. Shared rollouts were computed once for several
+ * evaluations. campaign_rollouts: computed for scores; campaign_cached and campaign_diverged count
+ * found and diverged rollouts of committed generations; campaign_designs: born in them. */
+#define MO_JOBS_COUNTS(X)                                                                          \
+  X(open_jobs)                                                                                     \
+  X(open_rollouts)                                                                                 \
+  X(active_batch) X(active_interactive) X(blocks_in_flight) X(rollouts_computed)                   \
+      X(rollouts_cached) X(rollouts_shared) X(rollouts_diverged) X(jobs_submitted)                 \
+          X(jobs_succeeded) X(jobs_failed) X(jobs_cancelled) X(campaign_generations)               \
+              X(campaign_designs) X(campaign_rollouts) X(campaign_cached) X(campaign_diverged)     \
+                  X(campaign_steps) X(training_steps) X(training_robots) X(training_diverged)      \
+                      X(training_zeroed) X(training_validations) X(training_checkpoints)
 struct mo_jobs_stats {
-  uint64_t open_jobs, open_rollouts;         /* queued, running, paused */
-  uint64_t active_batch, active_interactive; /* jobs being cut into blocks */
-  uint64_t blocks_in_flight;
-  uint64_t rollouts_computed, rollouts_cached, rollouts_shared,
-      rollouts_diverged; /* since the start; shared: computed once for several jobs */
-  uint64_t jobs_submitted, jobs_succeeded, jobs_failed, jobs_cancelled; /* since the start */
-  uint64_t active_trainings; /* running or being prepared */
-  uint64_t active_campaigns; /* running or being prepared */
-  uint64_t campaign_generations,
-      campaign_designs;       /* committed; born in them; since the start, as all below */
-  uint64_t campaign_rollouts; /* computed for scores; campaign_cached and campaign_diverged count
-                               * found and diverged rollouts of committed generations */
-  uint64_t campaign_cached, campaign_diverged;
-  uint64_t campaign_steps; /* learning steps */
-  uint64_t training_steps, training_robots, training_diverged, training_zeroed,
-      training_validations, training_checkpoints; /* since the start */
-  double training_step_s;                         /* total wall time of these steps */
-  double worker_s[MO_JOB_KINDS]; /* worker seconds since the start, by kind of job */
-  double device_s[MO_JOB_KINDS]; /* device seconds, likewise */
+#define MO_JOBS_COUNT(name) uint64_t name;
+  MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+  uint64_t active_trainings, active_campaigns; /* running or being prepared */
+  double training_step_s;                      /* total wall time of training_steps */
+  double worker_s[MO_JOB_KINDS];               /* worker seconds since the start, by kind of job */
+  double device_s[MO_JOB_KINDS];               /* device seconds, likewise */
   /* Monotonic time of the scheduler's last round (at least one per second). */
   int64_t heartbeat_us;
   bool no_space; /* running jobs wait for disk space; they continue without a request */
@@ -130,9 +125,6 @@ void mo_jobs_get_stats(struct mo_jobs *jobs, struct mo_jobs_stats *stats);
 /* Returns the number of trainings and campaigns that wait for disk space or memory now, and their
  * ids for mo_job_query, which shows them as paused while they run. */
 size_t mo_jobs_waiting(struct mo_jobs *jobs, int64_t ids[MO_WAITING_MAX]);
-/* Returns the worker seconds that a running training or campaign has used since its last start.
- * Negative: the job has no share now. */
-double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 
 /* ---- crashes ---- */
 /* For a handler of SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT: writes "<tag> <signal>\n" to `fd`, a

@@ -13,7 +13,7 @@ struct mo_need;
 
 struct mo_kind {
   enum mo_job_kind kind;
-  /* Sets and returns how many threads the configuration gives the kind. */
+  /* Returns how many threads the configuration gives the kind. */
   uint32_t (*threads)(const struct mo_jobs_config *config);
   /* Creates and frees what the kind keeps while the service runs; nullable. */
   int (*open)(struct mo_jobs *jobs);

@@ -219,7 +219,7 @@ static int write_failure(void *context)
   int error = runner->runners->kind->park(jobs->store, runner->id, runner->error, runner->text,
                                           jobs->config.max_attempts, &after);
   if (error == MO_OK && after == MO_JOB_FAILED) {
-    atomic_fetch_add(&jobs->failed, 1);
+    atomic_fetch_add(&jobs->jobs_failed, 1);
     mo_jobs_closed(jobs, 1, 0);
   }
   return error;
@@ -238,7 +238,7 @@ bool mo_runner_settle(struct mo_runner *runner, int error, void *run)
   const struct mo_kind *kind = runner->runners->kind;
   switch (error) {
   case MO_OK:
-    atomic_fetch_add(&runner->jobs->succeeded, 1);
+    atomic_fetch_add(&runner->jobs->jobs_succeeded, 1);
     mo_jobs_closed(runner->jobs, 1, 0);
     return false;
   case MO_ERR_CANCELLED: wind_down(runner, run); return false;

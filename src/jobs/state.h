@@ -24,18 +24,10 @@ struct mo_jobs {
   int64_t fingerprints[2];    /* by precision */
   int64_t device_fingerprint; /* 0: there are no devices */
   char *code_versions[2];     /* by back end */
-  int listener;
   struct mo_runners runners[MO_JOB_KINDS];
   struct mo_memory memory;
 
-  /* Admission. */
-  pthread_mutex_t admission_mutex;
-  atomic_uint_fast64_t open_jobs, open_rollouts; /* changed under the mutex */
-
-  /* Threads that wait for the end of a job. */
-  pthread_mutex_t wait_mutex;
-  pthread_cond_t ended;
-  uint64_t endings;
+  pthread_mutex_t admission_mutex; /* of open_jobs and open_rollouts */
 
   /* Shares. */
   pthread_mutex_t weigh_mutex; /* taken before shares_mutex, so that reading a weight from the store
@@ -51,12 +43,10 @@ struct mo_jobs {
   struct mo_exclusion *exclusions; /* bodies of pretrainings, shared by campaigns */
 
   /* Figures. */
-  atomic_uint_fast64_t active_batch, active_interactive, blocks_in_flight;
-  atomic_uint_fast64_t computed, cached, shared, diverged, submitted, succeeded, failed, cancelled;
-  atomic_uint_fast64_t campaign_generations, campaign_designs, campaign_rollouts, campaign_cached,
-      campaign_diverged, campaign_steps;
-  atomic_uint_fast64_t training_steps, training_robots, training_diverged, training_zeroed,
-      training_validations, training_checkpoints, training_ns;
+#define MO_JOBS_COUNT(name) atomic_uint_fast64_t name;
+  MO_JOBS_COUNTS(MO_JOBS_COUNT)
+#undef MO_JOBS_COUNT
+  atomic_uint_fast64_t training_ns;
   atomic_int_fast64_t heartbeat_us;
   atomic_bool no_space, is_stopping;
   atomic_bool abandon; /* stop waiting for saves that fail */
@@ -71,6 +61,9 @@ int mo_share_open(struct mo_jobs *jobs, int64_t id, enum mo_job_kind kind,
 /* Closes the job's share, if any. None of its blocks may be queued or in flight. */
 void mo_share_close(struct mo_jobs *jobs, int64_t id);
 void mo_share_reweigh(struct mo_jobs *jobs, int64_t id); /* applies a new weight from the store */
+/* Returns the worker seconds that a running training or campaign has used since its last start.
+ * Negative: the job has no share now. */
+double mo_jobs_busy_s(struct mo_jobs *jobs, int64_t id);
 void mo_shares_seconds(struct mo_jobs *jobs, double worker_s[MO_JOB_KINDS],
                        double device_s[MO_JOB_KINDS]);
 

@@ -63,7 +63,7 @@ int mo_submitting_end(struct mo_jobs *jobs, const struct mo_submitting *submitti
   if (error != MO_OK)
     return explain(error, submitting->controller, message);
   if (!replayed) {
-    atomic_fetch_add(&jobs->submitted, submitting->n_jobs);
+    atomic_fetch_add(&jobs->jobs_submitted, submitting->n_jobs);
     mo_runners_wake(&jobs->runners[submitting->kind]);
   }
   return MO_OK;

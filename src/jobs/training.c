@@ -47,12 +47,17 @@ struct run {
   enum mo_back_end noted;
 };
 
+/* Returns the steps applied so far. */
+static uint32_t step_of(const struct run *run)
+{
+  return run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
+}
+
 static enum mo_phase enter(struct run *run, enum mo_phase phase)
 {
   struct mo_runner *runner = run->runner;
   pthread_mutex_lock(&runner->runners->mutex);
-  runner->live.position =
-      run->learner.training != NULL ? mo_training_step(run->learner.training) : 0;
+  runner->live.position = step_of(run);
   pthread_mutex_unlock(&runner->runners->mutex);
   return mo_runner_enter(runner, phase);
 }
@@ -92,7 +97,7 @@ static int write_checkpoint(void *context)
   struct run *run = context;
   uint8_t *bytes = NULL;
   size_t size = 0;
-  uint32_t step = mo_training_step(run->learner.training);
+  uint32_t step = step_of(run);
   int error = mo_training_encode(run->learner.training, &bytes, &size);
   if (error == MO_OK)
     error = mo_store_training_checkpoint(run->jobs->store, run->id, step, bytes, size,
@@ -113,11 +118,10 @@ static int save(struct run *run)
   char what[64];
   enum mo_phase phase;
   int error = flush(run);
-  if (error != MO_OK || mo_training_step(run->learner.training) == run->checkpoint_step)
+  if (error != MO_OK || step_of(run) == run->checkpoint_step)
     return error;
   phase = enter(run, MO_PHASE_SAVE);
-  snprintf(what, sizeof(what), "the checkpoint of step %u",
-           (unsigned)mo_training_step(run->learner.training));
+  snprintf(what, sizeof(what), "the checkpoint of step %u", (unsigned)step_of(run));
   error = mo_runner_persist(run->runner, write_checkpoint, run, what);
   (void)mo_runner_enter(run->runner, phase);
   return error;
@@ -144,18 +148,18 @@ static int load_checkpoint(struct run *run)
       error = mo_training_decode(bytes, size, &run->learner.training, &message);
     free(bytes);
     if (error == MO_OK)
-      run->checkpoint_step = mo_training_step(run->learner.training);
+      run->checkpoint_step = step_of(run);
     if (error != MO_ERR_CORRUPT && error != MO_ERR_FORMAT && error != MO_ERR_IO)
       return error;
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
              (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
-             i + 1 < n ? "the one before it is taken" : "the training begins anew");
+             i + 1 < n ? "the one before it is taken" : "the training starts over");
     mo_runner_warn(run->runner, error, text);
   }
   return MO_ERR_NOT_FOUND;
 }
 
-static int begin_anew(struct run *run)
+static int start_over(struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
   struct mo_message message = {.text = ""};
@@ -189,7 +193,7 @@ static int prepare(struct run *run)
     return error;
   error = load_checkpoint(run);
   if (error == MO_ERR_NOT_FOUND)
-    error = begin_anew(run);
+    error = start_over(run);
   if (error != MO_OK)
     return error;
   run->checkpoint_us = mo_clock_us();
@@ -206,7 +210,7 @@ static int prepare(struct run *run)
 static void note_speed(struct run *run, double seconds)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
-  uint32_t left = settings->n_steps - mo_training_step(run->learner.training);
+  uint32_t left = settings->n_steps - step_of(run);
   uint64_t n = run->n_rates < RATES ? run->n_rates + 1 : RATES;
   int64_t now = mo_clock_us(), oldest = now;
   double sum = 0;
@@ -219,7 +223,7 @@ static void note_speed(struct run *run, double seconds)
       oldest = run->rates[i].end_us;
   }
   pthread_mutex_lock(&run->runner->runners->mutex);
-  run->runner->live.position = mo_training_step(run->learner.training);
+  run->runner->live.position = step_of(run);
   run->runner->live.rate = sum > 0 ? (double)settings->batch * (double)n / sum : 0;
   /* Includes the time between steps: validations, checkpoints. */
   run->runner->live.seconds_left =
@@ -230,12 +234,11 @@ static void note_speed(struct run *run, double seconds)
 static int draw(struct run *run, const struct mo_robot **robots)
 {
   const struct mo_training_settings *settings = &run->status.record.settings;
-  bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 &&
-                 mo_training_step(run->learner.training) > 0;
+  bool replays = settings->kind == MO_TRAINING_PRETRAIN && run->n_rates == 0 && step_of(run) > 0;
   int error;
   if (replays) {
     pthread_mutex_lock(&run->runner->runners->mutex);
-    run->runner->live.total = (uint64_t)mo_training_step(run->learner.training) * settings->batch;
+    run->runner->live.total = (uint64_t)step_of(run) * settings->batch;
     pthread_mutex_unlock(&run->runner->runners->mutex);
     (void)enter(run, MO_PHASE_REPLAY);
   }
@@ -259,8 +262,8 @@ static int write_code(void *context)
   const char *fingerprint = run->learner.batch.computed_on == MO_ON_DEVICE
                                 ? mo_compute_device_gradient_fingerprint(compute)
                                 : mo_compute_gradient_fingerprint(compute);
-  return mo_store_training_code(run->jobs->store, run->id, mo_training_step(run->learner.training),
-                                fingerprint, &run->status.code);
+  return mo_store_training_code(run->jobs->store, run->id, step_of(run), fingerprint,
+                                &run->status.code);
 }
 
 /* Records in the lineage, before the step is applied, which code computed the gradient, because
@@ -280,7 +283,7 @@ static int note_code(struct run *run)
 static bool checkpoint_is_due(const struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
-  uint32_t here = mo_training_step(run->learner.training);
+  const uint32_t here = step_of(run);
   if (here == run->checkpoint_step || here == 0)
     return false;
   return (record->checkpoint_every_steps > 0 && here % record->checkpoint_every_steps == 0) ||
@@ -339,8 +342,7 @@ static int write_validation(void *context)
 
 static int validate(struct run *run)
 {
-  uint32_t every = run->status.record.validate_every_steps,
-           here = mo_training_step(run->learner.training);
+  uint32_t every = run->status.record.validate_every_steps, here = step_of(run);
   int error;
   if (every == 0 || (here % every != 0 && here != run->status.record.settings.n_steps) ||
       here <= run->validated)
@@ -393,8 +395,7 @@ static int learn(struct run *run)
     if (mo_runner_is_interrupted(run->runner))
       return MO_ERR_CANCELLED;
     error = validate(run);
-    if (error != MO_OK ||
-        mo_training_step(run->learner.training) == run->status.record.settings.n_steps)
+    if (error != MO_OK || step_of(run) == run->status.record.settings.n_steps)
       break;
     error = step(run);
   }

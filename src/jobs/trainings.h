@@ -38,8 +38,6 @@ struct mo_training_request {
 int mo_jobs_submit_training(struct mo_jobs *jobs, const struct mo_training_request *request,
                             int64_t *id, bool *replayed, struct mo_message *message);
 
-/* mo_jobs_cancel, mo_jobs_pause, mo_jobs_resume and mo_jobs_wait work on trainings, too. */
-
 /* Returns the "morphod.version" that trained controllers record: the version in the configuration
  * with the fingerprint of the gradients. Lives as long as `jobs`. */
 const char *mo_jobs_code_version(const struct mo_jobs *jobs, enum mo_back_end back_end);

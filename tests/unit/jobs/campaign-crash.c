@@ -51,8 +51,7 @@ static void live(const char *path, int mode, uint32_t n_workers)
   }
   id = submit(&service, &request);
   atomic_store(&shared->runs, true);
-  if (id < 1 || mo_jobs_wait(service.jobs, id, 60000, &job) != MO_OK ||
-      job.state != MO_JOB_SUCCEEDED)
+  if (id < 1 || await_end(service.jobs, id, 60000, &job) != MO_OK || job.state != MO_JOB_SUCCEEDED)
     _exit(4);
   service_close(&service);
   _exit(0);

@@ -146,7 +146,7 @@ static inline struct mo_campaign_status status_of(struct service *service, int64
 static inline bool ends_as_plain(struct service *service, int64_t id, const struct origin *origin)
 {
   struct mo_job job;
-  return mo_jobs_wait(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
+  return await_end(service->jobs, id, 120000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED &&
          job.attempts == 0 && is_as_plain(service->fixture.store, id, &fake_plain, origin);
 }
 

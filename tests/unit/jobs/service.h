@@ -5,6 +5,7 @@
 #include "../store/fixture.h"
 #include "fake_compute.h"
 #include "jobs/evaluations.h"
+#include "wait.h"
 
 struct service {
   struct fixture fixture;

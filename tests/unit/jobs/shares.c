@@ -8,6 +8,7 @@
 #include "../store/fixture.h"
 #include "jobs/evaluations.h"
 #include "jobs/trainings.h"
+#include "wait.h"
 
 enum { BODIES = 2000 };
 
@@ -86,7 +87,7 @@ static void a_training_beside_an_evaluation(void)
     evaluation.genotypes = genotypes + i;
     REQUIRE(mo_jobs_submit_evaluation(jobs, &evaluation, &small, &replayed, &fixture.message) ==
             MO_OK);
-    REQUIRE(mo_jobs_wait(jobs, small, 20000, &job) == MO_OK);
+    REQUIRE(await_end(jobs, small, 20000, &job) == MO_OK);
     CHECK(job.state == MO_JOB_SUCCEEDED && job.priority == MO_INTERACTIVE);
     slowest_s = fmax(slowest_s, now_s() - start);
   }

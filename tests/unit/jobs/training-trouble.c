@@ -47,7 +47,7 @@ static void waits_for_room(void)
   CHECK_INT(mo_jobs_pause(service.jobs, id), MO_OK);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   limit_files(RLIM_INFINITY);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   /* Cancelled while it waits. */
@@ -69,7 +69,7 @@ static void waits_for_room(void)
   service_close(&service);
   limit_files(RLIM_INFINITY);
   REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
 }
@@ -104,7 +104,7 @@ static void waits_for_memory(void)
   CHECK_INT(state_of(&service, id), MO_JOB_PAUSED);
   fake_plan.gradient_fails = 0;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   fake_plan.gradient_fails = 1000;
@@ -121,7 +121,7 @@ static void waits_for_memory(void)
   service_close(&service);
   fake_plan.gradient_fails = 0;
   REQUIRE(service_open(&service) == MO_OK);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -149,7 +149,7 @@ static void waits_for_descriptors(void)
   usleep(500000); /* it has tried again */
   CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
   REQUIRE(setrlimit(RLIMIT_NOFILE, &before) == 0);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -166,19 +166,19 @@ __attribute__((unused)) static void tries_three_times(void)
   fake_plan.gradient_fails = 1;
   fake_plan.gradient_status = MO_ERR_IO;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK_INT(job.error, MO_OK);
   CHECK(has_result(&service, id, &expected));
   fake_plan.gradient_fails = 1000;
   id = submit(&service, &request);
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_FAILED);
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_IO);
   CHECK(strstr(job.error_text, "input or output failed") != NULL);
   CHECK_INT(warnings, 4);
-  CHECK_INT(settled(&service).jobs_failed, 1);
+  CHECK_INT(idle_stats(&service).jobs_failed, 1);
   service_end(&service);
 }
 
@@ -220,10 +220,10 @@ __attribute__((unused)) static void passes_over_damaged_checkpoints(void)
     REQUIRE(await_step(&service, id, 2));
     pthread_mutex_lock(&warned_mutex);
     CHECK_INT(warnings, round);
-    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "begins anew") != NULL);
+    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "starts over") != NULL);
     pthread_mutex_unlock(&warned_mutex);
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
@@ -254,7 +254,7 @@ __attribute__((unused)) static void waits_for_the_database(void)
     fault_plan.write_error = 0;
     REQUIRE(await_phase(&service, id, MO_PHASE_LEARN, &live));
   }
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK(has_result(&service, id, &expected));
   service_end(&service);
 }
@@ -287,7 +287,7 @@ __attribute__((unused)) static void notes_a_failure_when_it_can(void)
   CHECK_INT(state_of(&service, id), MO_JOB_RUNNING);
   fake_plan.gradient_delay_us = 0;
   fault_plan.write_error = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.attempts, 0); /* one, forgiven by the checkpoint that came after it */
   CHECK(has_result(&service, id, &expected));
   service_end(&service);

@@ -24,7 +24,7 @@ static void learns(void)
   double seconds = -now_s();
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   seconds += now_s();
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK_INT(job.steps_done, STEPS);
@@ -57,7 +57,7 @@ static void learns(void)
   CHECK_TEXT(events[0].type, "job.created");
   CHECK_TEXT(events[1].type, "job.started");
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.training_steps, STEPS);
   CHECK_INT(stats.training_robots, STEPS * BATCH);
   CHECK_INT(stats.training_checkpoints, 3);
@@ -89,8 +89,7 @@ static void takes_turns(void)
   for (int i = 0; i < 4; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 4; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
-            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 4 * STEPS + 1);
   CHECK_INT(n, 4 * STEPS);
   for (size_t i = 0; i < n; i++) {
@@ -106,8 +105,7 @@ static void takes_turns(void)
   for (int i = 0; i < 3; i++)
     ids[i] = submit(&service, &request);
   for (int i = 0; i < 3; i++)
-    REQUIRE(mo_jobs_wait(service.jobs, ids[i], 30000, &job) == MO_OK &&
-            job.state == MO_JOB_SUCCEEDED);
+    REQUIRE(await_end(service.jobs, ids[i], 30000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   n = fake_history(tags, 3 * STEPS);
   for (size_t i = 1; i < n; i++) {
     changes += tags[i] != tags[i - 1];
@@ -133,7 +131,7 @@ __attribute__((unused)) static void validates_as_an_evaluation_does(void)
   int64_t id;
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(mo_store_training(service.fixture.store, id, &status) == MO_OK && status.has_result);
   row = status.validation;
   REQUIRE(mo_store_controller_bytes(service.fixture.store, &status.result_sha256, &bytes, &size) ==
@@ -190,12 +188,12 @@ __attribute__((unused)) static void tunes_a_population(void)
   REQUIRE(fixture_bodies(31, 30, &forms, &genotypes) == MO_OK);
   evaluation = service_request(genotypes, 30);
   scored = service_submit(&service, &evaluation);
-  REQUIRE(mo_jobs_wait(service.jobs, scored, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, scored, 30000, &job) == MO_OK);
   request.record.settings.kind = MO_TRAINING_FINETUNE;
   request.population = scored;
   request.population_best = 5;
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   REQUIRE(mo_store_population(service.fixture.store, scored, 5, &best, &n) == MO_OK && n == 5);
   REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
   mo_sha256_to_hex(&record.sha256, digits);
@@ -215,7 +213,7 @@ __attribute__((unused)) static void tunes_a_population(void)
   request.record.n_designs = 7;
   snprintf(request.record.name, sizeof(request.record.name), "again");
   id = submit(&service, &request);
-  REQUIRE(id > 0 && mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(id > 0 && await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(mo_sha256_equal(&job.controller_sha256, &expected));
   free(best);

@@ -59,9 +59,9 @@ static void among_evaluations(void)
   REQUIRE(await_history(before + 40, 20));
   CHECK_NEAR(part_of(light, before, &n), 0.9, 0.08);
   fake_plan.delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, light, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, light, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK(job.weight == 27);
-  REQUIRE(mo_jobs_wait(service.jobs, heavy, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
+  REQUIRE(await_end(service.jobs, heavy, 20000, &job) == MO_OK && job.state == MO_JOB_SUCCEEDED);
   CHECK(job.weight == 3);
   CHECK(right(&service, light, genotypes) && right(&service, heavy, genotypes + BODIES));
   CHECK_INT(mo_jobs_set_weight(service.jobs, light, 1), MO_ERR_CONFLICT);
@@ -110,7 +110,7 @@ static void of_a_training(void)
   REQUIRE(service_open(&service) == MO_OK); /* and after a restart */
   CHECK_INT(mo_jobs_set_weight(service.jobs, id, 4), MO_OK);
   fake_plan.gradient_delay_us = 0;
-  REQUIRE(mo_jobs_wait(service.jobs, id, 30000, &job) == MO_OK);
+  REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);
   CHECK_INT(job.state, MO_JOB_SUCCEEDED);
   CHECK(job.weight == 4 && fake_weight(id) == 4);
   CHECK(has_result(&service, id, &expected));
