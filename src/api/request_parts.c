@@ -308,7 +308,7 @@ static void read_environment(struct mo_json *json, struct mo_environment *enviro
     }
   }
   if (!light)
-    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in metres");
+    mo_json_fault_at(json, depth, "", "light_xy_m is missing: [x, y] of the light in meters");
   if (heights ? has_sigma || has_seed : !has_sigma || !has_seed)
     mo_json_fault_at(
         json, depth, "",
@@ -508,5 +508,5 @@ void mo_parts_free(struct mo_parts *parts)
   free(parts->genotypes);
   free(parts->environments);
 }
-_Static_assert(MO_BACK_END_AUTO == -1 && MO_ON_CPU == 0 && MO_ON_DEVICE == 1 && MO_BATCH == 0,
+_Static_assert(MO_BACK_END_AUTO + 1 == 0 && (int)MO_ON_DEVICE == 1,
                "the words stand in the order of their values");

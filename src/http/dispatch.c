@@ -220,7 +220,7 @@ static enum MHD_Result receive(struct mo_request *request, const char *bytes, si
     } else if (error == MO_ERR_LIMIT) {
       mo_reply_problem(
           request, 429, NULL,
-          "The bodies of this client's requests that are under way take half of the memory for all "
+          "The bodies of this client's requests in flight take half of the memory for all "
           "clients, which is as much as is allowed.");
       request->reply.retry_after_s = 1;
     } else if (error != MO_OK) {
@@ -256,7 +256,7 @@ static enum MHD_Result dispatch(struct mo_request *request)
   if (request->client == NULL) {
     if (refused)
       mo_reply_problem(request, 429, NULL,
-                       "This client has %u requests under way, which is as many as are allowed.",
+                       "This client has %u requests in flight, which is as many as are allowed.",
                        http->config.max_in_flight);
     else
       mo_reply_error(request, MO_ERR_NO_MEMORY, "request");
