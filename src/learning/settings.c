@@ -10,12 +10,7 @@
 
 /* ---- presets ---- */
 
-static const char *const preset_words[] = {"workstation", "phototaxis", "paper", NULL};
-
-int mo_learning_preset_from_name(const char *name, enum mo_learning_preset *preset)
-{
-  return mo_word_find(preset_words, name, preset);
-}
+const char *const mo_learning_preset_words[] = {"workstation", "phototaxis", "paper", NULL};
 
 struct mo_training_settings mo_training_defaults(enum mo_training_kind kind)
 {
