@@ -4,7 +4,7 @@
  * a time step dt is the float64 `exact` life at dt/16. Errors are the distance of the center of
  * mass from the truth's, the largest up to a time, and the difference in loss. Contact makes the
  * lives chaotic: a difference of rounding grows by orders of magnitude per second, so the error of
- * the path is given after 0.2 s and 1 s as well: there it still tells the methods apart. The time
+ * the path is given after 0.2 s and 1 s as well: there it still separates the methods. The time
  * step outweighs all else; so that precision and impact mode can be seen behind it, the last
  * columns compare with float64 `exact` at the same time step. */
 #include "bench.h"

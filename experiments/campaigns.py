@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Runs campaigns of all three modes through the daemon, and tells and draws how they evolve.
+"""Runs campaigns of all three modes through the daemon, and reports and draws how they evolve.
 
 Zero-shot with three seeds, one few-shot and one simultaneous campaign of the same size. The state
 folder is kept: called again, it goes on where it was. Wall time per campaign is the sum of its
@@ -52,8 +52,8 @@ def survival(row, operator):
 
 
 def follow(daemon, campaign, deadline):
-    """Waits for the end of a campaign, telling how far it is, or for the deadline; returns it as it
-    stands then."""
+    """Waits for the end of a campaign, reporting its progress, or for the deadline; returns it as
+    it stands then."""
     while not deadline.is_over():
         campaign = daemon.look("campaigns", campaign, deadline.wait_s())
         if campaign["state"] in ENDED + ("paused", ):

@@ -200,7 +200,7 @@ def card(arguments):
     parts = [
         f"Made by `tools/bench model-card` ({computed}): {len(designs)} bodies that no pretraining "
         f"draws (`/v1/held-out`, "
-        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), lives of "
+        f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}), rollouts of "
         f"{arguments.rollout_steps} steps. A score is the distance to the light at the end "
         "over that at the start: 1 is standing still, 0 is reaching it. The mean is over bodies; "
         "its confidence interval comes from drawing the bodies again.",
@@ -212,7 +212,7 @@ def card(arguments):
         f"**By roughness of the terrain** (σ of its heights), {count} lights 0.4 to 2 m away each:",
         records.table(("σ", ) + head, by_value(SIGMAS_M, by_rough, count, "m", TRAINED_SIGMA_M)),
         f"**By distance of the light**, {count} environments with σ up to 0.1 m each; the map ends "
-        f"2.5 m from the start, and its border's heights go on:",
+        f"2.5 m from the start, and its border's heights continue:",
         records.table(("distance", ) + head,
                       by_value(DISTANCES_M, by_light, count, "m", TRAINED_DISTANCES_M))
     ]

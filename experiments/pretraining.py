@@ -1,4 +1,4 @@
-"""Pretrains controllers through the daemon, at the paper's scale by default, and tells and draws
+"""Pretrains controllers through the daemon, at the paper's scale by default, and reports and draws
 how they learn.
 
 One call trains one recipe with some seeds, one training after the other. The state folder is kept:
@@ -137,7 +137,7 @@ def is_done(rows, recipe, seed, device, steps, file):
     return file.exists() and len(known) >= steps
 
 
-def tell(training, recipe):
+def report_progress(training, recipe):
     progress = training["progress"]
     seed = training["settings"]["seed"]
     line = f"{recipe}, seed {seed}: step {progress['step']} of {progress['steps']}"
@@ -174,7 +174,7 @@ def run(arguments):
                 training = daemon.look("trainings", training, deadline.wait_s())
                 if training["state"] in ENDED + ("paused", ):
                     break
-                tell(training, recipe)
+                report_progress(training, recipe)
             new = list(rows_of(daemon, training, recipe))
             if new:
                 key = (recipe, training["device"], training["settings"]["seed"])
@@ -200,7 +200,7 @@ def run(arguments):
     return True
 
 
-# ---- telling ----
+# ---- progress ----
 
 
 def smooth(curve, half):

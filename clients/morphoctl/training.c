@@ -115,7 +115,7 @@ char *training_plot(const struct ctl *ctl, const struct training *training, int 
                       .width = width,
                       .height = height,
                       .utf8 = ctl->utf8,
-                      .colour = ctl->colour};
+                      .color = ctl->color};
   return plot_draw(&plot);
 }
 

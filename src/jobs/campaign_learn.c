@@ -150,7 +150,7 @@ static int restore(struct mo_campaign_run *run)
   if (error != MO_ERR_CORRUPT)
     return error;
   mo_runner_warn(run->runner, error,
-                 "a checkpoint inside a generation is damaged: the generation learns anew");
+                 "a checkpoint inside a generation is damaged: the generation learns again");
   run->runner->text[0] = '\0';
   return MO_ERR_NOT_FOUND;
 }

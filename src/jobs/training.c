@@ -153,13 +153,13 @@ static int load_checkpoint(struct run *run)
       return error;
     snprintf(text, sizeof(text), "the checkpoint of step %u cannot be used (%.120s): %s",
              (unsigned)rows[i].step, error == MO_ERR_IO ? "it cannot be read" : message.text,
-             i + 1 < n ? "the one before it is taken" : "the training begins anew");
+             i + 1 < n ? "the one before it is taken" : "the training starts over");
     mo_runner_warn(run->runner, error, text);
   }
   return MO_ERR_NOT_FOUND;
 }
 
-static int begin_anew(struct run *run)
+static int start_over(struct run *run)
 {
   const struct mo_training_record *record = &run->status.record;
   struct mo_message message = {.text = ""};
@@ -193,7 +193,7 @@ static int prepare(struct run *run)
     return error;
   error = load_checkpoint(run);
   if (error == MO_ERR_NOT_FOUND)
-    error = begin_anew(run);
+    error = start_over(run);
   if (error != MO_OK)
     return error;
   run->checkpoint_us = mo_clock_us();

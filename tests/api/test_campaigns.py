@@ -377,7 +377,8 @@ def test_learning_gives_a_controller(service, learned):
     assert [float(line["mean_loss"])
             for line in lines] == [row["mean_loss"] for row in page["items"]]
     assert service.request("GET", path + "?format=csv&limit=1").body.count(b"\n") == 2
-    for bad in ("?cursor=1", "?cursor=-1.0", "?cursor=1.x", "?cursor=1.2.3", "?limit=0", "?format=xml",
+    for bad in ("?cursor=1", "?cursor=-1.0", "?cursor=1.x", "?cursor=1.2.3", "?limit=0",
+                "?format=xml",
                 "?step=1"):
         assert service.request("GET", path + bad).status == 400, bad
     reply = service.request("GET", path)
@@ -431,7 +432,8 @@ def test_generations(service, evolved):
     etag = service.request("GET", path + "?format=csv").headers["ETag"]
     assert service.request("GET", path + "?format=csv",
                            headers={"If-None-Match": etag}).status == 304
-    for bad in ("?cursor=-1", "?cursor=x", "?cursor=1.1", "?limit=0", "?limit=1001", "?format=newick", "?stride=2"):
+    for bad in ("?cursor=-1", "?cursor=x", "?cursor=1.1", "?limit=0", "?limit=1001",
+                "?format=newick", "?stride=2"):
         assert service.request("GET", path + bad).status == 400, bad
     assert service.request("GET", path, headers={"Accept": "image/png"}).status == 406
     assert service.request("GET", evolved["links"]["learning"]).json() == {

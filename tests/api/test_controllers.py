@@ -60,7 +60,8 @@ def test_repointing_changes_what_is_computed(service):
     request = {"designs": [DESIGN], "physics": SHORT, "controller": "moving"}
     service.request("PUT", "/v1/controllers/moving/file", body=BYTES, headers=FILE)
     first = service.evaluate(request).json()
-    assert service.request("PUT", "/v1/controllers/moving/file", body=other, headers=FILE).status == 200
+    assert service.request("PUT", "/v1/controllers/moving/file", body=other,
+                           headers=FILE).status == 200
     second = service.evaluate(request).json()
     assert first["controller"]["name"] == second["controller"]["name"] == "moving"
     assert first["controller"]["sha256"] != second["controller"]["sha256"] == hashlib.sha256(
@@ -87,7 +88,8 @@ def test_list(service):
 @pytest.mark.parametrize(
     "name", ["UPPER", "-minus", ".dot", "a" * 65, "sha256:" + "0" * 64, "a%20b", "%C3%A9"])
 def test_names(service, name):
-    assert service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES, headers=FILE).status == 422
+    assert service.request("PUT", f"/v1/controllers/{name}/file", body=BYTES,
+                           headers=FILE).status == 422
 
 
 def test_damaged_file_is_named_and_healed(start):
@@ -101,7 +103,8 @@ def test_damaged_file_is_named_and_healed(start):
     assert job["state"] == "failed" and job["error"]["code"] == "corrupt" and digest in job[
         "error"]["detail"]
     assert f"{digest}.safetensors" in service.log_text()
-    assert service.request("PUT", "/v1/controllers/default/file", body=BYTES, headers=FILE).status == 200
+    assert service.request("PUT", "/v1/controllers/default/file", body=BYTES,
+                           headers=FILE).status == 200
     assert service.request("GET", "/v1/controllers/default/file").body == BYTES
     assert service.evaluate(request).json()["state"] == "succeeded"
 
@@ -165,7 +168,8 @@ def test_upload_limits(start):
     running = start("--max-controller=3M")
     assert running.request("PUT", "/v1/controllers/big/file", body=bytes(4 << 20),
                            headers=FILE).status == 413
-    assert running.request("PUT", "/v1/controllers/fits/file", body=BYTES, headers=FILE).status == 201
+    assert running.request("PUT", "/v1/controllers/fits/file", body=BYTES,
+                           headers=FILE).status == 201
     assert running.request("PUT",
                            "/v1/controllers/x/file",
                            body=BYTES,

@@ -240,12 +240,14 @@ def test_recording(service):
         headers={"If-None-Match": binary.headers["ETag"]})
     assert again.status == 304
     for bad, status in (("?environment=10", 404), ("?environment=64", 400), ("?environment=x", 400),
-                        ("/file?array=pose", 400), ("?array=com", 400), ("/file?environment=10", 404)):
+                        ("/file?array=pose", 400), ("?array=com", 400), ("/file?environment=10",
+                                                                         404)):
         assert service.request("GET", path + bad).status == status, bad
     assert service.request("GET", path[:-1] + "1").status == 404
     assert service.request("GET", path[:-1] + "x").status == 404
     assert service.request("GET", path, headers={"Accept": "text/csv"}).status == 406
-    assert service.request("GET", path + "/file", headers={"Accept": "application/json"}).status == 406
+    assert service.request("GET", path + "/file",
+                           headers={"Accept": "application/json"}).status == 406
 
 
 def test_not_recorded(service):

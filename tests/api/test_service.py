@@ -50,7 +50,8 @@ def test_contract_lists_every_operation(service):
 
 
 def test_head(service):
-    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers", "/v1/controllers/default/file",
+    for path in ("/healthz", "/metrics", "/v1/jobs", "/v1/controllers",
+                 "/v1/controllers/default/file",
                  "/v1/events"):
         reply = service.request("HEAD", path)
         assert reply.status == 200 and reply.body == b""
@@ -62,7 +63,8 @@ def test_not_found(service):
     for path in ("/nothing", "/v1", "/v2/jobs", "/v1/jobs/0", "/v1/jobs/x", "/v1/jobs/99999999",
                  "/v1/evaluations/01", "/v1/jobs/1e3", "/v1/designs/" + "0" * 36, "/v1/designs/xyz",
                  "/v1/controllers/nobody", "/v1/controllers/sha256:" + "0" * 64,
-                 "/v1/controllers/UPPER", "/v1/controllers/nobody/file", "/v1/evaluations/99999999/trajectories/0",
+                 "/v1/controllers/UPPER", "/v1/controllers/nobody/file",
+                 "/v1/evaluations/99999999/trajectories/0",
                  "/v1/jobs/" + "9" * 40):
         assert service.request("GET", path).status == 404, path
 
@@ -73,7 +75,8 @@ def test_not_found(service):
     "/v1/jobs?state=%zz", "/v1/jobs?cursor=" + "1" * 600, "/v1/designs?sort=age",
     "/v1/designs?controller=default", "/v1/designs?sort=score&cursor=7",
     "/v1/designs?sort=score&environments=moon", "/v1/events?format=xml",
-    "/v1/events?format=json&after=-1", "/v1/events?format=json&cursor=x", "/v1/events?cursor=1", "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
+    "/v1/events?format=json&after=-1", "/v1/events?format=json&cursor=x", "/v1/events?cursor=1",
+    "/v1/events?format=json&job=x", "/v1/controllers?cursor=A",
     "/healthz?x=1", "/v1/threads?full=1"
 ])
 def test_bad_parameters(service, query):

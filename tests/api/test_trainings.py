@@ -404,7 +404,8 @@ def test_curve(service, trained):
                            headers={"Accept": "text/csv"}).json() == page
     part = service.request("GET", path + "?limit=2&cursor=1", headers={"Accept": "text/csv"})
     assert part.body.count(b"\n") == 3
-    for bad in ("?cursor=-1", "?cursor=x", "?after=1", "?stride=0", "?limit=0", "?limit=1001", "?step=1",
+    for bad in ("?cursor=-1", "?cursor=x", "?after=1", "?stride=0", "?limit=0", "?limit=1001",
+                "?step=1",
                 "?format=newick"):
         assert service.request("GET", path + bad).status == 400, bad
     assert service.request("GET", path, headers={"Accept": "image/png"}).status == 406
@@ -481,7 +482,8 @@ def test_checkpoints_are_deleted(service):
     for bad in (steps[1], 999999, 0, "x", "1000001"):
         assert service.request("DELETE", f"{path}/{bad}").status == 404, bad
     reply = service.request("DELETE", path).json()
-    assert reply["items"] == [{"step": step} for step in steps[2:]] and reply["bytes"] > 12e6 * len(steps[2:])
+    assert reply["items"] == [{"step": step} for step in steps[2:]]
+    assert reply["bytes"] > 12e6 * len(steps[2:])
     assert service.request("DELETE", path).json() == {"items": [], "bytes": 0}
     folder = service.state / "trainings" / running["id"]
     assert [file.name for file in folder.iterdir()] == [f"{steps[0]}.checkpoint"]
@@ -508,7 +510,8 @@ def test_checkpoints_are_deleted(service):
     done = finished(
         service,
         service.request("POST", "/v1/trainings", {**TUNE, "name": "pruned"}).json()["id"]).json()
-    assert service.request("DELETE", done["links"]["checkpoints"]).json()["items"] == [{"step": 6}, {"step": 4}]
+    assert service.request("DELETE", done["links"]["checkpoints"]).json()["items"] == [{"step": 6},
+                                                                                       {"step": 4}]
     assert service.request("GET", done["links"]["controller"] + "?step=6").status == 200
     assert service.request("GET", done["links"]["controller"] + "?step=4").status == 404
     assert service.request("DELETE", "/v1/trainings/999999/checkpoints").status == 404

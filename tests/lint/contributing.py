@@ -1,9 +1,10 @@
 #!/usr/bin/python3
 """Follows the worked examples of docs/contributing.md: applies the diffs of each section to a copy
-of the sources, compiles every C file that they touch, and runs the unit tests that they extend.
+of the sources, compiles the rooms that they touch, and runs the unit tests that they extend.
 
-Usage: contributing.py CC LIBMORPHO. Prints TAP: one line for each example. The room that an example
-changes is compiled again, and the rest of it comes from LIBMORPHO."""
+Usage: contributing.py CC LIBMORPHO. Prints TAP: one line for each example. A room of the library is
+linked with the test; a room of the service is only checked by the compiler, and its routes against
+the contract."""
 import re
 import shutil
 import subprocess
@@ -11,8 +12,12 @@ import sys
 import tempfile
 from pathlib import Path
 
+import yaml
+
 TOP = Path(__file__).resolve().parents[2]
 FLAGS = ["-std=gnu17", "-D_GNU_SOURCE", "-O1", "-ffp-contract=off", "-Wall", "-Werror"]
+SERVICE = ["store", "jobs", "http", "api", "daemon"]
+ROUTE = re.compile(r'^ROUTE\("([^"]+)", (\w+)', re.M)
 ADDED_CASE = re.compile(r'^\+    \{"([^"]+)", \w+\},$', re.M)
 
 
@@ -31,18 +36,35 @@ def run(command, folder, **options):
     return done.returncode, done.stdout + done.stderr
 
 
+def service_faults(rooms, compiler, copy):
+    """Checks rooms of the service: their sources compile, and the contract has their routes."""
+    faults = []
+    for room in rooms:
+        error, output = run([compiler, *FLAGS, "-Wmissing-prototypes", "-fsyntax-only", "-Iinclude",
+                             "-Isrc", *map(str, sorted((copy / "src" / room).glob("*.c")))], copy)
+        faults += [f"room {room} does not compile:", *output.splitlines()] if error != 0 else []
+    if "api" in rooms:
+        paths = yaml.safe_load((copy / "schema/openapi.yaml").read_text())["paths"]
+        faults += [f"the contract has no {method} {path}"
+                   for path, method in ROUTE.findall((copy / "src/api/routes.inc").read_text())
+                   if method.lower() not in paths.get(path, {})]
+    return faults
+
+
 def follow(diff, compiler, library, copy):
     """What is wrong with an example: a list of lines, empty if it works."""
-    for name in ("include", "src", "tests/unit", "docs"):
+    for name in ("include", "src", "schema", "tests/unit", "docs"):
         shutil.copytree(TOP / name, copy / name)
     error, output = run(["git", "apply", "-"], copy, input=diff)
     if error != 0:
         return ["the diffs do not apply:", *output.splitlines()]
-    faults = []
     changed = re.findall(r"^\+\+\+ b/(\S+\.c)$", diff, re.M)
     tests = [name for name in changed if name.startswith("tests/")]
-    rooms = sorted({Path(name).parent for name in changed if name.startswith("src/")})
-    sources = [str(path) for room in rooms for path in sorted((copy / room).glob("*.c"))]
+    rooms = {Path(name).parts[1] for name in changed if name.startswith("src/")}
+    library_rooms = sorted(rooms.difference(SERVICE))
+    sources = [str(path) for room in library_rooms
+               for path in sorted((copy / "src" / room).glob("*.c"))]
+    faults = service_faults(sorted(rooms.intersection(SERVICE)), compiler, copy)
     cases = ADDED_CASE.findall(diff)
     for test in tests:
         error, output = run([compiler, *FLAGS, "-Iinclude", "-Isrc", "-o", "test", test, *sources,
@@ -54,8 +76,9 @@ def follow(diff, compiler, library, copy):
             faults += [f"{test} fails:", *output.splitlines()]
         cases = [case for case in cases if not re.search(rf"^ok \d+ - {re.escape(case)}$", output,
                                                          re.M)]
-    return faults + [f"no test ran this case: {case}" for case in cases] + (
-        [] if tests and ADDED_CASE.search(diff) else ["the example adds no test"])
+    if library_rooms and not ADDED_CASE.search(diff):
+        faults.append("the example adds no test")
+    return faults + [f"no test ran this case: {case}" for case in cases]
 
 
 def main(compiler, library):

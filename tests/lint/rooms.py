@@ -78,7 +78,8 @@ def faults_of(room, top):
             elif other is not None and order.index(other) > order.index(room):
                 faults.append(
                     f"{name} includes {include}, of room {other}, which comes after {room}")
-            if room in ONLY and other not in (None, room, *ONLY[room]) and include not in ONLY[room]:
+            only = ONLY.get(room)
+            if only is not None and other not in (None, room, *only) and include not in only:
                 faults.append(f"{name} includes {include}: room {room} has no use for {other}")
             for foreign in FOREIGN:
                 if include.startswith(foreign) and foreign not in ROOMS[room]:

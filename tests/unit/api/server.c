@@ -91,7 +91,7 @@ static int say(const char *method, const char *path, const char *headers, const 
 }
 
 /* Reads to the end; the status, 0 if there was none. */
-static int hear(int fd, char *text, size_t size)
+static int receive(int fd, char *text, size_t size)
 {
   size_t n = 0;
   ssize_t part = 0;
@@ -106,7 +106,7 @@ static int hear(int fd, char *text, size_t size)
 static int ask(const char *method, const char *path, const char *headers, const char *body,
                char *text, size_t size)
 {
-  return hear(say(method, path, headers, body), text, size);
+  return receive(say(method, path, headers, body), text, size);
 }
 
 static int descriptors(void)
@@ -195,7 +195,8 @@ static void addresses(void)
   unlink(path);
 }
 
-/* Where a recording of many megabytes is: whoever does not read it has a request in flight. */
+/* Where a recording of many megabytes is: a client that does not read it has a request in flight.
+ */
 static bool record(char path[64])
 {
   char text[8192];
@@ -236,8 +237,8 @@ static void limits(void)
   mo_http_get_stats(mo_api_http(api), &stats);
   CHECK(stats.in_flight >= 2 && stats.requests >= 1 && stats.heartbeat_us > 0);
   atomic_store(&fake_plan.delay_us, 0);
-  CHECK_INT(hear(first, text, sizeof(text)), 200);
-  CHECK_INT(hear(second, text, sizeof(text)), 200);
+  CHECK_INT(receive(first, text, sizeof(text)), 200);
+  CHECK_INT(receive(second, text, sizeof(text)), 200);
   REQUIRE(record(path));
   first = say("GET", path, "", "");
   second = say("GET", path, "", "");
@@ -284,7 +285,7 @@ static void lists_leave_threads(void)
   for (uint32_t i = 0; i < store->n_readers; i++)
     mo_reader_release(store, held[i]);
   for (int i = 0; i < LISTS; i++)
-    CHECK_INT(hear(lists[i], text, sizeof(text)), 200);
+    CHECK_INT(receive(lists[i], text, sizeof(text)), 200);
   free(held);
   mo_api_stop(api, 1000);
 }
@@ -366,7 +367,7 @@ static void long_replies(void)
   for (const char *c = body; (c = strchr(c, '\n')) != NULL; c++)
     lines++;
   CHECK_INT(lines, DESIGNS + 1);
-  /* Each that is under way counts in the memory of replies, whatever its client does. */
+  /* Each reply that is being sent counts in the memory of replies, whatever its client does. */
   int fds[12], refused = 0;
   for (int i = 0; i < 12; i++) {
     int small = 2048;
@@ -380,13 +381,13 @@ static void long_replies(void)
   for (int i = 0; i < 12; i += 2)
     close(fds[i]);
   for (int i = 1; i < 12; i += 2)
-    CHECK(hear(fds[i], text, size) >= 0);
+    CHECK(receive(fds[i], text, size) >= 0);
   CHECK_INT(ask("GET", path, "", "", text, size), 200); /* their memory is back */
   /* The end of the server in the middle of one: the reply is not finished. */
   int fd = say("GET", path, "", "");
   CHECK(recv(fd, text, 100, 0) > 0);
   mo_api_stop(api, 50);
-  hear(fd, text, size);
+  receive(fd, text, size);
   free(text);
 }
 
@@ -419,7 +420,7 @@ static void memory(void)
   snprintf(body, sizeof(body), one, 14);
   CHECK_INT(ask("POST", "/v1/evaluations", "", body, text, sizeof(text)), 202);
   atomic_store(&fake_plan.delay_us, 0);
-  CHECK_INT(hear(waiting, text, sizeof(text)), 200);
+  CHECK_INT(receive(waiting, text, sizeof(text)), 200);
   mo_api_stop(api, 1000);
 }
 
@@ -462,16 +463,16 @@ static void memory_shares(void)
   int half = upload(geteuid(), 400000, 300000);
   REQUIRE(half >= 0);
   pause_ms(200);
-  CHECK_INT(hear(upload(geteuid(), 100000, 100000), text, sizeof(text)), 429);
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 429);
   CHECK(strstr(text, "Retry-After") != NULL);
   if (geteuid() == 0)
-    CHECK_INT(hear(upload(ANOTHER, 100000, 100000), text, sizeof(text)),
+    CHECK_INT(receive(upload(ANOTHER, 100000, 100000), text, sizeof(text)),
               400); /* spaces: taken in and read */
   pause_ms(1200);   /* but a whole request does not wait for one that does not go on */
-  CHECK_INT(hear(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
-  CHECK_INT(hear(half, text, sizeof(text)), 503);
-  CHECK_INT(hear(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
-  CHECK_INT(hear(upload(geteuid(), 900000, 900000), text, sizeof(text)),
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
+  CHECK_INT(receive(half, text, sizeof(text)), 503);
+  CHECK_INT(receive(upload(geteuid(), 100000, 100000), text, sizeof(text)), 400);
+  CHECK_INT(receive(upload(geteuid(), 900000, 900000), text, sizeof(text)),
             400); /* one alone may be larger */
   mo_api_stop(api, 1000);
 }
@@ -506,7 +507,7 @@ static void waiting_ends_with_the_server(void)
   time_t begun = time(NULL);
   mo_api_stop(api, 2000);
   CHECK(time(NULL) - begun < 3);
-  CHECK_INT(hear(waiting, text, sizeof(text)), 202); /* accepted, as it stands */
+  CHECK_INT(receive(waiting, text, sizeof(text)), 202); /* accepted, as it stands */
   atomic_store(&fake_plan.delay_us, 0);
 }
 
@@ -585,7 +586,7 @@ static void *client(void *context)
       (void)!send(fd, "GET /he", 7, MSG_NOSIGNAL);
       close(fd);
     } else {
-      hear(fd, text, sizeof(text));
+      receive(fd, text, sizeof(text));
     }
   }
   return NULL;

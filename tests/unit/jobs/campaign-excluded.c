@@ -145,8 +145,8 @@ __attribute__((unused)) static void leaves_out_what_was_learned_from(void)
 
 /* ---- lineages that cannot be read ---- */
 
-/* How often the campaign told of this field of this controller (its digits, or NULL: any). */
-static int told(struct service *service, int64_t id, const char *digits, const char *field)
+/* How often the campaign reported this field of this controller (its digits, or NULL: any). */
+static int reported(struct service *service, int64_t id, const char *digits, const char *field)
 {
   struct mo_event events[80];
   char quoted[128];
@@ -160,14 +160,14 @@ static int told(struct service *service, int64_t id, const char *digits, const c
   return n_told;
 }
 
-__attribute__((unused)) static void tells_of_what_cannot_be_read(void)
+__attribute__((unused)) static void reports_what_cannot_be_read(void)
 {
   static const char settings[] = "{\"steps\":900,\"batch\":64,\"x\":1}";
   static const char *const fields[] = {"morphod.kind", "morphod.parent", "morphod.seed",
                                        "morphod.step", "morphod.settings"};
   static const struct {
     struct said said;
-    const char *told[3];
+    const char *reported[3];
   } cases[] = {
       {{"pretrain", "random", "31", "0", settings}, {NULL}}, /* no step, no bodies */
       {{"finetune", "random", NULL, NULL, NULL}, {NULL}},
@@ -205,10 +205,10 @@ __attribute__((unused)) static void tells_of_what_cannot_be_read(void)
       CHECK(ends_as_plain(&service, id, &origin)); /* nothing is excluded */
       for (size_t f = 0; f < sizeof(fields) / sizeof(fields[0]); f++) {
         int expected = 0;
-        for (size_t t = 0; t < 3 && cases[i].told[t] != NULL; t++)
-          expected += strcmp(cases[i].told[t], fields[f]) == 0;
-        CHECK_INT(told(&service, id, digits, fields[f]), expected);
-        CHECK_INT(told(&service, id, NULL, fields[f]), expected);
+        for (size_t t = 0; t < 3 && cases[i].reported[t] != NULL; t++)
+          expected += strcmp(cases[i].reported[t], fields[f]) == 0;
+        CHECK_INT(reported(&service, id, digits, fields[f]), expected);
+        CHECK_INT(reported(&service, id, NULL, fields[f]), expected);
       }
     }
   }
@@ -234,9 +234,9 @@ static int put_long(struct service *service, int n, const struct said *first,
   return error;
 }
 
-/* A lineage ends where it is too long to be read, which is told; with too many pretrainings it is
- * refused, and the words say of what. */
-__attribute__((unused)) static void tells_of_long_lineages(void)
+/* A lineage ends where it is too long to be read, which is reported; with too many pretrainings it
+ * is refused, and the words say of what. */
+__attribute__((unused)) static void reports_long_lineages(void)
 {
   const struct said tuned = {"finetune", NULL, NULL, NULL, NULL};
   struct said odd = good, short_one = good;
@@ -250,13 +250,13 @@ __attribute__((unused)) static void tells_of_long_lineages(void)
   request.record.settings.workspace = (struct mo_workspace){3, 3, 2};
   request.record.settings.generations = 1;
   origin = origin_of(&request);
-  odd.seed = "none"; /* told as far as it is read */
+  odd.seed = "none"; /* reported as far as it is read */
   for (int n = 64; n <= 65; n++) {
     REQUIRE(put_long(&service, n, &odd, &tuned, digits) == MO_OK);
     id = submit(&service, &request);
     CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(told(&service, id, NULL, "morphod.seed"), n == 64);
-    CHECK_INT(told(&service, id, NULL, "morphod.parent"), n == 65);
+    CHECK_INT(reported(&service, id, NULL, "morphod.seed"), n == 64);
+    CHECK_INT(reported(&service, id, NULL, "morphod.parent"), n == 65);
   }
   short_one.step = "1";
   REQUIRE(put_long(&service, 17, &short_one, &short_one, digits) == MO_OK);
@@ -293,9 +293,11 @@ __attribute__((unused)) static void leaves_out_what_can_be_read(void)
   origin.excluded = excluded;
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(told(&service, id, first, "morphod.seed"), 1);
-  CHECK_INT(told(&service, id, third, "morphod.step"), 1);
-  CHECK_INT(told(&service, id, NULL, "morphod.seed") + told(&service, id, NULL, "morphod.step"), 2);
+  CHECK_INT(reported(&service, id, first, "morphod.seed"), 1);
+  CHECK_INT(reported(&service, id, third, "morphod.step"), 1);
+  CHECK_INT(reported(&service, id, NULL, "morphod.seed") +
+                reported(&service, id, NULL, "morphod.step"),
+            2);
   mo_form_set_free(excluded);
   service_end(&service);
 }
@@ -367,7 +369,7 @@ static bool draws_for(struct service *service, int64_t drawer, int64_t other)
   return first.phase == MO_PHASE_PREPARE && first.reason[0] == '\0' && names(&second, drawer);
 }
 
-/* What one draws, others wait for, and they are told so; when it is paused or cancelled, the
+/* What one draws, others wait for, and they report that; when it is paused or cancelled, the
  * drawing goes on for them. */
 static void hands_the_drawing_over(void)
 {
@@ -425,7 +427,7 @@ static void hands_the_drawing_over(void)
   for (int i = 1; i < 3; i++)
     CHECK(state_of(&service, ids[i]) == MO_JOB_CANCELLED ||
           ends_as_plain(&service, ids[i], &origin));
-  (void)settled(&service);
+  (void)idle_stats(&service);
   CHECK(exclusions(&service) == NULL);
   CHECK_INT(warnings, 0);
   mo_form_set_free(excluded);
@@ -464,7 +466,7 @@ static void draws_for_nobody(void)
 
 /* The time that is left: of the drawing by its own rate; of the generations, too, once there is one
  * beside the first. */
-__attribute__((unused)) static void tells_how_long_it_draws(void)
+__attribute__((unused)) static void reports_how_long_it_draws(void)
 {
   struct mo_campaign_generation rows[SEEN];
   struct mo_campaign_request request;
@@ -526,10 +528,10 @@ static const struct check_case cases[] = {
     {"hands the drawing over", hands_the_drawing_over},
     {"draws for nobody", draws_for_nobody},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
-    {"tells how long it draws", tells_how_long_it_draws},
+    {"reports how long it draws", reports_how_long_it_draws},
     {"leaves out what was learned from", leaves_out_what_was_learned_from},
-    {"tells of what cannot be read", tells_of_what_cannot_be_read},
-    {"tells of long lineages", tells_of_long_lineages},
+    {"reports what cannot be read", reports_what_cannot_be_read},
+    {"reports long lineages", reports_long_lineages},
     {"leaves out what can be read", leaves_out_what_can_be_read},
 #endif
 };

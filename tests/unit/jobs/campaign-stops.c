@@ -118,7 +118,7 @@ static void cancels(void)
   CHECK_INT(mo_jobs_cancel(service.jobs, scoring), MO_ERR_CONFLICT);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, scoring, 1, NULL, NULL), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_cancelled, 3);
   service_end(&service);
@@ -148,7 +148,7 @@ __attribute__((unused)) static void extends(void)
     CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
     REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_SUCCEEDED);
-    CHECK_INT(settled(&service).open_jobs, 0);
+    CHECK_INT(idle_stats(&service).open_jobs, 0);
     CHECK_INT(status_of(&service, id).generation, 3);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* over */
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, &key, NULL), MO_OK); /* the same again */
@@ -158,7 +158,7 @@ __attribute__((unused)) static void extends(void)
            job.state == MO_JOB_SUCCEEDED) /* the first was over before the second came */
       REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
     CHECK(ends_as_plain(&service, id, &origin));
-    CHECK_INT(settled(&service).open_jobs, 0);
+    CHECK_INT(idle_stats(&service).open_jobs, 0);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 0, NULL, NULL), MO_ERR_INVALID);
     CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, MO_GENERATIONS_MAX, NULL, NULL),
               MO_ERR_RANGE);

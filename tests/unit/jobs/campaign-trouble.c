@@ -71,13 +71,13 @@ __attribute__((unused)) static void tries_three_times(void)
   CHECK(strstr(job.error_text, "the runner of rollouts reported: input or output failed") != NULL);
   CHECK_INT(status_of(&service, id).generation, 0);
   CHECK_INT(mo_jobs_extend_campaign(service.jobs, id, 1, NULL, NULL), MO_ERR_CONFLICT);
-  CHECK_INT(settled(&service).jobs_failed, 1);
+  CHECK_INT(idle_stats(&service).jobs_failed, 1);
   /* Nothing is lost: when the cause is gone, it goes on. */
   fake_plan.fail_times = 0;
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_OK);
   CHECK(ends_as_plain(&service, id, &origin));
   CHECK_INT(status_of(&service, id).job.error, MO_OK);
-  CHECK_INT(settled(&service).open_jobs, 0);
+  CHECK_INT(idle_stats(&service).open_jobs, 0);
   CHECK_INT(mo_jobs_resume(service.jobs, id), MO_ERR_CONFLICT);
   service_end(&service);
 }
@@ -198,7 +198,7 @@ static int damage(struct service *service, int64_t id, uint32_t generation, uint
 }
 
 /* What was learned inside a generation is learned again; what a generation left cannot be. */
-__attribute__((unused)) static void tells_of_damaged_checkpoints(void)
+__attribute__((unused)) static void reports_damaged_checkpoints(void)
 {
   struct mo_campaign_request request = campaign(MO_SIMULTANEOUS);
   struct origin origin = origin_of(&request);
@@ -223,7 +223,7 @@ __attribute__((unused)) static void tells_of_damaged_checkpoints(void)
     if (round == 0) {
       CHECK(ends_as_plain(&service, id, &origin));
       CHECK_INT(warnings, 1);
-      CHECK(strstr(warned, "learns anew") != NULL);
+      CHECK(strstr(warned, "learns again") != NULL);
     } else {
       REQUIRE(await_end(service.jobs, id, 120000, &job) == MO_OK);
       CHECK(job.state == MO_JOB_FAILED && job.error == MO_ERR_CORRUPT);
@@ -351,7 +351,7 @@ __attribute__((unused)) static void refuses(void)
   CHECK_INT(refuse(&service, &bad, "has no population yet", NULL), MO_ERR_CONFLICT);
   for (int i = 0; i < 3; i++)
     CHECK_INT(mo_jobs_cancel(service.jobs, id + i), MO_OK);
-  CHECK_INT(settled(&service).open_jobs, 0);
+  CHECK_INT(idle_stats(&service).open_jobs, 0);
   CHECK_INT(mo_jobs_stop(service.jobs, 5000), MO_OK);
   bad = campaign(MO_ZERO_SHOT);
   CHECK_INT(refuse(&service, &bad, "stopping", NULL), MO_ERR_CANCELLED);
@@ -368,7 +368,7 @@ static const struct check_case cases[] = {
     {"tries three times", tries_three_times},
     {"waits for memory", waits_for_memory},
     {"tries three times to learn", tries_three_times_to_learn},
-    {"tells of damaged checkpoints", tells_of_damaged_checkpoints},
+    {"reports damaged checkpoints", reports_damaged_checkpoints},
     {"needs its controller", needs_its_controller},
     {"refuses", refuses},
 #endif

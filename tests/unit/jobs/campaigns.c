@@ -1,5 +1,5 @@
 /* campaigns.c: campaigns with a fake back end, whose losses and gradients are functions of their
- * inputs: every mode end to end, against plain loops (campaign_history.h), and what is told of
+ * inputs: every mode end to end, against plain loops (campaign_history.h), and what is reported of
  * them. */
 #include "campaigns.h"
 #include "jobs/trainings.h"
@@ -51,7 +51,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   REQUIRE(start(&service, 1) == MO_OK);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   rollouts = status_of(&service, id).n_designs * MO_PAPER_TEST_COUNT;
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, 0);
@@ -62,7 +62,7 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   /* The same once more finds everything; an evaluation of its designs does, too. */
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.campaign_rollouts, rollouts);
   CHECK_INT(stats.campaign_cached, rollouts);
   CHECK_INT(mo_store_campaign_generations(service.fixture.store, id, -1, rows, GENERATIONS + 1),
@@ -85,9 +85,10 @@ __attribute__((unused)) static void scores_nothing_twice(void)
   origin = origin_of(&request);
   id = submit(&service, &request);
   CHECK(ends_as_plain(&service, id, &origin));
-  CHECK_INT(settled(&service).campaign_cached, rollouts);
-  CHECK_INT(settled(&service).campaign_rollouts - rollouts, 3 * POPULATION * MO_PAPER_TEST_COUNT);
-  CHECK_INT(settled(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
+  CHECK_INT(idle_stats(&service).campaign_cached, rollouts);
+  CHECK_INT(idle_stats(&service).campaign_rollouts - rollouts,
+            3 * POPULATION * MO_PAPER_TEST_COUNT);
+  CHECK_INT(idle_stats(&service).campaign_steps, PARENT_STEPS + 2 * CHILD_STEPS);
   service_end(&service);
 }
 
@@ -143,9 +144,9 @@ __attribute__((unused)) static void begins_with_what_is_given(void)
   service_end(&service);
 }
 
-/* ---- what is told ---- */
+/* ---- what is reported ---- */
 
-__attribute__((unused)) static void tells_of_its_generations(void)
+__attribute__((unused)) static void reports_its_generations(void)
 {
   struct mo_campaign_request request = campaign(MO_FEW_SHOT);
   struct mo_campaign_generation rows[GENERATIONS + 1];
@@ -330,7 +331,7 @@ static const struct check_case cases[] = {
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"scores nothing twice", scores_nothing_twice},
     {"begins with what is given", begins_with_what_is_given},
-    {"tells of its generations", tells_of_its_generations},
+    {"reports its generations", reports_its_generations},
     {"shows its champions", shows_its_champions},
     {"shows no generation behind its last", shows_no_generation_behind_its_last},
     {"gives its population to a training", gives_its_population_to_a_training},

@@ -30,7 +30,7 @@ static void evaluates(void)
   CHECK(job.rollouts_diverged > 0 && job.rollouts_diverged < 100);
   CHECK(job.started_us >= job.created_us && job.finished_us >= job.started_us);
   CHECK(right(&service, id, genotypes));
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.open_rollouts, 0);
   CHECK_INT(stats.jobs_succeeded, 1);
@@ -482,7 +482,7 @@ static const struct check_case cases[] = {
     {"puts interactive jobs first and shares among batch jobs", puts_interactive_first_and_shares},
     {"cancels, pauses and resumes", cancels_pauses_resumes},
     {"counts through pauses", counts_through_pauses},
-    {"survives a wish that comes late", survives_a_late_request},
+    {"survives a request that comes late", survives_a_late_request},
     {"waits for a slow store", waits_for_a_slow_store},
     {"parks at a stop and goes on after it", parks_and_goes_on},
     {"verifies bits", verifies},

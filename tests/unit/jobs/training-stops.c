@@ -76,8 +76,8 @@ static void stops_and_goes_on(void)
 }
 
 /* Stopped under one code and continued under another, at whatever step: it goes on, and the lineage
- * tells every change. */
-static void tells_of_other_code(void)
+ * reports every change. */
+static void reports_other_code(void)
 {
   static const char *const codes[] = {"fake gradient", "fake gradient-2", "fake gradient"};
   struct service service;
@@ -142,7 +142,7 @@ static void cancels(void)
   CHECK_INT(state_of(&service, id), MO_JOB_CANCELLED);
   CHECK_INT(mo_jobs_cancel(service.jobs, id), MO_ERR_CONFLICT);
   CHECK_INT(mo_store_controller(service.fixture.store, "never", &record), MO_ERR_NOT_FOUND);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_cancelled, 2);
   service_end(&service);
@@ -164,7 +164,7 @@ __attribute__((unused)) static void blames_crashes_on_the_training(void)
 static const struct check_case cases[] = {
     {"pauses and resumes", pauses_and_resumes},
     {"stops and goes on", stops_and_goes_on},
-    {"tells of other code", tells_of_other_code},
+    {"reports other code", reports_other_code},
     {"cancels", cancels},
 #ifndef __SANITIZE_THREAD__ /* slow there, and nothing new about threads */
     {"blames crashes on the training", blames_crashes_on_the_training},

@@ -178,7 +178,7 @@ __attribute__((unused)) static void tries_three_times(void)
   CHECK_INT(job.error, MO_ERR_IO);
   CHECK(strstr(job.error_text, "input or output failed") != NULL);
   CHECK_INT(warnings, 4);
-  CHECK_INT(settled(&service).jobs_failed, 1);
+  CHECK_INT(idle_stats(&service).jobs_failed, 1);
   service_end(&service);
 }
 
@@ -220,7 +220,7 @@ __attribute__((unused)) static void passes_over_damaged_checkpoints(void)
     REQUIRE(await_step(&service, id, 2));
     pthread_mutex_lock(&warned_mutex);
     CHECK_INT(warnings, round);
-    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "begins anew") != NULL);
+    CHECK(strstr(warned, round == 1 ? "the one before it is taken" : "starts over") != NULL);
     pthread_mutex_unlock(&warned_mutex);
   }
   REQUIRE(await_end(service.jobs, id, 30000, &job) == MO_OK);

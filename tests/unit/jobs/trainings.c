@@ -57,7 +57,7 @@ static void learns(void)
   CHECK_TEXT(events[0].type, "job.created");
   CHECK_TEXT(events[1].type, "job.started");
   CHECK_TEXT(events[n - 1].type, "job.finished");
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.training_steps, STEPS);
   CHECK_INT(stats.training_robots, STEPS * BATCH);
   CHECK_INT(stats.training_checkpoints, 3);

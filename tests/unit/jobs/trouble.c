@@ -111,7 +111,7 @@ static void parks_after_three_errors(void)
   CHECK_INT(job.attempts, 3);
   CHECK_INT(job.error, MO_ERR_NO_MEMORY);
   CHECK(strstr(job.error_text, "out of memory") != NULL);
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK_INT(stats.jobs_failed, 1);
   free(forms);
@@ -151,7 +151,7 @@ static void refuses_nan(void)
 
 static atomic_int damaged_controllers;
 
-static void hear_warning(void *context, int64_t job, int error, const char *text)
+static void keep_warning_text(void *context, int64_t job, int error, const char *text)
 {
   (void)context;
   (void)job;
@@ -170,7 +170,7 @@ static void names_a_damaged_controller(void)
   int64_t id;
   REQUIRE(service_start(&service) == MO_OK);
   service_close(&service);
-  service.config.warn = hear_warning;
+  service.config.warn = keep_warning_text;
   REQUIRE(service_open(&service) == MO_OK);
   REQUIRE(fixture_bodies(24, 2, &forms, &genotypes) == MO_OK);
   REQUIRE(mo_store_controller(service.fixture.store, "default", &record) == MO_OK);
@@ -220,7 +220,7 @@ static void parks_what_cannot_be_saved(void)
     REQUIRE(await_end(service.jobs, id, 15000, &job) == MO_OK);
     CHECK_INT(job.state, MO_JOB_FAILED);
     CHECK_INT(job.attempts, 3);
-    stats = settled(&service);
+    stats = idle_stats(&service);
     CHECK_INT(stats.open_jobs, 0);
     /* The others go on. */
     service.jobs->fingerprints[MO_FLOAT32] = fingerprint;
@@ -448,7 +448,7 @@ static void serves_many_clients(void)
     pthread_join(threads[i], NULL);
     CHECK_INT(clients[i].failures, 0);
   }
-  stats = settled(&service);
+  stats = idle_stats(&service);
   CHECK_INT(stats.open_jobs, 0);
   CHECK(stats.rollouts_computed <= 900);
   CHECK_INT(mo_store_check(service.fixture.store, &service.fixture.message), MO_OK);

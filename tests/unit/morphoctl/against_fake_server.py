@@ -727,7 +727,8 @@ def test_train_show_and_list():
 def test_train_export():
     head = b"step,mean_loss\n"
     with tempfile.TemporaryDirectory() as folder, \
-            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"), reply(200, head + b"1,0.5\n2,0.25\n3,0.125\n", "text/csv"),
+            Server([reply(200, b"weights", "application/octet-stream", Morphod_Step="4"),
+                    reply(200, head + b"1,0.5\n2,0.25\n3,0.125\n", "text/csv"),
                     reply(200, b"step,mean_score\n0,1.5\n", "text/csv")]) as server:
         status, out, err = run(server, "train", "export", "7", "--step", "4", "-o", folder + "/c",
                                "--curve", folder + "/curve", "--validations", "-")
