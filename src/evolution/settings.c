@@ -8,7 +8,7 @@
 #define MODES   3
 #define PRESETS 3
 
-static const char *const mode_words[] = {"zero-shot", "few-shot", "simultaneous", NULL};
+const char *const mo_campaign_mode_words[] = {"zero-shot", "few-shot", "simultaneous", NULL};
 const char *const mo_selection_words[] = {"truncation", "tournament", "novelty", "age-layered",
                                           NULL};
 static const char *const preset_words[] = {"paper", "workstation", "demo", NULL};
@@ -17,12 +17,12 @@ static const char *const operator_words[] = {"random",   "listed",    "inherited
 
 const char *mo_campaign_mode_name(enum mo_campaign_mode mode)
 {
-  return mo_word(mode_words, (unsigned)mode);
+  return mo_word(mo_campaign_mode_words, (unsigned)mode);
 }
 
 int mo_campaign_mode_from_name(const char *name, enum mo_campaign_mode *mode)
 {
-  const int i = mo_word_index(mode_words, name);
+  const int i = mo_word_index(mo_campaign_mode_words, name);
   if (i >= 0)
     *mode = (enum mo_campaign_mode)i;
   return i >= 0 ? MO_OK : i;

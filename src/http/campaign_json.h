@@ -12,8 +12,7 @@ enum mo_job_state mo_campaign_state_shown(const struct mo_campaign_status *statu
 /* Writes a campaign. live: its current live state. */
 void mo_campaign_json_write(struct mo_text *text, const struct mo_campaign_status *status,
                             const struct mo_campaign_live *live);
-void mo_campaign_json_checkpoint(struct mo_text *text,
-                                 const struct mo_campaign_checkpoint_row *row);
+void mo_campaign_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
 /* Writes a campaign as an item of the list of jobs. */
 void mo_campaign_json_job(struct mo_text *text, const struct mo_campaign_status *status,
                           const struct mo_campaign_live *live);

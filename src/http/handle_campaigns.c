@@ -317,13 +317,12 @@ static bool begin_checkpoints(struct mo_request *request, int64_t *id)
 
 void mo_handle_campaign_checkpoints(struct mo_request *request)
 {
-  struct mo_campaign_checkpoint_row rows[MO_CAMPAIGN_CHECKPOINTS_MAX];
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_MAX];
   struct mo_text text = {0};
   int64_t id;
   if (!begin_checkpoints(request, &id))
     return;
-  int64_t n = mo_store_campaign_checkpoints(request->http->services.store, id, rows,
-                                            MO_CAMPAIGN_CHECKPOINTS_MAX);
+  int64_t n = mo_store_checkpoints(request->http->services.store, id, rows, MO_CHECKPOINTS_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -340,12 +339,13 @@ void mo_handle_campaign_checkpoints(struct mo_request *request)
 
 void mo_handle_campaign_checkpoints_delete(struct mo_request *request)
 {
-  struct mo_campaign_checkpoints_removed removed;
+  struct mo_checkpoints_removed removed;
   struct mo_text text = {0};
   int64_t id;
   if (!begin_checkpoints(request, &id))
     return;
-  int code = mo_store_campaign_checkpoints_remove(request->http->services.store, id, &removed);
+  int code =
+      mo_store_checkpoints_remove(request->http->services.store, id, MO_JOB_CAMPAIGN, 0, &removed);
   if (code != MO_OK) {
     mo_reply_error(request, code, "campaign");
     return;
@@ -353,7 +353,7 @@ void mo_handle_campaign_checkpoints_delete(struct mo_request *request)
   mo_text_add(&text, "{\"removed\":[");
   for (size_t i = 0; i < removed.n; i++)
     mo_text_format(&text, "%s{\"generation\":%u,\"step\":%u}", i > 0 ? "," : "",
-                   removed.places[i][0], removed.places[i][1]);
+                   removed.places[i].generation, removed.places[i].step);
   mo_text_add(&text, "]");
   mo_text_member_count(&text, "bytes", removed.bytes);
   mo_text_add(&text, "}");

@@ -357,13 +357,13 @@ void mo_handle_training_validations(struct mo_request *request)
 void mo_handle_training_checkpoints(struct mo_request *request)
 {
   struct mo_query_value none;
-  struct mo_training_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
+  struct mo_checkpoint_row rows[MO_CHECKPOINTS_KEPT_MAX];
   int64_t id;
   if (!mo_query_read(request, NULL, &none, 0) || !mo_accepts_json(request) ||
       !mo_path_id(request, 0, &id) || !mo_job_is(request, id, MO_JOB_TRAINING, "training"))
     return;
-  int64_t n = mo_store_training_checkpoints(request->http->services.store, id, rows,
-                                            MO_CHECKPOINTS_KEPT_MAX);
+  int64_t n =
+      mo_store_checkpoints(request->http->services.store, id, rows, MO_CHECKPOINTS_KEPT_MAX);
   if (n < 0) {
     mo_reply_error(request, (int)n, "page");
     return;
@@ -394,8 +394,8 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
                  ? MO_ERR_NOT_FOUND
                  : MO_OK;
   if (code == MO_OK)
-    code = mo_store_training_checkpoints_remove(request->http->services.store, id, (uint32_t)step,
-                                                &removed);
+    code = mo_store_checkpoints_remove(request->http->services.store, id, MO_JOB_TRAINING,
+                                       (uint32_t)step, &removed);
   if (code == MO_ERR_NOT_FOUND) {
     mo_reply_problem(request, 404, NULL,
                      "The training keeps no checkpoint of this step; GET "
@@ -413,7 +413,7 @@ void mo_handle_training_checkpoints_delete(struct mo_request *request)
     struct mo_text reply = {0};
     mo_text_add(&reply, "{\"removed\":[");
     for (size_t i = 0; i < removed.n; i++)
-      mo_text_format(&reply, "%s%u", i > 0 ? "," : "", removed.steps[i]);
+      mo_text_format(&reply, "%s%u", i > 0 ? "," : "", removed.places[i].step);
     mo_text_add(&reply, "]");
     mo_text_member_count(&reply, "bytes", removed.bytes);
     mo_text_add(&reply, "}");

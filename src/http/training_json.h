@@ -22,8 +22,7 @@ void mo_training_json_job(struct mo_text *text, const struct mo_training_status 
 void mo_training_json_step(struct mo_text *text, const struct mo_training_step_row *row);
 void mo_training_json_validation(struct mo_text *text,
                                  const struct mo_training_validation_row *row);
-void mo_training_json_checkpoint(struct mo_text *text,
-                                 const struct mo_training_checkpoint_row *row);
+void mo_training_json_checkpoint(struct mo_text *text, const struct mo_checkpoint_row *row);
 extern const char mo_training_csv_steps[], mo_training_csv_validations[];
 void mo_training_csv_step(struct mo_text *text, const struct mo_training_step_row *row);
 void mo_training_csv_validation(struct mo_text *text, const struct mo_training_validation_row *row);

@@ -16,7 +16,7 @@
 
 #include <morpho/evolution.h>
 
-#include "store/store.h"
+#include "store/checkpoints.h"
 
 #define MO_REPLICATES_MAX 100
 
@@ -260,28 +260,6 @@ int mo_store_campaign_checkpoint(struct mo_store *store, int64_t id, uint32_t ge
  * state that scored its population, whatever was learned since. Earlier ones are not kept. */
 int mo_store_campaign_checkpoint_of(struct mo_store *store, int64_t id, uint32_t generation,
                                     uint32_t *step, uint8_t **bytes, size_t *size);
-
-/* Kept checkpoints: one after the newest committed generation, perhaps one inside the current
- * generation. */
-#define MO_CAMPAIGN_CHECKPOINTS_MAX 64
-struct mo_campaign_checkpoint_row {
-  uint32_t generation, step;
-  struct mo_sha256 sha256;
-  uint64_t size;
-  int64_t stored_us;
-};
-int64_t mo_store_campaign_checkpoints(struct mo_store *store, int64_t id,
-                                      struct mo_campaign_checkpoint_row *rows,
-                                      size_t limit); /* newest first */
-/* Removes the checkpoints that are not needed: all of a campaign that has ended, none of another.
- * May use the reserve. MO_ERR_NOT_FOUND: no such campaign. */
-struct mo_campaign_checkpoints_removed {
-  uint32_t places[MO_CAMPAIGN_CHECKPOINTS_MAX][2]; /* (n) generation, step; newest first */
-  size_t n;
-  uint64_t bytes;
-};
-int mo_store_campaign_checkpoints_remove(struct mo_store *store, int64_t id,
-                                         struct mo_campaign_checkpoints_removed *removed);
 
 /* A whole generation, committed in one transaction. */
 struct mo_campaign_commit {

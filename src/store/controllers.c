@@ -7,7 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "store/internal.h"
+#include "store/controllers.h"
+#include "store/folder.h"
 
 #include "base/clock.h"
 
@@ -273,6 +274,23 @@ int mo_store_controller_remove(struct mo_store *store, const char *name)
 }
 
 /* ---- reading ---- */
+
+int mo_controller_sensor(struct mo_connection *connection, int64_t row, enum mo_sensor *sensor)
+{
+  static const char sql[] = "SELECT sensor,nx,ny,nz FROM controllers WHERE id=?1";
+  const struct mo_workspace workspace = MO_DEFAULT_WORKSPACE;
+  sqlite3_stmt *statement;
+  const int error = mo_sql_row(connection, &statement, sql, mo_int(row));
+  bool fits;
+  if (error != MO_OK)
+    return error == MO_ERR_NOT_FOUND ? MO_ERR_CORRUPT : error;
+  *sensor = (enum mo_sensor)sqlite3_column_int(statement, 0);
+  fits = sqlite3_column_int64(statement, 1) == workspace.nx &&
+         sqlite3_column_int64(statement, 2) == workspace.ny &&
+         sqlite3_column_int64(statement, 3) == workspace.nz;
+  (void)sqlite3_reset(statement);
+  return fits ? MO_OK : MO_ERR_UNSUPPORTED;
+}
 
 int mo_controller_find(struct mo_connection *connection, const char *name, int64_t *row)
 {

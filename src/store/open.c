@@ -13,7 +13,7 @@
 #include <unistd.h>
 
 #include "schema.h"
-#include "store/internal.h"
+#include "store/folder.h"
 
 /* The version of schema.sql, and the newest. Those before the first were of morphod 0.1. */
 #define FIRST_SCHEMA  9

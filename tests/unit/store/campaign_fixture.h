@@ -16,7 +16,7 @@ campaign_submission(enum mo_campaign_mode mode, uint32_t population, uint32_t ge
 {
   return (struct mo_campaign_submission){
       .record = {.settings = {.mode = mode,
-                              .seed = UINT64_C(0xFEDCBA9876543210),
+                              .seed = UINT64_C(0x1CBA9876543210),
                               .workspace = MO_DEFAULT_WORKSPACE,
                               .population = population,
                               .generations = generations,
